@@ -48,7 +48,8 @@ def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
             break
         opcode, length = RECORD.unpack_from(view_of, at)
         end = at + RECORD.size + length
-        if end > size or not _allowed(opcode, length):
+        valid = length >= MESSAGE_HEADER if opcode == MESSAGE else opcode in {SCHEMA, CHANNEL} or opcode >= PRIVATE
+        if end > size or not valid:
             break
         if opcode == MESSAGE:
             offsets.append(at)
@@ -61,10 +62,6 @@ def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
     if offsets and not len(_followed(data, np.array(offsets[-1:], np.int64))):
         at = offsets.pop()
     return Records(_gather(data, np.array(offsets, np.int64)), definitions, at)
-
-
-def _allowed(opcode: int, length: int) -> bool:
-    return (opcode == MESSAGE and length >= MESSAGE_HEADER) or opcode in {SCHEMA, CHANNEL} or opcode >= PRIVATE
 
 
 def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:

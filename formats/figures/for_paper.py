@@ -84,7 +84,7 @@ def paper_figures(
     out: dict[str, bytes] = {}
     for section in sections:
         for panel in section.panels:
-            name = file_name(panel.name)
+            name = "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel.name)
             out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks, looks)
     return out
 
@@ -103,11 +103,6 @@ def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mappi
         axes = plt.figure(figsize=(7.0, 6.0), layout="constrained").add_subplot()
     _fill(axes, panel, _inks([m.of for m in panel.marks], traces, sensors), palette.looks_of(traces))
     return axes
-
-
-def file_name(panel: str) -> str:
-    """Return a panel's name as a file name, with "_" for other characters than letters, digits and _-+@."""
-    return "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel)
 
 
 def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = None) -> tuple[bytes, bytes]:

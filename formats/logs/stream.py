@@ -321,7 +321,8 @@ class LogStream:
         room, size, at = rows, 0, 0
         for raw in self._log.raw(self._recorded, fields):
             while len(raw.messages.start):
-                some, raw = raw.split(min(room, _messages_per_block(raw.messages.length)))  # noqa: PLW2901
+                fitting = int(np.searchsorted(np.cumsum(raw.messages.length), BLOCK_BYTES, "right"))
+                some, raw = raw.split(min(room, max(fitting, 1)))  # noqa: PLW2901
                 decoded = some.columns(fields)
                 here = row_of[at : at + int(decoded.good.sum())]
                 at += int(decoded.good.sum())
@@ -360,11 +361,6 @@ def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:
         return numbers, columns
     rows = np.flatnonzero(keep)
     return numbers[rows], {name: take(column, rows) for name, column in columns.items()}
-
-
-def _messages_per_block(length: Ints) -> int:
-    """Return how many messages of these lengths (k,) [bytes] fit into BLOCK_BYTES; at least one."""
-    return max(int(np.searchsorted(np.cumsum(length), BLOCK_BYTES, "right")), 1)
 
 
 def _joined(blocks: list[Block]) -> Block:

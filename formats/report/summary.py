@@ -147,15 +147,13 @@ def _logs(summary: Mapping[str, Any]) -> Table:
     columns = [Column("log", "log", kind="text"), DURATION, Column("best", "best", kind="text")]
     if any(v.get("robot") for v in summary["logs"].values()):
         columns.insert(1, Column("robot", "robot", kind="text"))
-    rows = {name: {**v, "reason": _not_judged(v)} for name, v in summary["logs"].items()}
-    if any(row["reason"] for row in rows.values()):
+    rows = []
+    for name, log in summary["logs"].items():
+        reason = log.get("reason") or "; ".join(f"void: {line}" for line in log.get("void") or ()) or None
+        rows.append({**log, "log": name, "reason": reason})
+    if any(row["reason"] for row in rows):
         columns.append(Column("reason", "not judged", kind="text", missing=""))
-    return of_rows(columns, ({**row, "log": name} for name, row in rows.items()))
-
-
-def _not_judged(log: Mapping[str, Any]) -> str | None:
-    """Return the reason why a log has no error figures: not run, or void; None if neither."""
-    return log.get("reason") or "; ".join(f"void: {line}" for line in log.get("void") or ()) or None
+    return of_rows(columns, rows)
 
 
 def render(summary: Mapping[str, Any]) -> str:

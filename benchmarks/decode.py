@@ -67,7 +67,7 @@ def ours(path: Path) -> str:
         if types[name] in in_blocks:
             for _ in stream.blocks(*reads[types[name]]):
                 pass
-    fast, general = log.decoded_fast, log.decoded_general
+    fast, general = log.decoded
     return f"{rows} messages, {fast / max(fast + general, 1):.4f} of them on the fast path"
 
 

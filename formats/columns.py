@@ -1,4 +1,4 @@
-"""The three kinds of column (numbers, ragged rows, one value per row), joined and reordered."""
+"""Columns (numbers, ragged rows, or a list of values): reading from bytes, joining, reordering, growing."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Column, Ints, Ragged
 
-MAX_UNCHECKED_ELEMENTS = 1 << 22  # elements allocated on the word of a file that so many will come
+MAX_UNCHECKED_ELEMENTS = 1 << 22  # allocated at most before any row is read: a file's message count may be wrong
 
 
 def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:
-    """Read one value of `dtype` at each of the byte offsets `at` (k,), aligned or not."""
+    """Return the values (k,) of `dtype` at byte offsets `at` (k,), aligned or not."""
     size = np.dtype(dtype).itemsize
     return np.ndarray((max(len(data) - size + 1, 0),), dtype, data, 0, (1,))[at]
 
 
 def concat(parts: Sequence[Column]) -> Column:
-    """Join columns of one kind end to end."""
+    """Concatenate columns of one kind."""
     head = parts[0]
     if len(parts) == 1:
         return head
@@ -35,7 +35,7 @@ def concat(parts: Sequence[Column]) -> Column:
 
 
 def take(column: Column, rows: NDArray[Any]) -> Column:
-    """Return the given rows (k,) in the given order."""
+    """Return the rows (k,) of a column in this order."""
     if isinstance(column, list):
         return [column[i] for i in rows.tolist()]
     if isinstance(column, np.ndarray):
@@ -52,7 +52,7 @@ def take(column: Column, rows: NDArray[Any]) -> Column:
 
 
 def n_bytes(column: Column) -> int:
-    """Return about how much memory a column holds."""
+    """Return the approximate memory of a column [bytes]."""
     if isinstance(column, Ragged):
         return int(column.values.nbytes)
     if isinstance(column, list):
@@ -61,9 +61,9 @@ def n_bytes(column: Column) -> int:
 
 
 class Growing:
-    """A column that is added to piece by piece, in one allocation where the number of rows is known beforehand.
+    """A column that grows piece by piece, in one allocation if the number of rows is known in advance.
 
-    Joining a list of pieces instead would hold everything twice and leave the heap in fragments.
+    Concatenating a list of pieces would need twice the memory and fragment the heap.
     """
 
     def __init__(self, rows: int) -> None:
@@ -88,7 +88,7 @@ class Growing:
             self._values.add(piece)
 
     def column(self) -> Column | None:
-        """Return the whole column, None if nothing was added."""
+        """Return the whole column; None if nothing was added."""
         if self._kind is None:
             return None
         if self._kind is list:
@@ -102,7 +102,7 @@ class Growing:
 
 
 class GrowingArray:
-    """An array that is added to piece by piece; it has spare rows."""
+    """An array with spare rows that grows piece by piece."""
 
     def __init__(self, capacity: int) -> None:
         self.used = 0

@@ -1,4 +1,4 @@
-"""Plane geometry for figures: poses, ellipses, walls with their uncertainty. NumPy only."""
+"""Plane geometry for figures and exports: poses, ellipses, quaternions, walls with their uncertainty."""
 
 from __future__ import annotations
 
@@ -9,24 +9,20 @@ import numpy as np
 from locfuse.fusion.data import Array, MapLine
 
 ELLIPSE_SIGMAS = 3.0
+BAND_POINTS = 9  # along a wall
 
 
 def to_map(pose: Array, points: Array) -> Array:
-    """Return points (..., 2) given in the frame of poses (..., 3), in the map."""
+    """Transform points (..., 2) from the frames of poses (..., 3) to the map frame."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = points[..., 0], points[..., 1]
     return np.stack((pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y), axis=-1)
 
 
 def mounted(pose: Array, mount: tuple[float, float, float]) -> Array:
-    """Return the poses (n, 3) in the map of a sensor with a `mount` on the robot at `pose` (n, 3)."""
+    """Return a sensor's poses (n, 3) in the map, from robot poses (n, 3) and its mount x, y [m], yaw [rad]."""
     at = to_map(pose, np.broadcast_to(np.array(mount[:2]), (len(pose), 2)))
     return np.column_stack((at, pose[:, 2] + mount[2]))
-
-
-def steps(xy: Array) -> Array:
-    """Return a path (n, 2) as its n - 1 steps, (n - 1, 2, 2)."""
-    return np.stack((xy[:-1], xy[1:]), axis=1)
 
 
 def ellipses(P: Array) -> tuple[Array, Array]:
@@ -38,18 +34,18 @@ def ellipses(P: Array) -> tuple[Array, Array]:
 
 
 def quaternions(angle: Array) -> Array:
-    """Return rotations by `angle` (n,) [rad] about z as x, y, z, w, (n, 4)."""
+    """Return quaternions x, y, z, w (n, 4) of rotations by `angle` (n,) [rad] about z."""
     zero = np.zeros_like(angle)
     return np.column_stack((zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)))
 
 
 def headings(x: Array, y: Array, z: Array, w: Array) -> Array:
-    """Return the headings (n,) [rad] of quaternions of any length, by their parts (n,)."""
+    """Return the headings (n,) [rad] of quaternions of any norm, from their components (n,)."""
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
 
 
 def segments(z: Array, ends: Array) -> Array:
-    """Return lines z (k, 2) = (r, psi) as points (k, 2, 2); `ends` (k, 2) m along (-sin psi, cos psi)."""
+    """Return the end points (k, 2, 2) of lines z (k, 2) = (r, psi); `ends` (k, 2) m along (-sin psi, cos psi)."""
     c, s = np.cos(z[:, 1]), np.sin(z[:, 1])
     foot = np.stack((z[:, 0] * c, z[:, 0] * s), axis=-1)
     along = np.stack((-s, c), axis=-1)
@@ -58,21 +54,20 @@ def segments(z: Array, ends: Array) -> Array:
 
 
 def wall(line: MapLine) -> Array:
-    """Return both ends of a map line, (2, 2) m."""
+    """Return both ends of a map line, (2, 2) [m, map frame]."""
     (ends,) = segments(np.array([[line.rho, line.beta]]), np.array([line.ends]))
     return np.asarray(ends)
 
 
-def wall_band(line: MapLine, points: int = 9) -> Array:
-    """Return the outline (2 points + 1, 2) of the wall's 3-sigma area, first point repeated.
+def wall_band(line: MapLine) -> Array:
+    """Return the outline (2 BAND_POINTS + 1, 2) [m] of a map line's 3-sigma area, first point repeated.
 
-    At t along the tangent the wall is off by drho - t dbeta, so the band is narrowest near the middle of what
-    was seen and opens towards the ends.
+    The error at t along the tangent is drho - t dbeta, so the area is narrowest near the line's middle.
     """
-    t, P = np.linspace(*line.ends, points), line.P_map
+    t, P = np.linspace(*line.ends, BAND_POINTS), line.P_map
     variance = P[0, 0] - 2.0 * t * P[0, 1] + t**2 * P[1, 1]
     width = ELLIPSE_SIGMAS * np.sqrt(np.maximum(variance, 0.0))
     normal = np.array([math.cos(line.beta), math.sin(line.beta)])
-    middle = segments(np.full((points, 2), (line.rho, line.beta)), np.column_stack((t, t)))[:, 0]
+    middle = segments(np.full((BAND_POINTS, 2), (line.rho, line.beta)), np.column_stack((t, t)))[:, 0]
     out, back = middle + width[:, None] * normal, middle - width[:, None] * normal
     return np.concatenate((out, back[::-1], out[:1]))

@@ -1,4 +1,4 @@
-"""Input files: only regular files are read, changes during reading are detected, and no output overwrites one."""
+"""Input files: read only if regular, with detection of changes, and protected from being overwritten."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .caps import names_its_cap
 
 
 class FileIdentity(NamedTuple):
-    """The file behind a path, and its state at that time."""
+    """Device, inode, size and modification time of a file."""
 
     device: int
     inode: int
@@ -26,16 +26,16 @@ class FileIdentity(NamedTuple):
 
     @property
     def file(self) -> tuple[int, int]:
-        """The part that does not change while a file is written to."""
+        """Device and inode, which do not change when the file is written to."""
         return self.device, self.inode
 
 
-_HELD: WeakKeyDictionary[object, tuple[int, int]] = WeakKeyDictionary()  # who reads -> which file
+_HELD: WeakKeyDictionary[object, tuple[int, int]] = WeakKeyDictionary()  # reader -> file
 DESTROYS = "it is the input: to write there would destroy it; choose another name"
 
 
 def identity(path: Path) -> FileIdentity:
-    """Return the file behind a path. Raises LocfuseError unless it is a regular file: a pipe would never end."""
+    """Return the identity of a file. Raises LocfuseError unless it is a regular file (a pipe never ends)."""
     try:
         found = path.stat()
     except OSError as problem:
@@ -46,29 +46,29 @@ def identity(path: Path) -> FileIdentity:
 
 
 def identity_of_open(handle: int) -> FileIdentity:
-    """Return the file behind a descriptor."""
+    """Return the identity of an open file."""
     return _of(os.fstat(handle))
 
 
 def hold(reader: object, file: FileIdentity) -> None:
-    """Protect a file from being overwritten while its `reader` exists."""
+    """Protect a file from being overwritten by this process while `reader` exists."""
     _HELD[reader] = file.file
 
 
 def refuse_to_write(path: Path) -> None:
-    """Raise LocfuseError if `path` is a file that is being read, or a device: writing would destroy it."""
+    """Raise LocfuseError if `path` is a file that is being read or no regular file, such as a device."""
     try:
         found = path.stat()
     except OSError:
         return
-    if not stat.S_ISREG(found.st_mode):  # a new file takes its place: /dev/null would be a device no more
+    if not stat.S_ISREG(found.st_mode):  # a renamed file would replace the device /dev/null
         raise LocfuseError(f"{path}: not a regular file, so that no result can take its place; name a file")
     if (found.st_dev, found.st_ino) in _HELD.values():
         raise LocfuseError(f"{path}: {DESTROYS}")
 
 
 def is_among(path: Path, given: Iterable[Path]) -> bool:
-    """Return whether `path` is one of the files given, or in a folder given."""
+    """Return whether `path` is one of the `given` files or directly in one of the `given` folders."""
     if not path.exists():
         return False
     files = (file for one in given for file in (one.iterdir() if one.is_dir() else (one,)))
@@ -82,13 +82,13 @@ def read_small(path: Path, cap: int) -> bytes:
         raise LocfuseError(names_its_cap(str(path), found.size, cap, "bytes"))
     try:
         with path.open("rb") as file:
-            return file.read(found.size)  # never more, should it grow; to ask for the cap would allocate it
+            return file.read(found.size)  # not more if the file grows; file.read(cap) would allocate the cap
     except OSError as problem:
         raise LocfuseError(f"{path}: cannot be read: {problem.strerror or problem}") from None
 
 
 def csv_rows(path: Path, cap: int) -> list[tuple[int, list[str]]]:
-    """Return (line number, values) of every line of a .csv that is not blank; any kind of line end works."""
+    """Return (line number, values) of every non-blank line of a .csv with any line ends."""
     text = read_small(path, cap).decode("utf-8", "replace").lstrip("\ufeff")
     rows = csv.reader(io.StringIO(text, newline=""))
     try:

@@ -1,7 +1,7 @@
-"""Thinning without visible change: a curve keeps the least and the greatest value of every interval.
+"""Thinning of curves without visible change: each interval keeps its smallest and its largest value.
 
-A screen is about 2000 pixels wide, so a curve of 4000 extremes draws the same picture as one of 10^6 points,
-spikes included; every n-th point would lose the spikes, which are what one looks for.
+A screen is about 2000 pixels wide, so 4000 extremes draw the same picture as 10^6 points, with all spikes, which
+every n-th point would lose.
 """
 
 from __future__ import annotations
@@ -15,17 +15,16 @@ MAX_SCANS = 2000
 
 
 def evenly(n: int, limit: int) -> Ints:
-    """Return at most `limit` positions of n, evenly spaced, with both ends."""
+    """Return at most `limit` evenly spaced indices of 0 .. n - 1, with both ends."""
     if n <= limit:
         return np.arange(n)
     return np.unique(np.rint(np.linspace(0, n - 1, limit)).astype(np.int64))
 
 
 def extremes(values: Array, limit: int) -> Ints:
-    """Return at most `limit` positions (p,) of the curve values (n,) or curves (n, k), in order.
+    """Return at most `limit` indices (p,), rising, of a curve (n,) or of curves (n, k).
 
-    Every bucket gives the positions of its least and its greatest value, of each curve; NaN is never one.
-    Both ends are kept.
+    They are those of the smallest and the largest value (not NaN) of each curve in each interval, and both ends.
     """
     n = len(values)
     if n <= limit:

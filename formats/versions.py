@@ -1,10 +1,10 @@
-"""Versions of distributions that are installed."""
+"""Versions of installed packages."""
 
 from __future__ import annotations
 
 
 def installed(distribution: str) -> str | None:
-    """Return the version of a distribution, None if it is not installed."""
+    """Return the version of an installed package; None if it is not installed."""
     from importlib import metadata
 
     try:

@@ -1,6 +1,6 @@
-"""Files that are written whole or not at all: under a temporary name, synced, then renamed.
+"""Atomic writing of files: under a temporary name, synced, then renamed.
 
-The .json comes last: where it stands, everything it speaks of stands too.
+The .json of a result is renamed last: if it exists, all files that it names exist.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from .visible import visible_lines
 
 try:
     import fcntl
-except ImportError:  # Windows: two runs at one folder are then not kept apart
+except ImportError:  # Windows: no locks, so two runs may write to one folder
     fcntl = None  # type: ignore[assignment]
 
-UNFINISHED = "unfinished.json"  # of a run over many logs that was ended before its summary
+UNFINISHED = "unfinished.json"  # of a run over many logs that ended before its summary
 RESULTS = ("run.json", "report.json", "summary.json", "changes.json", UNFINISHED)
-TEMPORARY = ".locfuse-tmp"  # ending of files that are being written: .NAME.PID.locfuse-tmp
-LOCK = f".lock{TEMPORARY}"  # in a folder that is being written: who writes
-RUN_LOCK = f".run-lock{TEMPORARY}"  # in the folder of a run over many logs: who runs
-SCRATCH = "locfuse-"  # beginning of temporary names outside the results: locfuse-HOST-PID-...
-LOCK_TIMEOUT_S = 20.0  # s to wait for another run to finish writing
+TEMPORARY = ".locfuse-tmp"  # ending of unfinished files: .NAME.PID.locfuse-tmp
+LOCK = f".lock{TEMPORARY}"  # in a folder during writing: PID of the writer
+RUN_LOCK = f".run-lock{TEMPORARY}"  # in the folder of a run over many logs: PID of the run
+SCRATCH = "locfuse-"  # prefix of temporary files elsewhere: locfuse-HOST-PID-...
+LOCK_TIMEOUT_S = 20.0  # wait for another process to finish writing
 REPLACED = (
     "robot.toml",
     "fixes.toml",
     *RESULTS,
     "estimates.mcap",
     "recording.rrd",
-)  # names that a user might give as input
-Content = str | bytes | Callable[[Path], None]  # what is too big to be held writes itself to a path
+)  # files that a user might also give as input
+Content = str | bytes | Callable[[Path], None]  # a function writes large content to a path
 
 
 def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = False) -> None:
-    """Write files into `folder`, replacing a locfuse result in it; another non-empty folder is refused."""
+    """Write files to a folder that is empty or holds a locfuse result; any other folder only with `overwrite`."""
     for name in files:
         refuse_to_write(folder / name)
     created = _prepare(folder, overwrite)
@@ -56,9 +56,9 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
 
 
 def may_write(folder: Path, overwrite: bool = False, given: Iterable[Path | None] = ()) -> None:
-    """Raise LocfuseError if `write_results` would refuse the folder, before any work is done.
+    """Raise LocfuseError if `write_results` would refuse the folder, for a check before any work.
 
-    Raises UsageError where it would replace one of the files `given` to the command, unless `overwrite`.
+    Raises UsageError if it would replace one of the `given` input files, unless `overwrite`.
     """
     paths = [folder / name for name in REPLACED]
     inputs = [path for path in given if path is not None]
@@ -70,7 +70,7 @@ def may_write(folder: Path, overwrite: bool = False, given: Iterable[Path | None
 
 
 def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] = ()) -> None:
-    """Raise UsageError if a file would be lost, or is one `given` as input, before any work is done."""
+    """Raise UsageError if `file` is one of the `given` inputs, or exists and `overwrite` is false."""
     if file is not None and is_among(file, map(Path, given)):
         raise UsageError(f"{file}: {DESTROYS}")
     if file is not None and file.exists() and not overwrite:
@@ -81,7 +81,7 @@ def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path` to write to; it gets the final name after the block without an error."""
+    """Context manager: a temporary path to write to, renamed to `path` if the block ends without an error."""
     temporary = temporary_for(path)
     try:
         claim(temporary)
@@ -96,7 +96,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in UTF-8 as a whole file."""
+    """Write a text file in UTF-8 atomically."""
     with whole_file(path) as temporary:
         temporary.write_bytes(text.encode("utf-8"))
 
@@ -108,8 +108,11 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
             claim(temporary[name])
             if callable(content):
                 content(temporary[name])
+            elif isinstance(content, str):
+                text = visible_lines(content) if name.endswith((".md", ".html")) else content
+                temporary[name].write_bytes(text.encode(errors="replace"))
             else:
-                temporary[name].write_bytes(_encoded(name, content) if isinstance(content, str) else content)
+                temporary[name].write_bytes(content)
             _sync(temporary[name])
         for name in files:
             temporary[name].replace(folder / name)
@@ -119,14 +122,8 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
             _remove(path)
 
 
-def _encoded(name: str, text: str) -> bytes:
-    """Return a text as UTF-8; in readable formats control characters are escaped."""
-    shown = visible_lines(text) if name.endswith((".md", ".html")) else text
-    return shown.encode(errors="replace")
-
-
 def _prepare(folder: Path, overwrite: bool) -> list[Path]:
-    """Check the rules for a results' folder and create it; return the created folders, innermost first."""
+    """Create a folder for results if it may be written to; return the created folders, innermost first."""
     try:
         if folder.exists() and not folder.is_dir():
             raise LocfuseError(f"{folder} is a file, not a folder: choose another with -o")
@@ -145,7 +142,7 @@ def _prepare(folder: Path, overwrite: bool) -> list[Path]:
 
 @contextmanager
 def sole_writer(folder: Path, name: str = LOCK, patience_s: float | None = None) -> Iterator[None]:
-    """Lock a folder for writing by one process. Raises LocfuseError that names the other one."""
+    """Context manager: lock a folder for this process. Raises LocfuseError if another one keeps the lock."""
     path = folder / name
     handle = _locked(path, LOCK_TIMEOUT_S if patience_s is None else patience_s)
     try:
@@ -157,17 +154,19 @@ def sole_writer(folder: Path, name: str = LOCK, patience_s: float | None = None)
 
 
 def _locked(path: Path, patience_s: float) -> int | None:
-    """Take the lock, which the system releases when its holder ends; None on systems without locks."""
+    """Return a handle with the file lock, which the system releases when the process ends; None without locks."""
     end = time.monotonic() + patience_s
     while fcntl is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        except FileNotFoundError:  # the other run failed and took its empty folder away
+        except FileNotFoundError:  # the other process failed and removed its empty folder
             continue
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if path.exists() and path.stat().st_ino == os.fstat(handle).st_ino:  # not the one just taken away
+            if (
+                path.exists() and path.stat().st_ino == os.fstat(handle).st_ino
+            ):  # the lock file was not removed meanwhile
                 os.write(handle, str(os.getpid()).encode())
                 return handle
         except BlockingIOError:
@@ -186,9 +185,9 @@ def _locked(path: Path, patience_s: float) -> int | None:
 
 
 def temporary_for(path: Path) -> Path:
-    """Return a temporary path for `path`, and remove what a killed process left there.
+    """Return a temporary path for `path`; remove temporary files of killed processes.
 
-    Raises LocfuseError where `path` is being read.
+    Raises LocfuseError if `path` is being read.
     """
     refuse_to_write(path)
     with suppress(OSError):
@@ -197,7 +196,7 @@ def temporary_for(path: Path) -> Path:
 
 
 def claim(temporary: Path) -> None:
-    """Create a new temporary file: an existing link of its name is not followed."""
+    """Create an empty temporary file, without following an existing link of this name."""
     temporary.unlink(missing_ok=True)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
 
@@ -215,13 +214,13 @@ def _remove_leftovers(paths: Iterable[Path]) -> None:
 
 
 def scratch_prefix() -> str:
-    """Return the first part of this process's temporary names; remove files of killed processes."""
+    """Return the prefix of this process's temporary files; remove those of killed processes."""
     import re
     import shutil
     import socket
     import tempfile
 
-    # of this machine only: on a disk that several share, the processes of the others cannot be seen
+    # of this machine only: processes of others on a shared disk are not visible
     mine = f"{SCRATCH}{re.sub(r'[^A-Za-z0-9]', '_', socket.gethostname())}-"
     for path in Path(tempfile.gettempdir()).glob(f"{mine}*"):
         pid = path.name.removeprefix(mine).partition("-")[0]
@@ -234,7 +233,7 @@ def scratch_prefix() -> str:
 
 
 def alive(pid: int) -> bool:
-    """Return whether a process of this number runs. One that ended and waits for its parent does not."""
+    """Return whether the process is running (a zombie is not)."""
     try:
         os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):
@@ -243,7 +242,7 @@ def alive(pid: int) -> bool:
         pass
     try:
         state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]
-    except OSError:  # no such files on this system
+    except OSError:  # a system without /proc
         return True
     return not state.lstrip().startswith(("Z", "X"))
 
@@ -261,7 +260,7 @@ def _remove_if_empty(folder: Path, created: list[Path]) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Sync a file or a folder's entries to the disk."""
+    """Flush a file or a folder's entries to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -1,1 +1,1 @@
-"""Files of recorded logs (MCAP, .db3, .bag; here, in a bucket or on a web server): bytes <-> raw messages."""
+"""Reading log files (MCAP, .db3, .bag; local or remote) as raw messages, and writing MCAP."""

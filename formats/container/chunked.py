@@ -1,4 +1,4 @@
-"""Files of chunks, an MCAP or a ROS 1 bag, as sources of message batches: part by part, with bounded memory."""
+"""Reading files of chunks (MCAP, ROS 1 bag) chunk by chunk, with bounded memory."""
 
 from __future__ import annotations
 
@@ -22,39 +22,39 @@ NO_RECORD = "a chunk holds bytes that are no record"
 
 
 class Part(msgspec.Struct):
-    """One chunk of a file, or consecutive messages outside any chunk."""
+    """A chunk of a file, or a run of messages outside chunks."""
 
-    offset: int  # of its record
-    start: int  # of its bytes
-    size: int  # bytes to read: fewer than were written where the file is cut off
+    offset: int  # of the chunk record in the file
+    start: int  # of the content in the file
+    size: int  # bytes of content; in a cut-off file only those that are present
     compression: str = ""
-    plain: int | None = None  # bytes, unpacked; None outside chunks
-    cut_off: bool = False  # whether the file ends inside it
+    plain: int | None = None  # uncompressed bytes; None outside chunks
+    cut_off: bool = False  # whether the file ends inside this part
     counts: dict[int, int] | None = None  # channel -> messages, once known
     span: tuple[int, int] = (0, 0)  # log times of its first and last message, ns
 
 
 class Records(NamedTuple):
-    """The messages and definitions of one part of a file (a chunk)."""
+    """The messages and channel definitions of one part of a file."""
 
     messages: dict[int, Messages]
-    definitions: list[Any]  # of channels, as the kind of file has them
-    end: int  # where the records stop making sense; the number of bytes when all is well
+    definitions: list[Any]  # of channels; their type depends on the file format
+    end: int  # offset of the first invalid record; the number of bytes without damage
 
 
 def most_records(packed: int) -> int:
-    """Return the most records that this many bytes of a file may unpack to: at least one byte per record."""
+    """Return the cap on records in a chunk of `packed` bytes: at least one compressed byte per record."""
     return FREE_RECORDS + packed
 
 
 class ChunkedSource(Source):
-    """The parts of a file, read and searched one after the other."""
+    """A file of parts (chunks) that are read one after the other."""
 
-    parts: Sequence[Part]  # in the order in which they are read
+    parts: Sequence[Part]  # in reading order
 
     @abstractmethod
     def search(self, part: Part, data: Bytes) -> Records:
-        """Find the records in a part's bytes. Raises DamagedError."""
+        """Find the records in the uncompressed bytes of a part. Raises DamagedError."""
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order."""
@@ -66,7 +66,7 @@ class ChunkedSource(Source):
                 yield Batch(data, messages)
 
     def load(self, part: Part) -> tuple[Bytes, Records]:
-        """Read one part and find its records, and count its messages."""
+        """Return a part's uncompressed bytes and its records; record losses and message counts."""
         known = None if part.counts is None else sum(part.counts.values())
         try:
             data = np.frombuffer(self.unpacked(part), np.uint8)
@@ -85,7 +85,7 @@ class ChunkedSource(Source):
         return data, found
 
     def unpacked(self, part: Part) -> bytes:
-        """Return the bytes of a part. Raises DamagedError."""
+        """Return the uncompressed bytes of a part. Raises DamagedError."""
         if part.size > MAX_CHUNK:
             raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
         packed = self.data.read(part.start, part.size)
@@ -94,7 +94,7 @@ class ChunkedSource(Source):
         return (decompress_prefix if part.cut_off else decompress)(packed, part.compression, part.plain)
 
     def counted(self) -> Counter[int]:
-        """Return channel -> messages in all parts."""
+        """Return channel -> number of messages in all parts."""
         total: Counter[int] = Counter()
         for part in self.parts:
             total.update(part.counts or {})

@@ -1,7 +1,7 @@
 """Decompression with bounded memory: known codecs only, sizes capped and checked.
 
 A 65 kB file can expand to gigabytes, and zstd ignores its own limit where a frame declares its size, so both
-the declared and the actual size are held against the cap before and while bytes are made.
+the declared and the actual size are compared with the cap.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from .losses import Losses
 from .source import Messages
 from .url import Place
 
-MAX_PIECE_BYTES = 1 << 16  # of a stream that may end anywhere, unpacked at once
+MAX_PIECE_BYTES = 1 << 16  # unpacked at once from a cut-off stream
 
 
 class Unpacked:
-    """The stream that a decompressor of bz2 or lz4 makes of `data`."""
+    """A readable stream of the bytes that a bz2 or lz4 decompressor unpacks from `data`."""
 
     def __init__(self, decompressor: Any, data: bytes) -> None:
         self._decompressor = decompressor
@@ -41,8 +41,8 @@ class Unpacked:
 
     def read(self, n: int) -> bytes:
         """Return at most n more bytes, b"" at the end."""
-        given, self._data = self._data, b""
-        return b"" if self._decompressor.eof else self._decompressor.decompress(given, max_length=n)
+        data, self._data = self._data, b""  # the decompressor keeps what it has not unpacked
+        return b"" if self._decompressor.eof else self._decompressor.decompress(data, max_length=n)
 
 
 CODECS: dict[str, Callable[[bytes], Any]] = {  # compression -> the stream of unpacked bytes
@@ -51,15 +51,15 @@ CODECS: dict[str, Callable[[bytes], Any]] = {  # compression -> the stream of un
     "lz4": lambda data: Unpacked(lz4.frame.LZ4FrameDecompressor(), data),
     "bz2": lambda data: Unpacked(bz2.BZ2Decompressor(), data),
 }
-ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, OSError)  # of these streams
+ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, OSError)  # raised by these streams
 
 
 class DamagedError(ValueError):
-    """Damaged bytes; the message is the reason in a few words."""
+    """Error for damaged bytes; the message is the reason."""
 
 
 def decompress(data: bytes, compression: str, size: int) -> bytes:
-    """Return exactly `size` bytes, or raise DamagedError with the reason."""
+    """Return the decompressed data, exactly `size` bytes. Raises DamagedError."""
     if size == 0 and not data:
         return b""
     if size > MAX_CHUNK:
@@ -74,7 +74,7 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
 
 
 def decompress_prefix(data: bytes, compression: str, size: int) -> bytes:
-    """Return the part of a cut-off stream that can be read: at most `size` bytes."""
+    """Return the bytes that a cut-off stream decompresses to, at most `size`."""
     stream = _stream(data, compression)
     parts: list[bytes] = []
     room = min(size, MAX_CHUNK)
@@ -92,18 +92,19 @@ def _stream(data: bytes, compression: str) -> Any:
         raise DamagedError(f"unknown compression {compression[:16]!r}") from None
 
 
-# --- Messages that were compressed one by one (rosbag2 "message mode"), found by their first bytes: no serialised
-# message begins with zstd's magic number, so this needs no metadata.yaml, which crashes lose
+# --- Messages compressed one by one (rosbag2 "message mode"). They begin with zstd's magic number, as no other
+# message does, so metadata.yaml, which crashes lose, is not needed
 
 ZSTD_WORD = 0xFD2FB528
-MAX_PORTION_BYTES = 16 * 1024 * 1024  # bytes of unpacked messages handed on at once
+MAX_PORTION_BYTES = 16 * 1024 * 1024  # bytes of unpacked messages per yielded portion
 
 Bytes = NDArray[np.uint8]
 
 
 def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
-    """Yield messages unpacked, in portions; a message that cannot be unpacked becomes empty."""
-    if not _packed(data, messages):
+    """Yield the unpacked messages in portions (buffer, messages); a damaged message becomes empty."""
+    words = view(data, "<u4", messages.start[messages.length >= 4])
+    if not (words == ZSTD_WORD).any():
         yield data, messages
         return
     pieces: list[bytes] = []
@@ -116,11 +117,6 @@ def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
             pieces, first, size = [], i + 1, 0
     if pieces:
         yield _portion(pieces, messages.take(slice(first, None)))
-
-
-def _packed(data: Bytes, messages: Messages) -> bool:
-    whole = messages.length >= 4
-    return bool(whole.any() and (view(data, "<u4", messages.start[whole]) == ZSTD_WORD).any())
 
 
 def _unpacked_message(message: bytes) -> bytes:
@@ -143,19 +139,19 @@ def _portion(pieces: list[bytes], messages: Messages) -> tuple[Bytes, Messages]:
 # --- A log file compressed as a whole (rosbag2 "file mode": .mcap.zstd, .db3.zstd), unpacked to a temporary file
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-PIECE_BYTES = 1 << 12  # unpacked at once: they can unpack to 128 MiB, blocks of 128 KiB in 4 bytes
-HEAD_BYTES = 18  # of the longest frame header
-MIN_CAP_BYTES = 1 << 30  # any file may unpack to a gigabyte,
-MAX_UNPACK_RATIO = 200  # a larger one to so many times its size (real bags: 2 to 20)
+PIECE_BYTES = 1 << 12  # of input per step: it can unpack to 128 MiB, blocks of 128 KiB in 4 bytes each
+HEAD_BYTES = 18  # the longest zstd frame header
+MIN_CAP_BYTES = 1 << 30  # every file may unpack to a gigabyte,
+MAX_UNPACK_RATIO = 200  # or to this multiple of its size (real bags: 2 to 20)
 
 
 def unpack_file(data: FileBytes, losses: Losses) -> None:
-    """Unpack the bytes; of a cut-off or damaged file, keep what can be read and count the rest."""
+    """Unpack a zstd file to a temporary file, read from then on; record the damaged or cut-off rest as a loss."""
     data.unpack(lambda packed: _unpacked(packed, data.path, losses))
 
 
 def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:
-    """Return a temporary file with the unpacked content of `packed`; messages call it `name`."""
+    """Return a temporary file with the unpacked content of `packed`; error messages name it `name`."""
     import tempfile
 
     handle, place = tempfile.mkstemp(prefix=scratch_prefix())
@@ -201,7 +197,7 @@ def _unpack(path: Path, name: Place, plain: BinaryIO, losses: Losses) -> None:
 
 
 def _declared_size(head: bytes) -> int:
-    """Return the unpacked size that the first frame declares, 0 where it declares none."""
+    """Return the unpacked size [bytes] that the first zstd frame declares; 0 without one."""
     try:
         return max(zstandard.frame_content_size(head), 0)
     except zstandard.ZstdError:

@@ -14,33 +14,33 @@ from locfuse.fusion.data import LocfuseError
 from .losses import Losses
 from .url import Place
 
-MIN_WINDOW_BYTES = 1 << 12  # read ahead after a jump: a walk from chunk to chunk wants little of each
-WINDOW_BYTES = 1 << 18  # read ahead where reads follow each other
+MIN_WINDOW_BYTES = 1 << 12  # read-ahead after a jump, as from chunk header to chunk header
+WINDOW_BYTES = 1 << 18  # read-ahead in sequential reads
 WRITTEN_TO = "the file was written to while it was read: what was read may not fit together"
 
 
 class FileBytes:
     """Random access to a file with a read-ahead window: memory holds at most the request plus the window.
 
-    The file is opened for each read (some microseconds per chunk), so that nothing needs to be closed; each time
-    it must be the file that it was. As long as this object lives, nothing of ours is written onto it. Where it
-    had to be unpacked, the bytes are those of a temporary file that goes when this object goes.
+    The file is opened for each read (some microseconds), so that nothing needs to be closed. A replaced file is an
+    error. While this object exists, locfuse does not overwrite the file. A packed file is unpacked to a temporary
+    file, which is deleted with this object.
     """
 
     def __init__(self, path: Path, losses: Losses) -> None:
-        self.path: Place = path  # what to call it
+        self.path: Place = path  # name in messages
         self.losses = losses
         self.far = False  # whether every read is a request over the network
-        self.state: tuple[int, str] | None = None  # of an object in a store: size [bytes] and ETag
+        self.state: tuple[int, str] | None = None  # version of a remote object: size [bytes] and ETag
         self.fetched = 0  # bytes that came over the network
         self._file = path
         self._given = inputs.identity(path)
-        self._spans: set[tuple[int, int]] = set()  # what was read, (start, stop)
+        self._spans: set[tuple[int, int]] = set()  # ranges that were read, (start, stop)
         inputs.hold(self, self._given)
         self._read_from(path)
 
     def _read_from(self, where: Path) -> None:
-        self.where = where  # where the bytes are
+        self.where = where  # the local file with the bytes
         self._read = inputs.identity(where)
         self.size = self._read.size
         self._start = 0
@@ -60,20 +60,20 @@ class FileBytes:
         return self._window[offset : offset + n]
 
     def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
-        """Load ranges (start, stop) for the next reads; nothing to do for a file on this machine."""
+        """Download the byte ranges (start, stop) of a remote file; does nothing for a local one."""
 
     def copy_here(self) -> None:
-        """Copy all bytes to this machine, unless they are here."""
+        """Download all bytes of a remote file; does nothing for a local one."""
 
     def unpack(self, unpack: Callable[[Path], Path]) -> None:
-        """Copy the file here, unpack it by `unpack`, and read the unpacked temporary file from now on."""
+        """Download the file, unpack it with `unpack`, and read the unpacked temporary file from then on."""
         self.copy_here()
         self._read_from(unpack(self._file))
         weakref.finalize(self, self.where.unlink, missing_ok=True)
 
     @property
     def read_bytes(self) -> int:
-        """The number of bytes read, without repeats."""
+        """The number of distinct bytes that were read."""
         total = end = 0
         for start, stop in sorted(self._spans):
             total += max(stop - max(start, end), 0)
@@ -82,19 +82,19 @@ class FileBytes:
 
     @property
     def all_read(self) -> bool:
-        """Whether every byte was read; an object in a store is identified by its tag."""
-        whole = self.where != self._file or self.read_bytes >= self.size  # to unpack it all of it was read
+        """Whether every byte of a local file was read; False for a remote object, which its ETag identifies."""
+        whole = self.where != self._file or self.read_bytes >= self.size  # unpacking reads the whole file
         return whole and self.state is None
 
     def crc32(self, start: int, stop: int) -> int:
-        """Return the checksum of the bytes from `start` up to `stop`."""
+        """Return the CRC-32 of the bytes from `start` up to `stop`."""
         crc = 0
         for at in range(start, stop, WINDOW_BYTES):
             crc = zlib.crc32(self._pread(min(WINDOW_BYTES, stop - at), at), crc)
         return crc
 
     def feed(self, take: Callable[[bytes], None]) -> None:
-        """Pass all bytes of the file, as the user has it (perhaps packed), piece by piece."""
+        """Call `take` with successive pieces of the original file's bytes (packed if it is packed)."""
         self.copy_here()
         try:
             with self._file.open("rb") as file:
@@ -104,8 +104,8 @@ class FileBytes:
         except OSError as problem:
             raise LocfuseError(f"{self.path}: cannot be read: {problem.strerror}") from None
 
-    def still_the_same(self) -> None:
-        """Raise LocfuseError if another file has taken the name; count a file that was written to as a loss."""
+    def check_unchanged(self) -> None:
+        """Raise LocfuseError if the file was replaced by another; record a loss if it was written to."""
         self._compare(inputs.identity(self._file), self._given)
 
     def _pread(self, n: int, at: int) -> bytes:

@@ -1,4 +1,4 @@
-"""Definitions of message types for bags that carry none (rosbag2's sqlite3 storage before ROS 2 Iron)."""
+"""Definitions of message types for bags without them (rosbag2 .db3 files before ROS 2 Iron)."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from importlib.resources import files
 from typing import Any
 
 DIVIDER = "=" * 80
-USED = re.compile(r"^\s*(\w+/\w+)", re.MULTILINE)  # types of the fields of a definition that are structures
+NESTED_TYPE = re.compile(r"^\s*(\w+/\w+)", re.MULTILINE)  # the type of a field that is a message itself
 ALIGNMENT_BYTES = 4  # a message may be padded at its end
 RELEASES = ("LATEST", "ROS2_HUMBLE", "ROS2_FOXY")  # definitions of a type may differ between them
-MAX_SAMPLE = 1 << 16  # bytes of a message that is tried: of bigger types the definition never changed
+MAX_SAMPLE = 1 << 16  # bytes: definitions of types with larger messages never changed
 
 
 def definition(msgtype: str, sample: bytes = b"") -> str | None:
     """Return the ros2msg text of a standard or common robot message type, None for an unknown one.
 
-    Some types gained fields from one release to the next (sensor_msgs/Range its variance). Of several definitions
-    the newest is returned under which `sample`, a message of the bag, is as long as it is. If none fits, it is the
-    newest of a standard type, and none of another.
+    Some types gained fields between ROS releases (sensor_msgs/Range its variance). Returns the newest definition
+    under which `sample`, a message of the bag, has its actual length. If none fits: the newest definition of a
+    standard type, None for another type.
     """
     if texts := _texts(msgtype.replace("/msg/", "/")):
         return next((text for text in texts if not sample or _fits(_store(msgtype, text), msgtype, sample)), None)
@@ -38,18 +38,18 @@ def _fields() -> dict[str, list[str]]:
 
 
 def _texts(name: str) -> list[str]:
-    """Return the definitions of a type of the table with all types that they use, the newest first."""
+    """Return the ros2msg texts of a type in known_types.toml, with all types that it uses, newest first."""
     table = _fields()
     used = [name] if name in table else []
     for one in used:
-        used += [other for text in table[one] for other in USED.findall(text) if other not in used]
+        used += [other for text in table[one] for other in NESTED_TYPE.findall(text) if other not in used]
     versions = max((len(table[one]) for one in used), default=0)
     chosen = [[table[one][min(i, len(table[one]) - 1)] for one in used] for i in range(versions)]
     return [f"\n{DIVIDER}\n".join([own, *map("MSG: {}\n{}".format, used[1:], rest)]) for own, *rest in chosen]
 
 
 def _store(msgtype: str, text: str) -> Any:
-    """Return a type store that holds the message type of this text."""
+    """Return a `rosbags` type store with the message type of a ros2msg text."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -58,7 +58,7 @@ def _store(msgtype: str, text: str) -> Any:
 
 
 def _definitions(msgtype: str) -> dict[str, Any]:
-    """Return the different definitions of a type over the ROS releases, the newest first, with their stores."""
+    """Return the different definitions of a type in RELEASES, newest first: ros2msg text -> type store."""
     from rosbags.typesys import Stores, get_typestore
 
     found: dict[str, Any] = {}
@@ -70,7 +70,7 @@ def _definitions(msgtype: str) -> dict[str, Any]:
 
 
 def _fits(store: Any, msgtype: str, sample: bytes) -> bool:
-    """Return whether a message of this definition, read and written again, has the bytes' length."""
+    """Return whether `sample`, decoded by this definition and encoded again, keeps its length."""
     try:
         message = store.deserialize_cdr(sample, msgtype)
         written = len(store.serialize_cdr(message, msgtype, little_endian=sample[1:2] == b"\x01"))

@@ -1,4 +1,4 @@
-"""Losses of a log: every unreadable place once, by reason, in bytes and (where known) messages."""
+"""Losses of a log: its unreadable places, with reason, bytes and (where known) messages."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ class Loss(msgspec.Struct, frozen=True):
 
     path: str
     reason: str
-    bytes: int  # of the file that cannot be used
+    bytes: int  # unusable bytes of the file
     messages: int | None = None  # None where the number is unknown
 
 
 class Losses(msgspec.Struct):
-    """All losses of a log; a place that is read twice counts once."""
+    """All losses of a log; a place counts once, even if it is read twice."""
 
     places: dict[tuple[str, str, int], Loss] = field(default_factory=dict)  # (path, reason, offset) -> loss
 
     def add(self, path: str, reason: str, offset: int, n_bytes: int, messages: int | None = None) -> None:
-        """Record that `n_bytes` from `offset` on are lost."""
+        """Record the loss of `n_bytes` from `offset` on."""
         self.places.setdefault((path, reason, offset), Loss(path, reason, n_bytes, messages))
 
     def __bool__(self) -> bool:
@@ -29,12 +29,12 @@ class Losses(msgspec.Struct):
 
     @property
     def bytes(self) -> int:
-        """All lost bytes."""
+        """Number of lost bytes."""
         return sum(loss.bytes for loss in self.places.values())
 
     @property
     def messages(self) -> int:
-        """All messages known to be lost."""
+        """Number of lost messages, where known."""
         return sum(loss.messages or 0 for loss in self.places.values())
 
     def by_reason(self) -> dict[str, dict[str, int]]:
@@ -48,7 +48,7 @@ class Losses(msgspec.Struct):
         return table
 
     def lines(self) -> list[str]:
-        """Return the losses in words, one line per file and reason."""
+        """Return the losses as text, one line per file and reason."""
         groups: dict[tuple[str, str], list[Loss]] = {}
         for loss in self.places.values():
             groups.setdefault((loss.path, loss.reason), []).append(loss)

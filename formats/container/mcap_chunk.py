@@ -1,4 +1,4 @@
-"""The inside of a chunk: every message, record by record; behind damage, by the chunk's message indexes.
+"""The messages of an MCAP chunk: record by record, and after damage from the chunk's message indexes.
 
 An index entry counts only if it points at a Message record of its channel and log time.
 """
@@ -16,26 +16,26 @@ from .decompress import DamagedError
 from .mcap_records import CHANNEL, DATA_END, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
 from .source import Messages, by_channel
 
-Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time, offset of the record in the chunk
-Definition = tuple[int, int, int]  # opcode, place and length of the content
+Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time [ns], offset of the record in the chunk
+Definition = tuple[int, int, int]  # opcode, offset and length of the content
 
 PAYLOAD_OFFSET_BYTES = RECORD.size + MESSAGE_HEADER  # bytes from a Message record's start to its payload
 
 
 def records(data: NDArray[np.uint8], packed: int, index: Index) -> Records:
-    """Find the records of a chunk's decompressed bytes; `packed` is their number of bytes in the file.
+    """Find the records in a chunk's decompressed bytes; `packed` is its compressed size [bytes].
 
-    `index` tells of messages behind damage. Raises DamagedError where few bytes unpack to absurdly many records.
+    `index` locates messages after damage. Raises DamagedError for more records than `most_records(packed)`.
     """
     scanned = scan(data, most_records(packed))
     if scanned.end == len(data) or not index:
         return scanned
-    offsets = _disjoint(data, _credible(data, index))
+    offsets = _disjoint(data, _confirmed(data, index))
     return Records(_gather(data, _followed(data, offsets)), scanned.definitions, scanned.end)
 
 
 def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
-    """Read record by record until the end or the first impossible record.
+    """Read the records of a chunk up to its end or the first invalid record.
 
     Raises DamagedError at more than `most` records.
     """
@@ -48,7 +48,8 @@ def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
             break
         opcode, length = RECORD.unpack_from(view_of, at)
         end = at + RECORD.size + length
-        if end > size or not _allowed(opcode, length):
+        valid = length >= MESSAGE_HEADER if opcode == MESSAGE else opcode in {SCHEMA, CHANNEL} or opcode >= PRIVATE
+        if end > size or not valid:
             break
         if opcode == MESSAGE:
             offsets.append(at)
@@ -63,12 +64,8 @@ def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
     return Records(_gather(data, np.array(offsets, np.int64)), definitions, at)
 
 
-def _allowed(opcode: int, length: int) -> bool:
-    return (opcode == MESSAGE and length >= MESSAGE_HEADER) or opcode in {SCHEMA, CHANNEL} or opcode >= PRIVATE
-
-
 def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
-    """Group Message records by channel."""
+    """Return the Message records at these offsets, by channel."""
     if not len(offsets):
         return {}
     channel = view(data, "<u2", offsets + RECORD.size)
@@ -81,8 +78,8 @@ def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
     return by_channel(channel, everything)
 
 
-def _credible(data: NDArray[np.uint8], index: Index) -> Ints:
-    """Return the offsets of the index entries that point at a Message record of their channel and log time."""
+def _confirmed(data: NDArray[np.uint8], index: Index) -> Ints:
+    """Return the offsets of index entries that point at a Message record with their channel and log time."""
     entries = np.concatenate([np.empty((0, 2), "<u8"), *index.values()])
     channel = np.repeat(np.array(list(index), np.int64), [len(part) for part in index.values()])
     log_time, offsets = entries[:, 0], entries[:, 1].astype(np.int64)
@@ -103,7 +100,7 @@ def _credible(data: NDArray[np.uint8], index: Index) -> Ints:
 
 
 def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
-    """Return the messages (offsets) after which a valid record follows; others contain the damage."""
+    """Return the offsets of messages that are followed by a valid record; others contain the damage."""
     ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
     inside = ends < len(data)
     opcode = data[np.where(inside, ends, 0)]

@@ -1,4 +1,4 @@
-"""The MCAP records we read, as plain values. Specification: https://mcap.dev/spec."""
+"""Parsing of the MCAP records that locfuse reads. Specification: https://mcap.dev/spec."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MESSAGE_HEADER = 22  # channel, sequence, log time, publish time
 
 
 class Schema(NamedTuple):
-    """A message definition: `encoding` is the language of `data`."""
+    """A message definition `data` in the language `encoding` (ros2msg, protobuf, ...)."""
 
     id: int
     name: str
@@ -32,7 +32,7 @@ class Schema(NamedTuple):
 
 
 class Channel(NamedTuple):
-    """A topic as one writer declared it."""
+    """A channel: the messages of one topic from one writer."""
 
     id: int
     schema_id: int
@@ -41,7 +41,7 @@ class Channel(NamedTuple):
 
 
 class ChunkIndex(NamedTuple):
-    """A chunk's place in the file by the summary, and the size and places of its message indexes."""
+    """A ChunkIndex record of the summary: offsets of a chunk and of its message indexes."""
 
     offset: int
     length: int
@@ -55,12 +55,12 @@ class ChunkIndex(NamedTuple):
 
     @property
     def channels(self) -> frozenset[int]:
-        """The channels that have messages in the file."""
+        """The channels with messages in this chunk."""
         return frozenset(self.indexes)
 
 
 class Statistics(NamedTuple):
-    """The counts of a file."""
+    """The numbers of messages, attachments and chunks of a file."""
 
     messages: int
     attachments: int
@@ -68,12 +68,12 @@ class Statistics(NamedTuple):
     counts: dict[int, int]  # channel -> messages
 
 
-# struct letter of the length in front of text, bytes, bytes, map
+# struct letter of the length that precedes text, bytes, bytes, map
 LENGTH = {"s": "I", "b": "I", "d": "Q", "m": "I"}
 
 
 def values(data: bytes, layout: str, at: int = 0) -> list[Any]:
-    """Return the values from offset `at` on, then the end offset. Raises DamagedError if one does not fit.
+    """Return the values from offset `at` on, then their end offset. Raises DamagedError beyond the data's end.
 
     Letters of the layout: B, H, I, Q integers, s a text, b and d bytes, m a map from 2-byte keys to 8-byte values.
     """
@@ -97,23 +97,23 @@ def values(data: bytes, layout: str, at: int = 0) -> list[Any]:
 
 
 def schema(data: bytes) -> Schema:
-    """Read a Schema record's content."""
+    """Parse the content of a Schema record."""
     return Schema(*values(data, "Hssb")[:-1])
 
 
 def channel(data: bytes) -> Channel:
-    """Read a Channel record's content."""
+    """Parse the content of a Channel record."""
     return Channel(*values(data, "HHss")[:-1])
 
 
 def chunk_index(data: bytes) -> ChunkIndex:
-    """Read a ChunkIndex record's content."""
+    """Parse the content of a ChunkIndex record."""
     first, last, offset, length, indexes, index_length, compression, packed, plain, _ = values(data, "QQQQmQsQQ")
     return ChunkIndex(offset, length, index_length, indexes, compression, packed, plain, first, last)
 
 
 def message_index(data: bytes) -> tuple[int, NDArray[Any]]:
-    """Read a MessageIndex record's content: (channel, (k, 2) uint64 log time and offset in the chunk)."""
+    """Parse the content of a MessageIndex record: (channel, (k, 2) uint64 log time and offset in the chunk)."""
     ident, entries, _ = values(data, "Hb")
     if len(entries) % 16:
         raise DamagedError(TOO_SHORT)
@@ -121,12 +121,12 @@ def message_index(data: bytes) -> tuple[int, NDArray[Any]]:
 
 
 def attachment(data: bytes) -> tuple[str, bytes, int]:
-    """Read an Attachment record's content: (name, bytes, crc of everything before the crc; 0 = none)."""
+    """Parse the content of an Attachment record: (name, bytes, CRC-32 of all before it; 0 = none)."""
     _, _, name, _, content, crc, _ = values(data, "QQssdI")
     return name, content, crc
 
 
 def statistics(data: bytes) -> Statistics:
-    """Read a Statistics record's content."""
+    """Parse the content of a Statistics record."""
     messages, _, _, attachments, _, chunks, _, _, counts, _ = values(data, "QHIIIIQQm")
     return Statistics(messages, attachments, chunks, counts)

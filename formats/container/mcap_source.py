@@ -1,4 +1,4 @@
-"""An MCAP file as a source of message batches: chunk by chunk, checked, with bounded memory."""
+"""Reading an MCAP file chunk by chunk, with checksums and bounded memory."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from .mcap_chunk import Index, records
 from .mcap_survey import ChunkRef, Survey, confirm, promised, survey
 from .source import Batch, ChannelInfo, Messages
 
-MAX_SHARE = 0.5  # of a file that is elsewhere: where more is wanted all of it is copied at once
+MAX_DOWNLOAD_SHARE = 0.5  # of a remote file; if more is wanted, the whole file is downloaded
 
 
 class McapSource(ChunkedSource):
-    """One .mcap file. Opening it walks the outermost records only; messages are read by `batches`."""
+    """One .mcap file. Opening it reads record headers only; `batches` reads the messages."""
 
     def __init__(self, data: FileBytes, losses: Losses) -> None:
         super().__init__(data, losses)
@@ -36,11 +36,11 @@ class McapSource(ChunkedSource):
         if found is None:
             data.copy_here()
             found = survey(data, losses)
-        self._take(found)
+        self._use(found)
         self.channels = self._channels()
 
-    def _take(self, found: Survey) -> None:
-        """Read the parts whose channels and message counts are only known from their content."""
+    def _use(self, found: Survey) -> None:
+        """Use a survey; read the parts whose channels or message counts the survey does not have."""
         self._survey, self.parts = found, found.parts
         for part in found.parts:
             complete = part.counts is not None and part.counts.keys() <= found.channels.keys()
@@ -48,7 +48,7 @@ class McapSource(ChunkedSource):
                 continue
             data, inside = self.load(part)
             for opcode, start, length in inside.definitions:
-                with suppress(DamagedError):  # then the channel has no definition
+                with suppress(DamagedError):  # the channel then has no definition
                     found.define(opcode, data[start : start + length].tobytes())
         if missing := Counter(found.expected or {}) - self.counted():
             reason = "messages the file's statistics promise are missing"
@@ -56,7 +56,7 @@ class McapSource(ChunkedSource):
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
-        """Attachments up to a size by name; one that fails its checksum is lost."""
+        """Attachments up to MAX_ATTACHMENT bytes, by name; one with a wrong checksum is recorded as a loss."""
         found: dict[str, bytes] = {}
         for at, length in self._survey.attachments:
             if length > MAX_ATTACHMENT:
@@ -73,9 +73,9 @@ class McapSource(ChunkedSource):
 
     @property
     def checked(self) -> bool:
-        """Whether a changed value would be noticed: every chunk has a checksum, and no message is outside.
+        """Whether every chunk has a checksum and no message is outside a chunk.
 
-        Of a file that is elsewhere, the first chunk speaks for those that were not read.
+        For a remote file, only the first chunk and those already read are examined.
         """
         chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
         with suppress(DamagedError):
@@ -87,12 +87,12 @@ class McapSource(ChunkedSource):
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:
-        """First and last log time of the parts that hold messages, None without any."""
+        """First and last log time [ns] of the parts with messages, None without any."""
         spans = [part.span for part in self._survey.parts if part.counts and any(part.counts.values())]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
-        """Return the publish times of the messages, ns, which lie in front of their payloads."""
+        """Return the publish times of the messages, ns: the 8 bytes before each payload."""
         return view(data, "<u8", messages.start - 8).astype(np.int64)
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
@@ -102,23 +102,23 @@ class McapSource(ChunkedSource):
         yield from super().batches(wanted)
 
     def _fetch(self, wanted: Collection[int]) -> None:
-        """Load the chunks with wanted messages; where they are most of the file, copy all of it and walk it."""
+        """Download the chunks with wanted messages; the whole file if they are most of it."""
         chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
         spans = [chunk.place for chunk in chunks if (chunk.counts or {}).keys() & wanted]
-        if sum(stop - start for start, stop in spans) <= MAX_SHARE * self.data.size:
+        if sum(stop - start for start, stop in spans) <= MAX_DOWNLOAD_SHARE * self.data.size:
             self.data.fetch(spans)
             return
         self.data.copy_here()
-        self._take(survey(self.data, self.losses))
+        self._use(survey(self.data, self.losses))
 
     def search(self, part: Part, data: Bytes) -> Records:
-        """Find the records in a part's bytes."""
+        """Find the records in the uncompressed bytes of a part."""
         return records(data, part.size, self._index(part))
 
     def _index(self, part: Part) -> Index:
-        """Return the message indexes after a chunk, none if they are not whole.
+        """Return the message indexes of a chunk, {} if one is damaged.
 
-        They are read with every chunk: after the last one, all bytes of the file were read and can be hashed.
+        They are read without damage too, so that all bytes of the file are read and can be hashed.
         """
         if isinstance(part, ChunkRef) and not part.cut_off:
             with suppress(DamagedError):
@@ -126,7 +126,7 @@ class McapSource(ChunkedSource):
         return {}
 
     def unpacked(self, part: Part) -> bytes:
-        """Return the bytes of a part. Raises DamagedError, also where they fail their checksum."""
+        """Return the uncompressed bytes of a part. Raises DamagedError, also for a wrong checksum."""
         if isinstance(part, ChunkRef):
             confirm(self.data, part)
         plain = super().unpacked(part)

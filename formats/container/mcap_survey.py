@@ -1,8 +1,7 @@
-"""One pass over an MCAP file's outermost records: the places of its chunks, and unreadable parts.
+"""Survey of an MCAP file: its chunks, channels, attachments and damaged parts, without reading messages.
 
-Only record headers are touched, so it costs milliseconds per gigabyte, and nothing is believed unchecked. The
-summary section is the safety net: its chunk index gives the place to go on after a hole, its statistics what
-should have been there.
+Only record headers are read, which takes milliseconds per gigabyte. After damage, the chunk index of the summary
+section locates the next chunk; its statistics give the number of messages that are missing.
 """
 
 from __future__ import annotations
@@ -31,20 +30,20 @@ from .mcap_chunk import scan
 
 
 class ChunkRef(Part):
-    """One chunk of the file."""
+    """A chunk of an MCAP file, with its message indexes."""
 
-    crc: int = 0  # of the unpacked bytes; 0 = not checked by the writer
+    crc: int = 0  # of the uncompressed bytes; 0 = none
     index: dict[int, tuple[int, int]] = field(default_factory=dict)  # channel -> (file offset, content length)
-    promised: bool = False  # whether all this is from the summary alone: its checksum is then not known yet
+    promised: bool = False  # whether all fields are from the file's summary; crc is then unknown
 
     @property
     def place(self) -> tuple[int, int]:
-        """Offsets in the file: the chunk's begin, and the end of its message indexes."""
+        """File offsets: start of the chunk, end of its message indexes."""
         return self.offset, max(at + length for at, length in self.index.values())
 
 
 def chunk_at(offset: int, data: FileBytes) -> ChunkRef:
-    """Read the header of the chunk whose record begins at an offset. Raises DamagedError if there is none."""
+    """Parse the header of the chunk record at a file offset. Raises DamagedError if it is none."""
     head = data.read(offset, CHUNK_HEAD)
     opcode, length, *_ = rec.values(head, "BQ")
     first, last, plain, crc, compression, size, front = rec.values(head, "QQQIsQ", rec.RECORD.size)
@@ -53,10 +52,10 @@ def chunk_at(offset: int, data: FileBytes) -> ChunkRef:
     return ChunkRef(offset, offset + front, size, compression, plain, span=(first, last), crc=crc)
 
 
-def put_in_order(parts: list[Part]) -> None:
-    """Sort parts by time if a later part ends before an earlier one begins: chunks may have any order.
+def sort_by_time(parts: list[Part]) -> None:
+    """Sort parts by last log time if any part ends before an earlier one begins: MCAP chunks may have any order.
 
-    Those whose times overlap stay as they are: stamps jitter, the order of a file does not.
+    Parts that only overlap in time stay in file order.
     """
     latest = 0
     for first, last in (part.span for part in parts):
@@ -67,13 +66,13 @@ def put_in_order(parts: list[Part]) -> None:
 
 
 class Survey(msgspec.Struct):
-    """The result of the pass."""
+    """The result of a survey."""
 
     parts: list[Part] = field(default_factory=list)
     schemas: dict[int, rec.Schema] = field(default_factory=dict)
     channels: dict[int, rec.Channel] = field(default_factory=dict)
     attachments: list[tuple[int, int]] = field(default_factory=list)  # (content offset, length)
-    expected: dict[int, int] | None = None  # channel -> messages, by the statistics
+    expected: dict[int, int] | None = None  # channel -> number of messages in the Statistics record
 
     def define(self, opcode: int, content: bytes) -> None:
         """Add a Schema or Channel record; the first definition counts (the summary's, if there is one)."""
@@ -85,11 +84,11 @@ class Survey(msgspec.Struct):
             self.channels.setdefault(channel.id, channel)
 
 
-# --- The summary section at the end, believed only when footer, checksum and records are whole
+# --- The summary section at the end: used only if footer, checksum and records are valid
 
 
 class FileSummary(Survey):
-    """The writer's summary of the whole file."""
+    """The content of a file's summary section."""
 
     start: int = 0  # file offset of the section
     chunks: dict[int, rec.ChunkIndex] = field(default_factory=dict)  # by file offset
@@ -100,7 +99,7 @@ TAIL_BYTES = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of fo
 
 
 def _footer(data: FileBytes) -> tuple[int, int, bytes] | None:
-    """Return the summary's offset, its checksum, and the footer bytes in that checksum; None without a footer."""
+    """Return the summary's offset, its CRC-32, and the footer bytes that this covers; None without a footer."""
     foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
     if len(foot) < TAIL_BYTES or foot[-len(rec.MAGIC) :] != rec.MAGIC or foot[0] != rec.FOOTER:
         return None
@@ -109,7 +108,7 @@ def _footer(data: FileBytes) -> tuple[int, int, bytes] | None:
 
 
 def summary_section(data: FileBytes) -> bytes | None:
-    """Return the bytes of the summary section, None if it is missing or its checksum is wrong."""
+    """Return the bytes of the summary section; None if it is missing or its checksum is wrong."""
     foot = _footer(data)
     end = data.size - TAIL_BYTES
     if foot is None or not len(rec.MAGIC) <= foot[0] <= end or end - foot[0] > MAX_CHUNK:
@@ -120,7 +119,7 @@ def summary_section(data: FileBytes) -> bytes | None:
 
 
 def read_summary(data: FileBytes) -> FileSummary | None:
-    """Return the summary, None if there is no valid one."""
+    """Return the parsed summary section; None without a valid one."""
     section = summary_section(data)
     if section is None:
         return None
@@ -148,17 +147,17 @@ def read_summary(data: FileBytes) -> FileSummary | None:
     return summary
 
 
-# --- The summary alone, for a file that is elsewhere
+# --- A survey from the summary alone, for a remote file
 
-CHUNK_FRONT = 8 + 8 + 8 + 4 + 4 + 8  # bytes before a chunk's content, but for the name of the compression
+CHUNK_FRONT = 8 + 8 + 8 + 4 + 4 + 8  # bytes before a chunk's content, without the compression's name
 INDEX_FRONT = 2 + 4  # bytes of a message index before its entries
 ENTRY_BYTES = 16  # bytes
 
 
 def promised(data: FileBytes) -> Survey | None:
-    """Return the survey by a file's summary alone.
+    """Return a survey from a file's summary alone.
 
-    None unless chunks, counts and definitions agree: then no needed record lies between the chunks.
+    None unless chunks, counts and definitions agree; if they do, no needed record is between chunks.
     """
     summary = read_summary(data)
     if summary is None or summary.statistics is None:
@@ -186,16 +185,16 @@ def promised(data: FileBytes) -> Survey | None:
     )
     if not agrees:
         return None
-    put_in_order(parts)
+    sort_by_time(parts)
     summary.parts = parts
     summary.attachments.sort()
     return summary
 
 
 def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
-    """Return a chunk with its message indexes, which follow it without a gap.
+    """Return the chunk of a ChunkIndex record, with its message indexes, which follow it without a gap.
 
-    None if its entry contradicts itself, or if it is too large to be read at once.
+    None if the record contradicts itself, or if the chunk is too large to be read at once.
     """
     front = CHUNK_FRONT + len(entry.compression.encode())
     begin = entry.offset + entry.length
@@ -217,7 +216,7 @@ def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
 
 
 def confirm(data: FileBytes, chunk: ChunkRef) -> None:
-    """Check a chunk that the summary names against the chunk's own header. Raises DamagedError if they differ."""
+    """Compare a chunk of the summary with the chunk's own header. Raises DamagedError if they differ."""
     if chunk.promised:
         own = None
         with suppress(DamagedError):
@@ -227,25 +226,27 @@ def confirm(data: FileBytes, chunk: ChunkRef) -> None:
         chunk.crc, chunk.promised = own.crc, False
 
 
-# --- Where records go on behind damage
+# --- The next readable record after damage
 
 SEARCH_BYTES = 1 << 20
 CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
 
 
 class Resync:
-    """Finds the next readable place: by the chunk index, else by searching for records."""
+    """Finds the next readable record after damage: from the chunk index, else by a search of the bytes."""
 
     def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
         self.data = data
         self.starts = sorted(summary.chunks) if summary else []
         self.end = summary.start if summary else data.size
-        self._window = range(0)  # the bytes last searched
-        self._places: NDArray[np.int64] = np.empty(0, np.int64)  # where in them a record might begin
-        self._chunked = False  # whether these are places of chunks only
+        self._window = range(0)  # file offsets of the bytes searched last
+        self._places: NDArray[np.int64] = np.empty(
+            0, np.int64
+        )  # possible record starts in the window, file offsets
+        self._chunked = False  # whether `_places` has chunks only
 
     def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
-        """Return the offset of the next chunk at or after `at` (in an unchunked file: message), None without."""
+        """Return the offset of the next chunk (unchunked file: message) at or after `at`; None without one."""
         if self.starts:
             i = bisect_left(self.starts, at)
             return self.starts[i] if i < len(self.starts) else None
@@ -260,7 +261,7 @@ class Resync:
         return None
 
     def _search_window(self, at: int, chunked: bool) -> None:
-        """Find possible starts of records, once for all gaps in these bytes."""
+        """Find the possible record starts in the next SEARCH_BYTES from `at`."""
         window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
         n = len(window) - rec.RECORD.size + 1
         wanted = window[:n] == rec.CHUNK
@@ -294,7 +295,7 @@ class Resync:
         return True
 
 
-# --- What a file is by its first bytes, for a refusal
+# --- The kind of a file by its first bytes, for error messages
 
 SIGNATURES = (
     (b"\x89MCAP0\r\n", "an MCAP file"),
@@ -316,7 +317,7 @@ SIGNATURES = (
 
 
 def describe(head: bytes) -> str:
-    """Return the kind of file that starts with `head` (the first 64 bytes or more), in words."""
+    """Return the kind of a file from its first 64 or more bytes, as text."""
     if not head:
         return "empty (0 bytes)"
     for signature, words in SIGNATURES:
@@ -331,16 +332,16 @@ def describe(head: bytes) -> str:
     return "a text file" if text.isprintable() or "\n" in text else "of an unknown kind"
 
 
-# --- The walk
+# --- The survey, record by record
 
-RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
+RUN_BYTES = 1 << 20  # messages outside chunks are read in runs of this size, larger ones alone
 LARGE_CHUNK_BYTES = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
 NO_SUMMARY = "the summary is damaged: messages may be missing, their number is unknown"
 
 
 def survey(data: FileBytes, losses: Losses) -> Survey:
-    """Read the data section from the first record to DataEnd, across any damage."""
+    """Survey the data section from the first record to DataEnd; damaged parts are recorded as losses."""
     magic = data.read(0, len(rec.MAGIC))
     summary = read_summary(data)
     if magic != rec.MAGIC and summary is None:
@@ -359,7 +360,7 @@ class _SurveyWalk:
             self.found = Survey([], summary.schemas, summary.channels, [], summary.expected)
         self.resync = Resync(data, summary)
         self.chunked = False
-        self.index_end = 0  # where the message indexes of the last chunk end, by the summary
+        self.index_end = 0  # end of the last chunk's message indexes, from the summary
 
     def run(self) -> Survey:
         here = len(rec.MAGIC)
@@ -370,19 +371,19 @@ class _SurveyWalk:
             self.losses.add(self.name, CUT_OFF, 0, 0)
         elif self.summary is None and ((foot := _footer(self.data)) is None or foot[0] != 0):
             self.losses.add(self.name, NO_SUMMARY, here, self.data.size - here)
-        self._distrust_unconfirmed()
-        # times in a chunk's header are covered by no checksum: they count only where the summary has the same
+        self._drop_unconfirmed_counts()
+        # no checksum covers the times in a chunk's header: they are used only if equal to the summary's
         promised = self.summary.chunks.values() if self.summary else ()
         times = sorted((entry.first, entry.last) for entry in promised)
         if sorted(part.span for part in self.found.parts) == times:
-            put_in_order(self.found.parts)
+            sort_by_time(self.found.parts)
         return self.found
 
     def _step(self, at: int) -> int | None:
-        """Handle the record at `at`; return the next one's offset, or None at the end of the data section."""
+        """Process the record at `at`; return the next record's offset, None at the end of the data section."""
         head = self.data.read(at, rec.RECORD.size)
         if len(head) < rec.RECORD.size:
-            return self._lost(at, "the file is cut off inside a record")
+            return self._skip_damage(at, "the file is cut off inside a record")
         opcode, length = rec.RECORD.unpack_from(head)
         if self._is_end(at, opcode, length):
             self._check_data_crc(at, opcode)
@@ -400,12 +401,12 @@ class _SurveyWalk:
             if (handler := self.HANDLERS.get(opcode)) is not None:
                 end = handler(self, at, length) or end
         except DamagedError as problem:
-            self._distrust_index()
-            return self._lost(at, str(problem))
+            self._drop_last_index()
+            return self._skip_damage(at, str(problem))
         return min(end, self.data.size)
 
     def _is_end(self, at: int, opcode: int, length: int) -> bool:
-        """Return whether this is the real end of the data section, not a flipped bit that looks like one."""
+        """Return whether a DataEnd or Footer record is at a plausible offset, not the result of a flipped bit."""
         if opcode == rec.FOOTER:
             return at + rec.RECORD.size + length + len(rec.MAGIC) == self.data.size
         if opcode != rec.DATA_END or length != 4:
@@ -416,16 +417,16 @@ class _SurveyWalk:
         return 0 < self.data.read(end, 1)[:1][0] <= rec.DATA_END if end < self.data.size else True
 
     def _check_data_crc(self, at: int, opcode: int) -> None:
-        """Check the bytes outside chunk checksums, if the writer gave a checksum of the whole."""
+        """Check the data section's CRC-32, if it has one and some messages are outside chunks."""
         value = self.data.read(at + rec.RECORD.size, 4)
-        whole = opcode == rec.DATA_END and len(value) == 4  # a file may be cut within the checksum itself
+        whole = opcode == rec.DATA_END and len(value) == 4  # the file may be cut off inside the checksum
         if whole and any(not isinstance(part, ChunkRef) for part in self.found.parts):
             crc = int.from_bytes(value, "little")
             if crc and self.data.crc32(0, at) != crc:
                 self.losses.add(self.name, "the file fails its checksum: values may be wrong", 0, 0)
 
-    def _distrust_unconfirmed(self) -> None:
-        """Use only message indexes that the summary confirms; chunks without one are read for their channels."""
+    def _drop_unconfirmed_counts(self) -> None:
+        """Drop message counts that the summary does not confirm; those chunks are read to count messages."""
         promised = self.summary.chunks if self.summary else {}
         for part in self.found.parts:
             if isinstance(part, ChunkRef):
@@ -433,21 +434,21 @@ class _SurveyWalk:
                 if entry is None or entry.channels != part.index.keys():
                     part.counts = None
 
-    def _distrust_index(self) -> None:
-        """Read the chunk itself if damage after it may have removed some of its message indexes."""
+    def _drop_last_index(self) -> None:
+        """Drop the last chunk's index and counts: damage after the chunk may have removed some of them."""
         if self.found.parts and isinstance(chunk := self.found.parts[-1], ChunkRef):
             chunk.index.clear()
             chunk.counts = None
 
     def _define(self, at: int, length: int) -> None:
-        """Take a Schema or Channel record."""
+        """Add a Schema or Channel record."""
         if length > MAX_CHUNK:
             raise DamagedError(f"a record claims more than {MAX_CHUNK >> 20} MiB")
         content = self.data.read(at, rec.RECORD.size + length)
         self.found.define(content[0], content[rec.RECORD.size :])
 
-    def _loose(self, at: int, length: int) -> int:
-        """Collect consecutive messages outside any chunk; return where they end."""
+    def _unchunked(self, at: int, length: int) -> int:
+        """Add consecutive messages outside chunks as a part; return their end offset."""
         n_bytes = max(rec.RECORD.size + length, RUN_BYTES)
         if n_bytes > MAX_CHUNK:
             self.losses.add(self.name, f"a message is larger than {MAX_CHUNK >> 20} MiB", at, n_bytes, 1)
@@ -468,18 +469,18 @@ class _SurveyWalk:
         chunk = chunk_at(at, self.data)
         declared, chunk.size = chunk.size, min(chunk.size, max(self.data.size - chunk.start, 0))
         chunk.cut_off = chunk.size < declared
-        if chunk.cut_off and self._onward(at + 1) is not None:
+        if chunk.cut_off and self._next_readable(at + 1) is not None:
             raise DamagedError("a chunk reaches beyond the end of the file")
         if not chunk.compression and declared > LARGE_CHUNK_BYTES:
-            return self._opened(chunk)
+            return self._enter_large_chunk(chunk)
         self.chunked = True
         if self.summary and at in self.summary.chunks:
             self.index_end = at + rec.RECORD.size + length + self.summary.chunks[at].index_length
         self.found.parts.append(chunk)
         return None
 
-    def _opened(self, chunk: ChunkRef) -> int:
-        """Read inside an uncompressed chunk too large for memory: its messages are treated as loose ones."""
+    def _enter_large_chunk(self, chunk: ChunkRef) -> int:
+        """Return the offset of an uncompressed large chunk's content, to read its messages like unchunked ones."""
         end = chunk.start + chunk.size
         if not chunk.cut_off and chunk.crc and self.data.crc32(chunk.start, end) != chunk.crc:
             self.losses.add(self.name, "a chunk fails its checksum", chunk.start, chunk.size)
@@ -502,19 +503,19 @@ class _SurveyWalk:
     HANDLERS = {  # noqa: RUF012
         rec.SCHEMA: _define,
         rec.CHANNEL: _define,
-        rec.MESSAGE: _loose,
+        rec.MESSAGE: _unchunked,
         rec.CHUNK: _chunk,
         rec.MESSAGE_INDEX: _message_index,
         rec.ATTACHMENT: _attachment,
     }
 
-    def _onward(self, at: int) -> int | None:
+    def _next_readable(self, at: int) -> int | None:
         return self.resync.next(at, self.chunked, self.found.channels.keys())
 
-    def _lost(self, at: int, reason: str) -> int:
-        """Count the bytes up to the next chunk (or the end) as lost and continue there."""
-        onward = self._onward(at + 1)
-        if onward is None:
-            onward = self.summary.start if self.summary and self.summary.start > at else self.data.size
-        self.losses.add(self.name, reason, at, onward - at)
-        return onward
+    def _skip_damage(self, at: int, reason: str) -> int:
+        """Record the bytes up to the next readable record as lost; return its offset."""
+        following = self._next_readable(at + 1)
+        if following is None:
+            following = self.summary.start if self.summary and self.summary.start > at else self.data.size
+        self.losses.add(self.name, reason, at, following - at)
+        return following

@@ -1,4 +1,4 @@
-"""Writing ROS 2 logs as MCAP by the `mcap` library: chunks are packed by zstd and have checksums."""
+"""Writing ROS 2 logs as MCAP with the `mcap` library: zstd chunks with checksums."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from rosbags.typesys import Stores, get_typestore
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Ints, LocfuseError
 
-CHUNK_BYTES = 512 * 1024  # bytes before compression: a reader of one topic skips little
+CHUNK_BYTES = 512 * 1024  # bytes before compression; small, so that reading one topic is fast
 
 
 class MessageBlock(NamedTuple):
-    """Messages of one channel."""
+    """Messages of one channel to be written."""
 
     channel: int
     log_time: Ints  # (n,) ns
     sequence: Ints  # (n,)
-    payload: NDArray[np.uint8] | Sequence[memoryview]  # (n, size), or of any lengths
+    payload: NDArray[np.uint8] | Sequence[memoryview]  # (n, size), or one per message
     publish_time: Ints | None = None  # (n,) ns; None: the log times
 
     def write(self, writer: Any) -> None:
-        """Give the messages to a writer."""
+        """Add the messages to an `mcap` writer."""
         published = self.log_time if self.publish_time is None else self.publish_time
         columns = (self.log_time.tolist(), published.tolist(), self.sequence.tolist(), self.payload)
         for log_time, publish_time, sequence, data in zip(*columns, strict=True):
@@ -37,7 +37,7 @@ class MessageBlock(NamedTuple):
 
 
 def open_writer(file: IO[bytes], profile: str = "ros2") -> Any:
-    """Return mcap's writer of an open file: its methods are not typed."""
+    """Return a started `mcap` writer for an open file (Any: its methods are not typed)."""
     writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(profile=profile, library="locfuse")
     return writer
@@ -45,7 +45,7 @@ def open_writer(file: IO[bytes], profile: str = "ros2") -> Any:
 
 # --- Standard ROS 2 messages as CDR, with their ros2msg schemas
 
-# A late subscriber of a latched topic still gets it when the bag is played: rosbag2 reads this per channel.
+# QoS of a latched topic: rosbag2 reads it per channel, so that late subscribers get the message when it is played.
 LATCHED = """\
 - history: 1
   depth: 1
@@ -65,7 +65,7 @@ def time_message(ns: int) -> dict[str, int]:
 
 
 def nested(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return {"a.b": 1} as {"a": {"b": 1}}."""
+    """Return fields by dotted path as nested fields: {"a.b": 1} -> {"a": {"b": 1}}."""
     tree: dict[str, Any] = {}
     for path, value in fields.items():
         *parents, leaf = path.split(".")
@@ -83,7 +83,7 @@ class StandardMessages:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
 
     def schema(self, msgtype: str) -> str:
-        """Return the ros2msg text of a type with all the types it uses."""
+        """Return the ros2msg text of a type and of all types that it uses."""
         if msgtype not in self._store.fielddefs:
             raise LocfuseError(f"{msgtype} is not a standard ROS 2 message type: it cannot be written")
         return self._store.generate_msgdef(msgtype, ros_version=2)[0]
@@ -109,7 +109,8 @@ class StandardMessages:
         if node == Nodetype.NAME:
             return self._build(inner, value or {})
         if node == Nodetype.BASE:
-            return _default(inner[0]) if value is None else value
+            zero = "" if inner[0] == "string" else 0.0 if inner[0].startswith("float") else 0
+            return zero if value is None else value
         element, length = inner  # an array or a sequence
         if element[0] == Nodetype.NAME:
             return [self._build(element[1], v) for v in (() if value is None else value)]
@@ -121,15 +122,9 @@ class StandardMessages:
         return np.zeros(length, base) if value is None else np.asarray(value, base)
 
 
-def _default(base: str) -> str | int | float:
-    if base == "string":
-        return ""
-    return 0.0 if base.startswith("float") else 0
-
-
 @contextmanager
 def log_writer(path: str | Path) -> Iterator[LogWriter]:
-    """Give the writer of a ROS 2 log, which appears at `path` after the block without an error, or not at all."""
+    """Context manager: a LogWriter; the log appears at `path` only if the block ends without an error."""
     with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
         log = LogWriter(file)
         yield log
@@ -137,7 +132,7 @@ def log_writer(path: str | Path) -> Iterator[LogWriter]:
 
 
 class LogWriter:
-    """A ROS 2 log that is being written to an open file."""
+    """Writer of a ROS 2 log to an open file."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._messages = StandardMessages()
@@ -146,11 +141,9 @@ class LogWriter:
         self._sequence: dict[str, int] = {}
         self._writer = open_writer(file)
 
-    def attach(self, name: str, data: bytes, media_type: str = "application/toml", log_ns: int = 0) -> None:
-        """Add an attachment, such as robot.toml."""
-        self._writer.add_attachment(
-            create_time=log_ns, log_time=log_ns, name=name, media_type=media_type, data=data
-        )
+    def attach(self, name: str, data: bytes) -> None:
+        """Add a TOML file, such as robot.toml, as an attachment."""
+        self._writer.add_attachment(0, 0, name, "application/toml", data)
 
     def write(
         self,
@@ -163,7 +156,7 @@ class LogWriter:
         frame_id: str = "",
         latched: bool = False,
     ) -> None:
-        """Append one message: values by dotted field path; `stamp_ns` (default log_ns) fills its header."""
+        """Append a message with values by dotted field path; `stamp_ns` (default log_ns) is its header's stamp."""
         channel = self._channel(topic, msgtype, latched)
         values = nested(fields)
         if self._messages.has_header(msgtype):

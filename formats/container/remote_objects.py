@@ -1,7 +1,7 @@
-"""Objects in a store as files, by obstore: blocks come when they are first read. Every failure is one line.
+"""Remote objects (S3, GCS, Azure, HTTP) as files, by obstore: a block is downloaded when it is first read.
 
-Credentials come from the environment alone (AWS_ACCESS_KEY_ID, ...). No request waits for ever: a connection
-that stalls is tried again some times and then given up.
+Credentials come from the environment only (AWS_ACCESS_KEY_ID, ...). A stalled request is repeated MAX_RETRIES
+times. Every error is one line.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ if TYPE_CHECKING:
 
 INSTALL = "pip install 'locfuse[remote]'"
 CONNECT_S = 10.0
-SILENCE_S = 20.0  # without a byte: the connection has stalled
-REQUEST_S = 180.0  # for one request in all
+SILENCE_S = 20.0  # without a byte, after which a connection counts as stalled
+REQUEST_S = 180.0  # limit of one whole request
 MAX_RETRIES = 3
-RETRY_S = 60.0  # after which nothing is tried again
-CLOUD_MACHINE = "/latest/api/token", "/latest/meta-data", "/computeMetadata/", "/metadata/identity"
+RETRY_S = 60.0  # limit of all retries of a request
+METADATA_SERVICES = "/latest/api/token", "/latest/meta-data", "/computeMetadata/", "/metadata/identity"
 CREDENTIALS = {
     "s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY (a public bucket: AWS_SKIP_SIGNATURE=true)",
     "gs": "GOOGLE_APPLICATION_CREDENTIALS",
     "az": "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY",
 }
-LIST_ALL = 1000  # objects at a time
+LIST_PAGE_OBJECTS = 1000
 
 
 @cache
 def store(root: str) -> ObjectStore:
-    """Return the store of "s3://bucket" or "https://server". Raises LocfuseError without obstore."""
+    """Return obstore's store for "s3://bucket" or "https://server". Raises LocfuseError if obstore is missing."""
     try:
         from obstore.exceptions import BaseError
         from obstore.store import HTTPStore, from_url
@@ -72,14 +72,14 @@ def store(root: str) -> ObjectStore:
 
 @contextmanager
 def _one_line(url: Url) -> Iterator[None]:
-    """Raise LocfuseError in one line, with its fix, for every error of a store."""
+    """Context manager: turns every obstore error into a LocfuseError of one line, with the fix."""
     from obstore.exceptions import BaseError, NotSupportedError, PermissionDeniedError, UnauthenticatedError
 
     try:
         yield
     except (BaseError, OSError) as problem:
         text, names = str(problem), CREDENTIALS.get(url.scheme[:2], "")
-        if any(word in text for word in CLOUD_MACHINE):  # where a machine of the cloud asks as a last resort
+        if any(word in text for word in METADATA_SERVICES):  # obstore's last attempt to find credentials
             words = f"no credentials were found in the environment: set {names}"
         elif isinstance(problem, NotSupportedError):
             words = "its server does not answer for parts of a file; download it first"
@@ -97,32 +97,32 @@ def _one_line(url: Url) -> Iterator[None]:
 
 
 def _first_line(problem: BaseException) -> str:
-    """Return the message of the store without request addresses and times, which always differ."""
+    """Return an obstore error in one line, without request addresses and times, which differ each time."""
     line = " ".join(str(problem).partition("\n\nDebug source")[0].split())
     return re.sub(r"Error performing \w+ \S+ in [\d.]+\w+(, after .*?retry_timeout: \w+)?\s+- ", "", line)[:300]
 
 
 def below(folder: Url) -> list[Url]:
-    """Return all objects below a folder, by key. Raises LocfuseError if the store cannot list."""
+    """Return all objects below a folder, sorted. Raises LocfuseError for a web server, which cannot list."""
     if folder.scheme in WEB:
         raise LocfuseError(f"{folder}: a web server has no list of its files; name each log, or use @list.txt")
     at, prefix = store(folder.root), folder.key if folder.is_folder else folder.key + "/"
     with _one_line(folder):
         import obstore
 
-        found = list(obstore.list(at, prefix=prefix, chunk_size=LIST_ALL))
+        found = list(obstore.list(at, prefix=prefix, chunk_size=LIST_PAGE_OBJECTS))
     return sorted(folder.at(entry["path"]) for chunk in found for entry in chunk)
 
 
 class ObjectState(NamedTuple):
-    """One version of an object: its size and tag."""
+    """The version of an object: its size and ETag."""
 
     size: int  # bytes
-    tag: str  # changes with the content: the store's ETag, or where there is none the time of the last change
+    tag: str  # ETag; the time of the last change if the store has none
 
 
 def state_of(url: Url) -> ObjectState:
-    """Return the version of an object. Raises LocfuseError in one line."""
+    """Return the version of a remote object. Raises LocfuseError."""
     at = store(url.root)
     with _one_line(url):
         import obstore
@@ -134,16 +134,16 @@ def _version(meta: Mapping[str, Any]) -> ObjectState:
     return ObjectState(int(meta["size"]), str(meta["e_tag"] or meta["last_modified"]))
 
 
-# --- Bytes of an object: a temporary file of its size, into which blocks come when they are first read
+# --- Bytes of an object: a sparse temporary file of its size, into which blocks are downloaded on first read
 
 BLOCK_BYTES = 32 * 1024
-BLOCKS_TOGETHER = 128  # of one request: a dropped connection loses no more
+BLOCKS_TOGETHER = 128  # blocks of one request; a dropped connection loses at most these
 REQUESTS_AT_ONCE = 16
-TAIL_BYTES = 64 * 1024  # fetched at once: the summary of most logs fits in
+TAIL_BYTES = 64 * 1024  # downloaded first: it holds the summary of most logs
 
 
 class RemoteBytes(FileBytes):
-    """Random access to one version of an object, as FileBytes for a file."""
+    """Random access to one version of a remote object, as FileBytes for a local file."""
 
     def __init__(self, url: Url, losses: Losses) -> None:
         self._url = url
@@ -152,11 +152,11 @@ class RemoteBytes(FileBytes):
             raise LocfuseError(f"{url}: empty (0 bytes)")
         handle, name = tempfile.mkstemp(prefix=scratch_prefix())
         weakref.finalize(self, Path(name).unlink, missing_ok=True)
-        os.truncate(handle, state.size)  # it takes no room before its blocks come
+        os.truncate(handle, state.size)  # sparse: takes no space until blocks are written
         os.close(handle)
         super().__init__(Path(name), losses)
         self.path, self.far, self.state = url, True, state
-        self._here = np.zeros(-(-self.size // BLOCK_BYTES), bool)
+        self._downloaded = np.zeros(-(-self.size // BLOCK_BYTES), bool)
         self.fetch([(self.size - TAIL_BYTES, self.size)])
 
     def read(self, at: int, n: int) -> bytes:
@@ -167,13 +167,13 @@ class RemoteBytes(FileBytes):
         return self._pread(n, at)
 
     def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
-        """Load these ranges for the next reads, several requests at once."""
+        """Download the missing blocks of these byte ranges (start, stop), with concurrent requests."""
         if not self.far:
             return
-        wanted = np.zeros(len(self._here), bool)
+        wanted = np.zeros(len(self._downloaded), bool)
         for start, stop in spans:
             wanted[max(start, 0) // BLOCK_BYTES : max(-(-stop // BLOCK_BYTES), 0)] = True
-        edges = np.flatnonzero(np.diff(wanted & ~self._here, prepend=False, append=False)).tolist()
+        edges = np.flatnonzero(np.diff(wanted & ~self._downloaded, prepend=False, append=False)).tolist()
         requests = [
             (a * BLOCK_BYTES, min(min(a + BLOCKS_TOGETHER, last) * BLOCK_BYTES, self.size))
             for first, last in zip(edges[::2], edges[1::2], strict=True)
@@ -182,11 +182,11 @@ class RemoteBytes(FileBytes):
         if requests:
             with ThreadPoolExecutor(min(REQUESTS_AT_ONCE, len(requests))) as threads:
                 self.fetched += sum(threads.map(self._load, requests))
-            self._here |= wanted
+            self._downloaded |= wanted
             self._given = self._read = identity(self.where)
 
     def _load(self, span: tuple[int, int]) -> int:
-        """Load one range into the file; return its bytes. Raises LocfuseError, also if the object has changed."""
+        """Download a byte range; return its size [bytes]. Raises LocfuseError, also for a changed object."""
         at, (start, stop) = store(self._url.root), span
         with _one_line(self._url):
             import obstore
@@ -207,7 +207,7 @@ class RemoteBytes(FileBytes):
         return len(data)
 
     def copy_here(self) -> None:
-        """Load all of it."""
+        """Download the whole object."""
         free = shutil.disk_usage(tempfile.gettempdir()).free
         if self.far and self.size > free:
             raise LocfuseError(

@@ -1,4 +1,4 @@
-"""A ROS 1 bag as a source of message batches: chunk by chunk, finished or cut off.
+"""Reading a ROS 1 bag chunk by chunk, also one that was cut off.
 
 Format 2.0: https://wiki.ros.org/Bags/Format/2.0.
 """
@@ -22,7 +22,7 @@ from .source import ChannelInfo, Messages, by_channel
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
-WORD = struct.Struct("<I")
+UINT32 = struct.Struct("<I")
 TIME = struct.Struct("<II")  # seconds, nanoseconds
 HEAD_BYTES = 1 << 16  # record headers are read up to this size
 
@@ -30,7 +30,7 @@ Fields = dict[bytes, bytes]
 
 
 class BagRecord(NamedTuple):
-    """One record: its fields, and the place of its data."""
+    """A record of a bag: its header fields, and the offset and length of its data."""
 
     at: int
     op: int
@@ -40,15 +40,15 @@ class BagRecord(NamedTuple):
 
     @property
     def end(self) -> int:
-        """Where the next record begins."""
+        """The offset of the next record."""
         return self.start + self.length
 
     def number(self, name: bytes) -> int:
-        """Return a 4-byte field as a whole number."""
-        return int(self._values(name, WORD)[0])
+        """Return a 4-byte header field as an integer."""
+        return int(self._values(name, UINT32)[0])
 
     def time_ns(self, name: bytes) -> int:
-        """Return a time field in nanoseconds."""
+        """Return a time field of the header, ns."""
         seconds, nanoseconds = self._values(name, TIME)
         return int(seconds) * 10**9 + int(nanoseconds)
 
@@ -60,27 +60,27 @@ class BagRecord(NamedTuple):
 
 
 def read_entry(read: Callable[[int, int], bytes | memoryview], at: int) -> BagRecord:
-    """Read the record at an offset by `read` (offset, bytes). Raises DamagedError if there is none."""
-    word = read(at, WORD.size)
-    n = WORD.unpack(word)[0] if len(word) == WORD.size else HEAD_BYTES
-    header = read(at + WORD.size, min(n, HEAD_BYTES) + WORD.size)
-    if n > HEAD_BYTES - WORD.size or len(header) < n + WORD.size:
+    """Read the record at an offset; `read` takes (offset, number of bytes). Raises DamagedError if it is none."""
+    word = read(at, UINT32.size)
+    n = UINT32.unpack(word)[0] if len(word) == UINT32.size else HEAD_BYTES
+    header = read(at + UINT32.size, min(n, HEAD_BYTES) + UINT32.size)
+    if n > HEAD_BYTES - UINT32.size or len(header) < n + UINT32.size:
         raise DamagedError("bytes that are no record")
     found = fields_of(bytes(header[:n]))
     op = found.get(b"op", b"")
     if len(op) != 1:
         raise DamagedError("bytes that are no record")
-    return BagRecord(at, op[0], found, at + 2 * WORD.size + n, int(WORD.unpack_from(header, n)[0]))
+    return BagRecord(at, op[0], found, at + 2 * UINT32.size + n, int(UINT32.unpack_from(header, n)[0]))
 
 
 def fields_of(header: bytes) -> Fields:
-    """Read the name=value fields of a record header."""
+    """Parse the name=value fields of a record header."""
     found: Fields = {}
     at = 0
     while at < len(header):
         if at + 4 > len(header):
             raise DamagedError("a record header that contradicts itself")
-        (n,) = WORD.unpack_from(header, at)
+        (n,) = UINT32.unpack_from(header, at)
         name, equals, value = header[at + 4 : at + 4 + n].partition(b"=")
         at += 4 + n
         if at > len(header) or not equals:
@@ -93,7 +93,7 @@ Connection = tuple[int, Fields, bytes]  # id, fields, data
 
 
 def scan_chunk(data: Bytes, most: int) -> Records:
-    """Read a chunk's bytes record by record; its definitions are Connections.
+    """Read the records of a chunk; its definitions are Connections.
 
     Raises DamagedError at more than `most` records.
     """
@@ -124,12 +124,12 @@ def scan_chunk(data: Bytes, most: int) -> Records:
     return Records(by_channel(connection, everything), list(connections.values()), at)
 
 
-# --- Bags as sources of message batches, finished or cut off
+# --- The bag file
 
 CUT_OFF = "the bag was not closed: the recording was cut off"
 WINDOW_BYTES = 1 << 20
-HINT = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # a field of every chunk's header,
-BEFORE = range(4, 64)  # so many bytes behind the record's start
+CHUNK_FIELD = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # in every chunk's header
+FIELD_OFFSETS = range(4, 64)  # bytes from the chunk record's start to this field
 
 
 class BagSource(ChunkedSource):
@@ -142,15 +142,15 @@ class BagSource(ChunkedSource):
         self.parts: list[Part] = []
         self._connections: dict[int, tuple[Fields, bytes]] = {}
         self._survey()
-        self._discover()
+        self._complete_counts()
         self.channels = self._channels()
 
     def search(self, part: Part, data: Bytes) -> Records:
-        """Find the records in a part's bytes."""
+        """Find the records in the uncompressed bytes of a part."""
         return scan_chunk(data, most_records(part.size))
 
     def _survey(self) -> None:
-        """Read the outermost records: chunks and their indexes, connections, and the time span."""
+        """Read the top-level records: chunks with their indexes, connections, and the time span."""
         at = len(MAGIC)
         closed = False
         while at < self.data.size:
@@ -158,21 +158,21 @@ class BagSource(ChunkedSource):
                 entry = read_entry(self.data.read, at)
                 if entry.end > self.data.size and entry.op != CHUNK:
                     raise DamagedError("a record reaches beyond the end of the file")
-                closed = self._take(entry) or closed
+                closed = self._add_record(entry) or closed
             except DamagedError as problem:
-                at = self._lost(at, str(problem))
+                at = self._skip_damage(at, str(problem))
             else:
                 at = min(entry.end, self.data.size)
         if not closed:
             self.losses.add(str(self.path), CUT_OFF, 0, 0)
 
-    def _take(self, entry: BagRecord) -> bool:
-        """Add one record; return whether it belongs to the index at the end of a bag."""
+    def _add_record(self, entry: BagRecord) -> bool:
+        """Add one top-level record; return whether it is a ChunkInfo, which only a closed bag has."""
         if entry.op == BAG_HEADER:
             if entry.fields.get(b"encryptor"):
                 raise LocfuseError(f"{self.path}: the bag is encrypted")
         elif entry.op == CHUNK:
-            self._take_chunk(entry)
+            self._add_chunk(entry)
         elif entry.op == INDEX and self.parts:
             chunk = self.parts[-1]
             chunk.counts = (chunk.counts or {}) | {entry.number(b"conn"): entry.number(b"count")}
@@ -180,23 +180,23 @@ class BagSource(ChunkedSource):
             data = self.data.read(entry.start, entry.length)
             self._connections.setdefault(entry.number(b"conn"), (entry.fields, data))
         elif entry.op == MESSAGE:
-            self._take_loose(entry)
+            self._add_unchunked(entry)
         elif entry.op == CHUNK_INFO:
-            self._widen(entry.time_ns(b"start_time"), entry.time_ns(b"end_time"))
+            self._extend_span(entry.time_ns(b"start_time"), entry.time_ns(b"end_time"))
             return True
         return False
 
-    def _take_chunk(self, entry: BagRecord) -> None:
+    def _add_chunk(self, entry: BagRecord) -> None:
         name = entry.fields.get(b"compression", b"").decode("utf-8", "replace")
         available = min(entry.length, self.data.size - entry.start)
-        plain = entry.number(b"size") or None  # 0 where the recorder never completed it
+        plain = entry.number(b"size") or None  # 0 if the recorder crashed inside the chunk
         part = Part(entry.at, entry.start, available, "" if name == "none" else name, plain)
         part.cut_off = available < entry.length
         if part.size:
             self.parts.append(part)
 
-    def _take_loose(self, entry: BagRecord) -> None:
-        """Collect messages outside a chunk whose header was never completed, after a crash."""
+    def _add_unchunked(self, entry: BagRecord) -> None:
+        """Add a message outside a chunk: after a crash the last chunk's header is incomplete."""
         before = self.parts[-1] if self.parts else None
         follows = before is not None and before.plain is None and before.start + before.size == entry.at
         if before is not None and follows and before.size < WINDOW_BYTES:
@@ -204,28 +204,28 @@ class BagSource(ChunkedSource):
         else:
             self.parts.append(Part(entry.at, entry.at, entry.end - entry.at))
 
-    def _widen(self, first: int, last: int) -> None:
+    def _extend_span(self, first: int, last: int) -> None:
         if self.time_span_ns is not None:
             first, last = min(first, self.time_span_ns[0]), max(last, self.time_span_ns[1])
         self.time_span_ns = first, last
 
-    def _lost(self, at: int, reason: str) -> int:
-        """Count the bytes up to the next chunk (or the end) as lost and continue there."""
-        onward = self._next_chunk(at + 1)
-        self.losses.add(str(self.path), reason, at, onward - at)
+    def _skip_damage(self, at: int, reason: str) -> int:
+        """Record the bytes up to the next chunk (or the end) as lost; return its offset."""
+        following = self._next_chunk(at + 1)
+        self.losses.add(str(self.path), reason, at, following - at)
         if self.parts:
-            self.parts[-1].counts = None  # the damage may have taken a part of its index
-        return onward
+            self.parts[-1].counts = None  # a part of its index may be lost
+        return following
 
     def _next_chunk(self, at: int) -> int:
         while at < self.data.size:
             window = self.data.read(at, WINDOW_BYTES)
-            for hint in HINT.finditer(window):
-                starts = (hint.start() - back for back in BEFORE if back <= hint.start())
-                headed = (at + i for i in starts if _heads(window, i, hint.end()))
+            for field in CHUNK_FIELD.finditer(window):
+                starts = (field.start() - back for back in FIELD_OFFSETS if back <= field.start())
+                headed = (at + i for i in starts if _spans_field(window, i, field.end()))
                 if (start := next(filter(self._is_chunk, headed), None)) is not None:
                     return start
-            at += WINDOW_BYTES - 2 * BEFORE.stop if len(window) == WINDOW_BYTES else len(window)
+            at += WINDOW_BYTES - 2 * FIELD_OFFSETS.stop if len(window) == WINDOW_BYTES else len(window)
         return self.data.size
 
     def _is_chunk(self, at: int) -> bool:
@@ -235,8 +235,8 @@ class BagSource(ChunkedSource):
             return False
         return entry.op == CHUNK and entry.end <= self.data.size
 
-    def _discover(self) -> None:
-        """Read the parts whose connections and message counts are only known from their content."""
+    def _complete_counts(self) -> None:
+        """Get missing connections and message counts from the content of the parts."""
         for part in self.parts:
             if part.counts is not None and part.counts.keys() <= self._connections.keys() and self.time_span_ns:
                 continue
@@ -245,7 +245,7 @@ class BagSource(ChunkedSource):
             inside = {ident: (head, data) for ident, head, data in found.definitions}
             self._connections = {**inside, **self._connections}
             for messages in found.messages.values():
-                self._widen(int(messages.log_time.min()), int(messages.log_time.max()))
+                self._extend_span(int(messages.log_time.min()), int(messages.log_time.max()))
 
     def _channels(self) -> dict[int, ChannelInfo]:
         counts = self.counted()
@@ -262,7 +262,7 @@ class BagSource(ChunkedSource):
         return found
 
 
-def _heads(window: bytes, start: int, end: int) -> bool:
-    """Return whether the record header at `start` reaches to `end` and is as short as a chunk's header."""
-    length = int(WORD.unpack_from(window, start)[0])
-    return end <= start + WORD.size + length <= start + 2 * BEFORE.stop
+def _spans_field(window: bytes, start: int, end: int) -> bool:
+    """Return whether a short record header from `start` includes the field that ends at `end`."""
+    length = int(UINT32.unpack_from(window, start)[0])
+    return end <= start + UINT32.size + length <= start + 2 * FIELD_OFFSETS.stop

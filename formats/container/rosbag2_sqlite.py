@@ -1,7 +1,7 @@
-"""A rosbag2 sqlite3 file (.db3) as a source of message batches.
+"""Reading a rosbag2 sqlite3 file (.db3).
 
-sqlite runs what a database tells it to. On a stranger's file it is kept on a leash: tables only, no views, no
-computed columns, values of bounded size, a deadline for every step (https://sqlite.org/security.html).
+A database can contain code that sqlite runs. So only plain tables are read (no views, no computed columns), with
+values of bounded size and a time limit for every step (https://sqlite.org/security.html).
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from .losses import Losses
 from .source import Batch, ChannelInfo, Messages, Source, by_channel, message_type
 from .url import Place
 
-ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # of a damaged database
+ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # raised for a damaged database
 BATCH_BYTES = 1 << 20
 DAMAGED = "the database is damaged: rows may be missing"
 CUT_SHORT = "the messages behind a damaged place of the database are lost"
 
-TABLES = ("messages", "topics", "message_definitions")  # what is asked for
-STEPS_PER_LOOK = 10_000  # of sqlite's machine between two looks at the clock
+TABLES = ("messages", "topics", "message_definitions")  # tables that are read
+STEPS_PER_CHECK = 10_000  # sqlite instructions between two checks of the time limit
 TOPIC = "COALESCE(CAST(topic_id AS INTEGER), -1)"  # some writers keep numbers as text
-BYTES_PER_SECOND = 20e6  # a whole database is checked faster than that
+BYTES_PER_SECOND = 20e6  # checking a database is faster than this
 
 Row = tuple[int, int, bytes | None]  # topic, time in ns, message
 
 
-class Leash:
-    """Aborts a step of sqlite that takes too long; a signal aborts any step.
+class TimeLimit:
+    """Aborts an sqlite step that takes too long.
 
-    sqlite calls back after some instructions and drops exceptions from there: a step that was interrupted before
-    its time was interrupted by a signal.
+    sqlite calls `_late` every STEPS_PER_CHECK instructions and drops exceptions from there: a step that was
+    interrupted before its time limit was interrupted by a signal.
     """
 
     def __init__(self, path: Place, size: int) -> None:
@@ -55,12 +55,12 @@ class Leash:
         self._end_s = 0.0
 
     def hold(self, database: sqlite3.Connection) -> None:
-        """Limit the steps of a connection."""
-        database.set_progress_handler(self._late, STEPS_PER_LOOK)
+        """Set the time and size limits of a connection."""
+        database.set_progress_handler(self._late, STEPS_PER_CHECK)
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
 
     def begin(self) -> None:
-        """Restart the clock."""
+        """Restart the time of the current step."""
         self._end_s = time.thread_time() + self._allowed_s
 
     def _late(self) -> bool:
@@ -68,7 +68,7 @@ class Leash:
 
     @contextmanager
     def step(self) -> Iterator[None]:
-        """Limit one step. Raises LocfuseError if it takes too long, KeyboardInterrupt for a signal."""
+        """Context manager: limit a step. Raises LocfuseError after the limit, KeyboardInterrupt for a signal."""
         self.begin()
         try:
             yield
@@ -81,7 +81,7 @@ class Leash:
             raise LocfuseError(f"{self._path}: {words}") from None
 
     def rows(self, database: sqlite3.Connection, query: str, *values: int) -> list[Any]:
-        """Return all rows of a query; none where the database is damaged, or has no such table."""
+        """Return all rows of a query; [] if the database is damaged or has no such table."""
         try:
             with self.step():
                 return database.execute(query, values).fetchall()
@@ -94,8 +94,8 @@ class SqliteSource(Source):
 
     def __init__(self, data: FileBytes, losses: Losses) -> None:
         super().__init__(data, losses)
-        self._leash = Leash(self.path, data.size)
-        self._readable = 2**63 - 1  # rowid up to which a walk has come that met damage
+        self._limit = TimeLimit(self.path, data.size)
+        self._readable = 2**63 - 1  # last rowid before a damaged place
         where = data.where.resolve()
         self._journal = Path(f"{where}-wal")
         self._journal_is_used = False
@@ -103,15 +103,15 @@ class SqliteSource(Source):
             try:
                 used, lost = journal_of(where)
             except OSError:
-                used, lost = 1, 0  # then sqlite cannot read it either, and that is counted
+                used, lost = 1, 0  # sqlite cannot read it either; _connect records the loss
             if lost:
                 losses.add(str(self.path), JOURNAL_LOST, used, lost)
             self._journal_is_used = used > 0
         try:
-            with closing(self._connect()) as database, self._leash.step():
-                self._refuse_programs(database)
+            with closing(self._connect()) as database, self._limit.step():
+                self._refuse_computed(database)
                 self._check(database)
-                self.channels, self._counts = _channels(database, self._leash)
+                self.channels, self._counts = _channels(database, self._limit)
         except ERRORS as problem:
             raise LocfuseError(f"{self.path}: not a readable rosbag2 database: {problem}") from None
 
@@ -119,8 +119,8 @@ class SqliteSource(Source):
     def _has_journal(self) -> bool:
         return self._journal.exists() and self._journal.stat().st_size > 0
 
-    def _refuse_programs(self, database: sqlite3.Connection) -> None:
-        """Refuse tables with computed rows, which may have no end."""
+    def _refuse_computed(self, database: sqlite3.Connection) -> None:
+        """Raise LocfuseError for views, virtual tables and computed columns, whose rows may have no end."""
         listed = "SELECT lower(name), type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?)"
         for name, kind, sql in database.execute(listed, TABLES).fetchall():
             if kind != "table" or str(sql).upper().startswith("CREATE VIRTUAL"):
@@ -132,9 +132,9 @@ class SqliteSource(Source):
                 )
 
     def _check(self, database: sqlite3.Connection) -> None:
-        """Search for damage that sqlite would not report: rows that it cannot reach are just missing."""
+        """Record damage as a loss: a query does not report rows that sqlite cannot reach."""
         try:
-            with self._leash.step():
+            with self._limit.step():
                 verdict = str(database.execute("PRAGMA quick_check(1)").fetchone()[0])
         except ERRORS as problem:
             verdict = str(problem)
@@ -143,12 +143,12 @@ class SqliteSource(Source):
 
     def _connect(self) -> sqlite3.Connection:
         """Open the database read-only, with the journal of a crashed recording if the journal can be read."""
-        self.data.still_the_same()
+        self.data.check_unchanged()
         where = self.data.where.resolve()
         if self._has_journal:
-            # where no recorder has the file open, without locks: nothing is then written beside the user's bag
+            # if no recorder has the file open, open it without locks: sqlite then writes no file next to the bag
             alone = not Path(f"{where}-shm").exists()
-            if alone and not self._journal_is_used:  # sqlite would delete it, read-only or not: to it, it is empty
+            if alone and not self._journal_is_used:  # sqlite would delete a journal without commits
                 return self._open(where, "&immutable=1")
             for options in ("&vfs=unix-none", "") if alone else ("", "&vfs=unix-none"):
                 try:
@@ -165,7 +165,7 @@ class SqliteSource(Source):
     def _open(self, where: Path, options: str) -> sqlite3.Connection:
         quoted = str(where).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
         database = sqlite3.connect(f"file:{quoted}?mode=ro{options}", uri=True)
-        self._leash.hold(database)
+        self._limit.hold(database)
         for pragma in ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0"):
             database.execute(f"PRAGMA {pragma}")
         return database
@@ -174,7 +174,7 @@ class SqliteSource(Source):
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last time, None without messages."""
         with closing(self._connect()) as database:
-            found = self._leash.rows(database, "SELECT min(timestamp), max(timestamp) FROM messages")
+            found = self._limit.rows(database, "SELECT min(timestamp), max(timestamp) FROM messages")
         try:
             return next(((int(first), int(last)) for first, last in found if first is not None), None)
         except ValueError:
@@ -189,7 +189,7 @@ class SqliteSource(Source):
             size += len(row[2] or b"")
             if size >= BATCH_BYTES:
                 yield _batch(rows)
-                self._leash.begin()  # what was done with them is none of sqlite's time
+                self._limit.begin()  # the consumer's time does not count
                 rows, size = [], 0
         if rows:
             yield _batch(rows)
@@ -204,30 +204,30 @@ class SqliteSource(Source):
         n, last = 0, 0
         with closing(self._connect()) as database:
             try:
-                with self._leash.step():
+                with self._limit.step():
                     for row in database.execute(query, (MAX_MESSAGE, *topics, self._readable)):
                         n, last = n + 1, row[3]
                         yield row[:3]
             except ERRORS:
-                # another walk might get past the damage: then it would have other rows than this one
+                # a later pass might read beyond the damage and yield other rows: limit all to this one's
                 self._readable = min(self._readable, last)
                 expected = sum(self._counts.get(topic, 0) for topic in topics)
                 self.losses.add(str(self.path), CUT_SHORT, 0, 0, max(expected - n, 0) or None)
 
 
-def _channels(database: sqlite3.Connection, leash: Leash) -> tuple[dict[int, ChannelInfo], dict[int, int]]:
+def _channels(database: sqlite3.Connection, limit: TimeLimit) -> tuple[dict[int, ChannelInfo], dict[int, int]]:
     database.text_factory = lambda text: text.decode("utf-8", "replace")
     # since ROS 2 Iron
     defined = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
     texts = {
-        str(name): (str(language), str(text)) for name, language, text in leash.rows(database, defined) if text
+        str(name): (str(language), str(text)) for name, language, text in limit.rows(database, defined) if text
     }
-    counts = dict(leash.rows(database, f"SELECT {TOPIC}, count(*) FROM messages GROUP BY 1"))
+    counts = dict(limit.rows(database, f"SELECT {TOPIC}, count(*) FROM messages GROUP BY 1"))
     first_messages = (
         f"SELECT {TOPIC}, CAST(data AS BLOB) FROM messages WHERE rowid IN "
         f"(SELECT min(rowid) FROM messages GROUP BY {TOPIC}) AND length(data) <= ?"
     )
-    samples = {ident: data or b"" for ident, data in leash.rows(database, first_messages, MAX_SAMPLE)}
+    samples = {ident: data or b"" for ident, data in limit.rows(database, first_messages, MAX_SAMPLE)}
     found = {}
     for ident, *texts_of_topic in database.execute(
         "SELECT CAST(id AS INTEGER), name, type, serialization_format FROM topics ORDER BY 1"
@@ -243,7 +243,7 @@ def _channels(database: sqlite3.Connection, leash: Leash) -> tuple[dict[int, Cha
 
 
 def _batch(rows: list[Row]) -> Batch:
-    """Join the messages in one buffer; one that is too large becomes empty."""
+    """Return rows as a batch in one buffer; a message without data (too large) becomes empty."""
     topic = np.array([row[0] for row in rows], np.int64)
     length = np.array([len(row[2] or b"") for row in rows], np.int64)
     everything = Messages(
@@ -256,10 +256,10 @@ def _batch(rows: list[Row]) -> Batch:
     return Batch(data, by_channel(topic, everything))
 
 
-# --- The journal (-wal): what sqlite uses of it, and what it ignores silently
-# A recorder that dies leaves its last messages in the journal. sqlite reads it up to the last commit before the
-# first frame whose checksum is wrong, and calls that normal. The frames behind that place bear the salts of the
-# journal's header, which those of an older journal do not have.
+# --- The journal (-wal): the bytes that sqlite uses of it, and those that it ignores silently
+# A recorder that crashes leaves its last messages in the journal. sqlite reads it up to the last commit before the
+# first frame with a wrong checksum, without an error. Lost frames after it have the salts of the journal's header;
+# frames of an older journal have others.
 # Format: https://sqlite.org/fileformat2.html#walformat
 
 HEADER_BYTES, FRAME_HEADER_BYTES = 32, 24
@@ -268,20 +268,20 @@ JOURNAL_LOST = "the end of its journal (-wal) is damaged or was not finished: it
 
 
 def journal_of(database: Path) -> tuple[int, int]:
-    """Return how many bytes of a database's journal sqlite reads, and how many it leaves out.
+    """Return the number of bytes of a database's journal that sqlite reads, and the number that it ignores.
 
-    sqlite is asked on a copy of the journal: to count its frames it must write.
+    Counts on a copy of the journal, because sqlite writes to count its frames.
     """
     journal = Path(f"{database}-wal")
     size = journal.stat().st_size
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as folder, database.open("rb") as file:
         copy = Path(folder) / "copy.db3"
-        copy.write_bytes(file.read(MAX_PAGE_BYTES))  # its first page and its size are enough
+        copy.write_bytes(file.read(MAX_PAGE_BYTES))  # sqlite needs the first page and the size only
         os.truncate(copy, database.stat().st_size)
         shutil.copyfile(journal, f"{copy}-wal")
         try:
-            with closing(sqlite3.connect(copy)) as asked:
-                frames = max(asked.execute("PRAGMA wal_checkpoint").fetchone()[1], 0)
+            with closing(sqlite3.connect(copy)) as connection:
+                frames = max(connection.execute("PRAGMA wal_checkpoint").fetchone()[1], 0)
         except sqlite3.Error:
             frames = 0
     if not frames:

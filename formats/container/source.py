@@ -1,6 +1,6 @@
 """The common interface of log files: channels, and batches of raw messages in one buffer.
 
-A batch is one chunk, so memory stays flat; its messages are columns of offsets into the buffer, so that
+A batch is about one chunk, so memory use is bounded; its messages are columns of offsets into the buffer, so that
 decoding can gather a field of all messages at once.
 """
 
@@ -23,11 +23,11 @@ class ChannelInfo(NamedTuple):
     """One channel of one file. Channels with the same topic are one stream."""
 
     topic: str
-    msgtype: str  # as the file spells it
+    msgtype: str  # as written in the file
     encoding: str  # of the messages: cdr, json, ros1, protobuf
     schema_encoding: str  # ros2msg, ros2idl, ros1msg, jsonschema, protobuf
     schema: bytes
-    n: int | None  # messages, where the file knows
+    n: int | None  # number of messages; None where the file does not store it
 
 
 class Messages(NamedTuple):
@@ -44,7 +44,7 @@ class Messages(NamedTuple):
 
 
 def by_channel(channel: Ints, everything: Messages) -> dict[int, Messages]:
-    """Group messages by their channels (k,)."""
+    """Group messages by channel id (k,)."""
     return {int(ident): everything.take(channel == ident) for ident in np.unique(channel)}
 
 
@@ -56,7 +56,7 @@ class Batch(NamedTuple):
 
 
 class Source(ABC):
-    """One file of a log; damage is counted and left out."""
+    """One file of a log; damaged parts are skipped and recorded as losses."""
 
     channels: Mapping[int, ChannelInfo]  # by id
 
@@ -72,7 +72,7 @@ class Source(ABC):
 
     @property
     def checked(self) -> bool:
-        """Whether a changed value would be noticed, by checksums."""
+        """Whether checksums would reveal a changed value."""
         return False
 
     @property
@@ -90,15 +90,15 @@ class Source(ABC):
 
 
 class Recorded(NamedTuple):
-    """Messages of one channel as they are stored, decodable or not."""
+    """Raw messages of one channel as stored in the file, in any encoding."""
 
     channel: ChannelInfo
-    data: NDArray[np.uint8]  # the buffer they lie in
+    data: NDArray[np.uint8]  # the buffer that holds the messages
     messages: Messages
-    published: Ints  # (k,) ns; the log times where the file keeps no others
+    published: Ints  # (k,) ns publish times; the log times if the file has none
 
 
 def message_type(name: str) -> str:
-    """Return a type name as pkg/msg/Name; it may be given as "pkg/Name" or "pkg::msg::Name"."""
+    """Return a ROS type name as "pkg/msg/Name", from "pkg/Name" or "pkg::msg::Name" too."""
     parts = name.replace("::", "/").split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else "/".join(parts)

@@ -16,12 +16,12 @@ WEB = ("http", "https")
 
 
 class Url(msgspec.Struct, frozen=True, order=True):
-    """The address of one object; with a final "/" that of a folder of objects."""
+    """The address of one remote object, or with a final "/" of a folder of objects."""
 
     text: str
 
     def __post_init__(self) -> None:
-        """Raise UsageError for an address that cannot be read, or that has a secret in it."""
+        """Raise UsageError for an unknown scheme, a password, a query or a missing host."""
         if self.scheme not in SCHEMES:
             raise UsageError(f"{self.scheme}://: unknown; logs are read from {', '.join(SCHEMES)}")
         if "@" in self.host and self.scheme in WEB:
@@ -41,22 +41,22 @@ class Url(msgspec.Struct, frozen=True, order=True):
 
     @property
     def scheme(self) -> str:
-        """Which kind of store: "s3", "https", ..."""
+        """The scheme: "s3", "https", ..."""
         return self._parts["scheme"]
 
     @property
     def host(self) -> str:
-        """The bucket, or the server."""
+        """The name of the bucket or server."""
         return self._parts["place"]
 
     @property
     def root(self) -> str:
-        """The store itself: "s3://bucket"."""
+        """The address of the bucket or server: "s3://bucket"."""
         return f"{self.scheme}://{self.host}"
 
     @property
     def key(self) -> str:
-        """The object's place in the store, without a leading "/"."""
+        """The path of the object in its bucket or server, without a leading "/"."""
         key = self._parts["key"].lstrip("/")
         return unquote(key) if self.scheme in WEB else key
 
@@ -67,31 +67,31 @@ class Url(msgspec.Struct, frozen=True, order=True):
 
     @property
     def parent(self) -> Url:
-        """The folder that it is in."""
+        """The folder of this object."""
         return Url(self.text.rstrip("/").rpartition("/")[0] + "/")
 
     @property
     def is_folder(self) -> bool:
-        """Whether it is the address of a folder."""
+        """Whether this is the address of a folder."""
         return self.text.endswith("/") or not self.key
 
     def at(self, key: str) -> Url:
-        """Return another object of the same store."""
+        """Return the object with another key in the same bucket or server."""
         return Url(f"{self.root}/{key}")
 
     def __str__(self) -> str:
-        """Return it as it was given."""
+        """Return the address as given."""
         return self.text
 
 
-Place = Path | Url  # where a file is: on this machine or elsewhere
+Place = Path | Url  # a local file or a remote object
 
 
 def is_url(word: str) -> bool:
-    """Return whether a word of a command line is an address."""
+    """Return whether a command-line word is an address (scheme://...)."""
     return ADDRESS.fullmatch(word) is not None
 
 
 def place(word: str) -> Place:
-    """Return the local path or the address that a word names. Raises UsageError for an unreadable address."""
+    """Return a command-line word as a local path or an address. Raises UsageError for an invalid address."""
     return Url(word) if is_url(word) else Path(word)

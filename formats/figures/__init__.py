@@ -1,1 +1,1 @@
-"""Figures of a report: the content of each panel as values, and its renderers: SVG for a page, PDF for print."""
+"""Figures of a report: panels as values, drawn as SVG for a page, and as SVG and PDF for print."""

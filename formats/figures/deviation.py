@@ -1,4 +1,4 @@
-"""Error figures: deviations over time as in the paper's fig. 12 and 13, and the effect of each sensor."""
+"""Error figures: deviations over time (as in the article's fig. 12 and 13), histograms, effect of each sensor."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from .scene import Scene, metres
 
 BAND_SIGMAS = 3.0
 COMPONENTS = ("x", "y", "heading")
-MIN_ENLARGED_RATIO = 5.0  # times: where curves differ by more in size, the small ones are drawn once more
-MAX_SIMILAR_RATIO = 2.5  # times the smallest rms: such curves are enlarged together
-MIN_ERROR_M = 1e-4  # m: a position error below is drawn there on logarithmic axes
-OVERLAYS: Mapping[str, tuple[str, str, Callable[[Evaluation], Array]]] = {  # title, figure in the report, (n,)
+MIN_ENLARGED_RATIO = 5.0  # ratio of the largest to the smallest rms, above which an enlarged panel is added
+MAX_SIMILAR_RATIO = 2.5  # ratio to the smallest rms of curves that fit into the enlarged panel
+MIN_ERROR_M = 1e-4  # m: smaller position errors are drawn here on logarithmic axes
+OVERLAYS: Mapping[
+    str, tuple[str, str, Callable[[Evaluation], Array]]
+] = {  # panel -> title, key in the report, deviation (n,)
     "deviation_x": ("Deviation in x", "x_rmse_m", lambda j: j.deviation[:, 0]),
     "deviation_y": ("Deviation in y", "y_rmse_m", lambda j: j.deviation[:, 1]),
     "deviation_along": ("Deviation along the way", "along_rmse_m", lambda j: j.along_cross[:, 0]),
@@ -28,7 +30,7 @@ OVERLAYS: Mapping[str, tuple[str, str, Callable[[Evaluation], Array]]] = {  # ti
 
 
 def deviations(scene: Scene) -> Section:
-    """Return the overlaid deviations: x, y, along, across, heading, and position error over time and way."""
+    """Return the section of deviations (x, y, along, across, heading, position), all configurations per panel."""
     judged = [j for _, j in scene.shown() if len(j.t)]
     span = (0.0, float(scene.drive.t[-1]))
     panels = {name: _overlay(judged, name, span) for name in OVERLAYS if "heading" not in name}
@@ -52,7 +54,7 @@ def _overlay(judged: list[Evaluation], name: str, span: tuple[float, float]) -> 
 
 
 def _enlarged(panel: Panel, judged: list[Evaluation]) -> Panel | None:
-    """Return a panel enlarged to its smallest curves; None if all curves are of similar size."""
+    """Return a panel with y limits for its smallest curves; None if all curves are of similar size."""
     columns = [OVERLAYS[panel.name][2](j) for j in judged]
     rms = [float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else np.nan for c in columns]
     least = min(filter(np.isfinite, rms), default=0.0)
@@ -72,7 +74,7 @@ def _enlarged(panel: Panel, judged: list[Evaluation]) -> Panel | None:
 
 
 def _error(judged: list[Evaluation], by: str) -> Panel:
-    """Position error against distance driven, on a logarithmic axis."""
+    """Return the panel of position error over distance driven, with a logarithmic y axis."""
     errors = [np.maximum(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged]
     scale, unit = metres(errors)
     return Panel(
@@ -87,7 +89,7 @@ def _error(judged: list[Evaluation], by: str) -> Panel:
 
 
 def bands(scene: Scene) -> Section:
-    """Return x, y and heading of each configuration alone, with its own 3 sigma band."""
+    """Return the section of deviations in x, y and heading with their 3-sigma bands, a row per configuration."""
     judged = [j for _, j in scene.shown() if len(j.t)]
     rows = [[_band(j, i, c) for i, c in enumerate(_components(j))] for j in judged]
     text = (
@@ -100,7 +102,7 @@ def bands(scene: Scene) -> Section:
 
 
 def _components(judged: Evaluation) -> list[Array]:
-    """Return the deviations in x and y [m], and in heading [rad] where the truth has one, (n,) each."""
+    """Return the deviations in x and y [m], and in heading [rad] if the truth has headings, (n,) each."""
     return [*judged.deviation.T, *([] if judged.heading is None else [judged.heading])]
 
 
@@ -122,7 +124,7 @@ def _band(judged: Evaluation, column: int, deviation: Array) -> Panel:
 
 
 def uncertainty(scene: Scene) -> Section:
-    """Return the standard deviations of the filters: the only error figure without truth."""
+    """Return the section of the filters' own 3 sigma of x, y and heading, for logs without truth."""
     panels = []
     names = {shown.name for shown, _ in scene.shown()}
     for column, what in enumerate(COMPONENTS):
@@ -138,21 +140,21 @@ def uncertainty(scene: Scene) -> Section:
 
 
 def _figures_words(judged: list[Evaluation], key: str, unit: str) -> str:
-    """Return one figure of every configuration as a sentence."""
+    """Return the rms of every configuration in words: "lrf rms 0.0123 m, all rms 0.0101 m."."""
     known = [(j.name, value) for j in judged if (value := j.figures.get(key)) is not None]
     return ", ".join(f"{name} rms {value:.4f} {unit}" for name, value in known) + "."
 
 
-# --- How often errors of which size occur: one histogram per configuration, below each other on one axis
+# --- Histograms of the errors, one lane per configuration on a common axis
 
-MIN_ERROR_DEG = 1e-3  # a smaller heading error is drawn there
+MIN_ERROR_DEG = 1e-3  # smaller heading errors are drawn here
 BINS_PER_DECADE = 12
 MAX_DECADES = 8
-MAX_BIN_HEIGHT_LANES = 0.8  # of a lane: the fullest bin of all
+MAX_BIN_HEIGHT_LANES = 0.8  # height of the fullest bin of all, in lanes
 
 
 def spread(scene: Scene) -> Section:
-    """Return the histograms of position and heading errors, each on a common logarithmic axis, medians marked."""
+    """Return the section of histograms of position and heading errors, with logarithmic axes and medians."""
     judged = [j for _, j in scene.shown() if len(j.t)]
     position = {j.name: _sizes(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged}
     scale, unit = metres(list(position.values()))
@@ -163,13 +165,13 @@ def spread(scene: Scene) -> Section:
 
 
 def _sizes(errors: Array, least: float) -> Array:
-    """Return the finite error sizes (k,), limited below to the smallest that is drawn."""
+    """Return the absolute values (k,) of the finite errors (n,), at least `least`."""
     found: Array = np.maximum(np.abs(errors[np.isfinite(errors)]), least)
     return found
 
 
 def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str) -> Panel | None:
-    """Return the histograms of one kind of error below each other; None without any."""
+    """Return the panel of histograms of one kind of error, a lane per configuration; None without errors."""
     if not any(len(e) for e in errors.values()):
         return None
     edges = _bins(np.concatenate(list(errors.values())))
@@ -207,7 +209,7 @@ def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str)
 
 
 def _bins(errors: Array) -> Array:
-    """Return bin edges of equal ratio that cover all errors, or their largest MAX_DECADES decades."""
+    """Return logarithmic bin edges that cover all errors, or the upper MAX_DECADES decades of them."""
     high = np.ceil(BINS_PER_DECADE * np.log10(errors.max()) + 1e-9)
     low = np.floor(BINS_PER_DECADE * np.log10(errors.min()) - 1e-9)
     low = max(low, high - MAX_DECADES * BINS_PER_DECADE)
@@ -215,20 +217,20 @@ def _bins(errors: Array) -> Array:
     return edges
 
 
-# --- What each sensor does to the position error: alone, beside the others, and on average
+# --- Effect of each sensor on the position error: alone, added to the others, and on average
 
-EFFECTS = {"alone": 0.28, "leave_one_out": 0.55, "credit": 0.82}  # effect -> its place in a sensor's lane
+EFFECTS = {"alone": 0.28, "leave_one_out": 0.55, "credit": 0.82}  # effect -> y in a sensor's lane
 WORDS = {
     "alone": "alone, compared with odometry",
     "leave_one_out": "last, beside all others",
     "credit": "credit: mean over every order",
     "bounds": "no effect",
 }
-FACTOR_LIMITS = (1e-3, 1e5)  # factors beyond are drawn at the edge
+FACTOR_LIMITS = (1e-3, 1e5)  # factors outside are drawn at the limit
 
 
 def credit(scene: Scene) -> Section:
-    """Return every sensor's factors with their 95 % intervals on one logarithmic axis; empty without any."""
+    """Return the section of each sensor's factor on the position error, with 95 % intervals."""
     sensors = dict((scene.credit or {}).get("sensors", {}))
     marks: list[Mark] = []
     for lane, (sensor, values) in enumerate(sensors.items()):
@@ -252,7 +254,7 @@ def credit(scene: Scene) -> Section:
         y_range=(float(n), 0.0),
         lanes=tuple(sensors),
         keys=tuple(dict.fromkeys(m.of for m in marks if not isinstance(m, Strokes))),
-        said=WORDS,
+        legend=WORDS,
     )
     return Section("credit", "Credit", "", (panel,))
 

@@ -1,4 +1,4 @@
-"""Filter figures: NEES and NIS with their bounds, innovations, gates over time, estimated states."""
+"""Filter figures: NEES and NIS with bounds, innovations, gate verdicts over time, estimated parameters."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Ev
 from .panels import TIME, Band, Curve, Dots, Mark, Panel, Section
 from .scene import Scene
 
-MAX_NEES_STRETCHES = 120  # of a drive, over which NEES is averaged for drawing
-GATE_BINS = 150  # of the gate timeline
+MAX_NEES_STRETCHES = 120  # intervals of a drive over which NEES is averaged for drawing
+GATE_BINS = 150  # intervals of the timeline of gate verdicts
 INNOVATION_SIGMAS = 2.0
 
 
 def consistency(scene: Scene) -> Section:
-    """Return NEES of every configuration and NIS of every sensor, between their chi-square bounds."""
+    """Return the section of NEES per configuration and NIS per sensor, with their chi-square bounds."""
     span = (0.0, float(scene.drive.t[-1]))
     panels = []
     judged = [j for _, j in scene.shown() if np.isfinite(j.nees).any()]
@@ -55,7 +55,7 @@ def _nis(scene: Scene, sensor: str, span: tuple[float, float]) -> Panel | None:
 def _ratios(
     name: str, what: str, of: str, band: Band, curves: list[Curve], summary: str, span: tuple[float, float]
 ) -> Panel:
-    """Return squared errors over their expected size, between bounds, on a logarithmic axis."""
+    """Return a panel of NEES or NIS over time with its bounds, with a logarithmic y axis."""
     limits = (float(np.nanmin(band.low)), float(np.nanmax(band.high)))
     return Panel(
         name,
@@ -71,12 +71,12 @@ def _ratios(
 
 
 def innovations(scene: Scene) -> Section:
-    """Return each sensor's innovations in the configuration with most sensors, between 2 sigma."""
+    """Return the section of innovations in the configuration with most sensors, with 2-sigma bands."""
     best = scene.best
     panels = []
     for sensor, audit in best.audits.items():
-        said = scene.components.get(sensor, ())[: audit.y.shape[1]]  # bearings without ranges are fewer numbers
-        for i, component in enumerate(said):
+        components = scene.components.get(sensor, ())[: audit.y.shape[1]]  # without ranges only bearings
+        for i, component in enumerate(components):
             if len(audit.y) and np.isfinite(audit.y[:, i]).any():
                 panels.append(_innovation(best, sensor, audit, i, component))
     text = (
@@ -112,7 +112,7 @@ def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -
 
 
 def gates(scene: Scene) -> Section:
-    """Return the gate timeline: shares of each sensor's measurements by verdict, over time."""
+    """Return the section of gate verdicts: shares of each sensor's measurements by verdict over time."""
     best = scene.best
     marks: list[Mark] = []
     for lane, audit in enumerate(best.audits.values()):
@@ -137,7 +137,7 @@ def gates(scene: Scene) -> Section:
 
 
 def _shares(audit: Audit, t: Array, lane: int) -> list[Band]:
-    """Return stacked shares of every verdict in lane [lane + 0.1, lane + 0.9], accepted at the bottom."""
+    """Return the stacked shares of the verdicts as bands in y [lane + 0.1, lane + 0.9], accepted at the bottom."""
     bins = int(np.clip(len(np.unique(audit.instant)) // 3, 1, GATE_BINS))
     edges = np.linspace(0.0, float(t[-1]), bins + 1)
     place = np.clip(np.searchsorted(edges, t[audit.instant], side="right") - 1, 0, bins - 1)
@@ -156,7 +156,7 @@ def _shares(audit: Audit, t: Array, lane: int) -> list[Band]:
 
 
 def learnt(scene: Scene) -> Section:
-    """Return the states beyond the pose (compass offset, wheel parameters) with their 3 sigma."""
+    """Return the section of estimated parameters (compass offset, wheel radii, ...) with 3-sigma bands."""
     best = scene.best
     panels = []
     for name, values in best.blocks.items():
@@ -177,7 +177,7 @@ def learnt(scene: Scene) -> Section:
 
 
 def means(t: Array, values: Array, count: int) -> tuple[Array, Array]:
-    """Return centres and means of `count` intervals; NaN for an interval without finite values."""
+    """Return centres [s] and means (count,) of values (n,) in `count` intervals of t (n,) s; NaN in empty ones."""
     if len(t) == 0:
         return np.zeros(0), np.zeros(0)
     good = np.isfinite(values)
@@ -189,7 +189,7 @@ def means(t: Array, values: Array, count: int) -> tuple[Array, Array]:
 
 
 def _log_range(curves: list[Array], bounds: tuple[float, float]) -> tuple[float, float]:
-    """Return limits that show the bounds and the curves, four decades at most below and above 1."""
+    """Return y limits of a logarithmic axis for bounds and curves, within 1e-2 and 1e6."""
     positive = [c[np.isfinite(c) & (c > 0)] for c in (*curves, np.array(bounds))]
     values = np.concatenate(positive)
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.1, 10.0)
@@ -197,7 +197,7 @@ def _log_range(curves: list[Array], bounds: tuple[float, float]) -> tuple[float,
 
 
 def _robust(y: Array, sigma: Array, refused: Array) -> tuple[float, float]:
-    """Return limits that show all accepted values but 1 in 200; far rejected ones lie outside."""
+    """Return symmetric y limits that show 99.5 % of the accepted values, not the largest rejected ones."""
     most = max(
         float(np.nanpercentile(np.abs(y), 99.5)) if len(y) else 0.0,
         float(np.nanpercentile(sigma, 95)) if np.isfinite(sigma).any() else 0.0,

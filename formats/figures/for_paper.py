@@ -1,6 +1,6 @@
-"""The same panels for a paper: SVG and PDF by matplotlib, one column wide, in the colours of a light page.
+"""Panels for print: SVG and PDF by matplotlib, one column wide, in the colours of a light page.
 
-Same input, same bytes: no date, ids from a fixed salt. Text stays text, so that a paper's fonts can replace it.
+Equal input gives equal bytes: no date, ids from a fixed salt. Text stays text, so a paper can use its own font.
 """
 
 from __future__ import annotations
@@ -20,11 +20,16 @@ from .panels import Band, Curve, Dots, Mark, Panel, Section, Spots, Strokes, ran
 
 PANEL_SIZE_IN = (3.5, 2.1)  # one column of a two-column paper
 SQUARE_SIZE_IN = (3.5, 3.0)
-AXES_AREA = (0.17, 0.19, 0.8, 0.66)  # of the axes in the figure: a layout engine costs a third of the time
-HEIGHT_IN_COLUMN = 1.45  # inches of each of several panels over each other
+AXES_AREA = (
+    0.17,
+    0.19,
+    0.8,
+    0.66,
+)  # of the axes in the figure; fixed, because a layout engine takes a third of the time
+HEIGHT_IN_COLUMN = 1.45  # inches per panel in a column of panels
 COLUMN = {"top": 0.88, "bottom": 0.12, "hspace": 0.12}
 LANES_AREA = (0.24, 0.19, 0.73, 0.66)
-MAX_LEGEND_SPOT = 5.0  # points: dots are drawn larger in the legend, spots are large enough
+MAX_LEGEND_SPOT = 5.0  # points; the legend enlarges dots, but spots only to this size
 LEGEND: dict[str, Any] = {
     "ncols": 4,
     "loc": "lower left",
@@ -36,7 +41,7 @@ LEGEND: dict[str, Any] = {
     "markerscale": 4.0,
     "borderpad": 0.1,
 }
-MAX_CURVE_POINTS = 1600  # of a curve: more than 3.5 inches at 300 dpi can show
+MAX_CURVE_POINTS = 1600  # more than 3.5 inches at 300 dpi can show
 TRUTH_DASH = (0, (1, 2))
 DASHES = {"dash": (0, (4, 2)), "over": (0, (7, 3))}
 WIDE_PT = 1.8
@@ -70,28 +75,28 @@ STYLE: dict[Any, Any] = {
 def paper_figures(
     sections: Sequence[Section], traces: Mapping[str, Trace], sensors: Mapping[str, Colour]
 ) -> dict[str, bytes]:
-    """Return {name}.svg and {name}.pdf of every panel.
+    """Return file name -> content of every panel, as .svg and .pdf.
 
-    `traces` are the configurations drawn, `sensors` the colours of all sensors known to the product.
+    `traces`: configurations that are drawn. `sensors`: colour of every sensor known to locfuse.
     """
     inks = _inks([m.of for s in sections for p in s.panels for m in p.marks], traces, sensors)
     looks = palette.looks_of(traces)
     out: dict[str, bytes] = {}
     for section in sections:
         for panel in section.panels:
-            name = file_name(panel.name)
+            name = "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel.name)
             out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks, looks)
     return out
 
 
 def _inks(names: Sequence[str], traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, str]:
-    """Return the print colour of every name used by marks."""
+    """Return the print colour of every configuration, sensor and role in `names`."""
     every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
     return {name: colour.light for name, colour in {**palette.colours(every, sensors), **palette.ROLES}.items()}
 
 
 def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> Any:
-    """Draw a panel on matplotlib's axes, None for new ones, and return them."""
+    """Draw a panel on matplotlib axes (None: new ones) and return them."""
     if axes is None:
         from matplotlib import pyplot as plt
 
@@ -100,13 +105,8 @@ def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mappi
     return axes
 
 
-def file_name(panel: str) -> str:
-    """Return a panel's name as a file name: letters, digits, and characters of configuration names."""
-    return "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel)
-
-
 def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = None) -> tuple[bytes, bytes]:
-    """Return one panel as (SVG, PDF)."""
+    """Return one panel drawn as (SVG, PDF)."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -116,10 +116,8 @@ def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = N
         return _saved(figure)
 
 
-def draw_column(
-    panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str] | None = None
-) -> tuple[bytes, bytes]:
-    """Return panels over each other on one x axis, such as the deviations in x and in y, as (SVG, PDF)."""
+def draw_column(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]) -> tuple[bytes, bytes]:
+    """Return a column of panels with a common x axis, such as deviations in x and y, drawn as (SVG, PDF)."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -129,7 +127,7 @@ def draw_column(
         grid = figure.add_gridspec(n, 1, left=AXES_AREA[0], right=AXES_AREA[0] + AXES_AREA[2], **COLUMN)
         axes = [figure.add_subplot(grid[i]) for i in range(n)]
         for own, panel in zip(axes, panels, strict=True):
-            _fill(own, panel, inks, looks or {})
+            _fill(own, panel, inks, looks)
         for own in axes[1:]:
             if (legend := own.get_legend()) is not None:
                 legend.remove()
@@ -142,7 +140,7 @@ def draw_column(
 def _fill(axes: Any, panel: Panel, inks: dict[str, str], looks: Mapping[str, str]) -> None:
     for mark in panel.marks:
         _mark(axes, panel, mark, inks, looks)
-    _dress(axes, panel)
+    _finish_axes(axes, panel)
 
 
 def _saved(figure: Any) -> tuple[bytes, bytes]:
@@ -157,7 +155,7 @@ def _saved(figure: Any) -> tuple[bytes, bytes]:
     return svg.getvalue(), pdf.getvalue()
 
 
-def _dress(axes: Any, panel: Panel) -> None:
+def _finish_axes(axes: Any, panel: Panel) -> None:
     """Set limits, labels and the legend."""
     x, y = ranges(panel)
     axes.set_xlabel(panel.x_label)
@@ -178,7 +176,7 @@ def _dress(axes: Any, panel: Panel) -> None:
 
 
 def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Set limits and the page's own ticks."""
+    """Set scales, limits and ticks, as on the page."""
     if panel.log:
         axes.set_yscale("log")
     if panel.x_log:
@@ -218,7 +216,7 @@ def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> 
 
 
 def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:
-    """Return the mark's name for the legend at its first use."""
+    """Return the legend text of a mark; None if the legend has the name already."""
     taken = set(axes.get_legend_handles_labels()[1])
-    name = panel.said.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
+    name = panel.legend.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
     return None if name in taken or name == "bounds" else name

@@ -1,8 +1,8 @@
-"""One colour per configuration, the same in every figure and report, distinct for every kind of colour vision.
+"""Colours of configurations, equal in all figures and reports and distinct for every kind of colour vision.
 
-Chosen by search so that all pairs stay apart under protanopia, deuteranopia and tritanopia and each has a
-contrast of 3 against its page (tests/figures/test_figures.py measures both). A sensor brings its own colour and
-keeps it whatever else the log holds; sets of several sensors are dashed.
+All pairs differ under protanopia, deuteranopia and tritanopia, and each has a contrast of 3 to its page
+(tests/figures/test_figures.py measures both). Each sensor has its own colour in every log; sets of several sensors
+are dashed.
 """
 
 from __future__ import annotations
@@ -14,25 +14,22 @@ from locfuse.fusion.data import BASES, FAULT, JUMP, LOOP, LOST, REFUSED, REST, V
 
 
 class Trace(NamedTuple):
-    """Properties of a result that decide its line colour and style."""
+    """Properties of a result that determine its line colour and style."""
 
     configuration: str  # "odometry", "compass+lrf", "all"
     sensors: tuple[str, ...]
-    slowed: bool = False  # a sensor at a lower rate than the log's
+    slowed: bool = False  # with a sensor at a reduced rate
     smoothed: bool = False
 
     @property
     def dashed(self) -> bool:
-        """Whether it is drawn dashed: sets that are not `all`, what-ifs, smoothed results."""
+        """Whether the line is dashed: sets of several sensors but `all`, reduced rates, smoothed results."""
         some = len(self.sensors) > 1 and self.configuration != "all"
         return some or self.slowed or self.smoothed
 
     @property
     def look(self) -> str:
-        """The line style: "" solid, "dash", or "over" for `all`: broken, so that curves below it are visible.
-
-        `all` is drawn last and often lies on the laser's curve: both are seen.
-        """
+        """The line style: "" solid, "dash", or "over" (long dashes) for `all`, which often covers other curves."""
         over = self.configuration == "all" and len(self.sensors) > 1
         return "dash" if self.dashed else "over" if over else ""
 
@@ -40,7 +37,7 @@ class Trace(NamedTuple):
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
 TRUTH = Colour("#0d0f12", "#f4f5f7")
-SETS = (  # of several sensors but not all: they differ by their dashes and names too
+SETS = (  # sets of several sensors but not all; dashed too
     Colour("#0b6e6e", "#58c6c6"),
     Colour("#6d4fc4", "#a58bf0"),
     Colour("#8c6a00", "#d2b13a"),
@@ -49,14 +46,14 @@ SETS = (  # of several sensors but not all: they differ by their dashes and name
 )
 OUT = Colour("#a3123a", "#e0566f")
 LANDMARK = Colour("#d615c0", "#ff4fe6")
-LEVELS = (  # of a figure along a path, small to large: they differ by lightness alone, hue helps
+LEVELS = (  # colour scale along a path, small to large; ordered by lightness
     Colour("#16c3b4", "#044b94"),
     Colour("#0091cd", "#6c5ab6"),
     Colour("#685fbc", "#bb6ab4"),
     Colour("#752870", "#fb906a"),
     Colour("#4e0308", "#fbdd67"),
 )
-ROLES = {  # what is drawn besides configurations
+ROLES = {  # other names of marks than configurations
     **dict.fromkeys(VERDICTS, OUT),
     "truth": TRUTH,
     "walls of the first scan": Colour("#9aa3af", "#667080"),
@@ -81,7 +78,7 @@ ROLES = {  # what is drawn besides configurations
     "landmark": LANDMARK,
     **dict.fromkeys(("alone", "leave_one_out", "credit"), TRUTH),  # effects of a sensor
 }
-SHAPES = {  # of spots
+SHAPES = {  # role -> shape of its spots
     "start": "ring",
     "end": "square",
     "time": "dot",
@@ -114,7 +111,7 @@ def looks_of(traces: Mapping[str, Trace]) -> dict[str, str]:
 
 
 def colours(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, Colour]:
-    """Return a colour for every trace, given the colours of all sensors."""
+    """Return a colour per result, given the colours of all sensors."""
     return {name: _colour(trace, sensors) for name, trace in traces.items()}
 
 

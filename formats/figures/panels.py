@@ -1,6 +1,6 @@
-"""The content of figures as values: series with their roles, axes with their labels. Two renderers draw them.
+"""The content of figures as values: marks with their roles, axes with their labels.
 
-`svg` draws for the page (theme, phone, toggles, pointer), `for_paper` for print (PDF, SVG by matplotlib).
+`svg` draws them for a page, `for_paper` for print (PDF and SVG by matplotlib).
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from msgspec import field
 
 from locfuse.fusion.data import Array, Event
 
-MAX_AXIS_VALUE = 1e100  # that an axis shows: the span of what a damaged log says may be more than a number holds
+MAX_AXIS_VALUE = 1e100  # limit of axes: values of a damaged log may have a span that overflows
 TIME = "time, s"  # the label of a time axis
 
 
 class Curve(msgspec.Struct, frozen=True):
-    """A line through points; NaN breaks it. `of` is a configuration or a role of the palette."""
+    """A line through points, broken at NaN; `of` is a configuration or a role of the palette."""
 
     of: str
     x: Array  # (n,)
     y: Array  # (n,)
-    wide: bool = False  # where the colour is what is to be read
+    wide: bool = False  # a thick line, whose colour shows a value
 
 
 class Band(msgspec.Struct, frozen=True):
@@ -45,14 +45,14 @@ class Dots(msgspec.Struct, frozen=True):
 
 
 class Strokes(msgspec.Struct, frozen=True):
-    """Straight pieces: walls."""
+    """Straight line segments, such as walls."""
 
     of: str
     ends: Array  # (k, 2, 2) both ends
 
 
 class Spots(msgspec.Struct, frozen=True):
-    """Marks of constant size when the panel is enlarged; `of` is a role of the palette with a shape."""
+    """Symbols that keep their size when the panel is enlarged; `of` is a role in palette.SHAPES."""
 
     of: str
     x: Array  # (n,)
@@ -63,7 +63,7 @@ Mark = Curve | Band | Dots | Strokes | Spots
 
 
 class TimedPlaces(msgspec.Struct, frozen=True):
-    """Positions at evenly spaced times, for a cursor over time. They are not drawn."""
+    """Positions at evenly spaced times from start to end, for the page's time cursor; not drawn."""
 
     of: str
     start: float  # s
@@ -73,42 +73,42 @@ class TimedPlaces(msgspec.Struct, frozen=True):
 
 
 class Panel(msgspec.Struct, frozen=True):
-    """One pair of axes."""
+    """The content of one pair of axes."""
 
-    name: str  # of its file and its anchor
+    name: str  # for file name and anchor
     title: str
     y_label: str  # with the unit
     x_label: str
     marks: tuple[Mark, ...]
-    summary: str = ""  # what it shows, for those who cannot see it
+    summary: str = ""  # description for screen readers
     log: bool = False  # logarithmic y
     x_log: bool = False  # logarithmic x
-    equal: bool = False  # one metre is as long in x as in y
+    equal: bool = False  # equal scale in x and y
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
-    lanes: tuple[str, ...] = ()  # names of unit-high lanes on y, from the top
-    keys: tuple[str, ...] = ()  # roles that need a legend of their own
-    events: tuple[Event, ...] = ()  # what happened when, shaded behind the marks of a time axis
-    said: Mapping[str, str] = field(default_factory=dict)  # role -> its words in the legend, where not its name
-    tracks: tuple[TimedPlaces, ...] = ()  # of a map: where each result was when
+    lanes: tuple[str, ...] = ()  # names of lanes on the y axis, each 1 high, from the top
+    keys: tuple[str, ...] = ()  # roles listed in the panel's legend
+    events: tuple[Event, ...] = ()  # shaded intervals behind the marks, on a time axis
+    legend: Mapping[str, str] = field(default_factory=dict)  # role -> legend text other than its name
+    tracks: tuple[TimedPlaces, ...] = ()  # on a map: positions of each result over time
 
 
 class Section(msgspec.Struct, frozen=True):
-    """Panels that belong together, under one heading."""
+    """Panels under one heading."""
 
     name: str
     title: str
     text: str
     panels: tuple[Panel, ...]
     columns: int = 2
-    rows: tuple[str, ...] = field(default=())  # a heading per row of panels, where rows are configurations
+    rows: tuple[str, ...] = field(default=())  # a heading per row of panels, if rows are configurations
 
 
 def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of x and y: as given, else the marks' range with a small margin."""
+    """Return the limits of x and y: those of the panel, else the range of its marks with a small margin."""
     x = panel.x_range or _span([v for m in panel.marks for v in values_of(m, 0)], 0.0, panel.x_log)
     y = panel.y_range or _span([v for m in panel.marks for v in values_of(m, 1)], 0.04, panel.log)
-    return _opened(*x), _opened(*y)
+    return _widened(*x), _widened(*y)
 
 
 def values_of(mark: Mark, axis: int) -> tuple[Array, ...]:
@@ -120,7 +120,7 @@ def values_of(mark: Mark, axis: int) -> tuple[Array, ...]:
     return (mark.low, mark.high) if isinstance(mark, Band) else (mark.y,)
 
 
-def _span(columns: list[Array], air: float, log: bool = False) -> tuple[float, float]:
+def _span(columns: list[Array], margin: float, log: bool = False) -> tuple[float, float]:
     values = np.concatenate([c[np.isfinite(c)] for c in columns]) if columns else np.zeros(0)
     if log:
         values = values[values > 0.0]
@@ -129,11 +129,11 @@ def _span(columns: list[Array], air: float, log: bool = False) -> tuple[float, f
     low, high = float(values.min()), float(values.max())
     if log:
         return low / 1.2, high * 1.2
-    return low - air * (high - low), high + air * (high - low)
+    return low - margin * (high - low), high + margin * (high - low)
 
 
-def _opened(low: float, high: float) -> tuple[float, float]:
-    """Return limits that differ, also if the log is one instant long or a value constant."""
+def _widened(low: float, high: float) -> tuple[float, float]:
+    """Return limits within MAX_AXIS_VALUE, widened if they are equal (constant values)."""
     low, high = max(low, -MAX_AXIS_VALUE), min(high, MAX_AXIS_VALUE)
     if high - low >= 1e-12 * max(1.0, abs(high)):
         return low, high

@@ -1,4 +1,4 @@
-"""Everything that the figures of a report show, as values."""
+"""The input of the figures of a report."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from msgspec import field
 
 from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event, RunningNis
 
-MAX_CONFIGURATIONS = 8  # more curves in one panel say nothing
+MAX_IN_MM = 0.2  # m
+MAX_CONFIGURATIONS = 8  # more curves in one panel are unreadable
 
 
 class Scene(msgspec.Struct, frozen=True):
-    """Everything the figures show."""
+    """Drive, estimates and their evaluation, as input of the figures."""
 
     drive: Drive
     estimates: Sequence[Estimates]
     evaluations: Sequence[Evaluation]
     nis: Mapping[tuple[str, str], RunningNis] = field(default_factory=dict)  # (configuration, sensor)
-    nees_bounds: tuple[float, float] = (0.0, 0.0)  # of a single value per degree of freedom, 95 %
+    nees_bounds: tuple[float, float] = (0.0, 0.0)  # 95 % of a single value per degree of freedom
     components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # of innovations, by sensor
     states: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # beyond the pose, by block
     credit: Mapping[str, Any] | None = None  # each sensor's effects on the error, as in report.json
-    landmarks: Sequence[tuple[float, float]] = ()  # m, map: what sensors' bearings point at
+    landmarks: Sequence[tuple[float, float]] = ()  # m, map frame: targets of bearings and ranges
     events: Sequence[Event] = ()  # of the drive and of the configuration with most sensors
 
     @property
@@ -35,16 +36,16 @@ class Scene(msgspec.Struct, frozen=True):
 
     @property
     def judged_by(self) -> str:
-        """The reference of deviations: truth or a reference run."""
+        """The reference of deviations: "truth" or "reference" (a smoothed solution)."""
         return "reference" if any(e.reference for e in self.evaluations) else "truth"
 
     @property
     def has_truth(self) -> bool:
-        """Whether there is a reference for deviations."""
+        """Whether any configuration has deviations from truth or reference."""
         return any(len(e.t) for e in self.evaluations)
 
     def shown(self) -> list[tuple[Estimates, Evaluation]]:
-        """Return the configurations to draw: of many only odometry, single sensors and all sensors."""
+        """Return the configurations to draw; of many only odometry, single sensors, all and reduced rates."""
         pairs = list(zip(self.estimates, self.evaluations, strict=True))
         if len(pairs) <= MAX_CONFIGURATIONS:
             return pairs
@@ -52,7 +53,7 @@ class Scene(msgspec.Struct, frozen=True):
         return few[:MAX_CONFIGURATIONS] if len(few) > 1 else pairs[:MAX_CONFIGURATIONS]
 
 
-def metres(values: Sequence[Array], most: float = 0.2) -> tuple[float, str]:
-    """Return (scale, unit) for readable lengths: millimetres if all are small."""
+def metres(values: Sequence[Array]) -> tuple[float, str]:
+    """Return (scale, unit) for lengths [m]: (1000, "mm") if all are below MAX_IN_MM, else (1, "m")."""
     largest = max((float(np.nanmax(np.abs(v))) for v in values if np.isfinite(v).any()), default=0.0)
-    return (1000.0, "mm") if largest < most else (1.0, "m")
+    return (1000.0, "mm") if largest < MAX_IN_MM else (1.0, "m")

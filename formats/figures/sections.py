@@ -1,4 +1,4 @@
-"""The figures of a report in reading order, from the map to the estimated states."""
+"""The list of a report's figures in reading order."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ def sections(scene: Scene) -> list[Section]:
 
     found = [trajectories(scene), where(scene)]
     found += [deviations(scene), spread(scene), bands(scene)] if scene.has_truth else [uncertainty(scene)]
-    found += [consistency(scene), innovations(scene), gates(scene), learnt(scene)]
-    found += [credit(scene)]
+    found += [consistency(scene), innovations(scene), gates(scene), learnt(scene), credit(scene)]
     events = tuple(scene.events)  # on every time axis
-    dated = {s.name: [replace(p, events=events) if p.x_label == TIME else p for p in s.panels] for s in found}
-    return [replace(s, panels=tuple(dated[s.name])) for s in found if s.panels]
+    panels = ([replace(p, events=events) if p.x_label == TIME else p for p in s.panels] for s in found)
+    return [replace(s, panels=tuple(own)) for s, own in zip(found, panels, strict=True) if own]

@@ -1,7 +1,7 @@
-"""A panel as inline SVG for the page: colours are CSS variables, words are text, one group per configuration.
+"""Panels as inline SVG for a page: colours are CSS variables, text is text, a CSS class per configuration.
 
-Written by hand and not by matplotlib, which serves the paper figures: 30 panels take 0.1 s instead of 3 s, a dark
-page needs no second copy, and a phone can set the words larger (benchmarks: "report").
+Faster than matplotlib: 30 panels take 0.1 s instead of 3 s (benchmarks: "report"). A dark page needs no second
+copy, and a phone can enlarge the text.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from . import ticks
 from .palette import EVENTS, SHAPES
 from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, TimedPlaces, ranges
 
-MAX_OFF_LINE_PX = 0.1  # px: a point this near to the line between its neighbours is not seen
+MAX_OFF_LINE_PX = 0.1  # a point nearer to the line between its neighbours is dropped
 MAX_PASSES = 8
-MAX_DOTS, COARSE_PX = 2500, 2  # so many dots of a panel lie on single px, more on every second
-TOUCHING_PX = 2  # px: dots this near in one column look like a line
-CELL_PX = 0.4  # px: points of a path that follow each other within it look like one
-CROSS_PX = 2.5  # px: half the side of a cross
-MAX_COORDINATE_PX = 1e4  # px: beyond lies nothing that is drawn
+MAX_DOTS, COARSE_PX = 2500, 2  # above MAX_DOTS, dots are rounded to multiples of COARSE_PX
+TOUCHING_PX = 2  # dots in one pixel column at most this far apart become a line
+CELL_PX = 0.4  # successive points of a path in one cell become one
+CROSS_PX = 2.5  # half the side of a cross
+MAX_COORDINATE_PX = 1e4  # coordinates are clipped to this
 
 
 def curve_path(x: Array, y: Array, pixels: int) -> str:
-    """Return the path of a curve (n,) in px whose x grows; NaN breaks it."""
+    """Return the SVG path of a curve (n,) [px] with growing x, broken at NaN."""
     kept = extremes(y, 2 * pixels)
     return _pieces(np.stack((x[kept], y[kept]), axis=-1))
 
 
-def free_path(x: Array, y: Array) -> str:
-    """Return the SVG path of a trajectory (n,) [px], which may turn back on itself: one point per small cell."""
+def trajectory_path(x: Array, y: Array) -> str:
+    """Return the SVG path of a trajectory (n,) [px] in any direction, thinned to one point per cell of CELL_PX."""
     cells = np.floor(np.stack((x, y), axis=-1) / CELL_PX)
     stays = (cells[1:-1] == cells[:-2]).all(axis=1) & np.isfinite(x[2:]) if len(x) > 2 else np.zeros(0, dtype=bool)
     kept = np.concatenate(([True], ~stays, [True]))[: len(x)]
@@ -45,7 +45,7 @@ def free_path(x: Array, y: Array) -> str:
 
 
 def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
-    """Return the outline of a band (n,) in px."""
+    """Return the SVG path of the outline of a band (n,) [px]."""
     good = np.isfinite(low) & np.isfinite(high)
     edges = np.stack((low, high), axis=-1)
     parts = []
@@ -58,12 +58,12 @@ def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
 
 
 def dots_path(x: Array, y: Array) -> str:
-    """Return one stroke per run of dots in a column of pixels; round caps draw a single dot as a circle."""
+    """Return the SVG path of dots (n,) [px]: one stroke per run of dots in a pixel column (round caps)."""
     good = np.isfinite(x) & np.isfinite(y) & (np.abs(y) < MAX_COORDINATE_PX)
     cells = np.unique(np.rint(np.stack((x[good], y[good]), axis=-1)).astype(np.int64), axis=0)
     if len(cells) == 0:
         return ""
-    if len(cells) > MAX_DOTS:  # a dot is wider than two px
+    if len(cells) > MAX_DOTS:  # a dot is wider than COARSE_PX
         cells = np.unique(cells // COARSE_PX * COARSE_PX, axis=0)
     step = np.diff(cells, axis=0)
     starts = np.flatnonzero(np.concatenate(([True], (step[:, 0] > 0) | (step[:, 1] > TOUCHING_PX))))
@@ -72,13 +72,8 @@ def dots_path(x: Array, y: Array) -> str:
     return "".join(f"M{a}0 {b}0v{length}0" for (a, b), length in runs)
 
 
-def strokes_path(ends: Array) -> str:
-    """Return straight pieces (k, 2, 2) in px."""
-    return "".join(_path_text(pair) for pair in ends if np.isfinite(pair).all())
-
-
 def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
-    """Return an SVG path that draws each place as a spot of fixed size: round, square or a cross."""
+    """Return the SVG path of symbols of fixed size at positions (n,) [px]; `crossed` draws crosses."""
     good = np.isfinite(x) & np.isfinite(y)
     tenths = np.rint(10.0 * np.clip(np.stack((x[good], y[good]), axis=-1), -MAX_COORDINATE_PX, MAX_COORDINATE_PX))
     r = round(10 * CROSS_PX)
@@ -87,7 +82,7 @@ def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
 
 
 def places(x: Array, y: Array) -> str:
-    """Return points in whole px as text "x y dx dy ...": the first point, then steps."""
+    """Return points (n,) rounded to px as text: the first point, then steps, "x y dx dy ..."."""
     limit = MAX_COORDINATE_PX
     whole = np.rint(np.clip(np.stack((x, y), axis=-1), -limit, limit)).astype(np.int64)
     steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), np.int64))
@@ -95,7 +90,7 @@ def places(x: Array, y: Array) -> str:
 
 
 def straightened(points: Array) -> Array:
-    """Drop points within MAX_OFF_LINE_PX of the line between their neighbours, never two neighbours at once."""
+    """Return points (m, 2) without those within MAX_OFF_LINE_PX of the line between their neighbours."""
     for _ in range(MAX_PASSES):
         if len(points) < 3:
             break
@@ -119,13 +114,13 @@ def _pieces(points: Array) -> str:
 
 
 def _runs(good: NDArray[np.bool_]) -> list[Ints]:
-    """Return the positions of each unbroken run of True."""
+    """Return the indices of each run of True."""
     at = np.flatnonzero(good)
     return [run for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(run)]
 
 
 def _path_text(points: Array) -> str:
-    """Return "M x y l dx dy ..." in tenths of a pixel, without spaces that a minus sign can replace."""
+    """Return the SVG path of points (n, 2) [px]: "M x y l dx dy ..." in tenths of px, with few spaces."""
     tenths = np.rint(np.clip(points, -MAX_COORDINATE_PX, MAX_COORDINATE_PX) * 10.0).astype(np.int64)
     steps = np.diff(tenths, axis=0)
     steps = steps[(steps != 0).any(axis=1)]
@@ -137,15 +132,15 @@ def _path_text(points: Array) -> str:
 
 # --- Panels
 
-WIDTH, HEIGHT = 460, 216  # px of an ordinary panel; the page scales it
-TOP, BOTTOM, RIGHT = 20, 34, 10
-CHARACTER_WIDTH_PX = 6.4  # px, of a tick label at 11 px
-MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: width of an instant, height of what lies at the foot
-FAR_PX = 1e6  # far outside the picture: a line to there looks like a line to any place beyond
+WIDTH, HEIGHT = 460, 216  # px of a usual panel, which the page scales
+TOP, BOTTOM, RIGHT = 20, 34, 10  # px of the margins
+CHARACTER_WIDTH_PX = 6.4  # of a tick label at 11 px
+MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: minimum width of an event, height of rejected readings
+FAR_PX = 1e6  # values are clipped to this, far outside the panel
 
 
 class Axis(msgspec.Struct, frozen=True):
-    """Data to px."""
+    """Conversion of data values on one axis to px."""
 
     low: float
     high: float
@@ -154,7 +149,7 @@ class Axis(msgspec.Struct, frozen=True):
     log: bool = False
 
     def px(self, values: Array) -> Array:
-        """Return px of data values, limited to FAR_PX; values that a logarithm cannot show are NaN."""
+        """Return px of data values, clipped to FAR_PX; NaN for values <= 0 on a logarithmic axis."""
         if not self.log:
             px = self.start + (values - self.low) * ((self.end - self.start) / (self.high - self.low))
             return np.clip(px, -FAR_PX, FAR_PX)
@@ -164,7 +159,7 @@ class Axis(msgspec.Struct, frozen=True):
         return self.start + (v - a) * ((self.end - self.start) / (b - a))
 
     def ticks(self, most: int) -> list[tuple[float, str]]:
-        """Return ticks as (px, label)."""
+        """Return about `most` ticks as (px, label)."""
         found = ticks.of(self.low, self.high, self.log, most)
         return [(float(self.px(np.array([v]))[0]), label) for v, label in found]
 
@@ -177,10 +172,9 @@ def svg(
     height: int = HEIGHT,
     looks: Mapping[str, str] | None = None,
 ) -> str:
-    """Return one panel. `ident` is unique in the page; `slugs` gives every role its CSS class.
+    """Return a panel as SVG with the unique id `ident`; `slugs`: role -> CSS class, `looks`: name -> line style.
 
-    `looks` says of names how their lines are broken. The page's script reads both axes from `data-axes`: px and
-    values of their ends, whether logarithmic, and what they are (time, map, lanes, other).
+    The page's script reads `data-axes`: values and px of both axes' ends, whether logarithmic, kind of panel.
     """
     (x0, x1), (y0, y1) = ranges(panel)
     left = _left(panel, y0, y1)
@@ -209,14 +203,14 @@ def svg(
 
 
 def _axes(panel: Panel, x: Axis, y: Axis) -> str:
-    """Return the data for a script to turn px into values: both axes, and the kind of panel."""
+    """Return `data-axes` for the page's script: low, high, px and log of both axes, and the kind of panel."""
     kind = "map" if panel.equal else "lanes" if panel.lanes else "time" if panel.x_label == TIME else "other"
     ends = (f"{a.low:.9g} {a.high:.9g} {a.start:.5g} {a.end:.5g} {int(a.log)}" for a in (x, y))
     return f"{' '.join(ends)} {kind}"
 
 
 def _left(panel: Panel, y0: float, y1: float) -> float:
-    """Return the left margin for the y labels."""
+    """Return the left margin [px] for the y labels."""
     if panel.lanes:
         return 12 + CHARACTER_WIDTH_PX * max(len(lane) for lane in panel.lanes)
     labels = [label for _, label in ticks.of(y0, y1, panel.log)]
@@ -226,7 +220,7 @@ def _left(panel: Panel, y0: float, y1: float) -> float:
 def _equal(
     x0: float, x1: float, y0: float, y1: float, inner: float, most: float
 ) -> tuple[float, float, float, float, int]:
-    """Return limits and height with one scale for x and y and a small margin, at most `most` px high."""
+    """Return limits and height [px] for an equal scale in x and y, with a small margin; height at most `most`."""
     pad = 0.04 * max(x1 - x0, y1 - y0, 1e-6)
     x0, x1, y0, y1 = x0 - pad, x1 + pad, y0 - pad, y1 + pad
     scale = min(inner / (x1 - x0), (most - TOP - BOTTOM) / (y1 - y0))
@@ -236,7 +230,7 @@ def _equal(
 
 
 def _frame(panel: Panel, x: Axis, y: Axis) -> str:
-    """Return grid, ticks, and the labels of both axes."""
+    """Return the grid, ticks and labels of both axes as SVG."""
     bottom, right = round(y.start), round(x.end)
     rows = [] if panel.lanes else y.ticks(max(3, round((y.start - y.end) / 34)))
     columns = x.ticks(max(3, round((x.end - x.start) / 60)))
@@ -270,14 +264,14 @@ def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[st
 
 
 def _track(track: TimedPlaces, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return an invisible path through places at even times, which the page's cursor follows."""
+    """Return an invisible path with positions at even times, for the page's time cursor."""
     at = places(x.px(track.x), y.px(track.y))
     name = f"<title>{escape(track.of)}</title>"
     return f'<path class="here {slugs[track.of]}" data-at="{track.start:.9g} {track.end:.9g} {at}">{name}</path>'
 
 
 def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return events as shaded intervals behind the curves; rejected readings lie at the bottom."""
+    """Return an event as a shaded interval: full height, or at the bottom for rejected readings."""
     start, end = x.px(np.array([event.start, event.end])).tolist()
     width = max(end - start, MIN_SHADE)
     top = y.start - SHADE_FOOT if event.kind == REFUSED else y.end
@@ -289,7 +283,8 @@ def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
     """Return a mark's CSS classes and its SVG path."""
     pixels = max(16, round(x.end - x.start))
     if isinstance(mark, Strokes):
-        return "stroke", strokes_path(np.stack((x.px(mark.ends[:, :, 0]), y.px(mark.ends[:, :, 1])), axis=-1))
+        ends = np.stack((x.px(mark.ends[:, :, 0]), y.px(mark.ends[:, :, 1])), axis=-1)
+        return "stroke", "".join(_path_text(pair) for pair in ends if np.isfinite(pair).all())
     px = x.px(mark.x)
     if isinstance(mark, Band):
         return "solid" if mark.solid else "band", band_path(px, y.px(mark.low), y.px(mark.high), pixels)
@@ -301,9 +296,9 @@ def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
         return f"spot {shape}", spots_path(px, py, crossed=shape == "cross")
     grows = len(px) < 2 or bool((np.diff(px) >= 0).all())
     kind = "curve wide" if mark.wide else "curve"
-    return kind, curve_path(px, py, pixels) if grows else free_path(px, py)
+    return kind, curve_path(px, py, pixels) if grows else trajectory_path(px, py)
 
 
 def slugs_of(names: Sequence[str]) -> dict[str, str]:
-    """Return a CSS class for every configuration or role; names from a log never become markup."""
+    """Return a CSS class, k0, k1, ..., for every configuration or role, independent of its name."""
     return {name: f"k{i}" for i, name in enumerate(names)}

@@ -1,4 +1,4 @@
-"""Ticks of an axis and their labels: steps of 1, 2, 5; decades on logarithmic axes."""
+"""Ticks of an axis with labels: steps of 1, 2, 5; decades on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import math
 
 
 def linear(low: float, high: float, most: int = 6) -> list[tuple[float, str]]:
-    """Return ticks (value, label) within [low, high]: about `most` at most, but two at least.
-
-    There are two at least, whatever `most` is: one tick alone shows no scale.
-    """
+    """Return ticks (value, label) within [low, high]: about `most`, but at least two, which show the scale."""
     step = nice_step((high - low) / max(1, most))
     while _count(low, high, step) > most and _count(low, high, nice_step(1.5 * step)) >= 3:
         step = nice_step(1.5 * step)
@@ -30,7 +27,7 @@ def _count(low: float, high: float, step: float) -> int:
 
 
 def nice_step(least: float) -> float:
-    """Return the smallest of 1, 2, 5 times a power of ten that is at least `least`."""
+    """Return the smallest number of the form 1, 2 or 5 times a power of ten that is at least `least`."""
     if least <= 0.0 or not math.isfinite(least):
         return 1.0
     power = 10.0 ** math.floor(math.log10(least))
@@ -38,7 +35,7 @@ def nice_step(least: float) -> float:
 
 
 def logarithmic(low: float, high: float, most: int = 6) -> list[tuple[float, str]]:
-    """Return decades within [low, high], with 1, 2, 5 between them if there is only one decade or less."""
+    """Return ticks (value, label) at powers of ten in [low, high], in a small range also at 2 and 5."""
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
     if last - first < 1:
         steps = [m * 10.0**p for p in range(first - 1, last + 2) for m in (1.0, 2.0, 5.0)]

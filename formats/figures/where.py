@@ -1,4 +1,4 @@
-"""Map figures: trajectories over the line map, and each path coloured by its error."""
+"""Map figures: trajectories over the line map, and paths coloured by their error."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from .scene import Scene
 STEPS_S = (10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
 MAX_SPOTS = 60
 TRACK_STEP_S = 0.25
-MAX_TRACK = 600  # places of one track
+MAX_TRACK = 600  # positions of one track
 
 
 def timed_path(estimates: Estimates, judged: Evaluation) -> tuple[Array, Array]:
-    """Return times (n,) and path (n, 2): at every instant, or as aligned to the truth."""
+    """Return times (n,) [s] and path (n, 2) [m]: of all estimates, or after alignment to the truth."""
     if judged.align == "none":
         return estimates.t, estimates.pose[:, :2]
     return judged.t, judged.estimate_xy
 
 
 def spots(t: Array, xy: Array) -> list[Spots]:
-    """Return start, end and the spots between them; empty for a path without positions."""
+    """Return symbols at the start and end of a path and at regular times between; [] without positions."""
     good = np.isfinite(xy).all(axis=1)
     t, xy = t[good], xy[good]
     if len(t) == 0:
@@ -40,23 +40,23 @@ def spots(t: Array, xy: Array) -> list[Spots]:
 
 
 def landmarks(scene: Scene) -> list[Spots]:
-    """Return what sensors' bearings and ranges point at."""
+    """Return symbols for the landmarks of bearings and ranges."""
     return [Spots("landmark", np.array([x]), np.array([y])) for x, y in scene.landmarks]
 
 
 def step(t: Array) -> float:
-    """Return the time [s] between two spots: the shortest round one that leaves a path readable."""
+    """Return the time [s] between two symbols on a path: the first of STEPS_S with at most MAX_SPOTS symbols."""
     span = float(t[-1] - t[0]) if len(t) else 0.0
     return next((s for s in STEPS_S if span <= s * MAX_SPOTS), max(STEPS_S[-1], span / MAX_SPOTS))
 
 
 def between(t: Array, xy: Array, times: Array) -> Array:
-    """Return the places (k, 2) at `times` (k,) on the path."""
+    """Return the interpolated positions (k, 2) of a path at `times` (k,)."""
     return np.stack([np.interp(times, t, column) for column in xy.T], axis=-1)
 
 
 def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
-    """Return positions at evenly spaced times; empty for a path without positions."""
+    """Return a path's positions at evenly spaced times; [] for fewer than two positions."""
     good = np.isfinite(xy).all(axis=1)
     t, xy = t[good], xy[good]
     if len(t) < 2:
@@ -68,13 +68,13 @@ def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
 
 # --- Trajectories over the line map
 
-AROUND, MIN_AROUND_M = 0.25, 3.0  # of a path's size, m: what lies further from it is not framed
+MARGIN_SHARE, MIN_MARGIN_M = 0.25, 3.0  # share of a path's extent, m: marks further away are not in the frame
 MAX_POINTS = 20_000  # of all paths together
 WALLS = ("walls of the first scan", "walls seen later")
 
 
 def trajectories(scene: Scene) -> Section:
-    """Return the map figure: first and final lines, truth, one path per configuration."""
+    """Return the section with the map: first and later map lines, truth, a path per configuration."""
     mapped = max(scene.estimates, key=lambda e: (len(e.final_map), len(e.sensors)))
     marks: list[Mark] = []
     if mapped.final_map:
@@ -90,10 +90,10 @@ def trajectories(scene: Scene) -> Section:
         paths["truth"] = truth.t, truth.xy
         marks.append(_curve("truth", truth.xy, most))
     marks += landmarks(scene)
-    led = paths["truth"] if truth is not None else paths.get(scene.best.name, paths[list(paths)[-1]])
-    x_range, y_range = framed(led[1], marks)
-    marks += spots(*led)
-    every = f"every {step(led[0]):.0f} seconds"
+    main = paths["truth"] if truth is not None else paths.get(scene.best.name, paths[list(paths)[-1]])
+    x_range, y_range = framed(main[1], marks)
+    marks += spots(*main)
+    every = f"every {step(main[0]):.0f} seconds"
     names = ", ".join(e.name for e, _ in scene.shown())
     panel = Panel(
         name="trajectories",
@@ -105,7 +105,7 @@ def trajectories(scene: Scene) -> Section:
         + (f", and the walls of the map that {mapped.name} ended with." if mapped.final_map else "."),
         equal=True,
         keys=tuple(m.of for m in marks if isinstance(m, Strokes | Spots)),
-        said={"time": every},
+        legend={"time": every},
         x_range=x_range,
         y_range=y_range,
         tracks=tuple(found for name, (t, xy) in paths.items() for found in track(name, t, xy)),
@@ -115,17 +115,17 @@ def trajectories(scene: Scene) -> Section:
 
 
 def framed(path: Array, marks: Sequence[Mark]) -> list[tuple[float, float] | None]:
-    """Return the limits of x and y: 99 % of the best path (n, 2), and marks within a quarter of its size.
+    """Return the limits of x and y: 99 % of a path (n, 2) in each axis, and marks within a margin around it.
 
-    One stray wall, or an estimate that left the building, would make all else small.
+    Single walls far away and diverged estimates are cut off. None for a path without positions.
     """
     good = path[np.isfinite(path).all(axis=1)]
     if len(good) == 0:
         return [None, None]
     least, most = np.quantile(good, (0.005, 0.995), axis=0)
-    around = max(AROUND * float((most - least).max()), MIN_AROUND_M)
+    margin = max(MARGIN_SHARE * float((most - least).max()), MIN_MARGIN_M)
     found: list[tuple[float, float] | None] = []
-    for axis, (low, high) in enumerate(zip(least - around, most + around, strict=True)):
+    for axis, (low, high) in enumerate(zip(least - margin, most + margin, strict=True)):
         shown = np.concatenate([v for m in marks for v in values_of(m, axis)])
         inside = shown[(shown >= low) & (shown <= high)]
         found.append((float(inside.min()), float(inside.max())) if len(inside) else None)
@@ -137,41 +137,41 @@ def _curve(name: str, xy: Array, most: int) -> Curve:
 
 
 def ends(lines: list[MapLine]) -> Array:
-    """Return both ends of map lines, (k, 2, 2) m."""
+    """Return both ends of map lines, (k, 2, 2) [m, map frame]."""
     return segments(np.array([(line.rho, line.beta) for line in lines]), np.array([line.ends for line in lines]))
 
 
-# --- Paths in the colours of their error, or of what the filter claims without truth
+# --- Paths coloured by their error, or without truth by the filter's sigma
 
-COLOURED_STRETCHES = 240  # of a path, each in one colour
+COLOURED_STRETCHES = 240  # pieces of a path, each in one colour
 MAX_POINTS_ON_SMALL_MAP = 1500  # of a path on a small map
 GATE = VERDICTS.index("gate")
-REFUSAL_CELL = 0.025  # of the map's extent: refusals in one cell share a cross
-LAST_LIMIT_SHARE = 0.6  # of the largest value: the last limit lies below, so that its colour is seen
-TINY_M = 1e-6  # m: below, a path is without error
+REFUSAL_CELL = 0.025  # share of the map's extent: rejected readings in one cell share a cross
+LAST_LIMIT_SHARE = 0.6  # share of the largest value that is above the last limit, so that the last colour occurs
+TINY_M = 1e-6  # m: smaller values count as 0
 
 
 class Route(NamedTuple):
-    """A path with the values that colour it."""
+    """A path with the values for its colours."""
 
     name: str
     t: Array  # (n,)
     xy: Array  # (n, 2)
     value: Array  # (n,) m
-    refused: Array  # (k,) s, when readings were refused
+    refused: Array  # (k,) s, times of rejected readings
 
 
 def where(scene: Scene) -> Section:
-    """Return one map per configuration, its path coloured by its error."""
+    """Return the section with a map per configuration, its path coloured by its error."""
     routes = [_route(e, j, scene.has_truth) for e, j in scene.shown()]
     routes = [r for r in routes if np.isfinite(r.value).any()]
     if not routes:
         return Section("where", "", "", ())
     what = "position error" if scene.has_truth else "claimed sigma of the position"
-    edges = _edges(min(float(np.nanmax(r.value)) for r in routes))  # in which the best one shows its colours
-    said = dict(zip((f"level {i}" for i in range(len(LEVELS))), _words(edges), strict=True))
-    said["time"] = f"every {step(routes[0].t):.0f} seconds"
-    panels = tuple(_panel(scene, route, edges, what, said) for route in routes)
+    edges = _edges(min(float(np.nanmax(r.value)) for r in routes))  # for the path with the smallest maximum
+    legend = dict(zip((f"level {i}" for i in range(len(LEVELS))), _words(edges), strict=True))
+    legend["time"] = f"every {step(routes[0].t):.0f} seconds"
+    panels = tuple(_panel(scene, route, edges, what, legend) for route in routes)
     crosses = any(len(r.refused) for r in routes)
     text = (
         f"Each path in the colours of its {what}."
@@ -190,7 +190,7 @@ def _route(e: Estimates, judged: Evaluation, has_truth: bool) -> Route:
 
 
 def _edges(largest: float) -> Array:
-    """Return the limits between the colours [m]: 1, 3, 10, 30... up to about half the largest value."""
+    """Return the limits between the colours [m]: 1, 3, 10, 30, ... up to about half of `largest` [m]."""
     power = np.floor(2.0 * np.log10(max(LAST_LIMIT_SHARE * largest, TINY_M)))
     halves = np.arange(power - len(LEVELS) + 2, power + 1)
     edges: Array = np.where(halves % 2 == 0, 1.0, 3.0) * 10.0 ** np.floor(halves / 2.0)
@@ -198,12 +198,12 @@ def _edges(largest: float) -> Array:
 
 
 def _words(edges: Array) -> list[str]:
-    said = [f"{1000.0 * e:g} mm" if e < 1.0 else f"{e:g} m" for e in edges]
-    middle = [f"{a} to {b}" for a, b in pairwise(said)]
-    return [f"below {said[0]}", *middle, f"above {said[-1]}"]
+    legend = [f"{1000.0 * e:g} mm" if e < 1.0 else f"{e:g} m" for e in edges]
+    middle = [f"{a} to {b}" for a, b in pairwise(legend)]
+    return [f"below {legend[0]}", *middle, f"above {legend[-1]}"]
 
 
-def _panel(scene: Scene, route: Route, edges: Array, what: str, said: dict[str, str]) -> Panel:
+def _panel(scene: Scene, route: Route, edges: Array, what: str, legend: dict[str, str]) -> Panel:
     marks: list[Mark] = list(_coloured(route, edges))
     crosses = _crosses(route)
     marks += [Spots("gate", *crosses.T)] if len(crosses) else []
@@ -220,12 +220,12 @@ def _panel(scene: Scene, route: Route, edges: Array, what: str, said: dict[str, 
         f"{float(np.nanmax(route.value)):.4f} m.",
         equal=True,
         keys=tuple(dict.fromkeys(m.of for m in marks)),
-        said=said,
+        legend=legend,
     )
 
 
 def _coloured(route: Route, edges: Array) -> list[Curve]:
-    """Return the path as one curve per colour; each piece has the colour of its rms value."""
+    """Return the path as one curve per colour; the colour of a piece is that of its rms value."""
     ends = np.unique(np.rint(np.linspace(0, len(route.t) - 1, COLOURED_STRETCHES + 1)).astype(int))
     pieces: dict[int, list[Array]] = {}
     for first, last in pairwise(ends):
@@ -241,7 +241,7 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
 
 
 def _extend(found: list[Array], stretch: Array) -> None:
-    """Extend a curve if the new piece begins at its end; else begin a new curve."""
+    """Append a piece to a curve, after a NaN row unless it begins at the curve's end."""
     if found and (found[-1][-1] == stretch[0]).all():
         found.append(stretch[1:])
     else:
@@ -249,7 +249,7 @@ def _extend(found: list[Array], stretch: Array) -> None:
 
 
 def _crosses(route: Route) -> Array:
-    """Return where readings were rejected, (k, 2): one cross for many at one place."""
+    """Return the positions (k, 2) of rejected readings, one per cell."""
     places = between(route.t, route.xy, route.refused)
     places = places[np.isfinite(places).all(axis=1)]
     if len(places) == 0:

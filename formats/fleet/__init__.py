@@ -1,1 +1,1 @@
-"""Results of many logs: one row each (CSV, Parquet), and one page over all of them."""
+"""Results of many logs: a row per log (CSV, Parquet), and one HTML page over all."""

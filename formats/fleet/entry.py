@@ -1,4 +1,4 @@
-"""One log of a fleet: a short form of its report, or why it has none. Ten thousand of them fit into memory."""
+"""One log of many: a short form of its report (ten thousand fit into memory), or why it has none."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ EFFECTS = ("credit", "alone", "leave_one_out")  # of a sensor on the position er
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """One log."""
+    """One log of many, with its state and the short form of its report."""
 
     name: str
     robot: str | None = None
     state: State = "done"
     reason: str = ""  # why it failed or was not run, in one line
-    report: Mapping[str, Any] = field(default_factory=dict)  # as `slim` leaves it; empty unless done
-    cells: tuple[str, ...] = ()  # of a sweep
+    report: Mapping[str, Any] = field(default_factory=dict)  # short form by `slim`; empty unless done
+    cells: tuple[str, ...] = ()  # names of a sweep's cells
 
     @property
     def losses(self) -> dict[str, int]:
-        """Bytes and messages of the file that could not be read."""
+        """Unreadable bytes and messages of the log."""
         places = (self.report.get("input", {}).get("losses") or {}).values()
         return {unit: sum(p[unit] for p in places) for unit in ("bytes", "messages")}
 
     @property
     def void(self) -> list[str]:
-        """Why figures of this log are void, one line each."""
+        """Reasons why figures of this log are void."""
         return list(self.report.get("void") or ())
 
 
 def label(configuration: str, cell: str) -> str:
-    """Return the name of a configuration in one cell of a sweep."""
+    """Return the name of a configuration in a cell of a sweep: "lrf [lrf.noise=0.1]"."""
     return f"{configuration} [{cell}]" if cell else configuration
 
 
 def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the short form of one log's reports by cell (one report under "" without a sweep).
+    """Return the short form of a log's reports by cell of a sweep (key "" without a sweep).
 
     Verdicts and effects are those of the first cell.
     """
@@ -52,7 +52,13 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "input": {key: source.get(key) for key in ("name", "size", "identity", "sha256", "start", "losses")},
         "configurations": {
-            label(name, cell): {**_scalars(values), "configuration": name, "cell": cell, **_marks(report, values)}
+            label(name, cell): {
+                **_scalars(values),
+                "configuration": name,
+                "cell": cell,
+                "slowed": bool(values.get("rates_hz")),
+                "key": report.get("key"),
+            }
             for cell, report in reports.items()
             for name, values in report["configurations"].items()
         },
@@ -69,17 +75,13 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _marks(report: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    return {"slowed": bool(values.get("rates_hz")), "key": report.get("key")}
-
-
 def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that a cell of a table can hold."""
+    """Return the values other than tables and lists."""
     return {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
 
 
 def _effects(credit: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return each sensor's effects without intervals: intervals over logs are computed from all logs."""
+    """Return each sensor's effects without intervals, which are computed over all logs."""
     if not credit:
         return None
     sensors = {

@@ -1,4 +1,4 @@
-"""The files over all logs of a fleet: summary.json, .md, .html and .csv, and fleet.parquet."""
+"""The files over many logs: summary.json, .md, .html and .csv, and fleet.parquet."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def summary_files(
     colours: Mapping[str, Colour],
     sweep: Sequence[str] = (),
 ) -> dict[str, Content]:
-    """Return the content of every file by its name: .json always, the kinds `asked`, or all kinds if none is.
+    """Return file name -> content: summary.json, and the kinds in `asked` (all kinds if it is empty).
 
-    `colours` are those of all sensors known to the product.
+    `colours`: the colour of every sensor known to locfuse.
     """
     kinds = KINDS.intersection(asked) or KINDS
     files: dict[str, Content] = {"summary.json": json_report.encode(summary)}
@@ -45,23 +45,26 @@ def summary_files(
     return files
 
 
-# --- A row per log, configuration and cell of a sweep; a row too for a log that failed. As CSV and as Parquet
+# --- Tables with a row per log, configuration and cell of a sweep, or per failed log: CSV and Parquet
 
-FIRST_COLUMNS = ("log", "robot", "start", "configuration", "cell", "state", "reason")  # the first columns
-LAST_COLUMNS = ("lost_bytes", "lost_messages", "key")  # the last
+FIRST_COLUMNS = ("log", "robot", "start", "configuration", "cell", "state", "reason")
+LAST_COLUMNS = ("lost_bytes", "lost_messages", "key")
 TEXT = {*FIRST_COLUMNS, "key", "align"}
-INSIDE = ("configuration", "cell", "slowed", "key")  # of a configuration: columns of their own
+NOT_FIGURES = ("configuration", "cell", "slowed", "key")  # values of a configuration
 
 
 class Rows:
-    """The rows of a fleet in the order of its logs, and their columns."""
+    """The rows of the table in the order of the logs, and its columns."""
 
     def __init__(self, entries: Sequence[Entry], sweep: Sequence[str] = ()) -> None:
         self._entries = entries
-        figures = dict.fromkeys(key for e in entries for key in _figures(e))
-        sensors = dict.fromkeys(s for e in entries for found in _sensors(e) for s in found)
+        configurations = [values for e in entries for values in e.report.get("configurations", {}).values()]
+        figures = dict.fromkeys(key for values in configurations for key in values if key not in NOT_FIGURES)
+        sensors = dict.fromkeys(
+            s for e in entries for found in e.report.get("sensors", {}).values() for s in found
+        )
         verdicts = dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {}))
-        self.sweep = tuple(sweep)  # keys that a sweep varies, each a column of text
+        self.sweep = tuple(sweep)  # settings that a sweep varies; text columns
         self.columns = (
             *FIRST_COLUMNS,
             *self.sweep,
@@ -72,7 +75,7 @@ class Rows:
         )
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        """Yield a row at a time, without its missing values."""
+        """Yield rows as column -> value, without missing values."""
         for entry in self._entries:
             lead = {"log": entry.name, "robot": entry.robot, "state": entry.state, "reason": entry.reason or None}
             if entry.state == "done":
@@ -99,22 +102,13 @@ class Rows:
             }
 
 
-def _figures(entry: Entry) -> list[str]:
-    found = entry.report.get("configurations", {}).values()
-    return [key for values in found for key in values if key not in INSIDE]
-
-
-def _sensors(entry: Entry) -> list[Mapping[str, Any]]:
-    return list(entry.report.get("sensors", {}).values())
-
-
 def csv(rows: Rows) -> str:
-    """Return the rows as CSV, every number in full precision, missing values empty."""
+    """Return the rows as CSV in full precision, with empty missing values."""
     return csv_text(rows.columns, ([row.get(column) for column in rows.columns] for row in rows))
 
 
 def parquet(rows: Rows) -> bytes | None:
-    """Return the rows as Parquet; None where pyarrow, which comes with rerun-sdk, is not installed."""
+    """Return the rows as Parquet; None without pyarrow, which is a dependency of rerun-sdk."""
     try:
         import pyarrow as pa
         from pyarrow import parquet as written
@@ -129,7 +123,7 @@ def parquet(rows: Rows) -> bytes | None:
 
 
 def _column(pa: Any, values: list[Any], text: bool) -> Any:
-    """Return one column: text, integers, booleans, or numbers; missing values are null."""
+    """Return a pyarrow column of text, integers, booleans or floats; missing values are null."""
     known = [v for v in values if v is not None]
     if text or any(isinstance(v, str) for v in known):
         return pa.array([None if v is None else str(v) for v in values], pa.string())

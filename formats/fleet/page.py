@@ -1,7 +1,7 @@
-"""summary.html: one page over all logs of a fleet, self-contained, with links to each log's own page.
+"""summary.html: one self-contained page over all logs, with links to the page of each log.
 
-What grows with the fleet is summed up (distributions, days) or cut after the worst rows, with the number left out:
-ten thousand logs give a page below 3 MB.
+Content that grows with the number of logs is aggregated (distributions, days) or limited to the worst rows: ten
+thousand logs give a page below 3 MB.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from .entry import Entry
 MAX_ROWS = 200  # of each table on the page; all rows are in summary.csv
 MAX_CONFIGURATIONS = 12  # columns of the table of logs
 LOG, ROBOT = (Column(key, key, kind="text") for key in ("log", "robot"))
-MAX_TINT_RATIO, MAX_TINT_PERCENT = 10.0, 30  # an error so many times the least of its log has the strongest tint
+MAX_TINT_RATIO, MAX_TINT_PERCENT = 10.0, 30  # error / smallest error of its log, from which the tint is strongest
 
 
 def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mapping[str, Colour]) -> str:
-    """Return the page. `sensors` are all sensors known to the product, with their colours."""
+    """Return summary.html. `sensors`: the colour of every sensor known to locfuse."""
     figures = sections(summary, entries)
     traces = _traces(entries)
     inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in traces}}, sensors)
@@ -70,18 +70,18 @@ def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mappin
 
 
 def _traces(entries: Sequence[Entry]) -> dict[str, Trace]:
-    """Return the style of each configuration, by its name; those of a sweep's cells are dashed."""
+    """Return the style of each configuration by its name; dashed for cells of a sweep."""
     found: dict[str, Trace] = {}
     for entry in entries:
         for name, values in entry.report.get("configurations", {}).items():
-            of = tuple(entry.report["sensors"][name])
+            sensors = tuple(entry.report["sensors"][name])
             what_if = bool(values["slowed"] or values["cell"])
-            found.setdefault(name, Trace(values["configuration"], of, what_if, values["smoothed"]))
+            found.setdefault(name, Trace(values["configuration"], sensors, what_if, values["smoothed"]))
     return found
 
 
 def _replicates(summary: Mapping[str, Any]) -> str:
-    """Return the basis of the intervals in words."""
+    """Return a sentence on the number of logs and robots behind the confidence intervals."""
     of = summary["replicates"]
     if of["of"] == "robots":
         return (
@@ -100,9 +100,9 @@ def _error(entry: Entry, configuration: str) -> float | None:
 
 
 def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> tuple[Table, list[str]]:
-    """Return a table of errors, logs x configurations, the worst log first, and notes on left-out parts.
+    """Return the table of errors, logs x configurations, worst log first, and notes on omitted rows and columns.
 
-    Each log links to its page, colours compare a row.
+    The name of a log links to its page; cell colours compare the errors of a log.
     """
     best, every = summary["best"], list(summary["configurations"])
     names = every[:MAX_CONFIGURATIONS]
@@ -127,7 +127,7 @@ def _log(entry: Entry, best: str, names: Sequence[str]) -> tuple[Cell, ...]:
 
 
 def _tint(error: float | None, least: float) -> str:
-    """Return a cell's colour: green for the row's smallest error, more red for larger errors."""
+    """Return the CSS colour of a cell: green for the log's smallest error `least`, redder for larger ones."""
     if not error or not least:
         return ""
     share = min(math.log(error / least) / math.log(MAX_TINT_RATIO), 1.0)
@@ -136,7 +136,7 @@ def _tint(error: float | None, least: float) -> str:
 
 
 def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
-    """Return a row per robot, worst first: its best configuration, and its error with the overall best one."""
+    """Return a row per robot, worst first: its best configuration, and its errors with the overall best one."""
     best = summary["best"]
     rows: list[dict[str, Any]] = []
     for robot in dict.fromkeys(e.robot for e in entries if e.robot is not None):
@@ -168,7 +168,7 @@ def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
 
 
 def best_of(entries: Sequence[Entry]) -> str | None:
-    """Return the configuration with the smallest median error among those in every judged log."""
+    """Return the configuration with the smallest median error, of those in every log with errors; None without."""
     judged = [e for e in entries if any(_error(e, c) is not None for c in e.report.get("configurations", {}))]
     names = dict.fromkeys(c for e in judged for c in e.report["configurations"])
     errors = {c: [x for e in judged if (x := _error(e, c)) is not None] for c in names}
@@ -177,7 +177,7 @@ def best_of(entries: Sequence[Entry]) -> str | None:
 
 
 def matrix(entries: Sequence[Entry]) -> Table:
-    """Return robot x sensor: counts of its logs' verdicts; robots on which a sensor hurts come first."""
+    """Return the table robot x sensor: number of logs by verdict; robots with most "hurts" per log first."""
     sensors = list(dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {})))
     groups: dict[str, list[Entry]] = {}
     for e in entries:
@@ -194,7 +194,7 @@ def matrix(entries: Sequence[Entry]) -> Table:
 
 
 def _counted(verdicts: Counter[str]) -> str | None:
-    """Return "▲ helps" where all logs agree, else every verdict with its number of logs."""
+    """Return "▲ helps" if all logs agree, else every verdict with its number of logs; None without verdicts."""
     if len(verdicts) == 1:
         verdict = next(iter(verdicts))
         return f"{SIGNS.get(verdict, '●')} {verdict}"
@@ -202,7 +202,7 @@ def _counted(verdicts: Counter[str]) -> str | None:
 
 
 def findings(entries: Sequence[Entry]) -> Table:
-    """Return what looks wrong in the logs' settings, the most frequent first, with one log as an example."""
+    """Return the findings of all logs, most frequent first, each with the message of one log."""
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for e in entries:
         for role, code, message, fixed in e.report.get("findings", ()):
@@ -220,7 +220,7 @@ def findings(entries: Sequence[Entry]) -> Table:
 
 
 def _without_figure(entries: Sequence[Entry]) -> Table:
-    """Return the logs that failed, are void or have no truth, with the reason."""
+    """Return the logs without an error figure (failed, void, no truth) with the reason."""
     columns = (
         LOG,
         ROBOT,
@@ -244,15 +244,15 @@ def _losses(entries: Sequence[Entry]) -> Table:
     return of_rows(columns, rows)
 
 
-# --- Figures: how errors are distributed over the logs, and how they change from day to day
+# --- Figures: distribution of the errors over the logs, and their change from day to day
 
-CURVE_POINTS = 101  # of a distribution's curve
+CURVE_POINTS = 101  # points of the curve of a distribution
 MAX_CURVES = 12  # configurations in one figure: the best by median
-FEW_LOGS = 3  # below, a distribution is the table's numbers
+FEW_LOGS = 3  # minimum for a distribution
 
 
 def sections(summary: Mapping[str, Any], entries: Sequence[Entry]) -> list[Section]:
-    """Return the figures of a fleet that its number of logs allows."""
+    """Return the figures for which there are enough logs: distribution and trend of the errors."""
     errors = {
         name: np.array([v for e in entries if (v := _error(e, name)) is not None])
         for name in summary["configurations"]
@@ -264,7 +264,7 @@ def sections(summary: Mapping[str, Any], entries: Sequence[Entry]) -> list[Secti
 
 
 def _distribution(errors: Mapping[str, Array]) -> Section:
-    """Return the quantiles of the error: at 50 the median, at 90 the limit for nine of ten logs."""
+    """Return the figure of quantiles of the position error [m] over the share of logs [%]."""
     share = np.linspace(0.0, 100.0, CURVE_POINTS)
     marks = tuple(Curve(name, share, np.percentile(v, share)) for name, v in errors.items())
     words = "; ".join(f"{name}: median {np.median(v):.4g} m, worst {v[-1]:.4g} m" for name, v in errors.items())
@@ -283,7 +283,7 @@ def _distribution(errors: Mapping[str, Array]) -> Section:
 
 
 def _trend(best: str | None, entries: Sequence[Entry]) -> list[Section]:
-    """Return the error of the best configuration by day, if the logs are of several days."""
+    """Return the figure of the best configuration's error by day; [] unless the logs are of several days."""
     days: dict[date, list[float]] = {}
     for entry in entries:
         value = _error(entry, best) if best else None

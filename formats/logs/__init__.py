@@ -1,1 +1,1 @@
-"""A log: the topics of all its files, adapted to known types, as streams of columns on one clock."""
+"""Logs: the topics of all files of a log, converted to known message types, as streams with one clock."""

@@ -1,7 +1,7 @@
-"""Adapters: message types that are read as another type, with the fields they need.
+"""Adapters: convert messages of one type to another, such as a point cloud to a laser scan.
 
-Each adapter takes the columns (of k messages) that its entry in PRESENTED names, the fields that are wanted of
-the other type, and the frame of the messages. It returns at least the wanted columns.
+An adapter takes the columns of k messages that its entry in PRESENTED names, the wanted fields of the target type
+and the frame of the messages. It returns at least the wanted columns.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ INTERFACES, VALUES = "interface_values.interface_names", "interface_values.value
 OF_DYNAMIC = ("joint_names", INTERFACES, VALUES, f"{VALUES}.length")
 FOXGLOVE_JOINTS = ("foxglove.JointStates", "foxglove_msgs/msg/JointStates")
 OF_FOXGLOVE_JOINTS = ("joints.name", "joints.position", "joints.velocity", "joints.effort")
-# The Jackal's two motors: left before right, angle [rad] and rate [rad/s] of the wheel.
+# Motor feedback of Clearpath's Jackal: left, right; wheel angle [rad] and rate [rad/s].
 FEEDBACK = ("jackal_msgs/msg/Feedback", "clearpath_platform_msgs/msg/Feedback")
 OF_FEEDBACK = ("drivers.measured_travel", "drivers.measured_velocity")
 DRIVERS = ("left_wheel", "right_wheel")
 
 
 def as_joints(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return JointState fields of DynamicJointStates. Missing values are NaN."""
+    """Convert DynamicJointState columns to JointState; missing values are NaN."""
     names = cast("list[tuple[str, ...]]", columns["joint_names"])
     first = np.concatenate(([0], np.cumsum([len(row) for row in names], dtype=np.int64)))
     made = {field: Ragged(_interface(columns, names, field), first) for field in fields if field != "name"}
@@ -57,19 +57,19 @@ def as_joints(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[
 
 
 def joints_of_foxglove(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return JointState fields of Foxglove's messages."""
+    """Convert Foxglove JointStates columns to sensor_msgs/JointState."""
     return {name: columns[f"joints.{name}"] for name in fields}
 
 
 def joints_of_feedback(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return JointState fields of Feedbacks of two motors."""
+    """Convert Jackal motor Feedback columns to JointState; names are empty unless there are two motors."""
     travel, rate = (_ragged(columns, name) for name in OF_FEEDBACK)
     names = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
     return {"position": travel, "velocity": rate, "name": names}
 
 
 def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Array:
-    """Return the value of one interface, such as position, of every joint of every message, end to end."""
+    """Return `field` (such as position) of all joints of all messages, concatenated; NaN if missing."""
     interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
     values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
     places: dict[tuple[object, ...], Ints] = {}
@@ -83,9 +83,9 @@ def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Ar
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
-    """Return where the value of `field` of each joint stands in the list of all values (joints,), -1: nowhere.
+    """Return the index of each joint's `field` in a message's list of values (joints,), -1 if missing.
 
-    `interfaces` names what each value of that list is, `lengths` says how many values each joint has.
+    `interfaces`: the name of each value in the list. `lengths`: the number of values of each joint.
     """
     at = np.full(joints, -1)
     if len(interfaces) != lengths.sum() or len(lengths) != joints:
@@ -98,14 +98,14 @@ def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str)
     return at
 
 
-# --- Odometry and IMU. PX4 gives the world in north, east, down and the body in forward, right, down; ROS in
-# east, north, up and forward, left, up (REP 103). Headings turn the other way, from east: pi / 2 - yaw of PX4.
+# --- Odometry and IMU. Axes of PX4: world north, east, down; body forward, right, down. Axes of ROS (REP 103):
+# world east, north, up; body forward, left, up. Heading in ROS = pi / 2 - yaw of PX4.
 
 ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 FOXGLOVE_ODOMETRY = ("foxglove.Odometry", "foxglove_msgs/msg/Odometry")
 SPORT_STATE = "unitree_go/msg/SportModeState"  # of Unitree's legged robots
 PLANE_POSE = (*_axes("pose.position", "xy"), *_axes("pose.orientation", "xyzw"))
-SPEEDS = ("linear_velocity.x", "angular_velocity.z")  # of the body, in its own axes
+SPEEDS = ("linear_velocity.x", "angular_velocity.z")  # in the body frame
 COVARIANCES = ("pose_covariance", "velocity_covariance")
 OF_FOXGLOVE_ODOMETRY = (*PLANE_POSE, *SPEEDS, *COVARIANCES)
 OF_SPORT_STATE = ("position", "imu_state.quaternion")
@@ -115,11 +115,11 @@ SENSOR_COMBINED = "px4_msgs/msg/SensorCombined"
 OF_ODOMETRY = ("position", "q", "velocity_frame", "velocity", "angular_velocity")
 OF_POSITION = ("x", "y", "heading", "vx", "vy")
 OF_SENSOR = ("gyro_rad", "accelerometer_m_s2")
-BODY_FRAME = 3  # of velocity_frame: forward, right, down
+BODY_FRAME = 3  # value of velocity_frame for the body frame: forward, right, down
 
 
 def _odometry(x: Array, y: Array, q: Array, ahead: Array, rate: Array) -> dict[str, Column]:
-    """Return Odometry columns without covariances of a pose x, y, q (k, 4) and of speeds (k,)."""
+    """Return Odometry columns with zero covariances; x, y [m], speed [m/s], yaw rate [rad/s] (k,), q (k, 4)."""
     return {
         "pose.pose.position.x": x,
         "pose.pose.position.y": y,
@@ -131,7 +131,7 @@ def _odometry(x: Array, y: Array, q: Array, ahead: Array, rate: Array) -> dict[s
 
 
 def odometry_of_foxglove(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return Odometry fields of Foxglove's messages, which may leave velocities out."""
+    """Convert Foxglove Odometry columns to nav_msgs/Odometry; missing velocities become 0."""
     x, y, *q = (_numbers(columns[name]) for name in PLANE_POSE)
     speeds = (np.nan_to_num(_numbers(columns[name]), nan=0.0) for name in SPEEDS)
     made = _odometry(x, y, np.stack(q, axis=-1), *speeds)
@@ -141,14 +141,14 @@ def odometry_of_foxglove(columns: Columns, fields: tuple[str, ...], frame_id: st
 
 
 def odometry_of_sport_state(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return Odometry fields by the poses of SportModeStates."""
+    """Convert Unitree SportModeState columns to Odometry: poses, with zero velocities."""
     place, wxyz = (_numbers(columns[name]) for name in OF_SPORT_STATE)
     still = np.zeros(len(place))
     return _odometry(place[:, 0], place[:, 1], np.roll(wxyz, -1, axis=1), still, still)
 
 
 def _six_by_six(column: Column) -> Array:
-    """Return covariances as (n, 36); a covariance of another length becomes zeros."""
+    """Return covariances as (n, 36); one of another length becomes zeros."""
     if not isinstance(column, Ragged):
         return _numbers(column).reshape(-1, 36)
     matrix = np.zeros((len(column), 36))
@@ -158,7 +158,7 @@ def _six_by_six(column: Column) -> Array:
 
 
 def odometry_of_vehicle(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return Odometry fields of VehicleOdometry messages."""
+    """Convert PX4 VehicleOdometry columns to Odometry in ROS axes."""
     place, q, velocity, rates = (_numbers(columns[k]) for k in ("position", "q", "velocity", "angular_velocity"))
     w, x, y, z = q.T
     yaw = headings(x, y, z, w)
@@ -168,14 +168,14 @@ def odometry_of_vehicle(columns: Columns, fields: tuple[str, ...], frame_id: str
 
 
 def odometry_of_position(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return Odometry fields of VehicleLocalPosition messages."""
+    """Convert PX4 VehicleLocalPosition columns to Odometry in ROS axes, with zero yaw rate."""
     north, east, yaw, vx, vy = (_numbers(columns[name]) for name in OF_POSITION)
     ahead = vx * np.cos(yaw) + vy * np.sin(yaw)
     return _odometry(east, north, quaternions(0.5 * np.pi - yaw), ahead, np.zeros(len(yaw)))
 
 
 def imu_of_sensor(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return Imu fields without orientation of SensorCombined messages."""
+    """Convert PX4 SensorCombined columns to Imu in ROS axes, without orientation."""
     rates, accelerations = (_numbers(columns[name]) * (1.0, -1.0, -1.0) for name in OF_SENSOR)
     none = np.zeros((len(rates), 9))
     return {
@@ -188,10 +188,10 @@ def imu_of_sensor(columns: Columns, fields: tuple[str, ...], frame_id: str) -> d
     }
 
 
-# --- A laser's scans: a level slice of a point cloud, the first echoes of a MultiEchoLaserScan.
-# Of a cloud those points count that lie 0.2 degrees below to 2.2 degrees above the level of the sensor: one or two
-# rings of a spinning laser (16 rings are 2 degrees apart), which the floor does not reach. Their directions are
-# sorted into half degrees, and of each the point nearest to its middle is the beam.
+# --- Laser scans: a level slice of a point cloud, the first echoes of a MultiEchoLaserScan.
+# The slice has the points of a cloud from 0.2 degrees below to 2.2 degrees above the sensor's level: one or two
+# rings of a spinning laser (16 rings are 2 degrees apart), without the floor. Each beam is half a degree wide; its
+# range is that of the point nearest to its middle.
 
 SCAN = "sensor_msgs/msg/LaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -208,20 +208,15 @@ TURN, PLACE = _axes("pose.orientation", "xyzw"), _axes("pose.position", "xyz")
 OF_FOXGLOVE_CLOUD = ("point_stride", "fields.name", "fields.offset", "fields.type", "data", *PLACE, *TURN)
 OF_FOXGLOVE = ("start_angle", "end_angle", "ranges", *TURN)
 SLICE_BEAMS = 720
-LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # of a point above the sensor's level
+LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # elevation limits of the slice
 NEAR_M, FAR_M = 0.3, 100.0  # m: nearer is the robot itself
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 PACKED = np.array([0, 2, 1, 4, 3, 6, 5, 7, 8])  # foxglove.PackedElementField's numeric type -> PointField's
 OPTICAL = "_optical"  # a camera's frame: x right, y down, z ahead
 
 
-def level_frame(frame_id: str) -> str:
-    """Return the frame of the scan plane: for a camera's optical frame, that of its body."""
-    return frame_id.replace(OPTICAL, "")
-
-
 def echoes_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of MultiEchoLaserScans: the first echo of each beam, Inf without one."""
+    """Convert MultiEchoLaserScan columns to LaserScan: the first echo of each beam, Inf without one."""
     echoes, lengths = _ragged(columns, "ranges.echoes"), _ragged(columns, "ranges.echoes.length")
     counts = lengths.values.astype(np.int64)
     first = np.cumsum(counts) - counts
@@ -231,13 +226,13 @@ def echoes_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) ->
 
 
 def cloud_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of clouds in the frame `frame_id`."""
+    """Convert PointCloud2 columns to LaserScan: a level slice of each cloud."""
     n = len(cast("Array", columns["width"]))
     return _as_scans(n, lambda i: points(columns, i), fields, frame_id)
 
 
 def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of n clouds; `cloud` gives the points (m, 3) [m] of one of them."""
+    """Return LaserScan columns of n clouds; `cloud(i)` returns the points (m, 3) [m] of cloud i."""
     step = 2.0 * np.pi / SLICE_BEAMS
     fixed = zip(LIKE_A_SCAN, (-np.pi + 0.5 * step, np.pi - 0.5 * step, step, 0.0, NEAR_M, FAR_M), strict=True)
     made: dict[str, Column] = {name: np.full(n, value) for name, value in fixed}
@@ -249,7 +244,7 @@ def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], fr
 
 
 def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of Foxglove's point clouds, moved by the pose of each cloud."""
+    """Convert Foxglove PointCloud columns to LaserScan; points are transformed by each cloud's pose."""
     step, kinds = _numbers(columns["point_stride"]), _ragged(columns, "fields.type")
     bytes_of = np.array([len(one) for one in cast("list[bytes]", columns["data"])], np.float64)
     known = (kinds.values >= 0) & (kinds.values < len(PACKED))
@@ -268,10 +263,10 @@ def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id
 
 
 def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
-    """Return points (n, 3) [m] moved by the pose of their frame: a place (3,) and a quaternion x, y, z, w (4,)."""
+    """Return points (n, 3) [m] transformed by a pose: position (3,) [m], quaternion x, y, z, w (4,)."""
     axis, w = quaternion[:3], quaternion[3]
     norm = float(quaternion @ quaternion)
-    if not 0.0 < norm < np.inf:  # no orientation: none is meant
+    if not 0.0 < norm < np.inf:  # no valid orientation: use the identity
         return xyz + np.nan_to_num(place)
     across = np.cross(axis, xyz)
     turned: Array = xyz + 2.0 / norm * (w * across + np.cross(axis, across))
@@ -279,9 +274,9 @@ def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
 
 
 def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of Foxglove's scans, evenly spaced from start to end, turned by their pose.
+    """Convert Foxglove LaserScan columns to sensor_msgs/LaserScan, with angles rotated by each scan's pose.
 
-    They say neither how long a scan takes nor which ranges are none: what is no number or not above zero.
+    Foxglove's scans have no time_increment (0 here) and no range limits (0 and FAR_M here).
     """
     start, end = _numbers(columns["start_angle"]), _numbers(columns["end_angle"])
     ranges, turn = _ragged(columns, "ranges"), headings(*_stacked(columns, TURN).T)
@@ -297,7 +292,7 @@ def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) 
 
 
 def points(columns: Mapping[str, Any], i: int) -> Array:
-    """Return the points of cloud i, (n, 3) m in its frame; none if its fields are not x, y and z."""
+    """Return the points of cloud i, (n, 3) [m] in its frame; (0, 3) without valid fields x, y and z."""
     nothing: Array = np.empty((0, 3))
     names, first = columns["fields.name"][i], columns["fields.offset"].first[i]
     if not {"x", "y", "z"} <= set(names):
@@ -308,7 +303,7 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
     step, width, height, row = (int(columns[k][i]) for k in ("point_step", "width", "height", "row_step"))
     if (
         not all(kinds)
-        or not 1 <= step <= len(columns["data"][i])  # one point at least, and no dtype of gigabytes
+        or not 1 <= step <= len(columns["data"][i])  # at least one point; no dtype of gigabytes
         or max(o + np.dtype(k).itemsize for o, k in zip(offsets, kinds, strict=True)) > step
     ):
         return nothing
@@ -317,14 +312,14 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
         {"names": list("xyz"), "formats": [order + k for k in kinds], "offsets": offsets, "itemsize": step}
     )
     data = np.frombuffer(columns["data"][i], np.uint8)
-    if height > 1 and row > width * step:  # rows that are padded
+    if height > 1 and row > width * step:  # padded rows
         data = data[: len(data) // row * row].reshape(-1, row)[:, : width * step].reshape(-1)
     cloud = np.frombuffer(data[: len(data) // step * step].tobytes(), layout)
     return np.stack([cloud[axis].astype(np.float64) for axis in "xyz"], axis=-1)
 
 
 def level_slice(xyz: Array, optical: bool = False) -> Array:
-    """Return the ranges (SLICE_BEAMS,) [m] of points (n, 3) [m] at the sensor's height, Inf without one."""
+    """Return the ranges (SLICE_BEAMS,) [m] of the level slice of points (n, 3) [m]; Inf without a point."""
     if optical:
         xyz = np.stack((xyz[:, 2], -xyz[:, 0], -xyz[:, 1]), axis=-1)
     ranges = np.full(SLICE_BEAMS, np.inf)
@@ -341,7 +336,7 @@ def level_slice(xyz: Array, optical: bool = False) -> Array:
     return ranges
 
 
-# --- All of them
+# --- The table of adapters
 
 PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
 OF_PATH = (
@@ -354,15 +349,15 @@ OF_PATH = (
 class Presented(NamedTuple):
     """The adapter from one message type to another."""
 
-    msgtype: str  # what they become
-    suffix: str  # the topic is called "/source:suffix"
-    fields: tuple[str, ...]  # of the source
-    make: Adapter | None  # None where the last message holds all rows (log.stream.PathStream)
+    msgtype: str  # target type
+    suffix: str  # name of the adapted topic: "/source:suffix"
+    fields: tuple[str, ...]  # source fields that the adapter needs
+    make: Adapter | None  # None for a Path, whose last message has all rows (stream.path_in)
     frame: Callable[[str], str] = str
 
 
 PRESENTED: Mapping[str, Presented] = {
-    CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=level_frame),
+    CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=lambda name: name.replace(OPTICAL, "")),
     ECHOES: Presented(SCAN, "scan", OF_ECHOES, echoes_as_scans),
     **dict.fromkeys(FOXGLOVE, Presented(SCAN, "scan", OF_FOXGLOVE, foxglove_as_scans)),
     **dict.fromkeys(FOXGLOVE_CLOUD, Presented(SCAN, "scan", OF_FOXGLOVE_CLOUD, foxglove_clouds_as_scans)),
@@ -381,6 +376,6 @@ PRESENTED: Mapping[str, Presented] = {
 
 
 def presented_name(name: str, msgtype: str) -> str | None:
-    """Return the name of the adapted topic, "TOPIC:SUFFIX"; None for a type that has no adapter."""
+    """Return the name of the adapted topic, "TOPIC:SUFFIX"; None for a message type without an adapter."""
     kind = PRESENTED.get(msgtype)
     return f"{name}:{kind.suffix}" if kind is not None else None

@@ -1,12 +1,11 @@
-"""The times of a stream's readings: header stamps, compared with the order of recording.
+"""Choice of a stream's times: header stamps, checked against the recording order.
 
-Real stamps go backwards, repeat, are zero or absurd. The order of recording is the true one, so a stamp that
-contradicts it is replaced: it is dated by its recording time, between the trusted readings around it. Where
-messages were recorded together, stamps are moved as little as their order asks for (isotonic regression).
+Real stamps run backwards, repeat, are zero or absurd. The recording order is taken as true, so a stamp that
+contradicts it is replaced by a time interpolated from the recording times between trusted stamps. Where several
+messages have one recording time, stamps get the smallest changes that order them (isotonic regression).
 
-A simulation that is recorded by wall time has stamps of seconds since its start, and it seldom runs as fast as the
-wall's clock, and a log that was replayed and recorded again keeps the old stamps. What has no stamps of its own
-is then dated by when it was recorded, read on the clock of the others' stamps.
+In a simulation and in a log that was replayed and recorded again, stamps and recording use different clocks.
+Messages without stamps then get their recording time converted to the clock of the other topics' stamps.
 """
 
 from __future__ import annotations
@@ -26,33 +25,33 @@ from . import jitter
 
 ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
-JUMP_NS = 10 * 10**9  # a stamp that moves by this much more or less than its recording time has left its clock
-LATENCY_NS = 10**9  # stamps that differ from recording by more are another clock, not a delay
-# light types with headers that most logs have: a few of them say which clock the stamps are of
-LIGHT = (
+JUMP_NS = 10 * 10**9  # a stamp whose step differs by more from that of its recording time is on another clock
+LATENCY_NS = 10**9  # a larger difference of stamp and recording time means two clocks, not a delay
+# small message types with headers that most logs have; their stamps show which clock is used
+SMALL_TYPES = (
     "nav_msgs/msg/Odometry",
     "sensor_msgs/msg/JointState",
     "sensor_msgs/msg/Imu",
     "sensor_msgs/msg/LaserScan",
 )
 MIN_MESSAGES, MAX_TOPICS = 20, 3
-SAME_CLOCK_NS = 10**9  # offsets from the recording that differ by less are of one clock
+SAME_CLOCK_NS = 10**9  # topics whose offsets from recording differ by less use one clock
 
 Mask = NDArray[np.bool_]
-Others = Callable[[], tuple[Ints, Ints] | None]  # log times and stamps (n,) of another clock (common_clock)
+Others = Callable[[], tuple[Ints, Ints] | None]  # the result of common_clock
 
 
 class Clock(msgspec.Struct, frozen=True):
-    """The times of a stream's rows, and their source."""
+    """The chosen times of a stream's rows, and their source."""
 
     t_ns: Ints  # (n,) never decreasing
-    rows: Ints | None  # (n,) which recorded message each row is; None: all of them in recording order
-    words: str  # the choice made
-    by_stamps: bool = False  # whether the times are those of the headers, sorted or repaired perhaps
+    rows: Ints | None  # (n,) index of each row's message in recording order; None: 0 .. n - 1
+    words: str  # description of the choice
+    by_stamps: bool = False  # whether the times are header stamps, perhaps sorted or repaired
     repaired: dict[str, int] = field(default_factory=dict)  # reason -> stamps replaced
     dropped: dict[str, int] = field(default_factory=dict)  # reason -> messages without a usable time
     notes: tuple[str, ...] = ()
-    on_stamps: bool = False  # whether they are recording times read on the clock of other topics' headers
+    on_stamps: bool = False  # whether these are recording times converted to the clock of other topics' stamps
 
     @property
     def as_stamped(self) -> bool:
@@ -61,14 +60,14 @@ class Clock(msgspec.Struct, frozen=True):
 
 
 class MadeStream(ArrayStream, frozen=True, kw_only=True):
-    """A topic that is made of another one or of a file: all its rows are in memory (fusion.data.Stream)."""
+    """A stream derived from another topic or a file, with all rows in memory (fusion.data.Stream)."""
 
-    clock: Clock  # by which the times were chosen
+    clock: Clock  # the choice of its times
     delay_s: float | None = None  # median delay of recording after the stamps
 
 
 class UnreadableStream:
-    """A derived topic that cannot be made: who asks for what is not `known` of it, its rows, gets the reason."""
+    """A derived topic that cannot be read: attributes other than those in `known` raise `problem`."""
 
     frame_id = ""
 
@@ -79,14 +78,14 @@ class UnreadableStream:
         vars(self).update(known)
 
     def __getattr__(self, name: str) -> Any:
-        """Raise the reason for times, columns and all else of a MadeStream."""
+        """Raise `problem` for times, columns and any other attribute of a MadeStream."""
         raise self.problem
 
 
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Others = lambda: None) -> Clock:
-    """Choose times for readings recorded at `log_time` (n,), never decreasing, by header stamps (n,).
+    """Choose the times of messages with never-decreasing recording times `log_time` (n,) and header stamps (n,).
 
-    Without usable stamps they are the recording times, on the clock of the stamps of `others` if that is another.
+    Without usable stamps: the recording times, converted to the clock that `others` returns, if any.
     """
     clock = _settled(log_time, stamp, order)
     if clock.by_stamps or order != "auto" or (known := others()) is None:
@@ -124,7 +123,7 @@ def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
 
 
 def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
-    """Use the recording times, shifted by the usual delay if it is known."""
+    """Use the recording times minus the median delay of the trusted stamps."""
     delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
     if abs(delay) > LATENCY_NS:
         return Clock(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))
@@ -137,7 +136,7 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
     n_bad, notes = int((~trusted).sum()), _differ(log_time[trusted], stamp[trusted])
     times = np.maximum.accumulate(jitter.filled(stamp, trusted, log_time, 1))
     how = "dated by recording time instead"
-    if (np.diff(times)[np.diff(stamp) != 0] == 0).any():  # recorded together: only their order tells
+    if (np.diff(times)[np.diff(stamp) != 0] == 0).any():  # equal recording times: only their order is known
         ordered = trusted | bad["backwards"] | bad["off the beat"]
         times, how = jitter.in_order(jitter.filled(stamp, ordered, log_time, 1)), "moved into their order"
     words = f"header stamps; {n_bad} of {len(stamp)} {how} ({why})"
@@ -145,7 +144,7 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
 
 
 def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
-    """Return the stamps (n,) that cannot be trusted, as a mask per reason."""
+    """Return reason -> mask (n,) of the stamps that are not trusted."""
     zero = stamp == 0
     negative = stamp < 0
     off = np.zeros(len(stamp), bool)
@@ -153,7 +152,7 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
     off[ordinary] = _off_the_clock(log_time[ordinary], stamp[ordinary])
     backwards, unsteady = np.zeros(len(stamp), bool), np.zeros(len(stamp), bool)
     left = np.flatnonzero((stamp > 0) & ~off)
-    if (np.diff(stamp[left]) < 0).any():  # most streams never do, and weighing every stamp takes long
+    if (np.diff(stamp[left]) < 0).any():  # rare, and the search is slow
         backwards[left], unsteady[left] = _out_of_order(log_time[left], stamp[left])
     return {
         "zero": zero,
@@ -165,9 +164,9 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
 
 
 def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
-    """Mark the stamps (n,) that run backwards, and those that are also off the regular period.
+    """Return masks (n,) of the stamps that run backwards, and of others with an unusual delay and irregular steps.
 
-    Of stamp and recording time, the less regular one is wrong, where the delay is unusual.
+    If a delay is unusual, the less regular one of stamp and recording time is taken as wrong.
     """
     delay = log_time - stamp
     off = np.abs(delay - np.median(delay))
@@ -175,12 +174,12 @@ def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
     weights, _ = jitter.credibility(stamp)
     backwards = ~jitter.never_decreasing(stamp, jitter.cauchy(deviations) * weights)
     recorded, _ = jitter.credibility(log_time)
-    steady = (weights < recorded) & ~_bunched(log_time)
-    return backwards, steady & (deviations > jitter.OFF_BEAT) & ~backwards
+    steady = (weights < recorded) & ~_in_bursts(log_time)
+    return backwards, steady & (deviations > jitter.MIN_OFF_DEVIATIONS) & ~backwards
 
 
-def _bunched(log_time: Ints) -> Mask:
-    """Mark messages (n,) recorded in a burst, as after a stall: their recording times are unreliable."""
+def _in_bursts(log_time: Ints) -> Mask:
+    """Return the mask (n,) of messages recorded in bursts, as after a stall: their times are unreliable."""
     steps = np.diff(log_time)
     close = steps < 0.25 * np.median(steps) if len(steps) else np.zeros(0, bool)
     marked = np.zeros(len(log_time), bool)
@@ -190,20 +189,20 @@ def _bunched(log_time: Ints) -> Mask:
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
-    """Split the stream where stamps jump against recording; mark pieces with another delay than the longest."""
+    """Split the stream at jumps of the delay; mark the pieces whose delay differs from that of the longest."""
     delay = log_time - stamp
     cuts = np.flatnonzero(np.abs(np.diff(delay)) > JUMP_NS) + 1
     if not len(cuts):
         return np.zeros(len(stamp), bool)
     edges = np.concatenate(([0], cuts, [len(stamp)]))
     lengths = np.diff(edges)
-    middle = delay[edges[:-1] + lengths // 2]  # a piece's delay: that of its middle reading
+    middle = delay[edges[:-1] + lengths // 2]  # the delay of a piece is that of its middle message
     off = np.abs(middle - middle[np.argmax(lengths)]) > JUMP_NS
     return np.repeat(off, lengths)
 
 
 def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
-    """Return a note if stamps and recording times are of two different clocks, else ()."""
+    """Return a note if stamps and recording times use different clocks, else ()."""
     delay = float(np.median(log_time - stamp)) / 1e9
     if abs(delay) * 1e9 <= LATENCY_NS:
         return ()
@@ -211,16 +210,16 @@ def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
 
 
 def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[str]:
-    """Return the topics whose stamps are read, by their types and numbers of messages."""
-    found = [t for kind in LIGHT for t in sorted(types) if types[t] == kind and counts[t] >= MIN_MESSAGES]
+    """Return up to MAX_TOPICS topics of small messages with headers, to find the clock of the stamps."""
+    found = [t for kind in SMALL_TYPES for t in sorted(types) if types[t] == kind and counts[t] >= MIN_MESSAGES]
     return found[:MAX_TOPICS]
 
 
 def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None:
-    """Return log times and stamps (n,), both rising, if all topics have stamps of one other clock; else None.
+    """Return rising log times and stamps (n,) if the stamps of all topics share a clock other than recording's.
 
-    `pairs` are log times and stamps (m,) of each topic. None where any is stamped as it was recorded, where they
-    differ, or where stamps run backwards.
+    `pairs`: log times and stamps (m,) of each topic. None if any topic uses the recording clock, if their offsets
+    differ, or if stamps run backwards.
     """
     if not pairs or any(np.diff(stamp).min(initial=0) < 0 for _, stamp in pairs):
         return None
@@ -233,10 +232,10 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
 
 
 def on_clock(clock: Clock, known: tuple[Ints, Ints]) -> Clock:
-    """Return recording times converted to the clock of the stamps, for messages without usable stamps."""
+    """Convert recording times to the clock of other topics' stamps; `known` is the result of common_clock."""
     log_time, stamp = known
     inside = np.clip(clock.t_ns, log_time[0], log_time[-1])
-    # beyond either end both clocks are taken to run alike
+    # beyond both ends, the clocks are assumed to run at the same rate
     t_ns = stamp[0] + np.interp(inside - log_time[0], log_time - log_time[0], stamp - stamp[0]).astype(np.int64)
     apart = float(np.median(log_time - stamp)) * 1e-9
     words = f"{clock.words}, less the {apart:.3f} s (median) that the stamps of the other topics are behind it"

@@ -1,8 +1,7 @@
-"""Files beside a log as topics of it: a trajectory (.tum, .csv) or detections of landmarks (.csv).
+"""Text files read like topics of a log: a trajectory (.tum, .csv) or landmark detections (.csv).
 
-A reference or an estimate that somebody computed, and a detector's output, are often text files. A file is read
-like a topic: `[truth] topic = "vicon.tum"`. The first line of a .csv names its columns; `t` is seconds on the
-clock of the log, or whole nanoseconds.
+Example: `[truth] topic = "vicon.tum"`. The first line of a .csv names its columns; `t` is in seconds or
+whole nanoseconds on the log's clock.
 """
 
 from __future__ import annotations
@@ -30,16 +29,16 @@ RANGES = "locfuse/msg/Ranges"
 SUFFIXES = (".tum", ".csv", ".txt")
 TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
 HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
-PLANE = (0, 1, 5)  # where x, y and yaw stand in a pose covariance of ROS
-TRIANGLE = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
-MAX_IDENT = 2**53  # whole numbers below it are exact as floats
-MIN_NS = 1e14  # a time beyond this is no number of seconds, but of nanoseconds
+PLANAR = (0, 1, 5)  # indices of x, y and yaw in a ROS pose covariance
+COVARIANCE_COLUMNS = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
+MAX_IDENT = 2**53  # integers below are exact as floats
+MIN_NS = 1e14  # larger times are nanoseconds, smaller ones seconds
 
 
 def in_time_order(
     topic: str, msgtype: str, t_ns: Ints, data: Mapping[str, Column], words: str = "times of the file"
 ) -> MadeStream:
-    """Return readings at the times (n,) as a topic; `words` say where the times come from."""
+    """Return rows at times t_ns (n,) as a stream, sorted by time; `words` describe the source of the times."""
     order = np.argsort(t_ns, kind="stable")
     t_ns = t_ns[order]
     columns = {name: np.asarray(column)[order] for name, column in data.items()}
@@ -47,13 +46,13 @@ def in_time_order(
 
 
 def is_file_topic(name: str) -> bool:
-    """Return whether a topic's name is that of an existing text file."""
+    """Return whether a topic name is the path of an existing .tum, .csv or .txt file."""
     path = Path(name).expanduser()
     return path.suffix.lower() in SUFFIXES and path.is_file()
 
 
 def read_file(name: str) -> MadeStream:
-    """Return a text file as a stream. Raises LocfuseError with the line that cannot be read."""
+    """Return a text file as a stream. Raises LocfuseError with the number of an invalid line."""
     path = Path(name).expanduser()
     made = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
     if not len(made.t_ns):
@@ -62,7 +61,7 @@ def read_file(name: str) -> MadeStream:
 
 
 def _tum(path: Path) -> MadeStream:
-    """Read `t x y z qx qy qz qw` lines, perhaps with the 21 numbers of a covariance's upper triangle."""
+    """Read lines `t x y z qx qy qz qw`, optionally followed by the 21 numbers of a covariance's upper triangle."""
     text = read_small(path, MAX_TEXT_FILE).decode("utf-8", "replace").lstrip("\ufeff")
     times, rows = [], []
     unknown = text.startswith("# heading unknown")
@@ -89,7 +88,7 @@ def _tum(path: Path) -> MadeStream:
 
 
 def _csv(path: Path) -> MadeStream:
-    """Read a table whose header has t and x, y (theta) of poses, or t and id, range, bearing."""
+    """Read a .csv with columns t, x, y (theta) of poses, or t, id, range, bearing of landmarks."""
     lines = csv_rows(path, MAX_TEXT_FILE)
     if not lines:
         raise LocfuseError(f"{path} is empty")
@@ -118,7 +117,7 @@ def _csv(path: Path) -> MadeStream:
 
 
 def _few(names: Sequence[str]) -> str:
-    """Return some names of columns as one line."""
+    """Return the first 12 column names as one line."""
     return ", ".join(visible(name[:40]) for name in names[:12])
 
 
@@ -148,10 +147,10 @@ def _table_of_poses(
         return _points(path, times, position)
     theta = column(heading)
     q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # an infinite heading is none; sin() would warn
-    if not set(TRIANGLE) <= at.keys():
+    if not set(COVARIANCE_COLUMNS) <= at.keys():
         return _poses(path, times, position, q, None)
     P = np.zeros((len(times), 6, 6))
-    for (i, j), name in zip(itertools.combinations_with_replacement(PLANE, 2), TRIANGLE, strict=True):
+    for (i, j), name in zip(itertools.combinations_with_replacement(PLANAR, 2), COVARIANCE_COLUMNS, strict=True):
         P[:, i, j] = P[:, j, i] = column(name)
     return _poses(path, times, position, q, P)
 
@@ -169,7 +168,7 @@ def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | Non
 
 def _number(path: Path, line: int, word: str) -> float:
     try:
-        if "_" in word:  # Python's own way to group digits
+        if "_" in word:  # Python would accept it as a digit separator
             raise ValueError
         return float(word)
     except ValueError:
@@ -177,7 +176,7 @@ def _number(path: Path, line: int, word: str) -> float:
 
 
 def _ident(path: Path, line: int, word: str) -> int:
-    """Return the number of a landmark, which must be whole."""
+    """Return the id of a landmark. Raises LocfuseError if it is no integer."""
     value = _number(path, line, word)
     if not abs(value) < MAX_IDENT or value != round(value):
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no id: whole numbers are read")
@@ -185,7 +184,7 @@ def _ident(path: Path, line: int, word: str) -> int:
 
 
 def _ns(path: Path, line: int, word: str) -> int:
-    """Return decimal seconds, or whole nanoseconds, as integer nanoseconds without rounding."""
+    """Return a time in integer nanoseconds, from decimal seconds (exact) or nanoseconds."""
     value = _number(path, line, word)
     try:
         exact = Decimal(word.strip()) if math.isfinite(value) else Decimal(END_OF_TIME)

@@ -25,13 +25,19 @@ from locfuse.formats.visible import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
 SOURCES: dict[bytes, type[Source]] = {b"SQLite format 3\x00": SqliteSource, b"#ROSBAG V2.0\n": BagSource}
-ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")  # of the files in a folder without metadata
-REPORTS = ("report.json", "run.json")  # one of them makes a folder a result
-UNNAMED = "log"  # what to call "...mcap": its stem ".." would lead results out of their folder
+ENDINGS = (
+    "*.mcap",
+    "*.mcap.zstd",
+    "*.db3",
+    "*.db3.zstd",
+    "*.bag",
+)  # of log files in a folder without metadata.yaml
+REPORTS = ("report.json", "run.json")  # files of a result folder
+UNNAMED = "log"  # name for a file like "...mcap", whose stem ".." would be another folder
 
 
 def log_files(path: Place) -> list[Place]:
-    """Return the files of the log that `path` names: a file, a rosbag2 folder, or its metadata.yaml."""
+    """Return the files of a log; `path` is a file, a rosbag2 folder or its metadata.yaml, or a URL."""
     if isinstance(path, Url):
         return _objects(path)
     try:
@@ -45,7 +51,7 @@ def log_files(path: Place) -> list[Place]:
 
 
 def _objects(url: Url) -> list[Place]:
-    """Return the log's objects at an address: the object itself, or those of one kind in a folder."""
+    """Return the remote files of a log: the object, or a folder's files with the first ending of ENDINGS."""
     if not url.is_folder:
         return [url]
     from locfuse.formats.container.remote_objects import below
@@ -67,7 +73,7 @@ def _folder(folder: Path) -> list[Place]:
 
 
 def _by_ending(folder: Path) -> list[Path]:
-    """Return the files of the first kind (.mcap, .db3, .bag) that the folder holds."""
+    """Return a folder's files with the first ending of ENDINGS that occurs; [] without any."""
     return next(
         (files for ending in ENDINGS if (files := sorted(f for f in folder.glob(ending) if f.is_file()))),
         [],
@@ -75,7 +81,7 @@ def _by_ending(folder: Path) -> list[Path]:
 
 
 def _listed(metadata: Path) -> list[str]:
-    """Return the files a rosbag2 metadata.yaml lists (after a crash there is none: then those of the folder)."""
+    """Return the file names that a rosbag2 metadata.yaml lists; [] without the file, as after a crash."""
     if not metadata.is_file():  # a pipe would never end
         return []
     text = read_small(metadata, MAX_METADATA).decode("utf-8", "replace")
@@ -84,11 +90,11 @@ def _listed(metadata: Path) -> list[str]:
         return []
     entries = takewhile(lambda line: line.startswith("- "), map(str.strip, lines))
     listed = [Path(entry[2:].strip().strip("'\"")).name for entry in entries]
-    return [name for given in listed for name in (given, f"{given}.zstd")]  # some versions leave the .zstd out
+    return [name for given in listed for name in (given, f"{given}.zstd")]  # some versions omit .zstd
 
 
 def log_name(paths: Sequence[Place]) -> str:
-    """Return the name of the log: the file name without ending, or the folder."""
+    """Return the name of a log: its file name without ending, or its folder's name."""
     first = paths[0].parent if paths[0].name == "metadata.yaml" else paths[0]
     folder = first.is_folder if isinstance(first, Url) else first.is_dir()
     whole = first.name if isinstance(first, Url) else first.resolve().name
@@ -106,29 +112,28 @@ def open_bytes(file: Place, losses: Losses) -> FileBytes:
 
 
 def open_source(file: Place, losses: Losses) -> Source:
-    """Open one file of a log; its first bytes show its format."""
+    """Open one file of a log; its first bytes determine its format."""
     try:
         data = open_bytes(file, losses)
         if data.far and data.read(max(data.size - len(MAGIC), 0), len(MAGIC)) != MAGIC:
-            data.copy_here()  # no whole MCAP: its content has no index
+            data.copy_here()  # no complete MCAP, so without an index
         if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
             unpack_file(data, losses)
         head = b"" if data.far else data.read(0, 64)
         for magic, source in SOURCES.items():
             if head.startswith(magic):
                 return source(data, losses)
-        return McapSource(data, losses)  # which raises where the file is something else
+        return McapSource(data, losses)  # raises for another kind of file
     except OSError as problem:
         raise LocfuseError(f"{file}: cannot be read: {problem.strerror}") from None
 
 
 # --- Identity of a log's content without reading all of it: sizes, and a hash of each file's own summary
-# The summary section of an MCAP lists every chunk with its place, size and times, so two recordings with equal
-# summaries are copies. A file without one is known by its size and both ends. Bytes that are changed in place and
-# leave these as they were are not noticed; a later change of the file's time is (`locfuse compare` over many
-# logs), and so is every byte by `--hash`.
+# The summary section of an MCAP lists every chunk with its offset, size and times, so two recordings with equal
+# summaries are copies. A file without one is identified by its size and both ends. Other bytes that are changed in
+# place go unnoticed, unless the file's time changes (`locfuse compare` over many logs) or with `--hash`.
 
-END_BYTES = 1 << 16  # of a file without a summary: hashed at its beginning and at its end
+END_BYTES = 1 << 16  # hashed at the beginning and at the end of a file without a summary
 
 
 class Identity(NamedTuple):
@@ -139,25 +144,25 @@ class Identity(NamedTuple):
 
 
 def files_of(paths: Sequence[Place]) -> list[Place]:
-    """Return the files of a log in the order of their names, in any folder."""
+    """Return the files of all paths, sorted by file name."""
     return sorted({file for path in paths for file in log_files(path)}, key=lambda file: (file.name, str(file)))
 
 
 def identity_of(files: Sequence[Place], states: Sequence[tuple[int, str] | None] = ()) -> Identity:
-    """Return the identity of a log of these files. Raises LocfuseError where one cannot be read.
+    """Return the identity of a log from its files. Raises LocfuseError for an unreadable file.
 
-    The `states` of objects in a store, size and ETag, are asked for if they are not given.
+    `states`: size and ETag of each remote file; requested if missing.
     """
     digest, total = hashlib.sha256(), 0
     for file, state in zip_longest(files, states):
-        kind, size, content = _seen(file, state)
+        kind, size, content = _identifying_bytes(file, state)
         digest.update(f"{kind} {size} {len(content)}\n".encode() + content)
         total += size
     return Identity(total, digest.hexdigest())
 
 
-def _seen(file: Place, state: tuple[int, str] | None) -> tuple[str, int, bytes]:
-    """Return how a file is identified ("summary", "ends" or "etag"), its size, and the identifying bytes."""
+def _identifying_bytes(file: Place, state: tuple[int, str] | None) -> tuple[str, int, bytes]:
+    """Return the kind of identification ("summary", "ends" or "etag"), the file's size, and the bytes to hash."""
     if isinstance(file, Url):
         from locfuse.formats.container.remote_objects import state_of
 

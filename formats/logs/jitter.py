@@ -1,8 +1,8 @@
-"""Jitter in times: the messages are in the right order, but some of their times run backwards.
+"""Repair of jittered times: messages in the right order, of which some times run backwards.
 
-A time that lies before that of the message before it has one of two reasons. The message was written late: then
-its time is right, and where it belongs by its time there is a hole that it fills. Or its time was taken wrongly:
-then the hole is where the message lies, between the two beside it, and where its time would put it is no room.
+A time before that of the previous message has one of two causes. The message was written late: its time is right,
+and the times of the others have a gap there. Or its time is wrong: the gap is then at its place in the file,
+between its two neighbours.
 """
 
 from __future__ import annotations
@@ -15,19 +15,18 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
 
-MAX_BACK_NS = 2 * 10**9  # a time that runs back by more is no jitter: another clock, or files in another order
-MAX_SHARE = 0.25  # of the times may contradict the order; with more of them it is unclear which are right
+MAX_BACK_NS = 2 * 10**9  # larger steps back are not jitter but another clock or another order of files
+MAX_BACK_SHARE = 0.25  # of the times that contradict the order; with more, the right ones are unknown
 
-WINDOW_READINGS = 7  # neighbours on either side by which the beat of a stream is known
-OFF_BEAT, OFF_PERIODS = 8.0, 0.25  # robust deviations and periods off the beat: a time like that is wrong
+WINDOW_READINGS = 7  # neighbours on either side that determine the expected time
+MIN_OFF_DEVIATIONS, MIN_OFF_PERIODS = 8.0, 0.25  # a time that is off by both is wrong
 
 
 def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
-    """Weight times (n,) in their true order by the regularity of their steps; mark irregular ones.
+    """Return weights (n,) of times in their true order, by regularity, and a mask of irregular times.
 
-    The beat at i is the median of t_j + (i - j) T over the neighbours j, T their median step. Most streams keep
-    it, and then it tells which of two times in the wrong order is the wrong one, and which one is wrong without
-    contradicting the order.
+    The expected time at i is the median of t_j + (i - j) T over the neighbours j, with their median step T. Most
+    streams are regular, so it shows which of two times in the wrong order is wrong.
     """
     n = len(times)
     if n <= 2 * WINDOW_READINGS:
@@ -37,36 +36,35 @@ def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
     period = np.median(sliding_window_view(steps, 2 * WINDOW_READINGS), axis=1)[:n]
     places = np.arange(-WINDOW_READINGS, WINDOW_READINGS + 1)
     inner = np.arange(WINDOW_READINGS, n - WINDOW_READINGS)
-    beat = t.copy()
-    beat[inner] = np.median(t[inner[:, None] + places] - places * period[inner, None], axis=1)
-    off = np.abs(t - beat)
+    expected = t.copy()
+    expected[inner] = np.median(t[inner[:, None] + places] - places * period[inner, None], axis=1)
+    off = np.abs(t - expected)
     scale = max(float(np.median(off[inner])), 1e6)
-    return cauchy(off / scale), (off > OFF_BEAT * scale) & (off > OFF_PERIODS * period)
+    return cauchy(off / scale), (off > MIN_OFF_DEVIATIONS * scale) & (off > MIN_OFF_PERIODS * period)
 
 
 def cauchy(deviations: Array) -> Array:
-    """Weight times by their deviations (n,) [robust sigmas], with the long tail of a Cauchy distribution."""
-    return 1.0 / (1.0 + deviations**2) + 1e-6  # all else equal, the more times the better
+    """Return weights (n,) of deviations (n,) [robust sigmas], with the long tail of a Cauchy distribution."""
+    return 1.0 / (1.0 + deviations**2) + 1e-6  # the constant prefers more times, all else equal
 
 
 def pooled(times: Ints) -> tuple[Ints, int] | None:
-    """Return times (n,) in file order that never decrease, and how many of them were replaced.
+    """Return never-decreasing times (n,) in file order, and the number of replaced times.
 
-    None where the times are in order, or where they are right and the order of the file is not. The least credible
-    times that make the others an ordered series are replaced, evenly between their neighbours: isotonic regression
-    in the norm that counts outliers, so that a time that is right is never moved by one that is not. Where times
-    run backwards, those that are off the beat without running backwards are wrong too.
+    None if the times are in order, or if they are right and the file's order is wrong. Replaces the least credible
+    times, so that the others are ordered, evenly between their neighbours: isotonic regression in the L0 norm, in
+    which a wrong time does not move a right one. If any time runs backwards, irregular times are replaced too.
     """
     if len(times) < 3 or (np.diff(times) >= 0).all():
         return None
     weights, off = credibility(times)
     keep = never_decreasing(times, weights)
     backwards = np.flatnonzero(~keep)
-    if len(backwards) > MAX_SHARE * len(times) or not _room_in_file(times, keep, backwards):
+    if len(backwards) > MAX_BACK_SHARE * len(times) or not _gap_in_file(times, keep, backwards):
         return None
     keep &= ~off
     wrong = np.flatnonzero(~keep)
-    if len(wrong) > MAX_SHARE * len(times):
+    if len(wrong) > MAX_BACK_SHARE * len(times):
         return None
     even = _evenly_filled(times, keep)
     if np.abs(even - times)[wrong].max() > MAX_BACK_NS:
@@ -75,10 +73,9 @@ def pooled(times: Ints) -> tuple[Ints, int] | None:
 
 
 def in_order(times: Ints) -> Ints:
-    """Return times (n,) that rise in the order given, with the smallest changes: isotonic regression.
+    """Return rising times (n,) in the given order, with the smallest changes (isotonic regression).
 
-    A time that is off the beat of its neighbours is replaced first. Times that had to be moved lie half a usual
-    step apart at least.
+    Irregular times are replaced first. Moved times are at least half a median step apart.
     """
     from scipy.optimize import isotonic_regression
 
@@ -94,7 +91,7 @@ def in_order(times: Ints) -> Ints:
 
 
 def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
-    """Replace times (n,) not in `keep`: interpolated over `at` between kept times, else extrapolated by `pace`."""
+    """Return times (n,) with those not in `keep` interpolated over `at` (n,), at the ends with slope `pace`."""
     known = np.flatnonzero(keep)
     first, last = known[0], known[-1]
     x, lost = at - at[first], np.flatnonzero(~keep)
@@ -107,34 +104,34 @@ def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
 
 
 def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
-    """Replace times that are not kept: evenly between kept times, after the last one by the usual period."""
+    """Return times (n,) with those not in `keep` replaced by evenly spaced ones."""
     period = int(np.median(np.diff(times[keep]))) if keep.sum() > 1 else 0
     return filled(times, keep, np.arange(len(times)), period)
 
 
-def _room_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
-    """Return whether most `wrong` times fit better at their place in the file than at their time."""
+def _gap_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
+    """Return whether most `wrong` times have a larger gap at their place in the file than at their value."""
     known, kept = np.flatnonzero(keep), times[keep]
     after = np.searchsorted(known, wrong)
     inner = (after > 0) & (after < len(known))
     if not inner.any():
         return False
     wrong, after = wrong[inner], after[inner]
-    between = known[after] - known[after - 1]  # steps from neighbour to neighbour in the file
+    between = known[after] - known[after - 1]  # messages from one kept neighbour to the other
     in_file: Array = (kept[after] - kept[after - 1]) / between
     by_time = np.clip(np.searchsorted(kept, times[wrong]), 1, len(kept) - 1)
     in_time: Array = (kept[by_time] - kept[by_time - 1]) / 2.0
     return bool(2 * np.count_nonzero(in_file > in_time) > len(wrong))
 
 
-# --- Which of a series of stamps to trust: the consistent ones with the greatest weight
+# --- The stamps to trust: the never-decreasing subsequence of greatest weight
 
 
 def never_decreasing(values: Ints, weights: Array) -> NDArray[np.bool_]:
-    """Mark the never-decreasing subsequence of `values` (n,) with the greatest sum of positive `weights` (n,).
+    """Return the mask (n,) of the never-decreasing subsequence of `values` with the greatest sum of `weights` > 0.
 
-    The series falls into blocks with everything before below everything behind: ordinary values are blocks of
-    one, so that only the disordered places are searched.
+    Splits the values into blocks, each with values not above those of the next: ordered values are blocks of one,
+    so only disordered parts are searched.
     """
     keep = np.ones(len(values), bool)
     if len(values) < 2:
@@ -149,13 +146,14 @@ def never_decreasing(values: Ints, weights: Array) -> NDArray[np.bool_]:
 
 
 def _heaviest(values: Ints, weights: Array) -> NDArray[np.bool_]:
-    """Search one block in O(n log n): of all series up to an element, only those that another may still extend.
+    """Return the mask (n,) of the heaviest never-decreasing subsequence of a block, in O(n log n).
 
-    Their last values rise, and their weights with them: a lighter series that ends higher is never extended.
+    `series` has the candidate subsequences in order of last value and of weight: one with a higher last value but
+    a lower weight is never extended and is removed.
     """
     last_values: list[int] = []
     series: list[tuple[float, int]] = []  # weight, last element
-    before: list[int] = []  # element -> the one before it in its best series, -1 for none
+    before: list[int] = []  # element -> previous element of its best subsequence, -1: none
     for i, (value, weight) in enumerate(zip(values.tolist(), weights.tolist(), strict=True)):
         at = bisect_right(last_values, value)
         so_far, previous = series[at - 1] if at else (0.0, -1)

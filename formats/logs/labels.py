@@ -1,4 +1,4 @@
-"""Fault labels in a log: texts on /faults, as written by `locfuse simulate`."""
+"""Fault labels in a log: texts on /faults, which `locfuse simulate` writes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from locfuse.fusion.data import FAULT, Drive, Event
 from .log import Log
 
 TOPIC, MSGTYPE = "/faults", "std_msgs/msg/String"
-MAX_WORDS = 120  # characters of a label that are shown
+MAX_WORDS = 120  # characters shown of a label
 TIMES = ("event", "start", "end")
 
 
 def labels(log: Log, drive: Drive, order: str) -> list[Event]:
-    """Return the labelled faults of a log, clipped to the drive; none without the topic."""
+    """Return the labelled faults of a log, clipped to the drive; [] without the topic /faults."""
     info = log.topics.get(TOPIC)
     if info is None or info.msgtype != MSGTYPE:
         return []
@@ -29,25 +29,27 @@ def labels(log: Log, drive: Drive, order: str) -> list[Event]:
     begun: dict[str, float] = {}
     found: list[Event] = []
     for at, text in zip(t, texts, strict=True):
-        event, words = _read(str(text))
+        event, words = _parse_label(str(text))
         if event == "begin":
             begun[words] = at
         else:
             found.append(
                 Event(max(begun.pop(words, 0.0 if event == "end" else at), 0.0), min(at, end), FAULT, words)
             )
-    found += [Event(max(at, 0.0), end, FAULT, words) for words, at in begun.items()]  # no end: to the end
+    found += [
+        Event(max(at, 0.0), end, FAULT, words) for words, at in begun.items()
+    ]  # faults without an end last to the end
     return sorted(e for e in found if e.start <= end and e.end >= 0.0)
 
 
-def _read(text: str) -> tuple[str, str]:
-    """Return (begin, end or "", words) of one label; a text not from the simulator is used as it is."""
+def _parse_label(text: str) -> tuple[str, str]:
+    """Return (event, words) of a label; event is "begin", "end" or ""."""
     try:
         table = msgspec.json.decode(text, type=dict[str, Any])
     except msgspec.DecodeError:
         return "", visible(text[:MAX_WORDS])
     kind, sensor = table.get("kind", "fault"), table.get("sensor", "")
-    said = {k: v for k, v in table.items() if k not in (*TIMES, "kind", "sensor")}
-    more = [f"{key} {value}" for key, value in said.items() if isinstance(value, int | float | str)]
+    values = {k: v for k, v in table.items() if k not in (*TIMES, "kind", "sensor")}
+    more = [f"{key} {value}" for key, value in values.items() if isinstance(value, int | float | str)]
     words = " ".join(str(part) for part in (sensor, kind, f"({', '.join(more)})" if more else "") if part)
     return str(table.get("event", "")), visible(words[:MAX_WORDS])

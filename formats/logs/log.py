@@ -1,4 +1,4 @@
-"""A log: its topics, delivered as streams of columns."""
+"""A log: its topics as streams of columns."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from .stream import (
     PresentedStream,
     Raw,
     TopicTable,
-    dated,
     digest,
     field_of,
     number_in,
     path_in,
+    plausibly_recorded,
     ranges_in,
 )
 from .transform_stream import (
@@ -59,13 +59,13 @@ from .transform_stream import (
 
 
 class UnreadableTopicError(LocfuseError):
-    """The messages of a topic cannot be decoded; `problem` is the reason without the topic."""
+    """Error: the messages of a topic cannot be decoded; `problem` is the reason without log and topic."""
 
     problem: str = ""
 
     @classmethod
     def of(cls, log: str, topic: str, problem: str) -> Self:
-        """Return an exception: the messages of this topic in this log cannot be read, because of the `problem`."""
+        """Return the error for a topic of a log."""
         error = cls(f"{log}: {topic} cannot be read: {problem}")
         error.problem = problem
         return error
@@ -78,19 +78,19 @@ class Topic(msgspec.Struct, frozen=True):
     count: int
     encoding: str  # of the messages
     schema_encoding: str
-    problem: str | None = None  # why it cannot be read, None = it can
+    problem: str | None = None  # reason why the messages cannot be decoded; None: they can
 
 
 class Carrier(NamedTuple):
     """One channel of one file that carries a topic."""
 
     source: Source
-    ident: int  # in that file
+    ident: int  # channel id in this file
     channel: ChannelInfo
 
 
 class TopicChannels:
-    """All channels of one topic. Its type is that of the busiest channel; other types are left out."""
+    """All channels of a topic. Its type is that of the channel with most messages; other types are left out."""
 
     def __init__(self, carriers: Sequence[Carrier]) -> None:
         self.carriers = sorted(carriers, key=lambda carrier: -(carrier.channel.n or 0))
@@ -106,7 +106,7 @@ class TopicChannels:
 
     @cached_property
     def _decoders(self) -> list[tuple[Carrier, MessageDecoder]]:
-        """The channels that are read: those of the busiest one's type and structure."""
+        """The channels of the topic's type and message structure, with their decoders."""
         made: dict[ChannelInfo, MessageDecoder] = {}
         found: list[tuple[Carrier, MessageDecoder]] = []
         for carrier in self.carriers:
@@ -129,7 +129,7 @@ class TopicChannels:
         return {carrier.ident: decoder for carrier, decoder in self._decoders if carrier.source is source}
 
     def left_out(self) -> Counter[str]:
-        """Count the messages on the topic that are of another type or definition than the rest, by reason."""
+        """Return reason -> number of messages that have another type or definition than the topic."""
         read = [carrier for carrier, _ in self._decoders]
         counts: Counter[str] = Counter()
         for carrier in self.carriers:
@@ -156,21 +156,21 @@ def _same_kind(one: ChannelInfo, other: ChannelInfo) -> bool:
 # --- The log
 
 AnyStream = LogStream | clocks.MadeStream
-MIN_CHANGES = 10  # from channel to channel, before two publishers write to a topic in turn
-MIN_MOTION_M = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
+MIN_CHANGES = 10  # from channel to channel, above which two publishers write alternately
+MIN_MOTION_M = 0.005  # m, and of quaternion components (0.6 degrees): smaller changes are a flexible mount
 FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
 
 
 def open_log(paths: Sequence[Place]) -> Log:
-    """Open one log made of the given files and folders; messages are merged by topic over all files."""
+    """Open files and folders as one log; messages are merged by topic over all files."""
     files = files_of(paths)
     losses = Losses()
     return Log(files, [open_source(file, losses) for file in files], log_name(paths), losses, paths)
 
 
 class Log:
-    """A log of one or more files. Streams with light columns are read together, in one walk over the files."""
+    """A log of one or more files. Fields of several topics are read together in one pass."""
 
     def __init__(
         self,
@@ -178,10 +178,10 @@ class Log:
         sources: Sequence[Source],
         name: str,
         losses: Losses,
-        given: Sequence[Place] = (),
+        given: Sequence[Place],
     ) -> None:
         self.paths = tuple(paths)
-        self.given = tuple(given or paths)  # files and folders as the user named them
+        self.given = tuple(given)  # files and folders as the user named them
         self.name = name
         self._sources = tuple(sources)
         self.losses = losses
@@ -191,13 +191,13 @@ class Log:
         self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
         self._tables: dict[str, TopicTable] = {}
         self._streams: dict[tuple[str, str], AnyStream] = {}
-        self._derived: dict[str, Callable[[str], AnyStream]] = {}  # by topic: what makes its stream in an order
+        self._derived: dict[str, Callable[[str], AnyStream]] = {}  # topic -> function from order to stream
         self._files: set[str] = set()
         self._edges: dict[tuple[str, str], dict[tuple[str, str], FrameEdge]] = {}
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the input's bytes, file after file by name."""
+        """SHA-256 of the bytes of all files, in order of file name."""
         state = hashlib.sha256()
         for source in self._sources:
             source.data.feed(state.update)
@@ -205,17 +205,17 @@ class Log:
 
     @property
     def all_read(self) -> bool:
-        """Whether every byte of the files was read, so that a hash needs no more reading."""
+        """Whether every byte of the files was read already."""
         return all(source.data.all_read for source in self._sources)
 
     @cached_property
     def identity(self) -> Identity:
-        """The identity of the content, without reading all of it."""
+        """Size and hash that identify the content without reading all of it."""
         return identity_of(self.paths, [source.data.state for source in self._sources])
 
     @property
     def etags(self) -> list[str]:
-        """The store's tags of its files; none for files on this machine."""
+        """The ETags of the remote files; [] for local ones."""
         return [source.data.state[1] for source in self._sources if source.data.state is not None]
 
     @property
@@ -223,7 +223,7 @@ class Log:
         """Bytes transferred over the network so far, and the size of remote files; None if all are local."""
         files = [source.data for source in self._sources]
         found = [(file.fetched, file.state[0]) for file in files if file.state is not None]
-        return (sum(came for came, _ in found), sum(size for _, size in found)) if found else None
+        return (sum(fetched for fetched, _ in found), sum(size for _, size in found)) if found else None
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -232,34 +232,29 @@ class Log:
 
     @property
     def unchecked(self) -> list[str]:
-        """Names of the files without checksums, in which a changed value cannot be detected."""
+        """Names of the files without checksums."""
         return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not s.checked]
 
     @property
-    def decoded_fast(self) -> int:
-        """Messages decoded by the layout of another message."""
-        return sum(table.decoder.fast for table in self._tables.values())
-
-    @property
-    def decoded_general(self) -> int:
-        """Messages decoded one by one."""
-        return sum(table.decoder.general for table in self._tables.values())
+    def decoded(self) -> tuple[int, int]:
+        """Numbers of messages decoded by the layout of another message, and one by one."""
+        decoders = [table.decoder for table in self._tables.values()]
+        return sum(d.fast for d in decoders), sum(d.general for d in decoders)
 
     def stream(self, topic: str, order: str = "auto") -> AnyStream:
-        """Return a topic's stream; nothing is read before its rows are asked for.
+        """Return a topic's stream; its rows are read on first access.
 
-        "/tf:odom:base_link" is the frame base_link in the frame odom by /tf (TransformStamped),
-        "/tf:camera_optical:tags" the tags that were seen in that frame, "/status:yaw.value" a number of any
-        message, "/points:scan" a cloud's level slice as a LaserScan, "/path:poses" the poses of a Path, and the
-        name of a .tum or .csv file is that file.
+        Derived topics: "/tf:odom:base_link" (pose of base_link in odom from /tf, as TransformStamped),
+        "/tf:camera_optical:tags" (tags seen by it), "/status:yaw.value" (a number of any message),
+        "/points:scan" (level slice of a cloud as LaserScan), "/path:poses" (poses of a Path), a .tum or .csv file.
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
         if (topic, order) not in self._streams:
-            self._streams[topic, order] = self._made(topic, order)
+            self._streams[topic, order] = self._new_stream(topic, order)
         return self._streams[topic, order]
 
-    def _made(self, topic: str, order: str) -> AnyStream:
+    def _new_stream(self, topic: str, order: str) -> AnyStream:
         self.find(topic)
         if topic in self._derived:
             try:
@@ -271,13 +266,13 @@ class Log:
         return self._stream_of(topic, order)
 
     def streams(self, wants: Mapping[str, Sequence[str]], order: str = "auto") -> dict[str, AnyStream]:
-        """Return the streams of several topics, their named fields read in one walk over the log."""
+        """Return the streams of several topics; reads the named fields of all in one pass over the log."""
         streams = {topic: self.stream(topic, order) for topic in wants}
         self.read({topic: fields for topic, fields in wants.items() if self.recorded(topic)})
         return streams
 
     def find(self, name: str) -> Topic | None:
-        """Return a topic by its name, two frames of /tf ("/tf:odom:base_link"), a number, a file; else None."""
+        """Return a recorded or derived topic (frames of /tf, a number, a file) by its name; None if unknown."""
         if name not in self.topics and (made := self._derive(name)) is not None:
             self.topics[name], self._derived[name] = made
         return self.topics.get(name)
@@ -290,9 +285,9 @@ class Log:
         if source in self._channels and presented_name(source, self.topics[source].msgtype) == name:
             self._check(source)
             how = PRESENTED[self.topics[source].msgtype]
-            made = replace(self.topics[source], msgtype=how.msgtype)
+            adapted = replace(self.topics[source], msgtype=how.msgtype)
             shown: Callable[[str, LogStream], AnyStream] = path_in if how.make is None else PresentedStream
-            return made, lambda order: shown(name, self._stream_of(source, order))
+            return adapted, lambda order: shown(name, self._stream_of(source, order))
         if number is not None and number[0] in self._channels:
             topic, field = number
             self._check_numbers(topic, field.split(","))
@@ -309,9 +304,9 @@ class Log:
         return LogStream(self, topic, self.topics[topic].msgtype, order)
 
     def _of_frames(self, name: str, pair: tuple[str, str, str]) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return a topic made from /tf: one frame relative to another one, or the tags that a camera frame sees.
+        """Return a topic from /tf: a frame relative to another one, or the tags seen in a camera's frame.
 
-        None if there is no tag.
+        None if no tag was seen.
         """
         tf, parent, child = pair
         source, edges = self.topics[tf], self.frames(tf)
@@ -326,7 +321,7 @@ class Log:
         return made, lambda o: tags_in(name, o, tags_of(self.frames(tf, o), parent), self.all_mounts())
 
     def _check_numbers(self, topic: str, fields: Sequence[str]) -> None:
-        """Raise LocfuseError if a field is missing or is no number; id and range may be two lists of numbers."""
+        """Raise LocfuseError if a field is missing or not a number; two fields may both be lists of numbers."""
         self._check(topic)
         self._check_fields(topic, tuple(fields))
         kinds = [kind_of(resolve(self._channels[topic].decoder.message, field)) for field in fields]
@@ -338,11 +333,11 @@ class Log:
                 raise LocfuseError(f"{source}: {field} is {kind}, not {A_NUMBER}")
 
     def recorded(self, name: str) -> bool:
-        """Return whether a topic was recorded; frames of /tf, numbers and files are derived."""
+        """Return whether a topic was recorded in the log (False for derived topics and files)."""
         return name in self._channels
 
     def is_file(self, name: str) -> bool:
-        """Return whether a topic is a file beside the log."""
+        """Return whether a topic is a text file outside the log."""
         return name in self._files
 
     def _is_tf(self, name: str) -> bool:
@@ -351,7 +346,7 @@ class Log:
 
     @property
     def transform_topics(self) -> list[str]:
-        """Topics of transforms that may change: /tf, namespaced ones too."""
+        """Names of the topics of changing transforms: /tf, with any namespace."""
         return [
             name
             for name, topic in sorted(self.topics.items())
@@ -361,7 +356,7 @@ class Log:
         ]
 
     def frames(self, topic: str, order: str = "auto") -> dict[tuple[str, str], FrameEdge]:
-        """Return the transforms of a /tf topic by (parent, child). Raises LocfuseError where they form a loop."""
+        """Return the transforms of a /tf topic by (parent, child). Raises LocfuseError if frames form a loop."""
         if (topic, order) not in self._edges:
             table = self.read({topic: TF_FIELDS})[topic]
             assert table.log_time is not None
@@ -372,24 +367,13 @@ class Log:
         return self._edges[topic, order]
 
     def static_transforms(self) -> transforms.StaticTransforms:
-        """Return the transforms of /tf_static, namespaced ones too, by all its publishers."""
+        """Return the transforms of all /tf_static topics (with any namespace)."""
         topics = [name for name, topic in self.topics.items() if _is_static_tf(name, topic)]
         self.read(dict.fromkeys(topics, transforms.FIELDS))
         return transforms.static_transforms(self.stream(topic).columns(*transforms.FIELDS) for topic in topics)
 
-    def still_transforms(self) -> transforms.StaticTransforms:
-        """Return the transforms of /tf that never change: mounts, if nothing publishes /tf_static."""
-        return transforms.StaticTransforms(
-            tuple(
-                _at_first(edge)
-                for topic in self.transform_topics
-                for edge in self.frames(topic).values()
-                if not edge.moves
-            )
-        )
-
     def moving_transforms(self) -> list[transforms.Transform]:
-        """Return the first values of the transforms of /tf that change."""
+        """Return the first value of each transform of /tf that changes by more than MIN_MOTION_M."""
         return [
             _at_first(edge)
             for topic in self.transform_topics
@@ -398,21 +382,22 @@ class Log:
         ]
 
     def all_mounts(self) -> transforms.StaticTransforms:
-        """Return all fixed transforms: by /tf_static, for other frames by constant transforms of /tf."""
+        """Return all fixed transforms: those of /tf_static, and constant ones of /tf for other frames."""
         static = self.static_transforms()
         known = {edge.child for edge in static.edges}
-        still = (edge for edge in self.still_transforms().edges if edge.child not in known)
+        edges = (edge for topic in self.transform_topics for edge in self.frames(topic).values())
+        still = (_at_first(edge) for edge in edges if not edge.moves and edge.child not in known)
         return transforms.StaticTransforms((*static.edges, *still), static.conflicts)
 
     @cached_property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps (n,) of small topics, if stamps and recording use different clocks; else None."""
+        """Log times and stamps (n,) of a topic, if stamps and recording use different clocks; else None."""
         readable = {name: t for name, t in self.topics.items() if self.recorded(name) and not t.problem}
         types = {name: topic.msgtype for name, topic in readable.items()}
         counts = {name: topic.count for name, topic in readable.items()}
         pairs = []
         for name in clocks.stamped_topics(types, counts):
-            with suppress(LocfuseError):  # a topic that cannot be read is reported elsewhere
+            with suppress(LocfuseError):  # unreadable topics are reported elsewhere
                 table = self.read({name: ()})[name]
                 if table.stamp is not None and table.log_time is not None and len(table.log_time):
                     stamp = np.asarray(table.columns[table.stamp]).astype(np.int64)
@@ -422,7 +407,7 @@ class Log:
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:
-        """First and last log time of the messages, None for an empty log."""
+        """First and last log time [ns] of the messages; None for an empty log."""
         spans = [span for source in self._sources if (span := source.time_span_ns) is not None]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
@@ -434,7 +419,7 @@ class Log:
             raise UnreadableTopicError.of(self.name, topic, problem)
 
     def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
-        """Load the fields; missing ones are read in one pass."""
+        """Return the topics' tables with these fields; those not yet in memory are read in one pass."""
         tables = {topic: self._table(topic) for topic in wants}
         reading = {t: table for t, table in tables.items() if not table.known or table.missing(wants[t])}
         for topic, table in reading.items():
@@ -468,7 +453,7 @@ class Log:
                 raise LocfuseError(f"{topic} ({self.topics[topic].msgtype}): {problem.args[0]}") from None
 
     def _walk(self, topics: Collection[str]) -> Iterator[tuple[str, Raw]]:
-        """Yield the messages of several topics, batch by batch over all files."""
+        """Yield (topic, messages) of several topics, batch by batch over all files."""
         span = self.time_span_ns
         try:
             for source in self._sources:
@@ -480,16 +465,16 @@ class Log:
                 for batch in source.batches(wanted.keys()):
                     for ident, messages in batch.messages.items():
                         topic, decoder = wanted[ident]
-                        _say_read(messages, span)
+                        _report_progress(messages, span)
                         for data, unpacked in unpack(batch.data, messages):
-                            yield topic, dated(Raw(data, unpacked, decoder))
-        finally:  # also where the caller stops early
+                            yield topic, plausibly_recorded(Raw(data, unpacked, decoder))
+        finally:  # also if the caller stops early
             say_done(None)
 
     def messages(self) -> Iterator[list[Recorded]]:
         """Yield all messages in file order, readable or not, batch by batch.
 
-        Messages that were compressed one by one come in batches of their own: a file of 300 kB can hold gigabytes.
+        Messages compressed one by one are yielded separately: 300 kB of them can unpack to gigabytes.
         """
         for source in self._sources:
             for batch in source.batches(source.channels.keys()):
@@ -506,36 +491,36 @@ class Log:
                     yield together
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
-        """Yield the messages of one topic, for the given `fields`, batch by batch."""
+        """Yield the messages of one topic batch by batch. Raises LocfuseError if it lacks one of `fields`."""
         self._check_fields(topic, fields)
         for _, raw in self._walk({topic}):
             yield raw
 
     def in_turn(self, topic: str) -> list[int]:
-        """Count each channel's messages if several channels of one file write to a topic alternately; else [].
+        """Return the message counts of two channels of one file that write to a topic alternately; else [].
 
-        A recorder gives each publisher of a topic its own channel. One that starts again, and one whose messages
-        are recorded twice, are no second publisher.
+        A recorder gives each publisher of a topic its own channel. A publisher that was restarted, or whose
+        messages were recorded twice, does not count as a second one.
         """
         for source in self._sources:
             carriers = self._channels[topic].carriers if topic in self._channels else []
             idents = [carrier.ident for carrier in carriers if carrier.source is source]
-            if len(idents) > 1 and (counts := _in_turn(source, idents)):
+            if len(idents) > 1 and (counts := _alternating(source, idents)):
                 return counts
         return []
 
     def forget(self) -> None:
-        """Free what was read; later requests read it again."""
+        """Free all columns in memory; later requests read them again."""
         self._tables.clear()
         self._streams.clear()
         self._edges.clear()
 
     def left_out(self, topic: str) -> Mapping[str, int]:
-        """Count the messages on a topic that are of another type than the rest of it."""
+        """Return reason -> number of messages that have another type or definition than the topic."""
         return self._channels[topic].left_out()
 
 
-def _in_turn(source: Source, idents: Sequence[int]) -> list[int]:
+def _alternating(source: Source, idents: Sequence[int]) -> list[int]:
     """Return the message counts of channels that alternate in time with different messages; else []."""
     times: dict[int, list[Ints]] = {ident: [] for ident in idents}
     seen: dict[int, set[int]] = {ident: set() for ident in idents}
@@ -565,7 +550,7 @@ def _is_static_tf(name: str, topic: Topic) -> bool:
     return name.rpartition("/")[2] == "tf_static" and topic.msgtype in TF_TYPES and not topic.problem
 
 
-def _say_read(messages: Messages, span: tuple[int, int] | None) -> None:
-    """Report the progress of reading by log time."""
+def _report_progress(messages: Messages, span: tuple[int, int] | None) -> None:
+    """Report the share of the log's time span that was read."""
     if span is not None and span[0] < span[1] and len(messages.log_time):
         say_done(min(1.0, max(0.0, (int(messages.log_time[0]) - span[0]) / (span[1] - span[0]))))

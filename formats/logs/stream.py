@@ -1,6 +1,6 @@
-"""One topic of a log for fusion: with chosen times, and fields as columns on request.
+"""Streams: one topic of a log with its chosen times, and message fields as columns on request.
 
-A table holds the columns in recording order: by (log time, sequence), never by position in the file.
+A table holds the columns in recording order: by (log time, sequence), not by position in the file.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class Raw(NamedTuple):
     data: NDArray[np.uint8]
     messages: Messages
     decoder: MessageDecoder
-    undated: int = 0  # messages left out: their recording time is absurd
+    undated: int = 0  # number of messages left out for an invalid recording time
 
     def columns(self, fields: Sequence[str]) -> Decoded:
-        """Decode the named fields."""
+        """Decode these fields of the messages."""
         return self.decoder.decode(self.data, self.messages.start, self.messages.length, fields)
 
     def split(self, n: int) -> tuple[Raw, Raw]:
@@ -46,44 +46,44 @@ class Raw(NamedTuple):
         return self._replace(messages=first), self._replace(messages=rest)
 
 
-LONG_BYTES = 64 * 1024  # bytes: no message that is read into columns for a whole log is nearly as long
+LONG_BYTES = 64 * 1024  # messages that are usually read into columns are much shorter
 CHANGED = "the log changed while it was being read, or is damaged so that two readings of it differ"
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
 
 class Pass:
-    """The rows collected in one pass over the files."""
+    """The columns collected in one pass over the files."""
 
     def __init__(self, fields: Sequence[str], rows: int) -> None:
         self.fields = tuple(fields)
         self.columns = {name: Growing(rows) for name in self.fields}
         self.log_time = GrowingArray(rows)
         self.sequence = GrowingArray(rows)
-        self.long = 0  # bytes of the messages that are longer than LONG_BYTES
+        self.long = 0  # total bytes of messages longer than LONG_BYTES
 
 
 class TopicTable:
-    """The readable messages of one topic. Row = place in recording order; walk row = place in the files."""
+    """The readable messages of one topic. Row: index in recording order; file row: index in file order."""
 
     def __init__(self, topic: str, decoder: MessageDecoder, expected: int) -> None:
         self.topic = topic
         self.decoder = decoder
-        self._expected = expected  # messages, by the files
-        self.stamp = stamp_path(decoder.message)  # the field that dates the messages
+        self._expected = expected  # number of messages according to the files
+        self.stamp = stamp_path(decoder.message)  # path of the header stamp, None without one
         self._frame = frame_path(decoder.message)
         self.frame_id = ""
-        self.bad: Counter[str] = Counter()  # reason -> messages that are no rows
+        self.bad: Counter[str] = Counter()  # reason -> messages left out of the rows
         self.log_time: Ints | None = None  # (n,) recording order; None before the first read
         self.columns: dict[str, Column] = {}
-        self.jittered = 0  # log times that ran backwards and were replaced
-        self._walk_rows: Ints | None = None  # row -> walk row; None: the same
+        self.jittered = 0  # number of log times that were replaced by jitter.pooled
+        self._file_rows: Ints | None = None  # row -> file row; None: equal
         self._pass = Pass((), 0)
         self._earliest: int | None = None
         self._n = 0  # readable messages
-        self._times = NO_TIMES  # log time and sequence in walk order, until the rows are sorted
+        self._times = NO_TIMES  # log time and sequence in file order, until the rows are sorted
 
     def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
-        """Return the fields, the stamp included, that still have to be read."""
+        """Return those of `fields` and the header stamp that are not in memory."""
         wanted = dict.fromkeys(fields)
         if self.stamp:
             wanted[self.stamp] = None
@@ -91,11 +91,11 @@ class TopicTable:
 
     @property
     def known(self) -> bool:
-        """Whether the messages were read before."""
+        """Whether a pass over the messages was completed."""
         return self.log_time is not None
 
     def begin(self, fields: Sequence[str]) -> None:
-        """Start a pass that collects those of `fields` that are not read yet."""
+        """Start a pass that collects those of `fields` that are not in memory."""
         self._pass = Pass(self.missing(fields), self._expected)
 
     def feed(self, raw: Raw) -> None:
@@ -112,12 +112,12 @@ class TopicTable:
         if raw.undated:
             self.bad["absurd recording time"] += raw.undated
         if self._frame and decoded.good.any():
-            self._take_frame(raw, decoded.good, self._frame)
+            self._update_frame_id(raw, decoded.good, self._frame)
 
-    def _refuse_too_much(self, raw: Raw, held: NDArray[np.bool_]) -> None:
-        """Limit the memory: a small compressed file can hold any number of giant messages."""
+    def _refuse_too_much(self, raw: Raw, good: NDArray[np.bool_]) -> None:
+        """Raise LocfuseError if long messages exceed MAX_LONG bytes: a small packed file can hold many."""
         fields = [name for name in self._pass.fields if name != self.stamp]
-        long = held & (raw.messages.length > LONG_BYTES)
+        long = good & (raw.messages.length > LONG_BYTES)
         if not fields or not long.any():
             return
         self._pass.long += int(raw.messages.length[long].sum())
@@ -128,7 +128,7 @@ class TopicTable:
                 "Is this the right topic?"
             )
 
-    def _take_frame(self, raw: Raw, good: NDArray[np.bool_], path: str) -> None:
+    def _update_frame_id(self, raw: Raw, good: NDArray[np.bool_], path: str) -> None:
         rows = np.flatnonzero(good)
         first = rows[np.argmin(raw.messages.log_time[rows])]
         at = int(raw.messages.log_time[first])
@@ -138,12 +138,15 @@ class TopicTable:
             self.frame_id = str(one.columns((path,)).columns[path][0])
 
     def end(self) -> bool:
-        """End the pass; return whether messages have equal log times, so that their bytes decide the order."""
+        """End the pass; return whether messages have equal log times, whose order needs digests."""
         collected, self._pass = self._pass, Pass((), 0)
         columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
         log_time, sequence = collected.log_time.array(), collected.sequence.array()
         if self.known:
-            self._add(columns, len(log_time))
+            if len(log_time) != self._n:
+                raise LocfuseError(f"{self.topic}: {CHANGED}")
+            rows = self._file_rows
+            self.columns |= {k: c if rows is None else take(c, rows) for k, c in columns.items()}
             return False
         self.columns = columns
         self._n = len(log_time)
@@ -158,27 +161,21 @@ class TopicTable:
             column = self.decoder.decode(np.empty(0, np.uint8), none, none, (name,)).columns[name]
         return column
 
-    def _add(self, columns: dict[str, Column], n: int) -> None:
-        if n != self._n:
-            raise LocfuseError(f"{self.topic}: {CHANGED}")
-        rows = self._walk_rows
-        self.columns |= {k: c if rows is None else take(c, rows) for k, c in columns.items()}
-
     def tied(self) -> Ints:
-        """Return the log times that several messages share."""
+        """Return the log times (k,) ns that several messages have."""
         times, counts = np.unique(self._times[0], return_counts=True)
         return times[counts > 1]
 
     def sort(self, digests: Ints | None) -> None:
-        """Sort the rows into recording order; `digests` (n,) of the bytes, then file order, decide ties.
+        """Sort the rows by log time, sequence, digest of the bytes (n,) and file order.
 
-        That is the order of their log times, or, where these jitter, the order in which they lie in the file.
+        If the log times jitter, the rows stay in file order.
         """
         log_time, sequence = self._times
-        self._times = NO_TIMES  # needed no more
-        steady = jitter.pooled(log_time)
-        if steady is not None:
-            self.log_time, self.jittered = steady
+        self._times = NO_TIMES
+        repaired = jitter.pooled(log_time)
+        if repaired is not None:
+            self.log_time, self.jittered = repaired
             return
         if digests is None and (np.diff(log_time) > 0).all():
             self.log_time = log_time
@@ -187,21 +184,21 @@ class TopicTable:
         order = np.lexsort(keys)
         if digests is not None:
             order = self._without_repeats(order, keys)
-        self._walk_rows = order
+        self._file_rows = order
         self.log_time = log_time[order]
         self.columns = {name: take(column, order) for name, column in self.columns.items()}
 
     @property
     def row(self) -> Ints:
-        """Return the row of every readable message in walk order, -1 for none, (n,)."""
-        if self._walk_rows is None:
+        """The row of every readable message in file order (n,), -1 for a repeat."""
+        if self._file_rows is None:
             return np.arange(self._n)
         row = np.full(self._n, -1, np.int64)
-        row[self._walk_rows] = np.arange(len(self._walk_rows))
+        row[self._file_rows] = np.arange(len(self._file_rows))
         return row
 
     def _without_repeats(self, order: Ints, keys: tuple[Ints, ...]) -> Ints:
-        """Leave out messages with the same log time and bytes as another: recorded twice."""
+        """Return the order without messages that have the log time and bytes of another: recorded twice."""
         digests, sequence, log_time = keys
         by_content = np.lexsort((sequence, digests, log_time))
         same = (
@@ -218,8 +215,8 @@ class TopicTable:
         return order
 
 
-def dated(raw: Raw) -> Raw:
-    """Leave out messages recorded before 1970 or after 2116, whose log time is invalid."""
+def plausibly_recorded(raw: Raw) -> Raw:
+    """Return the messages without those recorded before 1970 or after 2116, whose log time is invalid."""
     plausible = (raw.messages.log_time >= 0) & (raw.messages.log_time < END_OF_TIME)
     if plausible.all():
         return raw
@@ -227,7 +224,7 @@ def dated(raw: Raw) -> Raw:
 
 
 def digest(raw: Raw, tied: Ints) -> Ints:
-    """Return a hash of each readable message with a log time among `tied`, 0 for the others."""
+    """Return a hash (n,) of each readable message whose log time is in `tied`, 0 for the others."""
     decoded = raw.columns(())
     messages = raw.messages.take(decoded.good)
     found = np.zeros(len(messages.start), np.int64)
@@ -240,7 +237,7 @@ def digest(raw: Raw, tied: Ints) -> Ints:
 
 # --- Streams
 
-NUMBER = "std_msgs/msg/Float64"  # what a number of any message is presented as
+NUMBER = "std_msgs/msg/Float64"  # message type of a topic derived from a numeric field
 BLOCK_BYTES = 32 * 1024 * 1024
 
 
@@ -248,21 +245,21 @@ class Reader(Protocol):
     """The part of a log that a stream uses (formats.logs.log.Log)."""
 
     def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
-        """Load the fields of the topics."""
+        """Return the topics' tables with these fields."""
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
         """Yield the messages of one topic, for the given `fields`, batch by batch."""
 
     def left_out(self, topic: str) -> Mapping[str, int]:
-        """Count the messages on a topic that are of another type than the rest of it."""
+        """Return reason -> number of messages of another type or definition."""
 
     @property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps (n,) of other topics, if stamps and recording use different clocks; else None."""
+        """Log times and stamps (n,) of a topic, if stamps and recording use different clocks; else None."""
 
 
 class LogStream:
-    """One topic with chosen times and fields as columns on request (fusion.data.Stream)."""
+    """A recorded topic with chosen times, and fields as columns on request (fusion.data.Stream)."""
 
     def __init__(self, log: Reader, topic: str, msgtype: str, order: str) -> None:
         self.topic = self._recorded = topic
@@ -276,7 +273,7 @@ class LogStream:
 
     @cached_property
     def clock(self) -> clocks.Clock:
-        """The chosen times."""
+        """The times of the rows, and how they were chosen."""
         table = self._table
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
@@ -290,14 +287,14 @@ class LogStream:
 
     @property
     def frame_id(self) -> str:
-        """The frame of the first message's header, "" without one."""
+        """The frame_id of the first message's header; "" without one."""
         return self._table.frame_id
 
     @property
     def delay_s(self) -> float | None:
         """The median delay of recording after the header stamps [s]; None without headers or messages.
 
-        Without usable stamps: after the times on the clock of the others' stamps, if that is another clock.
+        For times converted to the clock of other topics' stamps: the delay after these times.
         """
         table = self._table
         if self.clock.on_stamps and len(self.t_ns):
@@ -308,7 +305,7 @@ class LogStream:
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Messages that gave no row, by reason."""
+        """Reason -> number of messages without a row."""
         return {**self._log.left_out(self._recorded), **self._table.bad, **self.clock.dropped}
 
     def columns(self, *fields: str) -> dict[str, Column]:
@@ -319,12 +316,13 @@ class LogStream:
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row exactly once."""
-        row_of = self._row_of_walk()
+        row_of = self._row_of_file()
         waiting: list[Block] = []
         room, size, at = rows, 0, 0
         for raw in self._log.raw(self._recorded, fields):
             while len(raw.messages.start):
-                some, raw = raw.split(min(room, _at_once(raw.messages.length)))  # noqa: PLW2901
+                fitting = int(np.searchsorted(np.cumsum(raw.messages.length), BLOCK_BYTES, "right"))
+                some, raw = raw.split(min(room, max(fitting, 1)))  # noqa: PLW2901
                 decoded = some.columns(fields)
                 here = row_of[at : at + int(decoded.good.sum())]
                 at += int(decoded.good.sum())
@@ -332,28 +330,28 @@ class LogStream:
                     raise LocfuseError(f"{self.topic}: {CHANGED}")
                 waiting.append(_rows(here, decoded.columns))
                 room -= len(waiting[-1][0])
-                size += _bytes(waiting[-1])
+                size += sum(n_bytes(column) for column in waiting[-1][1].values())
                 if room <= 0 or size >= BLOCK_BYTES:
                     yield _joined(waiting)
                     waiting, room, size = [], rows, 0
         if room < rows:
             yield _joined(waiting)
 
-    def _row_of_walk(self) -> Ints:
+    def _row_of_file(self) -> Ints:
         """Return the row of every readable message in file order, -1 for none."""
         recorded = self._table.row
         if self.clock.rows is None:
             return recorded
-        row = np.full(len(recorded) + 1, -1, np.int64)  # the last one answers for -1
+        row = np.full(len(recorded) + 1, -1, np.int64)  # index -1: the last entry
         row[self.clock.rows] = np.arange(len(self.clock.rows))
         return row[recorded]
 
 
 def _jittered(n: int) -> str:
-    """Report that times ran backwards and the file order was kept."""
+    """Return the note on replaced recording times."""
     return (
         f"recording times jitter: {n} run backwards or are off the beat; the order of the messages in the file "
-        "is kept, and those are dated evenly between their neighbours"
+        "is kept, and those are plausibly_recorded evenly between their neighbours"
     )
 
 
@@ -365,28 +363,19 @@ def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:
     return numbers[rows], {name: take(column, rows) for name, column in columns.items()}
 
 
-def _at_once(length: Ints) -> int:
-    """Return how many messages of these lengths (k,) to decode together: those of BLOCK_BYTES, at least one."""
-    return max(int(np.searchsorted(np.cumsum(length), BLOCK_BYTES, "right")), 1)
-
-
-def _bytes(block: Block) -> int:
-    return sum(n_bytes(column) for column in block[1].values())
-
-
 def _joined(blocks: list[Block]) -> Block:
     numbers = np.concatenate([block[0] for block in blocks])
     return numbers, {name: concat([block[1][name] for block in blocks]) for name in blocks[0][1]}
 
 
 def field_of(name: str) -> tuple[str, str] | None:
-    """Return topic and field of a name like "/status:heading.value", None for any other name."""
+    """Return topic and field of a name like "/status:heading.value"; None for another name."""
     parts = name.split(":")
     return (parts[0], parts[1]) if len(parts) == 2 and all(parts) else None
 
 
 class PresentedStream(LogStream):
-    """Messages of one type adapted to another (formats.logs.adapters), read block by block."""
+    """A topic converted to another message type by an adapter (formats.logs.adapters), block by block."""
 
     def __init__(self, name: str, source: LogStream) -> None:
         self._how = PRESENTED[source.msgtype]
@@ -395,36 +384,36 @@ class PresentedStream(LogStream):
 
     @property
     def frame_id(self) -> str:
-        """The frame of the adapted messages."""
+        """The frame_id of the adapted messages."""
         return self._how.frame(super().frame_id)
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return whole columns of the adapted type; the source is read block by block."""
+        """Return whole columns of the target type; the source is read block by block."""
         blocks = list(self.blocks(*fields))
         if not blocks:
-            return self._made(super().columns(*self._how.fields), fields)
+            return self._adapted(super().columns(*self._how.fields), fields)
         order = np.argsort(np.concatenate([rows for rows, _ in blocks]), kind="stable")
         return {name: take(concat([made[name] for _, made in blocks]), order) for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row exactly once."""
         for numbers, columns in super().blocks(*self._how.fields, rows=rows):
-            yield numbers, self._made(columns, fields)
+            yield numbers, self._adapted(columns, fields)
 
-    def _made(self, columns: Mapping[str, Column], fields: tuple[str, ...]) -> dict[str, Column]:
+    def _adapted(self, columns: Mapping[str, Column], fields: tuple[str, ...]) -> dict[str, Column]:
         assert self._how.make is not None
         made = self._how.make(columns, fields, super().frame_id)
         return {name: made[name] for name in fields}
 
 
 def number_in(name: str, source: LogStream, field: str) -> clocks.MadeStream:
-    """Return a field of a topic as a topic of numbers."""
+    """Return a numeric field of a topic as a stream of Float64."""
     values = np.asarray(source.columns(field)[field], dtype=np.float64)
-    return _made_of(name, source, NUMBER, source.t_ns, {"data": values})
+    return _derived(name, source, NUMBER, source.t_ns, {"data": values})
 
 
 def ranges_in(name: str, source: LogStream, fields: str) -> clocks.MadeStream:
-    """Return two fields of a topic, "ids,ranges", as a topic of these; two lists give one row per entry."""
+    """Return two fields of a topic, "ids,ranges", as a stream of ranges; lists give one row per entry."""
     ids, ranges = source.columns(*fields.split(",")).values()
     t_ns = source.t_ns
     if isinstance(ids, Ragged) and isinstance(ranges, Ragged):
@@ -436,13 +425,13 @@ def ranges_in(name: str, source: LogStream, fields: str) -> clocks.MadeStream:
             return cast("clocks.MadeStream", broken)
         t_ns = np.repeat(t_ns, ids.lengths)
         ids, ranges = (c.values[c.first[0] : c.first[-1]] for c in (ids, ranges))
-    return _made_of(name, source, RANGES, t_ns, {"id": np.asarray(ids), "range": np.asarray(ranges)})
+    return _derived(name, source, RANGES, t_ns, {"id": np.asarray(ids), "range": np.asarray(ranges)})
 
 
-def _made_of(
+def _derived(
     name: str, source: LogStream, msgtype: str, t_ns: Ints, data: Mapping[str, Column]
 ) -> clocks.MadeStream:
-    """Return columns made of a topic as a topic on its clock."""
+    """Return columns derived from a topic as a stream with the topic's clock, frame and drops."""
     of = source.frame_id, source.dropped
     return clocks.MadeStream(name, msgtype, t_ns, data, *of, clock=source.clock, delay_s=source.delay_s)
 
@@ -450,8 +439,8 @@ def _made_of(
 def path_in(name: str, source: LogStream) -> clocks.MadeStream:
     """Return the poses of the last nav_msgs/Path of a topic, each at its own stamp.
 
-    A program that draws the way it thinks the robot took publishes it again and again, longer each time and with
-    what it corrected since. Raises LocfuseError where the poses have no times of their own: a plan.
+    A SLAM publishes its path so far again and again, each time longer and corrected, so the last one is used.
+    Raises LocfuseError if the poses have no times of their own, as in a plan.
     """
     last = _last_message(source)
     stamps: Ints = np.asarray(last.pop(OF_PATH[0]), np.int64)
@@ -465,7 +454,7 @@ def path_in(name: str, source: LogStream) -> clocks.MadeStream:
 
 
 def _last_message(source: LogStream) -> dict[str, Column]:
-    """Return the columns of only those poses that the last message holds."""
+    """Return the columns of the poses in the last message."""
     found: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
     latest = -1
     for rows, columns in source.blocks(*OF_PATH, rows=16):

@@ -1,11 +1,10 @@
-"""Transforms of /tf between two frames as a topic of their own, "/tf:odom:base_link".
+"""Topics derived from /tf: the pose of one frame in another, "/tf:odom:base_link", and tags seen by a camera.
 
-A TFMessage holds any frames in any order; what a filter wants is one frame in another over time. So a pair of
-frames is presented as a geometry_msgs/TransformStamped topic: odometry that exists only in /tf, a SLAM pose, a
+A pair of frames becomes a geometry_msgs/TransformStamped topic: odometry that exists only in /tf, a SLAM pose, a
 reference. Frames that are not neighbours are chained, the slower transforms interpolated to the times of the
 fastest one (as tf2 does: positions linearly, rotations along the shorter way).
 
-Tags that a detector publishes as frames of its camera are a topic too, "/tf:camera_optical:tags".
+Tags that a detector publishes as frames of its camera become the topic "/tf:camera_optical:tags".
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ from . import clock as clocks
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 STAMP = "transforms.header.stamp|transforms.timestamp|timestamp"
 TF_FIELDS = (STAMP, *FIELDS)
-MAX_STILL_M = 1e-6  # m, and of a quaternion: what moves by less does not move
+MAX_STILL_M = 1e-6  # m, and of quaternion components: smaller changes do not count as motion
 NAMES = tuple(f"transform.{part}" for part in ("translation.x", "translation.y", "translation.z")) + tuple(
     f"transform.rotation.{axis}" for axis in "xyzw"
 )
 
 
 class FrameEdge(NamedTuple):
-    """One frame in its parent over time, at every published time."""
+    """The transform of a frame in its parent frame over time."""
 
     parent: str
     child: str
@@ -53,12 +52,12 @@ class FrameEdge(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether the transform ever changes."""
+        """Whether the transform changes."""
         return bool(np.ptp(self.values, axis=0).max() > MAX_STILL_M)
 
 
 def pair_of(name: str) -> tuple[str, str, str] | None:
-    """Return topic, parent and child of a name like "/tf:odom:base_link", None for any other name."""
+    """Return topic, parent and child of a name like "/tf:odom:base_link"; None for another name."""
     parts = name.split(":")
     return (parts[0], parts[1].lstrip("/"), parts[2].lstrip("/")) if len(parts) == 3 and all(parts) else None
 
@@ -66,9 +65,9 @@ def pair_of(name: str) -> tuple[str, str, str] | None:
 def edges_of(
     log_time: Ints, columns: Mapping[str, Column], order: str, others: clocks.Others = lambda: None
 ) -> dict[tuple[str, str], FrameEdge]:
-    """Return the transforms of a /tf topic by (parent, child); `log_time` (m,) is of its messages.
+    """Return the transforms of a /tf topic by (parent, child); `log_time` (m,) ns is that of its messages.
 
-    Stamps that cannot be used are replaced as in clock.settle.
+    clock.settle chooses their times from log times and stamps.
     """
     columns = as_lists(columns)
     parents, children = (cast("list[tuple[str, ...]]", columns[name]) for name in FIELDS[:2])
@@ -98,10 +97,10 @@ def edges_of(
 
 
 def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> clocks.MadeStream:
-    """Return one frame in another over time, "/tf:odom:base_link", as a topic of TransformStamped.
+    """Return the pose of one frame in another, "/tf:odom:base_link", as a stream of TransformStamped.
 
-    Its times are those of the most frequent transform between the two. Raises LocfuseError where nothing that
-    moves connects them.
+    Its times are those of the most frequent transform between the two. Raises LocfuseError if no moving transform
+    connects them.
     """
     pair = pair_of(topic)
     assert pair is not None
@@ -112,7 +111,7 @@ def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -
         raise LocfuseError(f"{source}: {child} never moves in {parent}: both are on one rigid body")
     main = max(moving, key=lambda edge: (edge.moves, len(edge.stamp)))
     t_ns = main.clock.t_ns
-    inside = np.ones(len(t_ns), dtype=bool)  # which times lie within those of all others
+    inside = np.ones(len(t_ns), dtype=bool)  # times within the span of all other moving transforms
     for other in moving:
         if other is not main and other.moves:
             inside &= (t_ns >= other.clock.t_ns[0]) & (t_ns <= other.clock.t_ns[-1])
@@ -137,9 +136,9 @@ def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -
 def _path(
     source: str, parent: str, child: str, edges: Sequence[FrameEdge], static: StaticTransforms
 ) -> list[tuple[FrameEdge | Array, bool]]:
-    """Return the edges on the path from parent to child (a matrix (4, 4) if constant), each with "is inverted".
+    """Return the transforms from parent to child (constant ones as (4, 4) matrices), each with "is inverted".
 
-    Raises LocfuseError if there is none.
+    Raises LocfuseError if no path exists.
     """
     moving: list[tuple[str, str, FrameEdge | Array]] = [(e.parent, e.child, e) for e in edges]
     at = neighbours([*moving, *((e.parent, e.child, e.T_parent_child) for e in static.edges)])
@@ -157,17 +156,17 @@ def _delay_s(log_time: Ints, stamp: Ints) -> float:
 
 
 def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> clocks.MadeStream:
-    """Return the tags seen by a camera as a topic, one row each: id, and x, y, z [m] in optical axes.
+    """Return the tags seen by a camera as a stream, one row per sighting: id, and x, y, z [m] in optical axes.
 
-    A transform equal to the bit to the one before of its tag was published again, not seen again.
+    A transform exactly equal to the previous one of its tag is no new sighting and dropped.
     """
     camera = edges[0].parent
     recorded, stamps = (np.concatenate([getattr(e, name) for e in edges]) for name in ("log_time", "stamp"))
     ids = np.concatenate([np.full(len(e.stamp), number_of(e.child)) for e in edges])
     places = in_optical_axes(np.concatenate([e.values for e in edges])[:, :3], camera, static)
-    again = np.concatenate([_again(e) for e in edges])
+    repeated = np.concatenate([_repeats(e) for e in edges])
     by_record = np.argsort(recorded, kind="stable")
-    by_record = by_record[~again[by_record]]
+    by_record = by_record[~repeated[by_record]]
     clock = clocks.settle(recorded[by_record], stamps[by_record], order)
     rows = by_record if clock.rows is None else by_record[clock.rows]
     return clocks.MadeStream(
@@ -176,16 +175,16 @@ def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTr
         clock.t_ns,
         {"id": ids[rows].astype(np.int64), **dict(zip("xyz", places[rows].T, strict=True))},
         camera,
-        {**clock.dropped, **({"repeat": int(again.sum())} if again.any() else {})},
+        {**clock.dropped, **({"repeat": int(repeated.sum())} if repeated.any() else {})},
         clock=clock,
         delay_s=_delay_s(recorded, stamps),
     )
 
 
 def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[FrameEdge]:
-    """Return the numbered frames seen in a frame, preferably those named like tags.
+    """Return the transforms of numbered frames in a camera frame, those named like tags if there are any.
 
-    What never moves there is a part of the robot.
+    Frames that never move relative to the camera are parts of the robot and left out.
     """
     found = [
         edge
@@ -195,18 +194,18 @@ def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[Fra
     return [edge for edge in found if named_as_tag(edge.child)] or found
 
 
-def _again(edge: FrameEdge) -> NDArray[np.bool_]:
-    """Mark the transforms (n,) that exactly equal the one before."""
+def _repeats(edge: FrameEdge) -> NDArray[np.bool_]:
+    """Return the mask (n,) of transforms that exactly equal the previous one."""
     same = np.zeros(len(edge.stamp), dtype=bool)
     same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
     return same
 
 
 def _at(edge: FrameEdge, t_ns: Ints) -> Array:
-    """Return the interpolated transforms (n, 4, 4) of an edge at times t_ns (n,) within its range."""
+    """Return the transforms (n, 4, 4) of an edge, interpolated at times t_ns (n,) within its span."""
     rows = edge.clock.rows
     values = edge.values if rows is None else edge.values[rows]
-    last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one counts
+    last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one is used
     at, values = edge.clock.t_ns[last], values[last].copy()
     signs = np.where((values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0.0, -1.0, 1.0)
     values[1:, 3:] *= np.cumprod(signs)[:, None]  # q and -q are one rotation: interpolate along the shorter way
@@ -216,7 +215,7 @@ def _at(edge: FrameEdge, t_ns: Ints) -> Array:
 
 
 def loop_in(edges: Sequence[FrameEdge]) -> tuple[str, ...]:
-    """Return the frames of a loop in the tree (a frame that is its own ancestor), downwards; () without one."""
+    """Return the frames of a loop (a frame that is its own ancestor), parent first; () without a loop."""
     tree = TopologicalSorter[str]()
     for edge in sorted(edges, key=lambda edge: edge.child):
         tree.add(edge.child, edge.parent)

@@ -1,1 +1,1 @@
-"""Message definitions and decoding: bytes of many messages into columns."""
+"""Message definitions, and decoding of serialised messages into columns."""

@@ -1,10 +1,9 @@
-"""Decodes serialised messages into columns: one field of all messages of a chunk at a time.
+"""Decoding of CDR and ROS 1 messages into columns: one field of all messages of a chunk at a time.
 
-Strings and arrays give their own lengths, so the layout of a message depends on its length words alone, but for
-the length of an array of numbers at its very end (an image's bytes). Messages are grouped by layout: the first of
-a group is walked (`read_layout`), the length words are compared for all the others in one go, and each wanted
-field is then one gather out of the chunk. A message that differs starts a group of its own, so unusual messages
-are slow, never wrong.
+The layout of a message depends only on the length words of its strings and arrays. Messages are grouped by layout:
+the first of a group is parsed (`read_layout`), the length words of all others are compared with its words at once,
+and each wanted field is then gathered from the chunk at once. The length of an array of numbers at a message's end
+(an image's bytes) may differ within a group. Each new layout costs time.
 """
 
 from __future__ import annotations
@@ -27,18 +26,18 @@ from locfuse.fusion.data import Column, Ints, Ragged
 from .fields import Part, resolve
 from .schema import Decoded, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text
 
-WORD = struct.Struct("<I")
+UINT32 = struct.Struct("<I")
 
 
 class MalformedError(ValueError):
-    """A message that does not fit its definition; the message is the reason in a few words."""
+    """Error: a message does not fit its definition; the text is the reason."""
 
 
 class LayoutRules(NamedTuple):
     """The rules of a serialisation format."""
 
-    header: int  # bytes before the first value; alignment counts from behind them
-    aligned: bool  # numbers stand at multiples of their size
+    header: int  # bytes before the first value; alignment is relative to their end
+    aligned: bool  # numbers are at multiples of their size
     nul: int  # bytes that end a string and count in its length
     spare: int  # bytes of padding allowed at the end
 
@@ -46,34 +45,34 @@ class LayoutRules(NamedTuple):
 CDR = LayoutRules(header=4, aligned=True, nul=1, spare=3)  # OMG DDSI-RTPS, plain CDR as in ROS 2
 ROS1 = LayoutRules(header=0, aligned=False, nul=0, spare=0)
 
-# Which parts of a message are wanted: field name -> its wanted parts, or the dotted path of a wanted leaf.
+# The wanted parts of a message: field name -> its wanted parts, or the dotted path of a wanted leaf.
 Wanted = Mapping[str, "Wanted | str"]
 
 
 class Leaf(msgspec.Struct):
-    """The place of one wanted field in a message; several places if it is inside an array."""
+    """The offset of a wanted field in a message; several offsets if the field is inside an array."""
 
     offsets: list[int] = field(default_factory=list)  # bytes from the payload's start
     counts: list[int] = field(default_factory=list)  # elements (arrays) or bytes (strings) at each offset
 
 
 class Tail(NamedTuple):
-    """An array of numbers at the very end of a message, of any length."""
+    """An array of numbers of variable length at the end of a message."""
 
-    spot: int  # where its length word lies
-    start: int  # where its elements begin, if there are any
+    spot: int  # offset of its length word
+    start: int  # offset of its elements
     size: int  # bytes of an element
-    path: str | None  # if it is wanted
+    path: str | None  # field path if it is wanted
 
 
 class Layout(msgspec.Struct, frozen=True, eq=False):
-    """The layout shared by all messages with `words` at the byte offsets `spots` that are `length` bytes long.
+    """The layout of all messages of `length` bytes with the length words `words` at byte offsets `spots`.
 
-    Where there is a tail, its word is not among them and the length follows from it.
+    With a tail, its length word is not in `words` and the message length depends on it.
     """
 
     length: int
-    little: bool  # byte order of its numbers
+    little: bool  # byte order of the numbers
     spots: Ints  # (s,)
     words: NDArray[np.uint32]  # (s,) the 4 bytes at each spot
     leaves: dict[str, Leaf]
@@ -81,7 +80,7 @@ class Layout(msgspec.Struct, frozen=True, eq=False):
 
 
 def read_layout(message: Structure, wanted: Wanted, payload: memoryview, rules: LayoutRules) -> Layout:
-    """Read one message's layout. Raises MalformedError unless it fills its bytes exactly (except padding)."""
+    """Return a message's layout. Raises MalformedError unless the message fills `payload` (except padding)."""
     walk = _LayoutWalk(payload, rules)
     try:
         walk.step(message, wanted)
@@ -93,7 +92,7 @@ def read_layout(message: Structure, wanted: Wanted, payload: memoryview, rules: 
     tail = walk.tail if walk.at == walk.tail_end else None
     if tail:
         walk.spots.pop()
-    words = np.array([WORD.unpack_from(payload, spot)[0] for spot in walk.spots], "<u4")
+    words = np.array([UINT32.unpack_from(payload, spot)[0] for spot in walk.spots], "<u4")
     return Layout(len(payload), walk.little, np.array(walk.spots, np.int64), words, walk.leaves, tail)
 
 
@@ -107,12 +106,12 @@ class _LayoutWalk:
         self.leaves: dict[str, Leaf] = {}
         self.tail: Tail | None = None  # the last sequence of numbers
         self.tail_end = -1
-        self.nested = 0  # arrays that the walk is in
+        self.nested = 0  # number of arrays around the current position
         self.little = self._encapsulation() if rules.header else True
         self.word = struct.Struct("<I" if self.little else ">I")
 
     def _encapsulation(self) -> bool:
-        """Read the CDR header: whether the numbers are little-endian."""
+        """Read the CDR header; return whether the numbers are little-endian."""
         kind = bytes(self.payload[:2])
         if len(self.payload) < self.rules.header:
             raise MalformedError("shorter than its type")
@@ -122,12 +121,12 @@ class _LayoutWalk:
         return kind == b"\x00\x01"
 
     def room(self, n: int) -> None:
-        """Check that n more bytes exist."""
+        """Raise MalformedError if fewer than n bytes remain."""
         if self.at + n > len(self.payload):
             raise MalformedError("shorter than its type")
 
     def step(self, node: Node, wanted: Wanted | str | None) -> None:
-        """Skip one value and store the places of its wanted parts."""
+        """Advance over one value and store the offsets of its wanted parts."""
         if wanted is None and (size := fixed_size(node, self._phase(), self.rules.aligned)) is not None:
             self.at += size
         elif isinstance(node, Scalar):
@@ -149,7 +148,7 @@ class _LayoutWalk:
             self.at += -(self.at - self.rules.header) % size
 
     def _length(self) -> int:
-        """Read a length word and store its place."""
+        """Read a length word and store its offset."""
         self._align(4)
         (n,) = self.word.unpack_from(self.payload, self.at)
         self.spots.append(self.at)
@@ -157,7 +156,7 @@ class _LayoutWalk:
         self.room(n)  # every element takes a byte or more
         return int(n)
 
-    def _note(self, wanted: Wanted | str | None, count: int) -> None:
+    def _store_leaf(self, wanted: Wanted | str | None, count: int) -> None:
         if isinstance(wanted, str):
             leaf = self.leaves.setdefault(wanted, Leaf())
             leaf.offsets.append(self.at)
@@ -167,39 +166,32 @@ class _LayoutWalk:
         if count:
             self._align(node.size)
         self.room(count * node.size)
-        self._note(wanted, count)
+        self._store_leaf(wanted, count)
         self.at += count * node.size
 
     def _text(self, wanted: Wanted | str | None) -> None:
         n = self._length()
         if n > MAX_TEXT:
             raise MalformedError(f"a text longer than {MAX_TEXT >> 20} MiB")
-        self._note(wanted, max(n - self.rules.nul, 0))
+        self._store_leaf(wanted, max(n - self.rules.nul, 0))
         self.at += n
-
-    def _tail(self, size: int, wanted: Wanted | str | None) -> Tail:
-        """Describe the sequence whose length word was just read as the last of the message."""
-        padding = -(self.at - self.rules.header) % size if self.rules.aligned else 0
-        return Tail(self.at - 4, self.at + padding, size, wanted if isinstance(wanted, str) else None)
-
-    def _count_items(self, count: int) -> None:
-        """Refuse messages that would take minutes to read, whichever fields are wanted."""
-        self.items += count
-        if self.items > MAX_ITEMS:
-            raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
 
     def _many(self, node: Many, wanted: Wanted | str | None) -> None:
         count = self._length() if node.count is None else node.count
         if isinstance(node.element, Scalar):
-            free = node.count is None and not (self.nested and wanted is not None)  # of several lengths all count
-            if free:
-                self.tail = self._tail(node.element.size, wanted)
+            may_be_tail = node.count is None and not (self.nested and wanted is not None)
+            if may_be_tail:
+                padding = -(self.at - self.rules.header) % node.element.size if self.rules.aligned else 0
+                path = wanted if isinstance(wanted, str) else None
+                self.tail = Tail(self.at - 4, self.at + padding, node.element.size, path)
             self._numbers(node.element, count, wanted)
-            self.tail_end = self.at if free else -1
+            self.tail_end = self.at if may_be_tail else -1
             return
         size = _fixed_run(node.element, count, self._phase(), self.rules.aligned)
         if size is None:
-            self._count_items(count)
+            self.items += count
+            if self.items > MAX_ITEMS:  # for any wanted fields, so that validity does not depend on them
+                raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
         else:
             self.room(size)
             if wanted is None:
@@ -213,7 +205,7 @@ class _LayoutWalk:
 
 @lru_cache(maxsize=4096)
 def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
-    """Return the bytes of a value with alignment, from `phase` = offset mod 8 on; None if they vary."""
+    """Return the size [bytes] of a value with its alignment at `phase` = offset mod 8; None if it varies."""
     if isinstance(node, Scalar):
         return node.size + (-phase % node.size if aligned else 0)
     if isinstance(node, Structure):
@@ -231,7 +223,7 @@ def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
 
 @lru_cache(maxsize=4096)
 def _fixed_run(element: Node, count: int, phase: int, aligned: bool) -> int | None:
-    """Return the bytes of `count` elements in a row, with alignment: of the first half and of the rest."""
+    """Return the size [bytes] of `count` successive elements with alignment; None if it varies."""
     if count < 2:
         return fixed_size(element, phase, aligned) if count else 0
     first = _fixed_run(element, count // 2, phase, aligned)
@@ -245,17 +237,17 @@ def _fixed_run(element: Node, count: int, phase: int, aligned: bool) -> int | No
 
 Bytes = NDArray[np.uint8]
 
-MAX_LAYOUTS = 64  # kept from chunk to chunk
-MAX_GROUPS = 64  # new layouts tried on all remaining messages of a chunk; then one by one
-MAX_GATHERED_WORDS = 1 << 21  # length words compared in one go
+MAX_LAYOUTS = 64  # kept between chunks
+MAX_GROUPS = 64  # new layouts per chunk; then each message is parsed by itself
+MAX_GATHERED_WORDS = 1 << 21  # length words compared in one operation
 
 
 class Group(NamedTuple):
     """Messages that share a layout."""
 
-    rows: Ints  # which of the batch's messages
+    rows: Ints  # indices in the batch
     layout: Layout
-    tails: Ints  # (rows,) elements of the array at the end; all 0 where the layout has none
+    tails: Ints  # (rows,) number of elements of the tail; 0 without a tail
 
 
 NOTHING: Ints = np.empty(0, np.int64)
@@ -263,15 +255,15 @@ NO_MESSAGES = Group(NOTHING, Layout(0, True, NOTHING, NOTHING.astype(np.uint32),
 
 
 class Request(msgspec.Struct):
-    """A set of fields of one message type, resolved."""
+    """Resolved fields of one message type, with the layouts found so far."""
 
     fields: dict[str, tuple[Part, ...]]  # (seconds, nanoseconds) for a stamp
     wanted: dict[str, Any] = field(default_factory=dict)
-    layouts: list[Layout] = field(default_factory=list)  # the one met last comes first
+    layouts: list[Layout] = field(default_factory=list)  # most recent first
 
 
 class Decoder(MessageDecoder):
-    """Decodes the messages of one type into columns."""
+    """Decodes CDR or ROS 1 messages of one type into columns."""
 
     def __init__(self, message: Structure, rules: LayoutRules = CDR) -> None:
         super().__init__(message)
@@ -279,7 +271,7 @@ class Decoder(MessageDecoder):
         self._requests: dict[tuple[str, ...], Request] = {}
 
     def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
-        """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""
+        """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
         request = self._request(tuple(fields))
         groups, bad = self._groups(data, start, length, request)
         good = np.zeros(len(start), bool)
@@ -300,7 +292,7 @@ class Decoder(MessageDecoder):
     def _groups(
         self, data: Bytes, start: Ints, length: Ints, request: Request
     ) -> tuple[list[Group], Counter[str]]:
-        """Split the messages into groups of equal layout; count the malformed ones by reason."""
+        """Return the messages in groups of equal layout, and reason -> number of malformed ones."""
         rows = np.arange(len(start))
         groups: list[Group] = []
         for layout in list(request.layouts):
@@ -319,7 +311,7 @@ class Decoder(MessageDecoder):
     def _new_groups(
         self, data: Bytes, start: Ints, length: Ints, rows: Ints, request: Request
     ) -> tuple[list[Group], Counter[str]]:
-        """Read the first remaining message, collect those with its layout, and repeat."""
+        """Return groups of messages with new layouts: parse the first, collect those with its layout, repeat."""
         groups: list[Group] = []
         bad: Counter[str] = Counter()
         i = 0
@@ -353,7 +345,7 @@ def _want(tree: dict[str, Any], path: str) -> None:
 
 
 def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) -> tuple[NDArray[np.bool_], Ints]:
-    """Return which messages (k,) have a layout, and the number of elements (k,) of the array at their end."""
+    """Return a mask (k,) of the messages with this layout, and the number of elements (k,) of their tails."""
     tail = layout.tail
     tails = np.zeros(len(start), np.int64)
     same = length == layout.length if tail is None else length >= tail.spot + 4
@@ -375,7 +367,7 @@ def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) ->
 
 
 def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[Part, ...]) -> Column:
-    """Return one field of all groups, in the order of the messages."""
+    """Return one field of all messages as a column, in the order of the batch."""
     if len(parts) == 2:
         return _nanoseconds(*(_gather(data, start, groups, (part,)) for part in parts))
     pieces = [_leaf(data, start[group.rows], group, parts[0]) for group in groups or (NO_MESSAGES,)]
@@ -386,15 +378,15 @@ def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[Part, ..
 
 
 def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
-    if isinstance(seconds, Ragged):  # and so the nanoseconds
+    if isinstance(seconds, Ragged):  # the nanoseconds are Ragged too
         return Ragged(seconds.values.astype(np.int64) * 10**9 + cast("Ragged", nanoseconds).values, seconds.first)
     total: Ints = np.asarray(seconds).astype(np.int64) * 10**9 + np.asarray(nanoseconds)
     return total
 
 
 def _leaf(data: Bytes, start: Ints, group: Group, part: Part) -> Column:
-    """Gather one field of messages that share a layout."""
-    # of no messages at all only the shape of the column counts: that of one element, wherever it is
+    """Return one field of a group's messages as a column."""
+    # without messages only the column's type matters: take any offset
     leaf = group.layout.leaves.get(part.path, Leaf() if len(start) else Leaf([0], [0]))
     node = part.node
     if isinstance(node, Scalar):
@@ -414,7 +406,7 @@ def _leaf(data: Bytes, start: Ints, group: Group, part: Part) -> Column:
 
 
 def _arrays(data: Bytes, start: Ints, group: Group, leaf: Leaf, element: Scalar) -> Column:
-    """Gather the numbers of all arrays inside an array, end to end."""
+    """Return the numbers of all arrays inside an array, concatenated."""
     counts = np.array(leaf.counts, np.int64)
     begin = np.repeat(np.array(leaf.offsets, np.int64), counts)
     inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -423,7 +415,7 @@ def _arrays(data: Bytes, start: Ints, group: Group, leaf: Leaf, element: Scalar)
 
 
 def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: Part) -> Column:
-    """Gather an array of numbers: a matrix if its length is fixed, bytes, or ragged rows."""
+    """Return an array field as a column: a matrix if its length is fixed, else ragged rows; bytes for uint8."""
     node, tail, little = cast("Many", part.node), group.layout.tail, group.layout.little
     element = cast("Scalar", node.element)
     at, counts = start + leaf.offsets[0], np.full(len(start), leaf.counts[0], np.int64)
@@ -441,7 +433,7 @@ def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: Part) -> Co
 
 
 def _matrix(data: Bytes, at: Ints, count: int, element: Scalar, little: bool) -> NDArray[Any]:
-    """Read `count` numbers from each offset (k,) on, (k, count)."""
+    """Return `count` successive numbers at each byte offset (k,), (k, count)."""
     if not count:
         return np.empty((len(at), 0), element.dtype)
     rows = view(data, f"V{count * element.size}", at).view(np.uint8).reshape(len(at), count * element.size)
@@ -449,7 +441,7 @@ def _matrix(data: Bytes, at: Ints, count: int, element: Scalar, little: bool) ->
 
 
 def _numbers(data: Bytes, at: Ints, dtype: str, little: bool) -> NDArray[Any]:
-    """Read a number at each offset, aligned or not."""
+    """Return the number at each byte offset, aligned or not."""
     return _native(view(data, _stored(dtype, little), at), dtype)
 
 
@@ -462,13 +454,13 @@ def _native(values: NDArray[Any], dtype: str) -> NDArray[Any]:
 
 
 def _rows(values: NDArray[Any]) -> Ragged:
-    """Turn (n, m) values into n rows of a ragged column."""
+    """Return values (n, m) as n rows of a ragged column."""
     n, m = values.shape
     return Ragged(values.reshape(-1), np.arange(n + 1) * m)
 
 
 def _texts(data: Bytes, start: Ints, leaf: Leaf) -> list[tuple[str, ...]]:
-    """Read the strings of every message; usually all messages have the same ones."""
+    """Return the strings of an array for each message."""
     columns = [_text(data, start + offset, n) for offset, n in zip(leaf.offsets, leaf.counts, strict=True)]
     if not columns:
         return [()] * len(start)
@@ -478,7 +470,7 @@ def _texts(data: Bytes, start: Ints, leaf: Leaf) -> list[tuple[str, ...]]:
 
 
 def _text(data: Bytes, at: Ints, n: int) -> list[str]:
-    """Read a string of n bytes at each offset; one entry when all are equal."""
+    """Return the string of n bytes at each offset; a single entry if all are equal."""
     if not n:
         return [""]
     rows = view(data, f"V{n}", at).view(np.uint8).reshape(len(at), n)

@@ -1,4 +1,4 @@
-"""From a channel to the decoder of its messages: one entry per encoding."""
+"""Choice of the decoder of a channel's messages, by their encoding."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LANGUAGES = {  # encoding of messages -> languages of their definitions
 
 
 def encoding_problem(channel: ChannelInfo) -> str | None:
-    """Return why a channel's messages cannot be read at all, None if they can."""
+    """Return the reason why a channel's encoding cannot be read; None if it can."""
     if channel.encoding not in LANGUAGES:
         return f"its messages are encoded as {channel.encoding!r}; {', '.join(LANGUAGES)} are read"
     languages = LANGUAGES[channel.encoding]
@@ -29,7 +29,7 @@ def encoding_problem(channel: ChannelInfo) -> str | None:
 
 
 def make_decoder(channel: ChannelInfo) -> MessageDecoder:
-    """Return the decoder of a channel's messages. Raises SchemaError with the reason if there is none."""
+    """Return the decoder of a channel's messages. Raises SchemaError if encoding or definition is unsupported."""
     if problem := encoding_problem(channel):
         raise SchemaError(problem)
     if channel.encoding == "protobuf":

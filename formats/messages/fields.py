@@ -1,4 +1,4 @@
-"""Dotted field paths ("header.stamp", "transforms.child_frame_id") and the parts of a message they name."""
+"""Dotted field paths ("header.stamp"): lookup in a message type, and check of the kind of field."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ FRAMES = ("header.frame_id", "frame_id")
 
 
 class FieldError(KeyError):
-    """A field path that the message type does not have; the message is the reason in a few words."""
+    """Error: the message type lacks the field, or it cannot be a column; the text is the reason."""
 
 
 class Part(NamedTuple):
-    """A field in the message: a stamp has two, seconds and nanoseconds."""
+    """A resolved field of a message; a stamp has two parts, seconds and nanoseconds."""
 
     path: str
     node: Node
     inside: bool  # in an array of structures: one value per element
-    depth: int = 0  # in how many of them, one inside the other
+    depth: int = 0  # number of nested arrays around it
 
 
-LENGTH = "length"  # of each of the arrays that lie in an array: "echoes.ranges.length"
-OR = "|"  # between the names that releases of a package gave to one field: "k|K"
+LENGTH = "length"  # last name of a path to the lengths of arrays in an array: "echoes.ranges.length"
+OR = "|"  # between alternative names of a field in releases of a package: "k|K"
 
 
 def resolve(message: Structure, path: str) -> tuple[Part, ...]:
-    """Find a field path in a message type: the first one that exists. Raises FieldError with the nearest name.
+    """Return the first existing alternative of a field path. Raises FieldError with the most similar name.
 
-    Arrays inside an array are one column end to end; the `.length` of arrays of numbers is where each ends.
+    Arrays inside an array become one concatenated column; `PATH.length` has the length of each.
     """
     *earlier, last = path.split(OR)
-    for name in (path, *earlier) if earlier else ():  # a definition may call one field "a|b", however odd
+    for name in (path, *earlier) if earlier else ():  # a field's own name may contain "|"
         with suppress(FieldError):
             return _resolve(message, name)
     return _resolve(message, last)
@@ -75,12 +75,12 @@ def _no_field(node: Structure, walked: list[str], name: str) -> str:
 
 
 def stamp_path(message: Structure) -> str | None:
-    """Return the field with the message's time, None if only the recording has one."""
+    """Return the path of the message's stamp; None without one."""
     return next((path for path in STAMPS if len(_resolved(message, path)) == 2), None)
 
 
 def frame_path(message: Structure) -> str | None:
-    """Return the field with the frame of the message's values."""
+    """Return the path of the message's frame_id; None without one."""
     found = ((path, _resolved(message, path)) for path in FRAMES)
     return next((path for path, parts in found if parts and isinstance(parts[0].node, Text)), None)
 
@@ -92,9 +92,9 @@ def _resolved(message: Structure, path: str) -> tuple[Part, ...]:
         return ()
 
 
-# --- Kinds of column: what a field of a message holds, and what its readers expect of it
-# A message type is only a name; the definition in the log is what the messages hold. Where the two disagree (a
-# LaserScan whose `ranges` is one number), the field is refused in one line before anything is decoded.
+# --- Kinds of column: that of a field by its definition, and those that locfuse can use
+# A log may define a message type unlike its standard definition (a LaserScan whose `ranges` is one number). The
+# field is then refused before anything is decoded.
 
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
@@ -104,28 +104,26 @@ THIRTY_SIX = "36 numbers"
 XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
 WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
 GAZEBO = ("ModelStates", "LinkStates")
-FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # packages of one type: with Protobuf or JSON, with ROS
+FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # prefixes of Foxglove's types: in Protobuf and JSON, in ROS
 
 
-def words(text: str, before: str = "") -> list[str]:
-    """Return the words of a text (names of types or fields), each preceded by its package."""
-    return [f"{before}{word}" for word in text.split()]
+def words(text: str) -> list[str]:
+    """Return the words of a text (names of types or fields)."""
+    return text.split()
 
 
-# packages with types that something reads; the fields of every other type may be what their definition says
+# packages with types whose fields are checked; fields of other types may be of any kind
 PACKAGES = frozenset(
-    words(
-        """
+    words("""
         ackermann_msgs apriltag_msgs apriltag_ros apriltags2_ros apriltags_ros aruco_msgs aruco_opencv_msgs
         autoware_auto_vehicle_msgs autoware_vehicle_msgs clearpath_platform_msgs control_msgs duckietown_msgs
         foxglove foxglove_msgs gazebo_msgs geometry_msgs gps_common gps_msgs irobot_create_msgs
         isaac_ros_apriltag_interfaces jackal_msgs kobuki_msgs locfuse mocap4r2_msgs nav_msgs px4_msgs
         ros2_aruco_interfaces sensor_msgs std_msgs tf tf2_msgs turtlebot3_msgs turtlesim unitree_go vesc_msgs
         vision_msgs
-        """
-    )
+    """)
 )
-# dotted paths in these packages that are read as one number
+# dotted paths in these packages that must be one number
 ONE_NUMBER = (
     *(f"{vector}.{axis}" for vector in ("magnetic_field", "angular_velocity") for axis in XYZ),
     *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
@@ -134,17 +132,15 @@ ONE_NUMBER = (
     *(f"transform.rotation.{axis}" for axis in XYZW),
     *(f"{at}{part}" for at in ("", "twist.", "twist.twist.") for part in ("linear.x", "angular.z")),
     *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
-    *words(
-        """
+    *words("""
         linear_velocity.x point_stride longitudinal_velocity heading_rate state.speed velocity_left
         velocity_right x y theta linear_velocity angular_velocity v omega angle_min angle_increment
         time_increment range_min range_max width height step start_angle end_angle field_of_view min_range
         max_range range status.status latitude longitude position_covariance_type ticks_left ticks_right
         left_encoder right_encoder
-        """
-    ),
+    """),
 )
-# what releases of a package call one field
+# alternative names of a field in releases of a package
 CAMERA_MATRIX = "k|K"  # ROS 2, ROS 1
 CENTRE_2D = "detections.bbox.center.position.x|detections.bbox.center.x"
 CLASS = "detections.results.hypothesis.class_id|detections.results.id"
@@ -154,31 +150,25 @@ POSITIONS = """
     detections.pose.pose.pose.position detections.pose.pose.position detections.bbox.center.position
     detections.centre
     """
-# paths in these packages that are read as an array of numbers
+# paths in these packages that must be an array of numbers
 ARRAYS = (
     *(f"rigidbodies.pose.position.{axis}" for axis in XY),
     *(f"{at}.pose.orientation.{axis}" for at in ("rigidbodies", "poses") for axis in XYZW),
     *(f"{at}.{axis}" for at in words(POSITIONS) for axis in XYZ),
     CENTRE_2D,
-    *words(
-        """
+    *words("""
         ranges marker_ids markers.id markers.marker_id detections.id.length
         interface_values.values interface_values.values.length ranges.echoes ranges.echoes.length
         fields.offset fields.datatype fields.type joints.position joints.velocity joints.effort
         drivers.measured_travel drivers.measured_velocity
-        """
-    ),
+    """),
 )
-# dotted path in these packages -> the kinds that its readers take
+# dotted path in these packages -> accepted kinds
 EXPECTED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
     **dict.fromkeys(ARRAYS, (NUMBERS,)),
     **dict.fromkeys(
-        words(
-            """
-            rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name joints.name
-            """
-        ),
+        words("rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name joints.name"),
         (TEXTS,),
     ),
     **dict.fromkeys((TRACK_OR_CLASS, CLASS, "detections.id"), (NUMBERS, TEXTS)),
@@ -189,7 +179,7 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "position_covariance": (NINE, NUMBERS),  # JSON schemas do not fix the length
     "imu_state.quaternion": ("4 numbers",),
 }
-# message type, fields of it -> their kind
+# message type, its fields, their kind
 OF_TYPES: tuple[tuple[str, str, str], ...] = (
     *((f"std_msgs/msg/{name}", "data", NUMBER) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
     *((f"std_msgs/msg/{name}MultiArray", "data", NUMBERS) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
@@ -220,7 +210,7 @@ TF_TEXTS = ("frame_id",)
 
 
 def kind_of(parts: Sequence[Part]) -> str:
-    """Return the kind of column (numbers, ragged rows, texts) that a resolved field becomes."""
+    """Return the kind of a resolved field, such as NUMBER, TEXTS or "9 numbers"."""
     first = parts[0]
     if len(parts) == 2:
         return TIMES if first.inside else TIME
@@ -241,7 +231,7 @@ def kind_of(parts: Sequence[Part]) -> str:
 
 
 def expected(msgtype: str, path: str) -> tuple[str, ...]:
-    """Return the kinds of column that the readers of this field of this type take; none without readers."""
+    """Return the accepted kinds of a field of a message type; () for a field that is not checked."""
     if path in STAMPS:
         return (TIME,)
     if msgtype.replace(".", "/").partition("/")[0] not in PACKAGES:
@@ -256,7 +246,7 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
 
 
 def check_kind(msgtype: str, path: str, parts: Sequence[Part]) -> None:
-    """Raise FieldError if a field is of a kind that its readers cannot use."""
+    """Raise FieldError if a field's kind is not accepted."""
     found, accepted = kind_of(parts), expected(msgtype, path)
     if accepted and found not in accepted:
         raise FieldError(f"{path} is {found} by its definition; accepted: {' or '.join(accepted)}")

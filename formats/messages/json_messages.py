@@ -1,6 +1,6 @@
-"""JSON messages as columns; also columns of other messages read into Python objects (Protobuf).
+"""Decoding of JSON messages into columns, and columns of Python objects (also for Protobuf).
 
-A value that is missing is NaN, "" or an empty array; a time that is none is zero, which the clock repairs.
+A missing value becomes NaN, "" or an empty array; an invalid time becomes 0, which logs.clock replaces.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ NAN = float("nan")
 
 
 def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -> Column:
-    """Return one field of all messages; `parts` is the resolved `path`."""
+    """Return one field of all messages as a column; `parts` is the resolved `path`."""
     inside = parts[0].inside
     if inside and isinstance(parts[0].node, Many | LengthCounts):
         return _nested(parts[0], objects)
@@ -61,7 +61,7 @@ def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) ->
 
 
 def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
-    """Return the arrays inside an array end to end, or the length of each."""
+    """Return the arrays inside an array, concatenated per message, or their lengths."""
     found = [_at(one, part.path.split(".")) for one in objects]
     rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
     if isinstance(part.node, LengthCounts):
@@ -72,14 +72,14 @@ def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
 
 
 def _flat(values: list[Any], depth: int) -> list[Any]:
-    """Return the values of structures that lie in `depth` arrays, one inside the other, end to end."""
+    """Return values in `depth` nested lists as one list."""
     for _ in range(depth - 1):
         values = [v for one in values if isinstance(one, list) for v in one]
     return values
 
 
 def _at(value: Any, names: Sequence[str]) -> Any:
-    """Return the value at a path of names; through an array of objects, a list with one value each."""
+    """Return the value at a path of names, None if missing; for a list of objects the list of their values."""
     for i, name in enumerate(names):
         if isinstance(value, list):
             return [_at(one, names[i:]) for one in value]
@@ -104,7 +104,7 @@ def _number(value: Any) -> float:
 
 
 def _nanoseconds(value: Any) -> int:
-    """Return a time in ns, 0 without one (the clock then repairs it)."""
+    """Return a time {sec, nsec} in ns; 0 for an invalid one."""
     if not isinstance(value, dict):
         return 0
     fraction = next((value[key] for key in NANOSECONDS if key in value), 0)
@@ -115,7 +115,7 @@ def _nanoseconds(value: Any) -> int:
 
 
 def _text(value: Any) -> str:
-    return writable(value) if isinstance(value, str) else ""  # JSON can spell half a surrogate pair
+    return writable(value) if isinstance(value, str) else ""  # JSON can contain half a surrogate pair
 
 
 def _many(node: Many, values: list[Any]) -> Column:
@@ -129,7 +129,7 @@ def _many(node: Many, values: list[Any]) -> Column:
 
 def _floats(row: list[Any]) -> NDArray[Any]:
     try:
-        numbers = np.array(row, float)  # None (what JSON has for NaN) becomes NaN
+        numbers = np.array(row, float)  # None (NaN in JSON) becomes NaN
     except (TypeError, ValueError, OverflowError):
         numbers = np.empty((0, 0))
     return numbers if numbers.ndim == 1 else np.array([_number(value) for value in row], float)
@@ -155,7 +155,7 @@ SCALARS: dict[str, Node] = {"number": NUMBER, "integer": NUMBER, "boolean": Scal
 
 
 def parse_jsonschema(name: str, text: str) -> Structure:
-    """Return the tree of a JSON schema: numbers, strings, base64 bytes, arrays, objects; a time is one value."""
+    """Return a JSON schema (numbers, strings, base64 bytes, arrays, objects, times) as a tree."""
     try:
         refuse_large(name, "jsonschema", text)
         tree = _node(name, msgspec.json.decode(text), 0)
@@ -167,7 +167,7 @@ def parse_jsonschema(name: str, text: str) -> Structure:
 
 
 def _node(name: str, schema: Any, depth: int) -> Node | None:
-    """Return a schema's tree, None if it cannot be a column."""
+    """Return a part of a JSON schema as a tree; None for unsupported kinds."""
     if not isinstance(schema, Mapping) or depth > MAX_DEPTH:
         return None
     kind = schema.get("type")
@@ -185,16 +185,16 @@ def _node(name: str, schema: Any, depth: int) -> Node | None:
         return None
     if "sec" in properties and len(properties) == 2 and not properties.keys().isdisjoint(NANOSECONDS):
         return TIME
-    # a dot separates the parts of a path, so that no path leads to a key that holds one, or to an empty one
+    # empty keys and keys with a dot cannot be part of a dotted path
     parts = {key: _node(key, value, depth + 1) for key, value in properties.items() if key and "." not in key}
     return Structure(name, {key: node for key, node in parts.items() if node is not None})
 
 
 class JsonDecoder(MessageDecoder):
-    """Columns out of JSON messages."""
+    """Decodes JSON messages of one type into columns."""
 
     def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
-        """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""
+        """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
         objects = [
             _object(data[at : at + n].tobytes()) for at, n in zip(start.tolist(), length.tolist(), strict=True)
         ]
@@ -212,7 +212,7 @@ def _object(text: bytes) -> dict[str, Any] | None:
             value = msgspec.json.decode(text)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             try:
-                value = json.loads(text)  # some writers put NaN and Infinity, which JSON does not have
+                value = json.loads(text)  # accepts NaN and Infinity, which some writers use against the standard
             except (ValueError, RecursionError):
                 return None
     return value if isinstance(value, dict) else None

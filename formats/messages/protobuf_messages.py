@@ -1,7 +1,7 @@
-"""Protobuf messages, such as Foxglove's, as columns. A missing field is zero, "" or empty.
+"""Decoding of Protobuf messages, such as Foxglove's, into columns. A missing field is zero, "" or empty.
 
-Encoding: https://protobuf.dev/programming-guides/encoding. Unknown fields, and known ones that lie in another way
-than their definition says, are passed over, as Protobuf wants it; of a repeated single value the last one counts.
+Encoding: https://protobuf.dev/programming-guides/encoding. As Protobuf demands, unknown fields and fields of
+another wire type than defined are skipped, and the last value of a repeated single field is used.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from .fields import LENGTH, OR, resolve
 from .json_messages import NUMBER, TIME, column
 from .schema import Decoded, Many, MessageDecoder, Node, Scalar, SchemaError, Structure, Text, refuse_many_fields
 
-VARINT, FIXED_64, BYTES, FIXED_32 = 0, 1, 2, 5  # how a value lies
+VARINT, FIXED_64, BYTES, FIXED_32 = 0, 1, 2, 5  # wire types
 FIXED_SIZE = {FIXED_64: 8, FIXED_32: 4}
 MAX_VARINT = 10  # bytes
 SHORT = "shorter than its type"
 
 
 def varint(data: bytes, at: int, end: int) -> tuple[int, int]:
-    """Return the number that begins at a byte (seven bits per byte, lowest first), and its end."""
+    """Return the varint at an offset (seven bits per byte, lowest first), and its end offset."""
     value = shift = 0
     for i in range(at, min(end, at + MAX_VARINT)):
         byte = data[i]
@@ -49,9 +49,9 @@ def varint(data: bytes, at: int, end: int) -> tuple[int, int]:
 
 
 def walk(data: bytes, at: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-    """Yield each field of a message at data[at:end]: number, wire type, first byte, end.
+    """Yield (number, wire type, start, end) of each field of the message data[at:end]. Raises MalformedError.
 
-    Of a text, bytes or a message these are those of its content. Raises MalformedError.
+    For text, bytes and messages, start and end are those of the content.
     """
     while at < end:
         tag, at = (data[at], at + 1) if data[at] < 0x80 else varint(data, at, end)
@@ -74,23 +74,23 @@ def walk(data: bytes, at: int, end: int) -> Iterator[tuple[int, int, int, int]]:
 
 
 def contents(data: bytes, number: int) -> list[bytes]:
-    """Return the texts, bytes or messages of one field of a message."""
+    """Return the contents of a field of text, bytes or messages; one entry per occurrence."""
     return [data[at:end] for n, how, at, end in walk(data, 0, len(data)) if n == number and how == BYTES]
 
 
 def whole(data: bytes, number: int) -> int:
-    """Return the integer of one field of a message, zero if it is missing."""
+    """Return the integer in a field of a message; 0 if it is missing."""
     found = [at for n, how, at, _ in walk(data, 0, len(data)) if n == number and how == VARINT]
     return varint(data, found[-1], len(data))[0] if found else 0
 
 
-# --- Definitions: the FileDescriptorSet beside a channel (google/protobuf/descriptor.proto) as a tree
+# --- Definitions: the FileDescriptorSet of a channel (google/protobuf/descriptor.proto) as a tree
 
 NAME = re.compile(rb"[A-Za-z0-9_.]*")
 LABEL_REPEATED = 3  # FieldDescriptorProto.Label
 TEXT_KIND, MESSAGE_KIND, BYTES_KIND = 9, 11, 12  # FieldDescriptorProto.Type
 TIME_TYPES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
-# FieldDescriptorProto.Type -> how a number lies on the wire, and as what it is read
+# FieldDescriptorProto.Type -> wire type and dtype of a number
 NUMBERS: dict[int, tuple[int, str]] = {
     1: (FIXED_64, "<f8"), 2: (FIXED_32, "<f4"), 3: (VARINT, "i8"), 4: (VARINT, "u8"), 5: (VARINT, "i4"),
     6: (FIXED_64, "<u8"), 7: (FIXED_32, "<u4"), 8: (VARINT, "?"), 13: (VARINT, "u4"), 14: (VARINT, "i4"),
@@ -99,34 +99,34 @@ NUMBERS: dict[int, tuple[int, str]] = {
 
 
 class Field(msgspec.Struct, frozen=True, eq=False):
-    """One field of a message: z4 and z8 are numbers in zigzag coding."""
+    """A field of a message type; dtypes z4 and z8 are integers in zigzag coding."""
 
     name: str
     wire: int
     repeated: bool
     dtype: str = ""  # of a number
     text: bool = False
-    inside: Message | None = None  # the message that it holds
+    inside: Message | None = None  # type of a nested message
 
 
 class Message(msgspec.Struct, frozen=True, eq=False):
-    """A message type; it may contain itself."""
+    """A message type, which may contain itself."""
 
     name: str
     fields: dict[int, Field] = msgspec.field(default_factory=dict)
 
     @property
     def is_time(self) -> bool:
-        """Whether it is a stamp or a duration, read as one number of nanoseconds."""
+        """Whether this is a time or duration, which becomes one number of nanoseconds."""
         return self.name in TIME_TYPES
 
 
-# seconds and nanoseconds, by their names in ROS
+# seconds and nanoseconds, with their names in ROS
 TIME_FIELDS = {1: Field("sec", VARINT, repeated=False, dtype="i8"), 2: Field("nanosec", VARINT, False, "i8")}
 
 
 def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
-    """Return message type `name` of a FileDescriptorSet, and the tree of fields that can be columns."""
+    """Return message type `name` of a FileDescriptorSet, and the tree of its fields that can be columns."""
     if len(data) > MAX_DEFINITION:
         raise SchemaError(
             names_its_cap(f"its protobuf definition of {name} is too long", len(data), MAX_DEFINITION, "bytes")
@@ -146,7 +146,7 @@ def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
 
 
 def _types(scope: str, types: Sequence[bytes], depth: int) -> Iterator[tuple[str, bytes]]:
-    """Yield the full name of every message type, with those defined inside it, and its DescriptorProto."""
+    """Yield (full name, DescriptorProto) of every message type, nested ones too."""
     if depth > MAX_DEPTH and types:
         raise MalformedError("too deep")
     for data in types:
@@ -156,7 +156,7 @@ def _types(scope: str, types: Sequence[bytes], depth: int) -> Iterator[tuple[str
 
 
 def _message(name: str, described: Mapping[str, bytes]) -> Message:
-    """Return a message type with the types in it, each built once; groups (deprecated since 2008) are left out."""
+    """Return a message type with its nested types, each built once, without groups (deprecated since 2008)."""
     made = {name: Message(name)}
     waiting = [name]
     while waiting:
@@ -181,7 +181,7 @@ def _message(name: str, described: Mapping[str, bytes]) -> Message:
 
 
 def _name(data: bytes, number: int) -> str:
-    """Return the name in one field, "" if it is missing. Raises MalformedError if it is no name."""
+    """Return the name in a field; "" if it is missing. Raises MalformedError for invalid characters."""
     name = b"".join(contents(data, number)[-1:])
     if NAME.fullmatch(name) is None:
         raise MalformedError("a name of other letters")
@@ -189,7 +189,7 @@ def _name(data: bytes, number: int) -> str:
 
 
 def _tree(message: Message, above: tuple[str, ...], made: dict[str, Structure]) -> Structure:
-    """Return the tree of a type, built once; where a type holds itself or one of those above it, the tree ends."""
+    """Return the tree of a type, built once, without fields of its own type or of a type in `above`."""
     if len(above) > MAX_DEPTH:
         raise SchemaError(f"its definition nests more than {MAX_DEPTH} structures")
     if message.name not in made:
@@ -214,7 +214,7 @@ def _node(one: Field, above: tuple[str, ...], made: dict[str, Structure]) -> Nod
 
 # --- Messages
 
-# Which parts of a message are wanted: field name -> its wanted parts, none for a whole value.
+# The wanted parts of a message: field name -> its wanted parts, {} for a whole value.
 Wanted = Mapping[str, "Wanted"]
 Value = Any
 NOTHING: Wanted = {}
@@ -222,14 +222,14 @@ WHOLE_TIME: Wanted = {field.name: NOTHING for field in TIME_FIELDS.values()}
 
 
 class ProtobufDecoder(MessageDecoder):
-    """Columns out of Protobuf messages."""
+    """Decodes Protobuf messages of one type into columns."""
 
     def __init__(self, message: Message, tree: Structure) -> None:
         super().__init__(tree)
         self._type = message
 
     def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
-        """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""
+        """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
         parts = {path: resolve(self.message, path) for path in fields}
         wanted = _wanted(fields)
         good, bad = np.ones(len(start), bool), Counter[str]()
@@ -245,7 +245,7 @@ class ProtobufDecoder(MessageDecoder):
 
 
 def _wanted(fields: Sequence[str]) -> Wanted:
-    """Return the tree of the wanted fields; a field with several names is read for each of them."""
+    """Return the fields as a tree of wanted parts, with all alternative names."""
     tree: dict[str, Any] = {}
     for path in (name for field in fields for name in field.split(OR)):
         at = tree
@@ -255,7 +255,7 @@ def _wanted(fields: Sequence[str]) -> Wanted:
 
 
 class _Reader:
-    """Reads one message: every byte is checked, so that validity does not depend on the wanted fields."""
+    """Parser of one message: checks every byte, so that validity does not depend on the wanted fields."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) > MAX_MESSAGE:
@@ -264,7 +264,7 @@ class _Reader:
         self.items = 0
 
     def parts(self, kind: Message, wanted: Wanted, at: int, end: int, depth: int) -> dict[str, Value]:
-        """Return the wanted parts of a message at data[at:end]."""
+        """Return the wanted parts of the message data[at:end]."""
         if depth > MAX_DEPTH:
             raise MalformedError(f"more than {MAX_DEPTH} structures in structures")
         found = _defaults(kind, wanted)
@@ -287,7 +287,7 @@ class _Reader:
         return found
 
     def _check(self, field: Field, packed: bool, first: int, stop: int) -> None:
-        """Refuse values that do not fit, and messages that would take minutes to read."""
+        """Raise MalformedError for invalid values, and for messages that would take minutes to parse."""
         if field.text and stop - first > MAX_TEXT:
             raise MalformedError(f"a text longer than {MAX_TEXT >> 20} MiB")
         if packed and field.wire in FIXED_SIZE:
@@ -305,7 +305,7 @@ class _Reader:
             raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
 
     def _value(self, field: Field, packed: bool, inner: Wanted | None, first: int, stop: int, depth: int) -> Value:
-        """Return a number, the list of a packed array, a text, bytes, or the wanted parts of a message."""
+        """Return a field's value: number, list (packed array), text, bytes, or wanted parts of a message."""
         if field.inside is not None:
             wanted = WHOLE_TIME if field.inside.is_time else inner or NOTHING
             return self.parts(field.inside, wanted, first, stop, depth + 1)
@@ -340,7 +340,7 @@ def _defaults(kind: Message, wanted: Wanted) -> dict[str, Value]:
 
 
 def _number(value: int, dtype: str) -> float:
-    """Return the number of a 64-bit varint; of 32 bits the lower half counts."""
+    """Return the number of `dtype` in a 64-bit varint; 32-bit types use its lower half."""
     if dtype == "?":
         return bool(value)
     bits = 32 if dtype[1] == "4" else 64

@@ -1,4 +1,4 @@
-"""Message definitions (ros2msg, ros2idl, ros1msg) as a tree: the byte layout of a message."""
+"""Message definitions (ros2msg, ros2idl, ros1msg) as trees of fields."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ DTYPES = {
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
-FILLER = "structure_needs_at_least_one_member"  # the byte that an empty message takes in CDR
+FILLER = "structure_needs_at_least_one_member"  # field for the byte of an empty message in CDR
 DIVIDER = re.compile(r"^={20,}\s*$", re.MULTILINE)
-EXPRESSION = re.compile(r"\[|=+")  # what begins one in IDL; a divider counts once
+EXPRESSION = re.compile(r"\[|=+")  # beginning of an expression in IDL; a divider counts once
 
 
 class SchemaError(ValueError):
-    """A message definition that cannot be used; the message is the reason in a few words."""
+    """Error: a message definition cannot be used; the text is the reason."""
 
 
 class Scalar(msgspec.Struct, frozen=True, eq=False):
     """One number."""
 
     dtype: str  # NumPy letter and size, e.g. "f8"; "?" for bool
-    size: int  # bytes, and so its alignment
+    size: int  # bytes, equal to its alignment in CDR
 
 
 class Text(msgspec.Struct, frozen=True, eq=False):
@@ -52,34 +52,34 @@ class Text(msgspec.Struct, frozen=True, eq=False):
 
 
 class Many(msgspec.Struct, frozen=True, eq=False):
-    """An array: of fixed `count`, or a sequence that holds its own length (None)."""
+    """An array of fixed length `count`, or a sequence with a length word (None)."""
 
     element: Node
     count: int | None
 
 
 class Structure(msgspec.Struct, frozen=True, eq=False):
-    """A message or a part of one."""
+    """A message or a nested message."""
 
     name: str
     fields: dict[str, Node]
 
     @property
     def is_time(self) -> bool:
-        """Whether this is a stamp or a duration, read as one number of nanoseconds."""
+        """Whether this is a time or duration, which becomes one number of nanoseconds."""
         whole = [isinstance(part, Scalar) and part.dtype[0] in "iu" for part in self.fields.values()]
         return self.name in TIMES and whole == [True, True]
 
 
 class LengthCounts(msgspec.Struct, frozen=True, eq=False):
-    """The length of each array inside an array: not a field, but known from the bytes."""
+    """The lengths of arrays inside an array (path "PATH.length")."""
 
 
 Node = Scalar | Text | Many | Structure | LengthCounts
 
 
 def parse(name: str, encoding: str, text: str, filler: bool = True) -> Structure:
-    """Return the layout of message type `name`, whose definition `text` is in the language `encoding`.
+    """Return message type `name` as a tree; its definition `text` is in the language `encoding`.
 
     `filler`: an empty message takes a byte, as in ROS 2.
     """
@@ -105,7 +105,7 @@ def refuse_many_fields(tree: Structure) -> None:
 
 
 def count_fields(node: Node, known: dict[int, int]) -> int:
-    """Count the fields of a message; `known` holds the counts of types by their identity."""
+    """Return the number of fields of a tree; `known` caches id of a structure -> number."""
     if isinstance(node, Many):
         return count_fields(node.element, known)
     if not isinstance(node, Structure):
@@ -116,18 +116,16 @@ def count_fields(node: Node, known: dict[int, int]) -> int:
 
 
 def refuse_large(name: str, encoding: str, text: str) -> None:
-    """Raise SchemaError for a text that would take the parser minutes."""
+    """Raise SchemaError for a definition that would take the parser minutes."""
     lines = sum(1 for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
     expressions = len(EXPRESSION.findall(text)) if encoding == "ros2idl" else 0
-    for what, found, cap, unit in (
-        ("long", len(text), MAX_DEFINITION, "characters"),
-        ("long", lines, MAX_DEFINITION_LINES, "lines"),
-        ("long", expressions, MAX_EXPRESSIONS, "arrays and constants"),
+    for found, cap, unit in (
+        (len(text), MAX_DEFINITION, "characters"),
+        (lines, MAX_DEFINITION_LINES, "lines"),
+        (expressions, MAX_EXPRESSIONS, "arrays and constants"),
     ):
         if found > cap:
-            raise SchemaError(
-                names_its_cap(f"its {encoding} definition of {name} is too {what}", found, cap, unit)
-            )
+            raise SchemaError(names_its_cap(f"its {encoding} definition of {name} is too long", found, cap, unit))
 
 
 def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
@@ -144,16 +142,16 @@ def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
 
 
 class _Trees:
-    """Builds each type of a definition once: a type that is used often is one shared tree."""
+    """Builds the tree of each type in a definition once; uses of a type share it."""
 
     def __init__(self, types: Typesdict, filler: bool) -> None:
         self._types = types
         self._filler = {FILLER: Scalar("u1", 1)} if filler else {}
         self._made: dict[str, Structure] = {}
-        self._height: dict[str, int] = {}  # of each tree: structures in structures
+        self._height: dict[str, int] = {}  # levels of nested structures of each tree
 
     def record(self, name: str, depth: int) -> Structure:
-        """Return the tree of a type, `depth` structures deep in the message."""
+        """Return the tree of a type that is nested in `depth` structures."""
         if depth + self._height.get(name, 0) > MAX_DEPTH:
             raise SchemaError(f"its definition contains itself, or nests more than {MAX_DEPTH} structures")
         if name not in self._made:
@@ -185,7 +183,7 @@ class _Trees:
 
 
 def signature(node: Node) -> object:
-    """Return a value that is equal for definitions with equal columns."""
+    """Return a hashable value, equal for trees with equal columns."""
     if isinstance(node, Structure):
         return tuple((name, signature(part)) for name, part in node.fields.items())
     if isinstance(node, Many):
@@ -193,26 +191,26 @@ def signature(node: Node) -> object:
     return node.dtype if isinstance(node, Scalar) else "text"
 
 
-# --- What a decoder gives, whatever the encoding
+# --- The interface of decoders of all encodings
 
 
 class Decoded(NamedTuple):
     """The readable messages of one channel in one batch, as columns."""
 
-    good: NDArray[np.bool_]  # (k,) which of the messages are rows
+    good: NDArray[np.bool_]  # (k,) mask of the readable messages, which are the rows
     columns: dict[str, Column]
-    bad: Counter[str]  # reason -> messages that are not
+    bad: Counter[str]  # reason -> number of unreadable messages
 
 
 class MessageDecoder(ABC):
-    """Decodes the messages of one type into columns. Which messages are valid must not depend on the fields."""
+    """Decodes messages of one type into columns; the wanted fields must not affect which messages are valid."""
 
-    fast = 0  # messages decoded together with others
-    general = 0  # messages decoded by themselves
+    fast = 0  # number of messages decoded by the layout of another one
+    general = 0  # number of messages decoded one by one
 
     def __init__(self, message: Structure) -> None:
         self.message = message
 
     @abstractmethod
     def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
-        """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""
+        """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""

@@ -1,1 +1,1 @@
-"""The report: its tables, notes and words, as JSON, Markdown, HTML, CSV and LaTeX; summaries over logs."""
+"""Reports of results as JSON, Markdown, HTML, CSV and LaTeX, and summaries over several logs."""

@@ -1,4 +1,4 @@
-"""changes.json, .md: two finished results side by side, per configuration and figure."""
+"""changes.json and changes.md: the figures of two reports compared, per configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COLUMNS = texts("configuration", "figure", "before", "after", "change", left=2)
 
 
 def changes(before: Report, after: Report) -> dict[str, Any]:
-    """Return every figure of both reports with its change, and other differences between them."""
+    """Return the change of each figure between two reports, and changed settings, inputs and versions."""
     a, b = before["configurations"], after["configurations"]
     was, now = dict(_flat(before["settings"])), dict(_flat(after["settings"]))
     return {
@@ -32,7 +32,7 @@ def changes(before: Report, after: Report) -> dict[str, Any]:
 
 
 def judged_by(report: Report) -> str | None:
-    """Return the reference of a report's errors: "truth", or the sensors of a reference; None without one."""
+    """Return "truth", or the sensors of the reference solution used instead; None if neither exists."""
     if report.get("truth") is not None:
         return "truth"
     reference = report.get("reference")
@@ -64,7 +64,7 @@ def _flat(tables: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
 def table(found: Mapping[str, Any]) -> Table:
     """Return the main figures of both results, before and after, as a table."""
     rows = (
-        (name, column.heading, *_sides(column, figures[column.key]))
+        (name, column.heading, *_before_after_change(column, figures[column.key]))
         for name, figures in found["configurations"].items()
         for column in MAIN
         if column.key in figures and figures[column.key]["change"] is not None
@@ -72,8 +72,8 @@ def table(found: Mapping[str, Any]) -> Table:
     return of_words(COLUMNS, rows)
 
 
-def _sides(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str, str]:
-    """Return before, after and change as text; a column may hold figures of different units."""
+def _before_after_change(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str, str]:
+    """Return a figure before, after, and its relative change, as text: "0.12 m", "0.09 m", "-25.0%"."""
     share, change = figure["share"], ""
     if share is not None:
         change = "=" if share == 0.0 else f"{share:+.1%}" if abs(share) < 10.0 else f"x {share + 1:.3g}"
@@ -81,7 +81,7 @@ def _sides(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str
 
 
 def remarks(found: Mapping[str, Any]) -> list[str]:
-    """Return notes that a reader of the changes needs."""
+    """Return the differences of input, version, reference, settings and configurations, a line each."""
     lines = []
     if not found["same_input"]:
         lines.append("different input: {} and {}".format(*found["inputs"]))

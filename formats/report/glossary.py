@@ -90,14 +90,14 @@ GLOSSARY: Mapping[str, str] = {
 
 
 def explained(term: str) -> str | None:
-    """Return the meaning of a term in any case: "anees", "NEES, ANEES"; None if it is not known."""
+    """Return the explanation of a term such as "anees" (upper or lower case); None for an unknown term."""
     wanted = term.strip().lower()
     by_lower = {name.lower(): words for name, words in GLOSSARY.items()}
     return next((words for name, words in by_lower.items() if wanted in {name, *_names(name)}), None)
 
 
 def similar(term: str) -> Sequence[str]:
-    """Return known terms with similar spelling, else all of them."""
+    """Return glossary terms with similar spelling; all terms if none is similar."""
     known = {name.lower(): name for names in GLOSSARY for name in _names(names)}
     return [known[name] for name in difflib.get_close_matches(term.lower(), known, n=3)] or [*known.values()]
 

@@ -1,7 +1,7 @@
 """report.html: one self-contained page: verdicts and table first, then figures, then details.
 
-Every number on it is a <data> element that names its place in report.json (RFC 6901), so that the two cannot
-drift apart unseen; text from logs goes through the template's escaping.
+Every number is a <data> element with its path in report.json (RFC 6901), so that tests can compare the two. Text
+from logs is escaped by the template.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -34,16 +34,16 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
+VERDICT_CLASSES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
 FIRST_SIZE = (620, 470)  # px of the picture of the paths, beside the verdicts
-PICTURE = "trajectories"  # the section whose figure stands on the first screen
+FIRST_SECTION = "trajectories"  # the section whose figure is beside the verdicts
 HEADING = re.compile(r'<section id="([\w-]+)">\s*(?:<details>\s*<summary>)?<h2>(.*?)</h2>')
 STRIP_WIDTH_PX = 200.0  # px, width of an effect strip
 
 
 def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapping[str, Colour]) -> str:
-    """Return the page. `sensors` are all sensors known to the product, with their colours."""
+    """Return report.html. `sensors`: the colour of every sensor known to locfuse."""
     names, bars = list(report["configurations"]), _bars(report)
     smoothed = {name for name, values in report["configurations"].items() if values.get("smoothed")}
     traces = palette.traces_in(report)
@@ -60,11 +60,11 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         report=report,
         title=title_of(report),
         fingerprint=fingerprint(report["input"]),
-        figures=ReportFigures(report),
+        figures=partial(figure, report),
         tables=tables,
         table=lambda shown, painted=True: Markup(html(shown, swatches if painted else None, bars, smoothed)),
-        picture=next((d for d in drawings if d["section"].name == PICTURE), None),
-        sections=[d for d in drawings if d["section"].name not in {"credit", PICTURE}],
+        picture=next((d for d in drawings if d["section"].name == FIRST_SECTION), None),
+        sections=[d for d in drawings if d["section"].name not in {"credit", FIRST_SECTION}],
         credit=[d for d in drawings if d["section"].name == "credit"],
         legend=[(name, swatches.slugs[name]) for name in names if name in drawn],
         strips=_strips(report),
@@ -82,7 +82,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
 
 
 def page_of(template: Traversable, version: str, swatches: Swatches, script: bool = True, **values: Any) -> str:
-    """Return a self-contained page: a template in the body of page.html.j2, with the colours of all in it."""
+    """Return a self-contained HTML page: the rendered template with its style sheet, script and colours."""
     folder = files(__package__)
     code = compact((folder / "report.js").read_text(encoding="utf-8")) if script else ""
     page = _compiled(template.read_text(encoding="utf-8")).render(
@@ -94,14 +94,14 @@ def page_of(template: Traversable, version: str, swatches: Swatches, script: boo
         swatch=lambda name: Markup(swatches.of(name)),
         slugs=swatches.slugs,
         signs=SIGNS,
-        tones=TONES,
+        tones=VERDICT_CLASSES,
     )
     return page.strip() + "\n"
 
 
 @cache
 def _compiled(source: str) -> Template:
-    """Return a compiled template, cached because compiling it takes as long as a page."""
+    """Return a compiled template, cached: compiling takes as long as rendering a page."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -114,24 +114,18 @@ def _compiled(source: str) -> Template:
     return environment.from_string(source)
 
 
-class ReportFigures:
-    """Looks figures up in the report and writes them as <data> with their JSON path."""
-
-    def __init__(self, report: Mapping[str, Any]) -> None:
-        self._report = report
-
-    def __call__(self, path: Sequence[str | int], form: str = "{}") -> Markup:
-        """Return the figure at `path`, formatted; a dash if it does not exist."""
-        value: Any = self._report
-        for key in path:
-            value = value[key]
-        if value is None or (isinstance(value, float) and not math.isfinite(value)):
-            return Markup('<span class="none">–</span>')
-        return Markup(data(Piece(written(value, form), value, tuple(path))))
+def figure(report: Mapping[str, Any], path: Sequence[str | int], form: str = "{}") -> Markup:
+    """Return the figure of a report at a JSON path as an HTML <data> element; a dash for null and NaN."""
+    value: Any = report
+    for key in path:
+        value = value[key]
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return Markup('<span class="none">–</span>')
+    return Markup(data(Piece(written(value, form), value, tuple(path))))
 
 
 def style_sheet(css: str, swatches: Swatches) -> str:
-    """Return the style sheet with one variable per role for a light page and for a dark one."""
+    """Return the style sheet with a CSS colour variable per name, for light and dark pages."""
     slugs = swatches.slugs
     light = "".join(f"--{slugs[r]}:{c.light};" for r, c in swatches.inks.items())
     dark = "".join(f"--{slugs[r]}:{c.dark};" for r, c in swatches.inks.items())
@@ -141,20 +135,20 @@ def style_sheet(css: str, swatches: Swatches) -> str:
 
 
 def compact(source: str) -> str:
-    """Return our script without comments, indents, line ends and spaces outside strings."""
+    """Return JavaScript without comments, indents, line ends and spaces outside strings."""
     lines = (line.strip() for line in source.splitlines())
     parts = re.split(r"""("[^"]*"|`[^`]*`)""", "".join(line for line in lines if not line.startswith("//")))
     return "".join(p if i % 2 else re.sub(r" *([-=+*/<>?:,;{}()&|!]) *", r"\1", p) for i, p in enumerate(parts))
 
 
 def hash_of(script: str) -> str:
-    """Return the Content-Security-Policy hash of this script: no other script runs, even from a log's name."""
+    """Return the Content-Security-Policy hash of this script: browsers then run no other script of the page."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
-    """Return a section with its panels as SVG, row by row."""
-    width, height = FIRST_SIZE if section.name == PICTURE else SIZES[section.columns]
+    """Return template values of a section: its panels drawn as SVG, by row, and its legend."""
+    width, height = FIRST_SIZE if section.name == FIRST_SECTION else SIZES[section.columns]
     idents = (f"{section.name}-{i}" for i in range(len(section.panels)))  # without any text from a log
     drawn = [
         (p, Markup(svg(p, ident, swatches.slugs, width, height, swatches.looks)))
@@ -162,13 +156,15 @@ def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     ]
     per_row = section.columns if section.rows else max(1, len(drawn))
     rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
-    keys = {k: p.said.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}
-    scale = {k: keys.pop(k) for k in sorted(keys) if k.startswith("level ")}  # its colours first, in their order
+    keys = {k: p.legend.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}
+    scale = {
+        k: keys.pop(k) for k in sorted(keys) if k.startswith("level ")
+    }  # a colour scale comes first, in its order
     return {"section": section, "rows": rows, "keys": scale | keys}
 
 
 def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
-    """Return each position rmse as a share [%] of the worst, by its path, for the bars in the table."""
+    """Return the bar lengths of the table: path of a position rmse -> its share [%] of the largest."""
     key = tables.RMSE.key
     values = {name: v.get(key) for name, v in report["configurations"].items()}
     worst = max((v for v in values.values() if v), default=0.0)
@@ -180,7 +176,7 @@ def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
 
 
 def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
-    """Return each sensor's effect in px on one logarithmic scale: interval, value, place of 'no effect'."""
+    """Return the positions [px] of each sensor's effect strip: interval, value and "no effect", on a log scale."""
     credit = report.get("credit")
     if not credit:
         return {}

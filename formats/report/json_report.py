@@ -28,7 +28,7 @@ def report(
     settings: Mapping[str, Any],
     version: str,
 ) -> dict[str, Any]:
-    """Return the report as plain values: `configurations.<name>`, `input`, `settings`, `notes`, `absent`."""
+    """Return the content of report.json as plain values, before verdicts and findings are added."""
     return {
         "schema_version": SCHEMA_VERSION,
         "locfuse": version,
@@ -43,13 +43,13 @@ def report(
 
 
 def same_input(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    """Return whether two reports are of the same log: by the hash of all bytes if known, else by identity."""
+    """Return whether two inputs are the same log: equal SHA-256 if both have one, else equal identity."""
     both = next((k for k in ("sha256", "identity") if a.get(k) is not None and b.get(k) is not None), None)
     return both is not None and bool(a[both] == b[both])
 
 
 def made_with() -> dict[str, str | None]:
-    """Return the versions that affect the last digits: the same bytes need the same versions."""
+    """Return the versions (Python, CPU, NumPy, OpenCV, kernels) that affect the last digits of results."""
     found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
     for name, distributions in LIBRARIES.items():
         found[name] = next((v for d in distributions if (v := installed(d)) is not None), None)
@@ -57,21 +57,20 @@ def made_with() -> dict[str, str | None]:
 
 
 def encode(value: Mapping[str, Any]) -> str:
-    """Return indented JSON with keys as given; NaN and infinity become null, controls are escaped."""
+    """Return indented JSON; NaN and infinity become null, control characters are escaped."""
     return escaped(msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode()) + "\n"
 
 
 def plain(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a report as it reads back from its JSON: lists for tuples, None for NaN and infinity."""
+    """Return the report as JSON would store it: lists for tuples, None for NaN and infinity."""
     values: dict[str, Any] = _finite(report)
     return values
 
 
 def readable(report: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Return a report as it is; `source` names it in errors.
+    """Return the report if its schema_version can be read; else raise LocfuseError, which names `source`.
 
-    Raises LocfuseError for a report of another version of its keys. What is no report at all raises KeyError,
-    TypeError or AttributeError.
+    Values that are not a report raise KeyError, TypeError or AttributeError.
     """
     version, writer = report.get("schema_version", 0), report["locfuse"]
     if version != SCHEMA_VERSION:
@@ -87,7 +86,7 @@ def _configuration(evaluation: Evaluation) -> dict[str, Any]:
         "configuration": evaluation.configuration,
         **evaluation.figures,
         "align": evaluation.align,
-        "reference": None,  # errors are those to the truth
+        "reference": None,  # errors are estimate - truth
         "smoothed": evaluation.smoothed,
         "rates_hz": dict(evaluation.rates),
         "lost": [list(interval) for interval in evaluation.lost],
@@ -109,7 +108,7 @@ def _truth(truth: Truth, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Replace values that JSON lacks by null, at any depth."""
+    """Return the value with NaN and infinity replaced by None and strings made writable, at any depth."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

@@ -1,8 +1,8 @@
-"""report.md: the comparison as Markdown for a pull request: verdicts, one table, the rest folded."""
+"""report.md: the comparison as Markdown for a pull request: verdicts and one table, details folded."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from . import tables
@@ -11,10 +11,10 @@ from .render import SIGNS, code, escape, markdown
 
 
 def render(report: Mapping[str, Any]) -> str:
-    """Return the report as Markdown. Text from the log is escaped."""
+    """Return report.md; text from the log is escaped."""
     source, sensors = report["input"], tables.sensors(report)
     compared_with = "reference" if report.get("reference") else "truth"
-    known_by = code(fingerprint(source, 16).split()[1])
+    identity = code(fingerprint(source, 16).split()[1])
     details = [
         markdown(tables.configurations(report, main=False)) if tables.has_figures(report) else "",
         markdown(sensors) if sensors.rows else "",
@@ -22,6 +22,8 @@ def render(report: Mapping[str, Any]) -> str:
         _listing("Dropped", {k: counts(v) for k, v in source["dropped"].items()}),
         _listing("Lost", {k: counts(v) for k, v in source["losses"].items()}),
     ]
+    inside, title = "\n\n".join(filter(None, details)), "All figures, sensors, and what was dropped"
+    folded = f"<details><summary>{title}</summary>\n\n{inside}\n\n</details>" if inside else ""
     prediction, jitter = report.get("prediction"), report.get("jitter")
     parts = [
         f"# locfuse: {escape(title_of(report))}",
@@ -34,8 +36,8 @@ def render(report: Mapping[str, Any]) -> str:
         f"{escape(jitter['words'])}\n\n{markdown(tables.jitter(report))}" if jitter else "",
         _findings(report),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
-        _folded("All figures, sensors, and what was dropped", details),
-        f"Input {known_by}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with}.",
+        folded,
+        f"Input {identity}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with}.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
 
@@ -62,11 +64,6 @@ def _truth_line(report: Mapping[str, Any]) -> str:
     how = f" Estimates were aligned to the truth ({', '.join(sorted(aligned))})." if aligned else ""
     heading = "" if truth["heading"] else " It has no heading."
     return f"Truth: {code(truth['topic'])}, {truth['used']} of {truth['stamps']} stamps used.{heading}{how}"
-
-
-def _folded(title: str, parts: Sequence[str]) -> str:
-    inside = "\n\n".join(p for p in parts if p)
-    return f"<details><summary>{title}</summary>\n\n{inside}\n\n</details>" if inside else ""
 
 
 def _listing(title: str, entries: Mapping[str, str]) -> str:

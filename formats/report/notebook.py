@@ -1,4 +1,4 @@
-"""A report in a notebook: headline, findings, verdicts, a table as HTML in its style, and the paths."""
+"""Display of a report in a notebook, as HTML: headline, findings, verdicts, table, and a figure of the paths."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from .render import Swatches, html, html_text
 from .table import of_words, texts
 from .tables import configurations
 
-WIDTH, HEIGHT = 640, 420  # px of the paths
+WIDTH, HEIGHT = 640, 420  # px of the figure of the paths
 
 
 class Picture(NamedTuple):
-    """A figure of the report by itself, which a notebook shows: `_repr_svg_`."""
+    """A figure of the report for display in a notebook, by `_repr_svg_`."""
 
     panel: Panel
     traces: Mapping[str, Trace]
     sensors: Mapping[str, Colour]
 
     def _repr_svg_(self) -> str:
-        """Return the figure as an SVG document with its own colours, for a light page and a dark one."""
+        """Return the figure as an SVG document with its own style sheet for light and dark notebooks."""
         roles = {**palette.colours(self.traces, self.sensors), **palette.ROLES}
         swatches = Swatches(roles, palette.looks_of(self.traces))
         css = (files(__package__) / "report.css").read_text(encoding="utf-8").splitlines()
@@ -53,9 +53,9 @@ class Picture(NamedTuple):
 
 
 def render(report: Mapping[str, Any], spoken: Callable[[str], str] = str) -> str:
-    """Return headline, findings, verdicts and main figures of a report; `spoken` rewrites command-line options.
+    """Return headline, findings, verdicts and main table as HTML; text from the log is escaped.
 
-    Text from the log is escaped.
+    `spoken` rewrites command-line options in sentences, e.g. as Python arguments.
     """
     lines = [*banner_of(report), *findings_of(report), *filter(None, [together(report)])]
     findings = "".join(f"<li>{html_text(spoken(line))}</li>" for line in lines)
@@ -66,13 +66,13 @@ def render(report: Mapping[str, Any], spoken: Callable[[str], str] = str) -> str
 
 
 def table_and_notes(titles: Sequence[str], rows: Iterable[Sequence[str]], notes: Iterable[str]) -> str:
-    """Return a table of words and notes below it."""
+    """Return an HTML table of text cells with a list of notes below it."""
     below = "".join(f"<li>{html_text(note)}</li>" for note in notes)
     return html(of_words(texts(*titles), rows)) + (f"<ul>{below}</ul>" if below else "")
 
 
 def render_summary(summary: Mapping[str, Any]) -> str:
-    """Return headline, verdicts and the figures of every configuration over several logs."""
+    """Return a summary over several logs as HTML: headline, verdicts, table of configurations."""
     head = f"<p>{html_text(over.headline(summary))}</p>"
     return head + _verdicts(summary["verdicts"]) + html(over.table(summary))
 

@@ -1,4 +1,4 @@
-"""The paper's experiment on one page: the printed filter and ours side by side, and figures 12, 13, 14."""
+"""HTML page of `locfuse paper`: the filter as printed in the article and ours, and its figures 12, 13 and 14."""
 
 from __future__ import annotations
 
@@ -48,19 +48,19 @@ FIGURES = {  # name -> title, columns
 
 
 def table(values: Mapping[str, Any]) -> Table:
-    """Return a table of the printed filter and ours side by side."""
+    """Return the errors of each configuration by our filter and by the filter as printed in the article."""
     rows = ((row, ("table", i)) for i, row in enumerate(values["table"]))
     return of_values(COLUMNS, rows, "The print and our filter")
 
 
 def distances(values: Mapping[str, Any]) -> Table:
-    """Return the distance of each robot of figure 14 from its path."""
+    """Return rms and largest distance [m] from the commanded path for each simulated robot of figure 14."""
     rows = ((row, ("figure_14", i)) for i, row in enumerate(values["figure_14"]))
     return of_values(DISTANCES, rows, "Distances from the path in figure 14")
 
 
 def conclusion(values: Mapping[str, Any]) -> str:
-    """Return in one sentence whether the table supports the paper's conclusion: all sensors are best."""
+    """Return the article's conclusion (all sensors are best) and the best configuration of each filter."""
     rows = {row["configuration"]: row for row in values["table"]}
     parts = []
     for of, words in {"ours": "with our filter", "print": "by the equations as printed"}.items():
@@ -75,14 +75,14 @@ def conclusion(values: Mapping[str, Any]) -> str:
 
 
 def latex(values: Mapping[str, Any]) -> str:
-    """Return the table for a paper."""
+    """Return the table of errors as LaTeX."""
     return f"% locfuse {values['locfuse']}; needs \\usepackage{{booktabs}} and \\usepackage{{textcomp}}\n" + (
         latex_of(table(values)) + "\n"
     )
 
 
 def csv(values: Mapping[str, Any]) -> str:
-    """Return the table with every figure in full precision."""
+    """Return the table of errors as CSV, with every figure in full precision."""
     return csv_of(table(values))
 
 
@@ -92,7 +92,7 @@ def render(
     inks: Mapping[str, Colour],
     looks: Mapping[str, str],
 ) -> str:
-    """Return the page. `figures` are panels by the figure's name, `inks` the colours of everything in them."""
+    """Return the HTML page. `figures`: figure name -> panels; `inks` and `looks`: name -> colour, line style."""
     swatches = Swatches(inks, {**SHAPES, **looks})
     return page_of(
         files(__package__) / "paper.html.j2",
@@ -107,7 +107,7 @@ def render(
 
 
 def _section(name: str, panels: Sequence[Panel]) -> Section:
-    """Return a figure of the paper, with the names of everything in it as its legend."""
+    """Return a figure of the article as a section whose legend names every curve."""
     title, columns = FIGURES[name]
     keyed = tuple(replace(panel, keys=tuple(mark.of for mark in panel.marks)) for panel in panels)
     return Section(name, title, "", keyed, columns=columns)

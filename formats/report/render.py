@@ -1,7 +1,4 @@
-"""A table as Markdown, HTML, LaTeX and CSV. Text from logs is escaped by each medium's rules.
-
-In all but CSV, which programs read, characters that act on what shows them are shown by their numbers.
-"""
+"""Tables as Markdown, HTML, LaTeX and CSV. Text from logs is escaped by the rules of each format."""
 
 from __future__ import annotations
 
@@ -45,18 +42,18 @@ SIGNS = {
 
 
 class Swatches(msgspec.Struct, frozen=True, dict=True):
-    """Spots in the colours of configurations, sensors and roles."""
+    """Legend symbols: the colour and shape of each configuration, sensor and role."""
 
     inks: Mapping[str, Colour]  # name -> its colour
-    looks: Mapping[str, str]  # name -> how its spot is drawn: "dash", "over", or the shape of a spot
+    looks: Mapping[str, str]  # name -> CSS class of its symbol: "dash", "over" or a shape
 
     @cached_property
     def slugs(self) -> dict[str, str]:
-        """The class of the colour of each name."""
+        """CSS class of the colour of each name."""
         return slugs_of(list(self.inks))
 
     def of(self, name: str) -> str:
-        """Return the coloured spot of a configuration, sensor or role as HTML."""
+        """Return the legend symbol of a configuration, sensor or role as HTML."""
         classes = " ".join(c for c in ("swatch", self.looks.get(name, ""), self.slugs.get(name, "")) if c)
         return f'<span class="{classes}"></span>'
 
@@ -77,8 +74,8 @@ def html(
 ) -> str:
     """Return the table as HTML, every number as <data> with its path in report.json (RFC 6901).
 
-    `swatches` puts a spot of its colour before each name; `bars` the length [%] of a bar under a
-    cell by the cell's place; `tinted` are the names of rows of another kind than the rest.
+    `swatches`: legend symbol before each name. `bars`: path of a cell -> length [%] of the bar below it. `tinted`:
+    names of rows with a coloured background.
     """
     classes = ("", *(_class(c, head=True) for c in table.columns[1:]))
     heads = "".join(
@@ -130,7 +127,7 @@ def _html_cell(column: Column, cell: Cell) -> str:
 
 
 def data(piece: Piece) -> str:
-    """Return a number as an element with its full value and its path; text alone has no path."""
+    """Return a number as an HTML <data> element with its full value and path; without a path, its text."""
     if not piece.at:
         return html_text(piece.text)
     value, place = html_text(repr(piece.value)), html_text(pointer(piece.at))
@@ -138,12 +135,12 @@ def data(piece: Piece) -> str:
 
 
 def pointer(path: Path) -> str:
-    """Return a path as a JSON pointer (RFC 6901)."""
+    """Return a report path as a JSON pointer (RFC 6901): "/configurations/lrf/anees"."""
     return "".join("/" + str(key).replace("~", "~0").replace("/", "~1") for key in path)
 
 
 def html_text(words: str) -> str:
-    """Return a text escaped for HTML, without characters that act in a browser."""
+    """Return a text escaped for HTML, with control characters made visible."""
     return _escaped(visible_lines(words))
 
 
@@ -160,16 +157,16 @@ def latex(table: Table) -> str:
 
 
 def latex_text(words: str) -> str:
-    """Return a text escaped for LaTeX."""
+    """Return a text escaped for LaTeX, in one line."""
     return "".join(LATEX.get(character, character) for character in visible(_one_line(words)))
 
 
 def csv(table: Table) -> str:
-    """Return the table with its keys as headings and every number in full precision; missing values are empty."""
+    """Return the table as CSV with column keys as headings, full precision, and empty missing values."""
     return csv_text([c.key for c in table.columns], (row.values() for row in records(table)))
 
 
-FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet evaluates a cell that begins so, unless a ' is in front
+FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet evaluates cells that begin so; a leading ' prevents it
 
 
 def csv_text(heads: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
@@ -189,14 +186,14 @@ def _plain(value: Any) -> str:
 
 
 def escape(words: str) -> str:
-    """Escape Markdown: topic names and notes come from logs."""
+    """Return a text escaped for Markdown, in one line."""
     for character in "\\`*_[]<>|":
         words = words.replace(character, "\\" + character)
     return visible(_one_line(words))
 
 
 def code(words: str) -> str:
-    """Return a code span that no backtick of the text can end."""
+    """Return a Markdown code span whose fence is longer than any run of backticks in the text."""
     words = visible(_one_line(words)).replace("|", "\\|")
     fence = "`" * (1 + max((len(run) for run in re.findall(r"`+", words)), default=0))
     pad = " " if words.startswith("`") or words.endswith("`") else ""

@@ -1,6 +1,6 @@
-"""The structure of report.json, run.json and --json output: the keys that programs may rely on.
+"""The structure of report.json, run.json and --json output: keys with type, unit and meaning.
 
-With type, unit and meaning. There may be more keys; `schema_version` grows when one of a report's keys changes its
+There may be more keys; `schema_version` grows when one of a report's keys changes its
 meaning. None where a figure does not exist. Lengths are in metres, times in seconds, angles in degrees where the
 key ends in `_deg`.
 """
@@ -13,12 +13,12 @@ from msgspec import Meta, Struct
 
 Share = Annotated[float, Meta(ge=0.0)]
 Count = Annotated[int, Meta(ge=0)]
-Figure = float | None  # null where it does not exist: no truth, no reading, or nothing to divide by
+Figure = float | None  # null: no truth, no reading, or division by zero
 Interval = tuple[float, float]
 
 
 class MadeWith(Struct):
-    """Versions that affect the last digits, and whether the kernels are compiled, which hardly matters."""
+    """Versions that affect the last digits, and whether the kernels are compiled (equal to 1e-9)."""
 
     python: str
     machine: str  # kind of CPU
@@ -40,23 +40,23 @@ class Input(Struct):
     name: str
     files: list[str]
     size: Count  # bytes
-    identity: str  # what the content is known by, without reading all of it
-    sha256: str | None  # of all bytes; null where not all were read
-    start: str | None  # time of the first wheel reading, UTC, by the log's clock
+    identity: str  # hash that identifies the content without reading all of it
+    sha256: str | None  # of all bytes; null unless all were read
+    start: str | None  # time of the first wheel reading, UTC, on the log's clock
     topics: dict[str, Any]  # role -> topic, or topics
     messages: dict[str, Count]  # topic -> messages
-    losses: dict[str, Any]  # reason -> what the file lost
+    losses: dict[str, Any]  # reason -> places, bytes and messages that could not be read
     refused: dict[str, Refused]  # stream -> readings not used
     dropped: dict[str, dict[str, Count]]  # stream -> reason -> readings not used
 
 
 class SensorConsistency(Struct):
-    """Whether a sensor's noise matches what its innovations show."""
+    """Whether a sensor's configured noise matches its innovations."""
 
     verdict: str
     words: str  # the verdict as a sentence
-    scale: Figure = None  # observed standard deviation over the configured one
-    refused: Figure = None  # share of readings that the gate refused
+    scale: Figure = None  # observed / configured standard deviation
+    refused: Figure = None  # share of readings rejected by the gate
 
 
 class SensorResult(Struct):
@@ -64,10 +64,10 @@ class SensorResult(Struct):
 
     accepted: Count
     rejected: Count
-    absent: Count  # readings that gave no measurement
+    absent: Count  # readings without a usable measurement
     nis: Figure  # mean normalised innovation squared per degree of freedom: 1 is right
     verdicts: dict[str, Count]  # verdict -> measurements
-    joint_nis: Figure = None  # of whole scans, with all that their lines share; null for other sensors
+    joint_nis: Figure = None  # of whole scans, with the correlation of their lines; null for other sensors
     consistency: SensorConsistency | None = None
 
 
@@ -75,47 +75,47 @@ class CovarianceConsistency(Struct):
     """Whether the claimed covariance matches the error against truth."""
 
     anees: Figure  # average normalised estimation error squared, per degree of freedom: 1 is right
-    bounds: Interval  # 95 % of such drives of a consistent filter lie between
-    states: dict[str, Figure]  # the same of x, y and theta alone
+    bounds: Interval  # 95 % interval of the ANEES of a consistent filter on such a drive
+    states: dict[str, Figure]  # ANEES of x, y and theta alone
     words: str
 
 
 class Reference(Struct):
-    """The reference used instead of truth: the solution of the whole drive, forward and backward."""
+    """The reference used instead of truth: a smoothed solution of the whole drive."""
 
-    sensors: list[str]  # it was solved with, beside the wheels
-    left_out: list[str]  # sensors of the log that it was solved without
-    sigma_m: float  # median over the drive of its claimed standard deviation, sqrt(P_xx + P_yy)
-    shared: list[str] = []  # sensors that it shares with the result that it judged
-    agrees: bool = True  # with the reference of all sensors, as near as both claim
-    words: str = ""  # what it is, as a sentence
+    sensors: list[str]  # sensors of the solution, besides the wheels
+    left_out: list[str]  # sensors of the log that it does not use
+    sigma_m: float  # median over the drive of its position sigma, sqrt(P_xx + P_yy)
+    shared: list[str] = []  # sensors of the solution that the judged result uses too
+    agrees: bool = True  # with the reference of all sensors, within both covariances
+    words: str = ""  # its description, as a sentence
 
 
 class Jump(Struct):
-    """A correction of the pose that is no motion."""
+    """A jump of the estimate: a correction of a wheel slip, a relocalisation or a loop closure."""
 
     t_s: float
-    kind: str  # slip: of a wheel, turned back; relocalised: a lost robot was found; loop: a place was recognised
-    dx_m: float  # in the map
+    kind: str  # slip: wheel slip corrected; relocalised: lost robot found; loop: place recognised
+    dx_m: float  # map frame
     dy_m: float
     dtheta_deg: float
 
 
 class SmoothedDistance(Struct):
-    """The distance between a path and its smoothed one after rigid alignment."""
+    """The distance [m] between a filtered path and its smoothed path after rigid alignment."""
 
     rms: float
     max: float
-    t_s: float  # when they are furthest apart
+    t_s: float  # time of the largest distance
 
 
 class WithoutTruth(Struct):
-    """Figures of a path without truth."""
+    """Figures of a path that need no truth."""
 
-    revisit_agreement: Figure = None  # share of a scan's points that lie on what was seen at a place before
-    crispness_cells: Figure = None  # cells of 5 cm that the points of all scans hit: fewer is better, on one drive
-    smoothed_distance_m: SmoothedDistance | None = None  # to the smoothed path; null where none was solved
-    events: list[Jump] = []  # what moved the pose and was no motion
+    revisit_agreement: Figure = None  # share of a scan's points that lie on an earlier scan of the place
+    crispness_cells: Figure = None  # number of 5 cm cells with points of all scans: on one drive fewer is better
+    smoothed_distance_m: SmoothedDistance | None = None  # to the smoothed path; null without one
+    events: list[Jump] = []  # jumps of the pose
 
 
 class Result(WithoutTruth, Struct, kw_only=True):
@@ -123,9 +123,9 @@ class Result(WithoutTruth, Struct, kw_only=True):
 
     configuration: str  # the set of sensors: "odometry", "compass+lrf", "all"
     smoothed: bool
-    align: str  # how the estimate was laid on the truth before errors were taken: none, origin, se2
-    rates_hz: dict[str, float]  # sensor -> rate that it was thinned to
-    lost: list[Interval]  # s: when the filter said that it was lost
+    align: str  # alignment of the estimate to the truth before its errors: none, origin, se2
+    rates_hz: dict[str, float]  # sensor -> reduced rate of its readings
+    lost: list[Interval]  # s: intervals in which the filter was lost
     lost_share: Share  # of the drive
     notes: list[str]
     sensors: dict[str, SensorResult]
@@ -146,43 +146,43 @@ class Result(WithoutTruth, Struct, kw_only=True):
     anees: Figure  # average NEES per degree of freedom: 1 is right; null after alignment
     truth_coverage: Figure  # share of the drive for which there is truth
     duration_s: float  # of the log
-    distance_m: float  # by the estimate
+    distance_m: float  # length of the estimated path
     consistency: CovarianceConsistency | None = None
     jitter: dict[str, Any] | None = None  # figure -> least and most over runs on jittered drives; path_moved_m
-    reference: Reference | None = None  # what errors were taken against; null: the truth, or nothing
-    void: Void | None = None  # why error figures are null that could be computed
+    reference: Reference | None = None  # reference of the errors; null: the truth, or none
+    void: Void | None = None  # why error figures are null although they could be computed
 
 
 class Void(Struct):
-    """Figures of a configuration that are not valid results."""
+    """Figures of a configuration that are not valid, and the reason."""
 
     reason: str
-    figures: dict[str, Figure]  # what they would be, by key
+    figures: dict[str, Figure]  # key -> value
 
 
 class Validity(Struct):
-    """Why figures are void or doubtful, once for all configurations it applies to."""
+    """A reason why figures of some configurations are void or doubtful."""
 
-    code: str  # lost: the filter was; start: the truth starts elsewhere; else the code of a finding
+    code: str  # lost: the filter was lost; start: the truth starts elsewhere; else the code of a finding
     message: str
     since_s: float
     configurations: list[str]
-    void: bool = True  # false: figures exist, but a setting is wrong that spoils them
+    void: bool = True  # false: doubtful, a wrong setting spoils them
 
 
 class Trial(Struct):
     """One configuration's figures before or after a fix."""
 
     position_rmse_m: Figure
-    aligned: bool  # that of the path laid on the truth as a whole: nothing observes where a laser's own map lies
+    aligned: bool  # error after rigid alignment to the truth, e.g. if only a laser's own map gives positions
     anees: Figure
-    prediction_nats: Figure  # nats per number of sensors that only listened; only without truth
+    prediction_nats: Figure  # nats per number of sensors that were not fused; only without truth
     lost_share: Share  # of the drive
     heading_rmse_deg: Figure
 
 
 class Tried(Struct):
-    """The effect of a fix when the log was fused again with it."""
+    """Figures of the log without and with a fix."""
 
     configuration: str
     before: Trial
@@ -190,7 +190,7 @@ class Tried(Struct):
 
 
 class ReportedFinding(Struct):
-    """What looks wrong with a log's settings, and the fix that was found to help."""
+    """A problem of a log or its settings, and the fix that helps."""
 
     role: str  # the sensor, or wheels, truth, start
     code: str
@@ -198,28 +198,28 @@ class ReportedFinding(Struct):
     fixes: list[str]  # "table.key=value" each; empty: nothing helped
     tried: Tried | None  # null: no fix was found
     alternatives: list[list[str]]  # fixes that were tried and do not help
-    harmless: bool = False  # one of these changes little; without a fix and this, all make the result worse
+    harmless: bool = False  # an alternative changes little; false without a fix: all make the result worse
 
 
 class Truth(Struct):
-    """The reference that errors are taken against."""
+    """The ground truth: topic and extent."""
 
     topic: str
     stamps: Count
     used: Count
-    heading: bool  # whether it has one
+    heading: bool  # whether it has headings
     distance_m: Figure
 
 
 class Jitter(Struct):
-    """Runs on slightly changed drives: how much of a figure is chance."""
+    """Runs on slightly changed drives, which show the random part of each figure."""
 
     runs: Count
     words: str
 
 
 class Verdict(Struct):
-    """The effect of a sensor, in words."""
+    """The verdict on a sensor: whether it makes the position error smaller."""
 
     verdict: str  # helps, seems to help, no effect seen, seems to hurt, hurts, no verdict
     words: str
@@ -227,7 +227,7 @@ class Verdict(Struct):
 
 class _Common(Struct):
     schema_version: Literal[1]
-    locfuse: str  # version that wrote it
+    locfuse: str  # version that wrote the report
     made_with: MadeWith
     input: Input
     configurations: dict[str, Result]  # name -> figures
@@ -245,23 +245,25 @@ class Report(_Common):
     findings: list[ReportedFinding] | None = None  # null: the log was not evaluated
     fixes: list[str] | None = None  # all fixes together, "table.key=value" each
     validity: list[Validity] = []  # why figures are void or doubtful
-    reference: Reference | None = None  # of all sensors, where it took the place of truth; null: it did not
+    reference: Reference | None = None  # reference of all sensors, used instead of truth; null: not used
     verdicts: dict[str, Verdict] = {}  # sensor -> verdict; only of a comparison
     credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
-    prediction: dict[str, Any] | None = None  # how well each configuration predicts sensors it leaves out
+    prediction: dict[str, Any] | None = (
+        None  # how well each configuration predicts the sensors that it does not use
+    )
     consistency: dict[str, SensorConsistency] = {}  # sensor -> verdict on its noise
     changed_settings: dict[str, dict[str, Any]] = {}  # "table.key" -> value, unit, and who set it
-    repeat: str | None = None  # the command that makes this report again
+    repeat: str | None = None  # the command that repeats this report
     jitter: Jitter | None = None  # null: not asked for
     key: str | None = None  # equal for equal input, settings, configurations and version
-    measured: dict[str, Any] | None = None  # of one of several logs: the settings and lags that its drive shows
+    measured: dict[str, Any] | None = None  # for one of several logs: settings and lags measured on its drive
 
 
 # --- locfuse info --json
 
 
 class ListedTopic(Struct):
-    """A topic, by the summary of the log."""
+    """A topic, from the summary of the file."""
 
     type: str
     messages: Count
@@ -269,13 +271,13 @@ class ListedTopic(Struct):
 
 
 class InfoTopic(ListedTopic):
-    """A topic, by its messages."""
+    """A topic, from its messages."""
 
     frame: str | None
     period_s: Figure  # median
     gaps: list[Interval]  # s since the log began: stretches without messages, at most the first few
     longest_gap_s: Figure
-    clock: str | None  # which time its messages are dated by
+    clock: str | None  # clock of its time stamps
     delay_s: Figure  # from stamp to recording
     stamps_repaired: dict[str, Count]  # why -> messages
     dropped: dict[str, Count]  # why -> messages
@@ -283,25 +285,25 @@ class InfoTopic(ListedTopic):
 
 
 class InfoRole(Struct):
-    """The topics of a role."""
+    """The topics of a role (a sensor, wheels or truth)."""
 
     topics: list[str]
-    why: str | None  # it was chosen
+    why: str | None  # reason for the choice
 
 
 class InfoFinding(Struct):
-    """What is missing or looks wrong."""
+    """A problem of the log or its settings."""
 
     role: str  # the sensor, or wheels, truth, start, file, log; or a topic
     code: str
     message: str
     fixes: list[str]  # "table.key=value" each
     source: str | None  # where the values of the fixes come from
-    severe: bool  # an estimate would be spoiled, or nothing runs
+    severe: bool  # whether it spoils an estimate or prevents one
 
 
 class InfoTried(Struct):
-    """Results of --check by fusing, as in a report; without keys if the log cannot be fused."""
+    """Results of `info --check`, as in a report; empty if the log cannot be fused."""
 
     headline: str | None = None
     validity: list[Validity] = []
@@ -310,7 +312,7 @@ class InfoTried(Struct):
 
 
 class InfoFile(Struct):
-    """The files of a log."""
+    """The files of a log, with size, duration and number of messages."""
 
     name: str
     files: list[str]
@@ -322,20 +324,20 @@ class InfoFile(Struct):
 
 
 class InfoOutput(InfoFile):
-    """What `locfuse info LOG --json` prints, and locfuse.info(LOG) returns."""
+    """Output of `locfuse info LOG --json` and locfuse.info(LOG)."""
 
     topics: dict[str, InfoTopic]
     roles: dict[str, InfoRole]  # sensor, wheels or truth -> topics
     absent: dict[str, str]  # sensor or role -> why it cannot be used
-    extrinsics: dict[str, dict[str, Any]]  # sensor -> where it sits [m, degrees], and by which source
+    extrinsics: dict[str, dict[str, Any]]  # sensor -> mount [m, degrees] and its source
     configurations: dict[str, str | None]  # name -> what is missing; null: it runs
     findings: list[InfoFinding]
-    severe: bool  # one of them is
+    severe: bool  # whether a finding is severe
     tried: InfoTried | None = None  # null: without --check
 
 
 class TopicsOutput(Struct, forbid_unknown_fields=True):
-    """What `locfuse info LOG --topics --json` prints."""
+    """Output of `locfuse info LOG --topics --json`."""
 
     topics: dict[str, ListedTopic]
 
@@ -344,7 +346,7 @@ class TopicsOutput(Struct, forbid_unknown_fields=True):
 
 
 class TunedNoise(Struct):
-    """A noise figure, in the unit of its key."""
+    """A noise setting before and after tuning, in the unit of its key."""
 
     before: float
     after: float
@@ -354,7 +356,7 @@ class TunedNoise(Struct):
 
 
 class TunedLikelihood(Struct):
-    """Natural logarithm of the likelihood per measured number: more is better."""
+    """Log likelihood [nats] per measured number before and after tuning: larger is better."""
 
     before: Figure
     after: Figure
@@ -362,14 +364,14 @@ class TunedLikelihood(Struct):
 
 
 class TunedFigures(Struct):
-    """Figures by which a log is judged."""
+    """Position error and NIS of a log."""
 
     position_rmse_m: Figure
     nis: dict[str, Figure]  # sensor -> mean normalised innovation squared: 1 is right
 
 
 class TunedLog(Struct):
-    """A log before and after tuning."""
+    """Figures of a log before and after tuning."""
 
     name: str
     before: TunedFigures
@@ -377,13 +379,13 @@ class TunedLog(Struct):
 
 
 class TuneOutput(Struct):
-    """What `locfuse tune LOG --json` prints."""
+    """Output of `locfuse tune LOG --json`."""
 
     noise: dict[str, TunedNoise]  # "table.key" -> figure
     ln_likelihood_per_number: dict[str, TunedLikelihood | None]  # training, held_out
     logs: list[TunedLog]
     measured_again: list[str]  # sensors
-    refused: bool  # a log gets worse under the noise that was found: it is not used
+    refused: bool  # the found noise makes a log worse and is not used
     robot: dict[str, dict[str, Any]]  # tables of robot.toml to be used
     notes: list[str]
 
@@ -400,7 +402,7 @@ class Estimated(Struct):
 
 
 class CalibratedGeometry(Struct, kw_only=True):
-    """The wheels' lengths; null if the logs do not show them."""
+    """Wheel radius, ratio of radii and track width; null if the logs do not show them."""
 
     radius: Estimated | None = None  # m
     ratio: Estimated | None = None  # right radius over left
@@ -408,21 +410,21 @@ class CalibratedGeometry(Struct, kw_only=True):
 
 
 class CalibratedWheels(CalibratedGeometry, kw_only=True):
-    """Calibration by truth."""
+    """Wheel calibration from the ground truth."""
 
     noise_m: Estimated  # wheels.noise
-    delta: Estimated  # the paper's, at its period
+    delta: Estimated  # wheel noise of the article, for steps of delta_period_s
     delta_period_s: float
     ln_likelihood_noise_over_delta: float
     straight_pieces: Count
     turn_pieces: Count
     straight_m: float
     turned_deg: float
-    outliers: Count  # pieces that do not fit the others
+    outliers: Count  # pieces of the drive that do not fit the others
 
 
 class CalibratedLaser(CalibratedGeometry, kw_only=True):
-    """Calibration by wheels and laser."""
+    """Calibration of wheels and laser mount from laser scans."""
 
     x: Estimated | None = None  # m
     y: Estimated | None = None  # m
@@ -435,7 +437,7 @@ class CalibratedLaser(CalibratedGeometry, kw_only=True):
 
 
 class CalibratedByGyro(CalibratedGeometry, kw_only=True):
-    """Calibration by wheels and gyro."""
+    """Calibration of the wheels from the gyro's turns."""
 
     noise_m: Estimated
     noise_by_window_m: dict[str, float]  # length [s] -> noise
@@ -445,7 +447,7 @@ class CalibratedByGyro(CalibratedGeometry, kw_only=True):
 
 
 class CalibratedIron(Struct):
-    """Iron around the magnetometer: field - hard_iron, times the matrix soft_iron (row by row)."""
+    """Magnetometer calibration: corrected field = soft_iron @ (field - hard_iron); soft_iron row by row."""
 
     hard_iron: list[float]
     hard_iron_sigma: list[Figure]

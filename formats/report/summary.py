@@ -1,4 +1,4 @@
-"""summary.json and .md: the figures of several logs together, for each configuration."""
+"""summary.json and summary.md: figures of each configuration over several logs."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from .render import escape, markdown
 from .table import Column, Table, of_rows
 from .tables import CONFIGURATION, DURATION, MAIN, RMSE
 
-OVER_LOGS = ("mean", "median", "p90", "worst")  # of a figure over the logs
+OVER_LOGS = ("mean", "median", "p90", "worst")  # statistics of a figure over the logs
 BRIEF = (RMSE.key, "heading_rmse_deg", "anees")  # on a terminal: OVER_LOGS of the first, the mean of the others
 OF = Column("of", "of", kind="text")
 BEST_IN = Column("best_in", "best in")
-SOME_TIES = 3  # configurations named in one sentence
-MAX_LISTED = 6  # logs whose figures are in one sentence
+MAX_NAMED_TIES = 3  # configurations named in one sentence
+MAX_LISTED = 6  # logs whose figures fit into one sentence
 NOT_ERRORS = ("duration_s", "distance_m", "truth_coverage")
 Reports = Mapping[str, Mapping[str, Any]]  # name of the log -> its report.json
 
 
 def summarise(reports: Reports) -> dict[str, Any]:
-    """Return mean, median and worst of every error figure per configuration, and which configuration is best."""
+    """Return mean, median, p90 and worst of every error figure per configuration, and the best configuration."""
     names = list(dict.fromkeys(name for r in reports.values() for name in r["configurations"]))
     best = {log: best_of(report) for log, report in reports.items()}
     judged = [b for b in best.values() if b is not None]
@@ -76,7 +76,7 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
     found = {}
     for key in keys:
         values = {log: float(row[key]) for log, row in rows.items() if row.get(key) is not None}
-        # the ANEES of a consistent filter is 1: worst is what is furthest from it
+        # a consistent filter has ANEES 1: the worst is the one furthest from 1
         far = {log: max(v, 1.0 / v if v > 0 else v) if key == "anees" else v for log, v in values.items()}
         worst = max(far, key=lambda log: far[log])
         found[key] = {
@@ -91,7 +91,7 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
 
 
 def quantile(ordered: Sequence[float], share: float) -> float:
-    """Return the value below which this share of sorted values lies, interpolated between neighbours."""
+    """Return a quantile of sorted values, linearly interpolated; `share` is 0 to 1."""
     at = share * (len(ordered) - 1)
     low = int(at)
     high = min(low + 1, len(ordered) - 1)
@@ -99,24 +99,24 @@ def quantile(ordered: Sequence[float], share: float) -> float:
 
 
 def _p90_anees(values: Mapping[str, float], far: Mapping[str, float]) -> float:
-    """Return the ANEES at the 90 % quantile of the logs, ordered by distance from 1."""
+    """Return the 90 % quantile of the ANEES, ordered by `far`: max(ANEES, 1 / ANEES)."""
     order = sorted(values, key=lambda log: far[log])
     return values[order[round(0.9 * (len(order) - 1))]]
 
 
 def is_figure(key: str, value: Any) -> bool:
-    """Return whether an entry of a configuration is an error figure that exists."""
+    """Return whether an entry of a configuration's results is an error figure with a value."""
     return isinstance(value, float | int) and not isinstance(value, bool) and key not in NOT_ERRORS
 
 
 def columns_of(summary: Mapping[str, Any]) -> list[Column]:
-    """Return the main columns that at least one configuration has."""
+    """Return the columns of main figures that at least one configuration has."""
     rows = [c["figures"] for c in summary["configurations"].values()]
     return [c for c in MAIN if any(c.key in row for row in rows)]
 
 
 def table(summary: Mapping[str, Any]) -> Table:
-    """Return mean, median and worst of every main figure, in rows below each other."""
+    """Return the main figures over logs: four rows (mean, median, p90, worst) per configuration."""
     rows = []
     for name, values in summary["configurations"].items():
         for which in OVER_LOGS:
@@ -127,7 +127,7 @@ def table(summary: Mapping[str, Any]) -> Table:
 
 
 def brief(summary: Mapping[str, Any]) -> Table:
-    """Return the most important figures for a terminal, a row per configuration."""
+    """Return the table for a terminal: rmse, heading and ANEES over logs, one row per configuration."""
     columns, rows = [], []
     for c in (c for c in columns_of(summary) if c.key in BRIEF):
         for which in OVER_LOGS if c is RMSE else OVER_LOGS[:1]:
@@ -147,19 +147,17 @@ def _logs(summary: Mapping[str, Any]) -> Table:
     columns = [Column("log", "log", kind="text"), DURATION, Column("best", "best", kind="text")]
     if any(v.get("robot") for v in summary["logs"].values()):
         columns.insert(1, Column("robot", "robot", kind="text"))
-    rows = {name: {**v, "reason": _not_judged(v)} for name, v in summary["logs"].items()}
-    if any(row["reason"] for row in rows.values()):
+    rows = []
+    for name, log in summary["logs"].items():
+        reason = log.get("reason") or "; ".join(f"void: {line}" for line in log.get("void") or ()) or None
+        rows.append({**log, "log": name, "reason": reason})
+    if any(row["reason"] for row in rows):
         columns.append(Column("reason", "not judged", kind="text", missing=""))
-    return of_rows(columns, ({**row, "log": name} for name, row in rows.items()))
-
-
-def _not_judged(log: Mapping[str, Any]) -> str | None:
-    """Return the reason why a log was not run or why its figures are void."""
-    return log.get("reason") or "; ".join(f"void: {line}" for line in log.get("void") or ()) or None
+    return of_rows(columns, rows)
 
 
 def render(summary: Mapping[str, Any]) -> str:
-    """Return the summary as Markdown. Names from logs are escaped."""
+    """Return summary.md; names from logs are escaped."""
     parts = [
         f"# locfuse: {len(summary['logs'])} logs",
         headline(summary),
@@ -175,17 +173,21 @@ def render(summary: Mapping[str, Any]) -> str:
 
 
 def headline(summary: Mapping[str, Any]) -> str:
-    """Return in one sentence which configuration is best."""
+    """Return a sentence with the best configuration and its mean position rmse."""
     best, judged = summary["best"], summary["judged"]
-    if not any(log.get("state", "done") == "done" for log in summary["logs"].values()):
+    done = [log for log in summary["logs"].values() if log.get("state", "done") == "done"]
+    if not done:
         return "No log could be compared."
+    unjudged = [log for log in done if log.get("best") is None]  # no truth, or void
     if best is None:
-        return f"{_none_judged(summary)}{not_done(summary)}"
+        void = any(log.get("void") for log in unjudged)
+        without_truth = "None of these logs has a truth: error figures do not exist."
+        reason = f"No log has an error figure: {_left_out(unjudged)}." if void else without_truth
+        return f"{reason}{not_done(summary)}"
     found = summary["configurations"][best]
     mean = found["figures"][RMSE.key]["mean"]
     rivals = {n: c["best_in"] for n, c in summary["configurations"].items() if n != best and c["best_in"]}
     others = "".join(f", {n} in {k}" for n, k in rivals.items())
-    unjudged = _unjudged(summary)
     left = f" {_left_out(unjudged)}." if unjudged else ""
     rest = f"{left}{_ties(summary)}{not_done(summary)}"
     partly = any(summary["configurations"][n]["figures"][RMSE.key]["logs"] < judged for n in rivals)
@@ -200,34 +202,21 @@ def headline(summary: Mapping[str, Any]) -> str:
     return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}{rest}"
 
 
-def _unjudged(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the logs that were compared without an error figure."""
-    done = (log for log in summary["logs"].values() if log.get("state", "done") == "done")
-    return [log for log in done if log.get("best") is None]
-
-
-def _none_judged(summary: Mapping[str, Any]) -> str:
-    logs = _unjudged(summary)
-    if any(log.get("void") for log in logs):
-        return f"No log has an error figure: {_left_out(logs)}."
-    return "None of these logs has a truth: error figures do not exist."
-
-
 def _left_out(logs: Sequence[Mapping[str, Any]]) -> str:
-    """Return how many logs without an error figure are void, and how many without truth."""
+    """Return the causes of missing error figures: "2 void, 1 without truth"."""
     void = sum(bool(log.get("void")) for log in logs)
     counts = ((void, "void"), (len(logs) - void, "without truth"))
     return ", ".join(f"{n} {what}" for n, what in counts if n)
 
 
 def _ties(summary: Mapping[str, Any]) -> str:
-    """Return the configurations that are as good as the best, within the uncertainty of these logs."""
+    """Return a sentence with the configurations not significantly worse than the best; "" if there are none."""
     ties, of = summary.get("ties") or {}, summary.get("replicates") or {}
     if not ties:
         return ""
     one = next(iter(ties.values()))["replicates"]
     what = of.get("of", "logs") if one != 1 else of.get("of", "logs").removesuffix("s")
-    names = list(ties)[:SOME_TIES]
+    names = list(ties)[:MAX_NAMED_TIES]
     more = [f"{len(ties) - len(names)} more"] if len(ties) > len(names) else []
     return f" A tie with {' and '.join([*names, *more])}: {one} {what} cannot tell them apart."
 
@@ -236,7 +225,7 @@ Line = tuple[str, str]  # words, and options to type, "" for none
 
 
 def robots(summary: Mapping[str, Any]) -> list[Line]:
-    """Return what the logs of each robot have in common and is not as configured, and the setting that helps."""
+    """Return findings that all logs of a robot share (values that differ from the settings), and the fix."""
     return [line for robot in summary.get("robots") or () for line in _of_robot(robot)]
 
 
@@ -247,7 +236,7 @@ def _of_robot(robot: Mapping[str, Any]) -> list[Line]:
 
 
 def fix_of(robot: Mapping[str, Any]) -> list[Line]:
-    """Return the setting that helps in all logs of a robot, with its effects; else the settings tried."""
+    """Return the fix that helps in all logs of a robot, with its effects; if none helps, the settings tried."""
     helped = [tried for tried in robot["tried"] if tried["helps"]]
     for tried in helped[:1]:
         each = [f"{log} {effect_of(pair, True)}" for log, pair in tried["logs"].items()]
@@ -263,7 +252,7 @@ def _worse(logs: Sequence[str]) -> str:
 
 
 def not_done(summary: Mapping[str, Any]) -> str:
-    """Return how many logs failed and how many were not run."""
+    """Return the numbers of logs that failed or were not run as text: " 2 failed. 1 were not run."."""
     states = [log.get("state", "done") for log in summary["logs"].values()]
     return "".join(
         f" {states.count(state)} {words}."

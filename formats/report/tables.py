@@ -1,4 +1,4 @@
-"""The tables of a report, each built once for every medium: configurations, sensors, credit, prediction, input."""
+"""The tables of a report, for all output formats: configurations, sensors, credit, prediction, input."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ COLUMNS = (
     ANEES,
 )
 ON_DEMAND = ("final_position_error_m", "drift_5m")  # on a terminal only with --verbose
-IN_MM = (0.01, 10.0)  # m: where an error is smaller than the first and none larger than the second
+IN_MM = (0.01, 10.0)  # m: mm if the smallest error is below the first and the largest below the second
 ASIDE = ("position_median_m", "along_rmse_m", "cross_rmse_m", "drift_1m", "drift_10m")  # in the full table only
 MAIN = tuple(c for c in COLUMNS if c.key not in ASIDE)
 LOST = Column("lost_share", "lost", form="{:.0%}")
@@ -112,7 +112,7 @@ SENSORS_NOTE = (
     "unusable: readings that gave no measurement"
 )
 MAX_JUMPS = 30  # rows: the largest
-MIN_AGREEMENT = 0.3  # of a path where it was before: below, it is wrong, and its crispness is not compared
+MIN_AGREEMENT = 0.3  # revisit agreement; below, the path is wrong and its crispness is not compared
 AGREEMENT = Column("revisit_agreement", "revisits agree", form="{:.0%}", rank=5)
 CRISPNESS = Column("crispness", "crispness", kind="text", rank=5)
 JUMPS = (
@@ -132,7 +132,7 @@ def has_figures(report: Report) -> bool:
 
 
 def configurations(report: Report, main: bool = True) -> Table:
-    """Return the existing error figures of every configuration, the main ones or all; else the distance driven."""
+    """Return the error figures of every configuration, main ones or all; without errors, distance and duration."""
     rows = report["configurations"].values()
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
@@ -141,20 +141,20 @@ def configurations(report: Report, main: bool = True) -> Table:
     if errors and min(errors) < IN_MM[0] and max(errors) < IN_MM[1]:
         in_mm = {"unit": "mm", "scale": 1000.0, "form": "{:.1f}", "brief_form": "{:.1f}"}
         found = [replace(c, **in_mm) if c.unit == "m" else c for c in found]
-    found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _by_own_scans(report))]
+    found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _scan_quality(report))]
     label = "Main figures of every configuration" if main else "All figures of every configuration"
     return of_values(_readable((CONFIGURATION, *found), report), _configurations(report), label)
 
 
 def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
-    """Return the columns; if the truth has no noise, very large ANEES are printed as "over MAX_ANEES"."""
+    """Return the columns; ANEES are limited to "over 50" if no truth noise is configured."""
     truth = report.get("settings", {}).get("truth", {})
     known = report["truth"] is None or truth.get("sigma") or truth.get("sigma_theta_deg")
     return tuple(replace(c, most=MAX_ANEES) if c == ANEES and not known else c for c in columns)
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
-    """Yield (values, path) of every configuration, or of the part of it at `key`, with its name."""
+    """Yield (values, path in report.json) of every configuration, or of its sub-table `key`."""
     runs = report["configurations"]
     hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
     fewest = min(filter(None, hit), default=0)
@@ -166,27 +166,27 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
             yield {**own, **more}, ("configurations", name, *([key] if key else []))
 
 
-def _by_own_scans(report: Report) -> list[Column]:
-    """Return the columns on map quality (revisit agreement, crispness) that any configuration has."""
+def _scan_quality(report: Report) -> list[Column]:
+    """Return the columns revisit agreement and crispness, each if any configuration has a value."""
     runs = report["configurations"].values()
     seen_twice, crisp = any(v.get(AGREEMENT.key) is not None for v in runs), any(_crispness(v, 1) for v in runs)
     return [*([AGREEMENT] if seen_twice else []), *([CRISPNESS] if crisp else [])]
 
 
 def _agrees(values: Mapping[str, Any]) -> bool:
-    """Return whether a path agrees with itself at places seen twice; None if unknown."""
+    """Return whether the revisit agreement is at least MIN_AGREEMENT, or unknown."""
     agreement = values.get(AGREEMENT.key)
     return agreement is None or agreement >= MIN_AGREEMENT
 
 
 def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
-    """Return the crispness: cells over the least number of cells; "bad" if the path contradicts itself."""
+    """Return the crispness "x 1.20": cells over `fewest`; "bad" for low revisit agreement; None without cells."""
     cells = values.get("crispness_cells")
     return "bad" if not _agrees(values) else f"x {cells / fewest:.2f}" if cells and fewest else None
 
 
 def jumps(report: Report) -> Table:
-    """Return corrections of the pose that are no motion: the largest jumps, in order of time."""
+    """Return the MAX_JUMPS largest jumps of the estimate (slip, relocalisation, loop closure), by time."""
     found = [
         (
             {**event, "kind": KINDS.get(event["kind"], event["kind"]), "configuration": name},
@@ -202,7 +202,7 @@ def jumps(report: Report) -> Table:
 
 
 def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
-    """Return the reference that judged a result: "all"; "all *" if it shares sensors; "camera ?" if doubtful."""
+    """Return the sensors of the reference: "all"; "all *" if shared with the result; "camera ?" if doubtful."""
     if reference is None:
         return None
     every = not reference["left_out"] and len(reference["sensors"]) > 1
@@ -211,9 +211,9 @@ def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
 
 
 def brief(report: Report, short: bool = False) -> Table:
-    """Return the configurations for a terminal; without truth, with their predictions of each other's sensors.
+    """Return the table of configurations for a terminal; without error figures, their distance and prediction.
 
-    A short one has the error of a smoothed result in the row of its filter, and leaves out what few look for.
+    `short` puts a smoothed result's error into the row of its filter and leaves out the columns of ON_DEMAND.
     """
     if has_figures(report):
         return _short(report) if short else configurations(report)
@@ -221,13 +221,13 @@ def brief(report: Report, short: bool = False) -> Table:
     gains = {r["configuration"]: r["gain_nats"] for r in ranking}
     columns = [CONFIGURATION, DISTANCE]
     columns += [GAIN] if ranking else []
-    columns += _by_own_scans(report)
+    columns += _scan_quality(report)
     rows = (({**values, GAIN.key: gains.get(at[1])}, at) for values, at in _configurations(report))
     return of_values(columns, rows)
 
 
 def _short(report: Report) -> Table:
-    """Return the main figures with a row for each configuration, smoothed or not."""
+    """Return the main figures, one row per configuration with its filtered and smoothed error."""
     table, runs = configurations(report).without(*ON_DEMAND), report["configurations"]
     after = {v["configuration"]: v.get(RMSE.key) for v in runs.values() if v.get("smoothed")}
     if not any(after.values()):
@@ -245,7 +245,7 @@ def _short(report: Report) -> Table:
 
 
 def sensors(report: Report) -> Table:
-    """Return the counts of each sensor's measurements by verdict; a smoothed run has those of its filter."""
+    """Return the counts of each sensor's measurements by verdict, of filtered results."""
     rows = []
     for name, values in report["configurations"].items():
         for sensor, found in {} if values.get("smoothed") else values["sensors"].items():
@@ -256,14 +256,14 @@ def sensors(report: Report) -> Table:
 
 
 def ranking(report: Report) -> Table:
-    """Return the configurations, best predictor of unused sensors first."""
+    """Return the configurations ranked by how well they predict the sensors that they do not use."""
     found = enumerate(report["prediction"]["ranking"])
     rows = (({**r, "sensors": ", ".join(r["sensors"])}, ("prediction", "ranking", i)) for i, r in found)
     return of_values(RANKING, rows, "Ranked by prediction")
 
 
 def scores(report: Report) -> Table:
-    """Return how well each configuration predicts each sensor that it does not use."""
+    """Return the log score [nats] of each configuration's prediction of each sensor that it does not use."""
     where = {"stretches": "stretches", "sensors": "all of the drive"}
     found = enumerate(report["prediction"]["scores"])
     rows = (({**s, "by": where[s["by"]]}, ("prediction", "scores", i)) for i, s in found)
@@ -271,7 +271,7 @@ def scores(report: Report) -> Table:
 
 
 def consistency(report: Report) -> Table:
-    """Return whether every configuration's covariance matches its error."""
+    """Return ANEES, its consistent range and the result in words, for every configuration."""
     rows = _configurations(report, "consistency")
     return of_values(_readable(CONSISTENCY, report), rows, "Consistency of every configuration")
 
@@ -298,7 +298,7 @@ def credit(report: Report) -> Table:
 
 
 def streams(report: Report) -> Table:
-    """Return what was read for each stream, what was dropped, and why sensors are absent."""
+    """Return topic, messages and dropped readings of each stream, and the reasons for absent sensors."""
     source = report["input"]
     rows = [
         (
@@ -330,10 +330,7 @@ def _number_or_text(value: Any) -> Any:
 
 
 def everything(report: Report) -> Table:
-    """Return one row per configuration with every value of report.json and every sensor's counts.
-
-    Lists (notes, intervals of being lost) are no values: report.json has them.
-    """
+    """Return one row per configuration with every scalar of report.json and every sensor's counts."""
     runs = report["configurations"]
     keys = dict.fromkeys(k for v in runs.values() for k, x in v.items() if not isinstance(x, Mapping | list))
     keys.pop("configuration")  # the first column: there it is the row's name, such as all-smoothed
@@ -347,12 +344,12 @@ def everything(report: Report) -> Table:
 
 
 def csv(report: Report) -> str:
-    """Return report.csv: every value in full precision."""
+    """Return report.csv, with every value in full precision."""
     return csv_of(everything(report))
 
 
 def latex(report: Report) -> str:
-    """Return report.tex: the page's first table, for a paper."""
+    """Return report.tex: the table of configurations as LaTeX."""
     source = report["input"]
     return (
         f"% {latex_text(source['name'])}, {fingerprint(source, 16)}, locfuse {report['locfuse']}\n"

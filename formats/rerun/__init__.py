@@ -1,1 +1,1 @@
-"""Rerun recordings: a scene as values, and its drawing, saving and streaming."""
+"""Rerun recordings: their content as values, drawing, layout and saving."""

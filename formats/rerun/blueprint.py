@@ -1,4 +1,4 @@
-"""The layout of the viewer: a large map on the left, plots of the estimate on the right, the rest in tabs."""
+"""Layout of the Rerun viewer: map on the left; sensor views and tabs with plots on the right."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .map_view import ROOT
 from .scene import RerunScene
 
 BACKGROUND = (20, 21, 26)
-MARGIN_SHARE = 0.06  # of the map's size, around it
-SCAN_RANGE_M = (1.5, 15.0)  # m shown around the robot at first: the least and the most
-MAX_RAW_VIEWS = 12  # topics with a view of their own: a viewer with hundreds is of no use
+MARGIN_SHARE = 0.06  # margin around the map, as a share of its size
+SCAN_RANGE_M = (1.5, 15.0)  # limits of the range around the robot shown first
+MAX_RAW_VIEWS = 12  # topics with a view of their own
 Range = tuple[float, float]
 
 
 def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
-    """Return the layout of a scene without empty views; `tab` in front."""
+    """Return the layout for a scene, without empty views; the tab named `tab` is active."""
     left, right = _left(scene), _right(scene, tab)
     return rrb.Blueprint(
         left if right is None else rrb.Horizontal(contents=[left, right], column_shares=[0.54, 0.46]),
@@ -35,7 +35,7 @@ def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
 
 
 def _left(scene: RerunScene) -> Any:
-    """Return the map with its legend, and the panorama below if there are pictures."""
+    """Return the left column: map, legend, and panorama if there are pictures."""
     rows = [(_map_view(scene), 0.66)]
     if len(drawing.legend_of(scene)) > 1:
         rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", *drawing.legend_ranges(scene)), 0.1))
@@ -46,10 +46,10 @@ def _left(scene: RerunScene) -> Any:
 
 
 def _right(scene: RerunScene, tab: str | None) -> Any | None:
-    """Return the right column: what the robot sees, in its own frame, above the plots of the estimate."""
-    looks = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
-    looks += [] if scene.picture_rows is None else [_view_2d("Omni image", f"/{drawing.OMNI}")]
-    parts: list[Any] = [rrb.Horizontal(contents=looks)] if looks else []
+    """Return the right column: scan and camera views in the robot's frame, above the tabs with plots."""
+    sensor_views = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
+    sensor_views += [] if scene.picture_rows is None else [_view_2d("Omni image", f"/{drawing.OMNI}")]
+    parts: list[Any] = [rrb.Horizontal(contents=sensor_views)] if sensor_views else []
     if tabs := _tabs(scene):
         front = list(tabs).index(tab) if tab in tabs else 0
         parts.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
@@ -57,13 +57,13 @@ def _right(scene: RerunScene, tab: str | None) -> Any | None:
 
 
 def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = None, **more: Any) -> Any:
-    """Return a view of the plane; x and y are its first ranges, y down."""
+    """Return a 2D view; x and y are the ranges shown first, with y down."""
     bounds = rrb.VisualBounds2D(x_range=x, y_range=y) if x and y else None
     return rrb.Spatial2DView(name=name, origin=origin, background=BACKGROUND, visual_bounds=bounds, **more)
 
 
 def _map_view(scene: RerunScene) -> Any:
-    """Return the map: a switch per configuration; walls and matches are shown for the best one only."""
+    """Return the map view; walls and matches are visible only for the best configuration at first."""
     low, high = scene.extent
     margin = MARGIN_SHARE * max(float((high - low).max()), 1.0)
     (x0, y0), (x1, y1) = (low - margin).tolist(), (high + margin).tolist()
@@ -74,31 +74,31 @@ def _map_view(scene: RerunScene) -> Any:
         growing += [f"{root}/{name}" for name in ("path", "loops", "walls/refined", "walls/three_sigma")]
         if e is not scene.best:
             overrides |= {f"{root}/{name}": [rrb.EntityBehavior(visible=False)] for name in ("walls", "seen")}
-    overrides |= {path: [_until_now()] for path in growing}
+    overrides |= {path: [_up_to_cursor()] for path in growing}
     return _view_2d("Map", "/", (x0, x1), (-y1, -y0), contents=[f"/{ROOT}/**"], overrides=overrides)
 
 
 def _scan_view(scene: RerunScene) -> Any:
-    """Return the view from the robot: x ahead to the right, y to the left upwards; it shows 4 of 5 returns."""
-    root, reach = f"{ROOT}/{part(scene.best.name)}", SCAN_RANGE_M[0]
+    """Return the scan view in the robot's frame (x to the right, y up), with a range for 80 % of the points."""
+    root, range_m = f"{ROOT}/{part(scene.best.name)}", SCAN_RANGE_M[0]
     if scene.scans is not None and len(scene.scans.xy):
-        reach = float(np.clip(1.1 * np.quantile(np.hypot(*scene.scans.xy.T), 0.8), *SCAN_RANGE_M))
+        range_m = float(np.clip(1.1 * np.quantile(np.hypot(*scene.scans.xy.T), 0.8), *SCAN_RANGE_M))
     hidden = (f"- /{root}/{path}/**" for path in ("path", "sigma", "loops"))
     contents = [f"+ /{root}/**", f"+ /{ROOT}/landmark/**", *hidden]
-    overrides = {f"{root}/walls/{name}": [_until_now()] for name in ("refined", "three_sigma")}
-    square = (-reach, reach)
+    overrides = {f"{root}/walls/{name}": [_up_to_cursor()] for name in ("refined", "three_sigma")}
+    square = (-range_m, range_m)
     return _view_2d("Scan", f"/{root}/scan/screen", square, square, contents=contents, overrides=overrides)
 
 
-def _until_now() -> Any:
-    """Show everything up to the cursor: paths and walls grow."""
+def _up_to_cursor() -> Any:
+    """Return the visible time range from the start to the cursor, for paths and walls that grow."""
     edge = rrb.TimeRangeBoundary
     start, end = edge.infinite(), edge.cursor_relative()
     return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(t, start=start, end=end) for t in (DRIVE, TIME, STEP)])
 
 
 def _tabs(scene: RerunScene) -> dict[str, Any]:
-    """Return the tabs with plots of the estimate, by name, without empty ones."""
+    """Return tab name -> view, without empty tabs."""
     used = {s for e in scene.estimates for s, audit in e.audits.items() if len(audit.instant)}
     sensors = [s for s in scene.drive.measurements if s in used]
     raw = [t for t in scene.raw[:MAX_RAW_VIEWS] if t.fields]
@@ -121,7 +121,7 @@ def _tabs(scene: RerunScene) -> dict[str, Any]:
 
 
 def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: list[float] | None) -> Any:
-    """Return the plots of estimate - truth; `close` (one per component) limits them."""
+    """Return the plots of estimate - truth for x, y, heading; `close`: y limit per component."""
     count = 2 if judged[0].heading is None else 3
     views = []
     for i, (component, (unit, _)) in enumerate(list(series.DEVIATIONS.items())[:count]):
@@ -137,7 +137,7 @@ def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: l
 
 
 def _close_spans(judged: list[Evaluation]) -> list[float]:
-    """Return the span of x, y [m] and heading [deg] of the better half of the configurations."""
+    """Return y limits for x, y [m] and heading [deg] that show the better half of the configurations."""
     by_error = sorted(judged, key=lambda e: e.figures["position_rmse_m"] or 0.0)
     good = by_error[: (len(by_error) + 1) // 2]
     xy = 1.2 * max(float(np.abs(e.deviation).max()) for e in good)
@@ -146,14 +146,14 @@ def _close_spans(judged: list[Evaluation]) -> list[float]:
 
 
 def _nis(scene: RerunScene, sensor: str) -> Any:
-    """Return NIS limits just above the gate: outliers of 10^4 would flatten the rest."""
+    """Return the plot of a sensor's NIS, limited to 1.6 times the gate because outliers reach 10^4."""
     gate = next(float(e.audits[sensor].threshold[0]) for e in scene.estimates if sensor in e.audits)
     top = 1.6 * gate if np.isfinite(gate) else None
     return _plot(f"NIS {sensor}", f"/nis/{sensor}", top, low=None if top is None else -0.04 * top)
 
 
 def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
-    """Return one plot per component of a sensor's innovations; the limits show 99 % of the values."""
+    """Return a plot per component of a sensor's innovation, with limits that show 99 % of the values."""
     audits = [e.audits[sensor].y for e in scene.estimates if sensor in e.audits]
     views = []
     for i in range(audits[0].shape[1]):
@@ -169,7 +169,7 @@ def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
 def _plot(
     name: str, origin: str, span: float | None = None, low: float | None = None, legend: bool = True, **more: Any
 ) -> Any:
-    """Return a time series view; `span` limits it to +-span, or to low..span."""
+    """Return a time series view with y limits -span to span, or low to span."""
     edge = rrb.TimeRangeBoundary.infinite()
     limits = None if span is None else (-span if low is None else low, span)
     return rrb.TimeSeriesView(

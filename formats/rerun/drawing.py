@@ -1,6 +1,6 @@
-"""Drawing into a Rerun stream on the log's clock: columns, styles on a dark page, the legend, and pictures.
+"""Drawing into a Rerun stream on the log's clock: columns, styles, legend and pictures.
 
-One colour means one thing: what was refused is red and nothing else is.
+Each colour has one meaning: red is used only for rejected measurements.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from locfuse.fusion.data import Array, Drive, Ints
 from .scene import MATCHED, NEW, REJECTED, Picture, RerunScene, Rgb
 
 DRIVE, TIME, STEP = "drive", "log time", "step"  # s since the start, the log's own clock, update time
-MIN_DATE_NS = 10**17  # 1973: a smaller clock counts from the robot's start and is shown as a duration
+MIN_DATE_NS = 10**17  # 1973; smaller times count from the robot's start and are shown as durations
 OMNI, PANORAMA, LEGEND = "camera/omni", "camera/panorama", "legend"
-LEGEND_COLUMNS, LEGEND_CELL = 7, 4.0  # words in a row, and their distance in heights of a row
-FOUND_ORDER = 10.0  # draw order of what was found, over the picture
-PICTURES_AT_ONCE = 16  # in memory at a time
+LEGEND_COLUMNS, LEGEND_CELL = 7, 4.0  # entries per row, and their distance in row heights
+FOUND_ORDER = 10.0  # draw order of detections, above the picture
+PICTURES_IN_MEMORY = 16
 
 TRUTH: Rgb = (244, 245, 247)
-FIELDS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
+FIELD_COLOURS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
 LANDMARK: Rgb = (255, 60, 230)
 FIRST_WALL: Rgb = (120, 80, 40)
 WALL: Rgb = (225, 205, 150)
@@ -33,7 +33,7 @@ LIMIT: Rgb = (255, 235, 60)
 LEVEL: Rgb = (205, 205, 210)
 LOOP: Rgb = (235, 210, 255)
 GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
-STATES: dict[str, Rgb] = {  # of one reading on the gate timeline, the worst last
+STATES: dict[str, Rgb] = {  # of a reading on the gate timeline, worst last
     "accepted": (60, 150, 85),
     "new": (70, 125, 205),
     "unusable": (95, 95, 100),
@@ -43,13 +43,13 @@ STATES: dict[str, Rgb] = {  # of one reading on the gate timeline, the worst las
 
 
 class TimelineRecorder:
-    """Writes columns on all timelines: seconds since the start, log time, update time."""
+    """Writes columns to a Rerun stream on all timelines: seconds since the start, log time, update index."""
 
     def __init__(self, stream: rr.RecordingStream, drive: Drive) -> None:
         self._stream, self._epoch_ns, self._updates = stream, drive.epoch_ns, drive.t
 
     def send(self, path: str, t: Array, *columns: Any, lengths: Sequence[int] | Ints | None = None) -> None:
-        """Write component columns with one row at each t (n,) s; `lengths` (n,) splits them into ragged rows."""
+        """Write component columns, one row per time t (n,) s; `lengths` (n,) gives ragged rows."""
         if len(t) == 0:
             return
         parts = [part for group in columns for part in (group if lengths is None else group.partition(lengths))]
@@ -71,29 +71,29 @@ class TimelineRecorder:
 
 
 def part(name: str) -> str:
-    """Return a name as one part of an entity path, escaped for Rerun's grammar."""
+    """Return a name escaped as one part of a Rerun entity path."""
     return "".join(c if c.isalnum() or c in "_-." else f"\\{c}" for c in name)
 
 
-def on_screen(points: float) -> Any:
-    """Return the radius of a point or line that is drawn with the same size [screen points] at every zoom."""
+def screen_radius(points: float) -> Any:
+    """Return a radius [screen points] that is independent of the zoom."""
     return rr.Radius.ui_points(points)
 
 
 def lines(colour: Rgb, width: float, order: float | None = None, alpha: int = 255) -> rr.LineStrips2D:
-    """Return the style of line strips of this opacity (0..255), with labels on hover."""
+    """Return the style of line strips: colour, width [screen points], draw order, opacity 0 to 255."""
     return rr.LineStrips2D.from_fields(
-        colors=[(*colour, alpha)], radii=[on_screen(width)], draw_order=order, show_labels=False
+        colors=[(*colour, alpha)], radii=[screen_radius(width)], draw_order=order, show_labels=False
     )
 
 
 def points(colour: Rgb, width: float, alpha: int = 255) -> rr.Points2D:
-    """Return the style of points of this opacity (0..255)."""
-    return rr.Points2D.from_fields(colors=[(*colour, alpha)], radii=[on_screen(width)])
+    """Return the style of points: colour, radius [screen points], opacity 0 to 255."""
+    return rr.Points2D.from_fields(colors=[(*colour, alpha)], radii=[screen_radius(width)])
 
 
 def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:
-    """Return (words, colour) of everything on the map, configurations first."""
+    """Return the legend of the map as (text, colour), configurations first."""
     runs = scene.estimates
     groups = {"matched": GROUPS[MATCHED], "refused": GROUPS[REJECTED], "new": GROUPS[NEW]}
     shown: list[tuple[bool, dict[str, Rgb]]] = [
@@ -104,18 +104,18 @@ def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:
         (scene.scans is not None, {"scan": SCAN}),
         (any(sight.landmark is not None for sight in scene.sights.values()), {"landmark": LANDMARK}),
     ]
-    rest = [entry for there, entries in shown if there for entry in entries.items()]
+    rest = [entry for present, entries in shown if present for entry in entries.items()]
     return [*((e.name, scene.colour(e.name)) for e in runs), *rest]
 
 
 def legend_ranges(scene: RerunScene) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the ranges of x and y of the legend."""
+    """Return the x and y ranges of the legend's view."""
     rows = -(-len(legend_of(scene)) // LEGEND_COLUMNS)
     return (-0.5 * LEGEND_CELL, (LEGEND_COLUMNS - 0.5) * LEGEND_CELL), (-0.2, rows - 0.1)
 
 
 def draw_legend(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Send the text of each entry in its colour."""
+    """Draw the legend entries in their colours."""
     for i, (words, colour) in enumerate(legend_of(scene)):
         row, column = divmod(i, LEGEND_COLUMNS)
         place = rr.Points2D([[column * LEGEND_CELL, float(row)]], labels=[words], show_labels=True)
@@ -123,13 +123,13 @@ def draw_legend(to: TimelineRecorder, scene: RerunScene) -> None:
 
 
 def draw_pictures(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw the omni pictures, their panoramas, and a ray or a column through every detection."""
+    """Draw the omnidirectional pictures and their panoramas, with a ray or column for each detection."""
     rows = float(scene.picture_rows or 0)
     for root in (OMNI, PANORAMA):
         for name, colour in GROUPS.items():
             to.static(f"{root}/found/{name}", lines(colour, 1.0, order=FOUND_ORDER))
     rest = iter(scene.pictures)
-    while batch := list(islice(rest, PICTURES_AT_ONCE)):
+    while batch := list(islice(rest, PICTURES_IN_MEMORY)):
         t = np.array([picture.t for picture in batch])
         _send_encoded(to, OMNI, t, [p.omni for p in batch], [p.omni_type for p in batch])
         _send_encoded(to, PANORAMA, t, [p.panorama for p in batch], ["image/jpeg"] * len(batch))
@@ -143,7 +143,7 @@ def _send_encoded(to: TimelineRecorder, path: str, t: Array, data: Sequence[byte
 
 
 def _send_found(to: TimelineRecorder, group: str, t: Array, batch: Sequence[Picture], rows: float) -> None:
-    """Draw the detections of one group; a picture without any clears the group."""
+    """Draw the detections of one group of verdicts; a picture without any clears the previous ones."""
     found = [(p, i) for p in batch for i, verdict in enumerate(p.verdicts) if verdict == group]
     lengths = [p.verdicts.count(group) for p in batch]
     rays = [p.rays[i] for p, i in found]

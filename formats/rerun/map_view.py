@@ -1,8 +1,7 @@
-"""The map view: truth; each configuration's path, pose, 3-sigma ellipse and map; the sensors' measurements.
+"""Drawing of the map view: truth; path, pose, 3-sigma ellipse and map of each configuration; measurements.
 
-Data are in map coordinates, y up; one flip at the root turns them for the screen, where y grows down. Segments,
-rays and headings are drawn from the configuration's own pose, so that a wrong pose shows: matched segments of a
-good estimate lie on its walls.
+Data are in map coordinates; a flip at the root turns y down, as on the screen. Segments, rays and headings are
+drawn from the configuration's estimated pose: if it is good, matched segments are on its walls.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import numpy as np
 import rerun as rr
 from msgspec.structs import asdict
 
-from locfuse.formats.geometry import ellipses, mounted, quaternions, segments, steps, to_map, wall, wall_band
+from locfuse.formats.geometry import ellipses, mounted, quaternions, segments, to_map, wall, wall_band
 from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, MapLine, Measurements, matrices
 
@@ -21,18 +20,18 @@ from .scene import GROUP_OF, RerunScene, SensorLook
 
 ROOT = "world"
 PATH_ORDER = 40.0  # draw order, above walls and scans
-TRUTH_ORDER = 35.0  # below the estimates, a broad line under thin ones: neither hides the other
+TRUTH_ORDER = 35.0  # below the estimates, whose lines are thinner
 TRUTH_WIDTH, PATH_WIDTH = 2.75, 1.25  # points on the screen
 SIGHT_WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen
-MIN_BODY_SHARE = 0.02  # of the map: smaller robots would not be seen
+MIN_BODY_SHARE = 0.02  # minimum size of the robot, as a share of the map
 BODY_SHAPE = np.array([[0.6, 0.0], [-0.4, 0.45], [-0.2, 0.0], [-0.4, -0.45], [0.6, 0.0]])  # an arrow head
 HEADING_LENGTH_TRACKS = 1.5  # tracks
-BEARING_LENGTH_M = 2.0  # m, where no landmark gives the distance
+BEARING_LENGTH_M = 2.0  # m, for bearings without a landmark
 FLIP = rr.Transform3D(mat3x3=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)))
 
 
 def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw everything with a position on the map."""
+    """Draw everything that has a position on the map."""
     to.static(ROOT, FLIP)
     low, high = scene.extent
     body = max(scene.track, MIN_BODY_SHARE * float((high - low).max())) * BODY_SHAPE
@@ -44,12 +43,12 @@ def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
         width = 2.0 if e is scene.best else 1.0
         to.static(f"{root}/pose/body", rr.LineStrips2D([body]), ink.lines(colour, width, order))
         _draw_walls(to, f"{root}/walls", e)
-        if len(e.loops):  # a line for every recognised place: from the robot to its earlier place
+        if len(e.loops):  # a line per loop closure, from the robot to its earlier position
             at = np.minimum(np.searchsorted(e.t, e.loops), len(e.t) - 1)
             to.static(f"{root}/loops", ink.lines(ink.LOOP, 0.75, PATH_ORDER - 1.0, 120))
             strips = e.pose[at][:, :, :2].astype(np.float32)
             to.send(f"{root}/loops", e.loops[:, 1], rr.LineStrips2D.columns(strips=strips))
-        _draw_sights(to, f"{root}/seen", scene, e)
+        _draw_measurements(to, f"{root}/seen", scene, e)
     _draw_scans(to, scene)
     truth = scene.drive.truth
     if truth is not None and len(truth.t):
@@ -65,9 +64,10 @@ def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
 
 
 def _draw_path(to: TimelineRecorder, path: str, t: Array, xy: Array, limit: int) -> None:
-    """Draw a growing path: one short strip per step, so that no point is written twice."""
+    """Draw a path (n, 2) that grows with time: one line segment per step."""
     picks = extremes(xy, limit)
-    to.send(path, t[picks][1:], rr.LineStrips2D.columns(strips=steps(xy[picks]).astype(np.float32)))
+    points = xy[picks].astype(np.float32)
+    to.send(path, t[picks][1:], rr.LineStrips2D.columns(strips=np.stack((points[:-1], points[1:]), axis=1)))
 
 
 def _draw_pose(to: TimelineRecorder, root: str, e: Estimates, scene: RerunScene) -> None:
@@ -75,21 +75,21 @@ def _draw_pose(to: TimelineRecorder, root: str, e: Estimates, scene: RerunScene)
     t, pose = e.t[picks], e.pose[picks]
     to.send(f"{root}/pose", t, _moves(pose[:, :2], pose[:, 2]))
     if not e.triangles.any():
-        return  # a trajectory from a file, without its covariances
+        return  # a trajectory from a file without covariances
     axes, angle = ellipses(matrices(e.triangles[picks]))
-    look = rr.Ellipses2D.from_fields(colors=[scene.colour(e.name)], line_radii=ink.on_screen(0.75))
+    look = rr.Ellipses2D.from_fields(colors=[scene.colour(e.name)], line_radii=ink.screen_radius(0.75))
     to.static(f"{root}/sigma", look)
     to.send(f"{root}/sigma", t, _moves(pose[:, :2], angle), rr.Ellipses2D.columns(half_sizes=axes))
 
 
 def _moves(xy: Array, angle: Array) -> rr.ComponentColumnList:
-    """Return places (n, 2) m and directions (n,) rad as transforms."""
+    """Return Rerun transforms from positions (n, 2) [m] and angles (n,) [rad]."""
     place = np.column_stack((xy, np.zeros(len(xy))))
     return rr.Transform3D.columns(translation=place, quaternion=quaternions(angle))
 
 
 def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
-    """Draw the first scan's walls, and the refined ones with their uncertainty, each from its first match."""
+    """Draw the walls of the first scan and the final ones with their 3 sigma, each from its first match on."""
     if not e.first_map and not e.final_map:
         return
     start, born = _first_matches(e)
@@ -107,7 +107,7 @@ def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
 
 
 def _first_matches(e: Estimates) -> tuple[float, dict[int, float]]:
-    """Return when the map began [s], and when each of its lines was first matched [s], by its id."""
+    """Return the start time of the map [s], and line id -> time of its first match [s]."""
     began = [a.instant[0] for a in e.audits.values() if len(a.instant) and (a.landmark >= 0).any()]
     start = float(e.t[min(began, default=0)])
     found: dict[int, float] = {}
@@ -125,10 +125,10 @@ def _label(line: MapLine) -> str:
     )
 
 
-def _draw_sights(to: TimelineRecorder, root: str, scene: RerunScene, e: Estimates) -> None:
+def _draw_measurements(to: TimelineRecorder, root: str, scene: RerunScene, e: Estimates) -> None:
     """Draw segments, bearing rays and headings, one entity per group of verdicts.
 
-    Some readings are drawn, evenly over the drive; one without a member of the group empties the entity.
+    Readings are thinned evenly to `max_scans`; one without a measurement of the group clears the entity.
     """
     drive = scene.seen_by(e.name)
     for sensor, audit in e.audits.items():
@@ -152,7 +152,7 @@ def _draw_sights(to: TimelineRecorder, root: str, scene: RerunScene, e: Estimate
 
 
 def _strips(m: Measurements, seen: Audit, pose: Array, sight: SensorLook, track: float) -> Array:
-    """Return a line on the map for each audit row (k,), (k, 2, 2) m, drawn from the pose (k, 3) at that time."""
+    """Return the line segments (k, 2, 2) [m, map] of audit rows (k,), from the poses (k, 3) at their times."""
     z = m.z[seen.row]
     if sight.kind == "segments":
         return to_map(pose[:, None], segments(z, m.extra["ends"][seen.row]))
@@ -168,7 +168,7 @@ def _strips(m: Measurements, seen: Audit, pose: Array, sight: SensorLook, track:
 
 
 def _labels(audit: Audit) -> list[str]:
-    """Return the hover text of each row: the verdict, its NIS if it was predicted, the matched wall."""
+    """Return the hover text of each audit row: verdict, NIS if known, matched wall."""
     rows = zip(audit.verdict.tolist(), audit.landmark.tolist(), audit.nis.tolist(), strict=True)
     predicted = np.isfinite(audit.nis).tolist()
     return [
@@ -178,7 +178,7 @@ def _labels(audit: Audit) -> list[str]:
 
 
 def _draw_scans(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw the scans once, in the robot's frame; the map shows them at the best pose."""
+    """Draw the scans in the robot's frame, placed on the map at the poses of the best configuration."""
     scans, best = scene.scans, scene.best
     if scans is None or len(scans.t) == 0:
         return

@@ -1,6 +1,6 @@
-"""A scene as a Rerun recording: map, curves, pictures, table, and a layout.
+"""Saving a scene as a Rerun recording: map, curves, pictures, table and layout.
 
-Rerun takes half a second and 90 MB to import, so its first import is in the functions of this file.
+Importing Rerun takes half a second and 90 MB, so it is imported only inside functions of this file.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from locfuse.fusion.data import LocfuseError
 
 from .scene import RerunScene
 
-QUIET = {  # keeps Rerun's own log off the terminal, and makes it free memory at once: set before its import
+QUIET = {  # set before the import of Rerun: no log messages, and memory freed at once
     "RUST_LOG": "off",
-    "MIMALLOC_PURGE_DELAY": "0",  # ms; with the pool below 20 MB less at the peak
+    "MIMALLOC_PURGE_DELAY": "0",  # ms; with the next one 20 MB less at the peak
     "ARROW_DEFAULT_MEMORY_POOL": "system",
 }
 
 
 def save_recording(path: Path, scene: RerunScene, tab: str | None = None, identity: str | None = None) -> None:
-    """Write a recording of a scene to `path`, whole or not at all; `tab` names the tab of curves in front.
+    """Write a recording of a scene to `path` atomically; the tab named `tab` is active.
 
-    `identity` names it in a catalog; without one it gets a new name, so that two runs never mix in a viewer.
-    Raises LocfuseError where it cannot be written.
+    `identity`: recording id, by default a new one, so that a viewer keeps runs apart. Raises LocfuseError if the
+    file cannot be written.
     """
     quiet_rust()
     try:
@@ -35,7 +35,7 @@ def save_recording(path: Path, scene: RerunScene, tab: str | None = None, identi
             _write(temporary, scene, tab, identity)
     except OSError as problem:
         raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
-    except RuntimeError as problem:  # of Rerun's writer thread when the disk is full
+    except RuntimeError as problem:  # of Rerun's writer thread, e.g. if the disk is full
         full = "prematurely" in str(problem)
         why = "the disk is full or went away" if full else _first_line(problem)
         raise LocfuseError(f"cannot write {path}: {why}") from None
@@ -49,14 +49,14 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
     from .map_view import draw_map
     from .series import draw_series
 
-    rr.set_strict_mode(True)  # raise where it would warn: a recording with a hole in it is not written
+    rr.set_strict_mode(True)  # raise instead of warn, so that no incomplete recording is written
     stream = rr.RecordingStream(_application(scene), recording_id=identity)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     to = TimelineRecorder(stream, scene.drive)
     stream.save(path)
     try:
-        stream.send_blueprint(blueprint(scene, tab))  # active at once, in a viewer that runs already too
+        stream.send_blueprint(blueprint(scene, tab))  # activates the layout in a running viewer too
         stream.send_recording_name(scene.name)
         draw_map(to, scene)
         draw_series(to, scene)
@@ -71,26 +71,26 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
 
 
 def _application(scene: RerunScene) -> str:
-    """Return the name under which a viewer keeps the layout: shared by recordings with the same views."""
+    """Return the application id, by which a viewer stores the layout; equal for recordings with equal views."""
     names = [e.name for e in scene.estimates]
     what = names[0] if len(names) == 1 else f"{len(names)} configurations"
     return f"locfuse {scene.name} - {what}{'' if scene.picture_rows is None else ' with pictures'}"
 
 
 def unfolded(table: str) -> str:
-    """Return Markdown without the HTML for folding, which the viewer shows as text."""
+    """Return Markdown with <details> and <summary> replaced, which the viewer does not interpret."""
     table = re.sub(r"<summary>(.*?)</summary>", r"\n\n### \1\n", table)
     return re.sub(r"</?details>", "", table)
 
 
 def check(path: Path) -> None:
-    """Raise LocfuseError for a file that is no recording, is cut off, or has no layout."""
+    """Raise LocfuseError unless the file is a complete recording with a layout."""
     quiet_rust()
     from rerun.chunk import RrdReader
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # a file without its footer was cut short
+            warnings.simplefilter("error")  # a missing footer is only a warning
             reader = RrdReader(path)
             whole = bool(reader.recordings()) and bool(reader.blueprints())
             for _ in reader.stream():  # a damaged chunk raises
@@ -104,7 +104,7 @@ def check(path: Path) -> None:
 
 
 def quiet_rust() -> None:
-    """Set the environment variables that keep Rerun's own log messages quiet; call it before importing Rerun."""
+    """Set the environment variables of QUIET; to be called before Rerun is imported."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
 

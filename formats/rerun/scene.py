@@ -1,4 +1,4 @@
-"""The content of a recording as values, without Rerun."""
+"""The content of a Rerun recording as values, without importing Rerun."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
 from locfuse.fusion.data import VERDICTS, Array, Component, Drive, Estimates, Evaluation, Event, Ints
 
 Rgb = tuple[int, int, int]
-Floats = NDArray[np.float32]  # of what is only drawn
+Floats = NDArray[np.float32]  # values that are only drawn
 GREY: Rgb = (148, 151, 156)
 MATCHED, REJECTED, NEW = "matched", "rejected", "new"  # groups of verdicts that share a colour
 GROUP = {"accepted": MATCHED, "repeated": MATCHED, "new": NEW}  # verdict -> group, REJECTED for the others
@@ -25,17 +25,17 @@ NO_LIMIT = 2**62
 
 
 class SensorLook(msgspec.Struct, frozen=True):
-    """The style and name of one sensor's measurements."""
+    """The components, NIS bounds, shape and mount with which a sensor's measurements are drawn."""
 
     components: tuple[Component, ...]  # of its innovation
-    bounds: tuple[float, float]  # of the NIS: 95 % of consistent measurements lie between
-    kind: Literal["segments", "bearing", "heading", ""] = ""  # what it looks like on the map
-    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad on the base
-    landmark: tuple[float, float] | None = None  # m, map: what a bearing points at
+    bounds: tuple[float, float]  # 95 % interval of the NIS of consistent measurements
+    kind: Literal["segments", "bearing", "heading", ""] = ""  # shape on the map
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x, y [m], yaw [rad] in the base frame
+    landmark: tuple[float, float] | None = None  # m, map frame: target of a bearing
 
 
 class DrawnScans(NamedTuple):
-    """Some scans as points in the base frame, each deskewed to its instant."""
+    """Scans as points in the base frame, deskewed to one time per scan."""
 
     t: Array  # (s,) s since Drive.epoch_ns
     counts: Ints  # (s,) points of each scan
@@ -47,15 +47,15 @@ class Picture(NamedTuple):
 
     t: float  # s since Drive.epoch_ns
     omni: bytes  # JPEG or PNG
-    omni_type: str  # its media type
+    omni_type: str  # media type of `omni`
     panorama: bytes  # JPEG, the floor at the bottom
-    rays: Array  # (k, 2, 2) px in `omni`: inner and outer end of the ray through each thing found
+    rays: Array  # (k, 2, 2) px in `omni`: inner and outer end of the ray of each detection
     columns: Array  # (k,) px in the panorama
-    verdicts: tuple[str, ...]  # (k,) group of each: matched, rejected, new
+    verdicts: tuple[str, ...]  # (k,) group of each detection: matched, rejected, new
 
 
 class RawTopic(NamedTuple):
-    """Numbers of one topic as in the log."""
+    """Numeric fields of one topic as recorded."""
 
     topic: str
     t: Array  # (n,) s since Drive.epoch_ns
@@ -63,7 +63,7 @@ class RawTopic(NamedTuple):
 
 
 class RerunScene(msgspec.Struct, frozen=True, dict=True):
-    """A drive, its configurations, and the sensors' measurements."""
+    """The content of a recording: drive, configurations and measurements."""
 
     name: str  # of the log
     drive: Drive
@@ -76,29 +76,29 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
     pictures: Iterable[Picture] = ()
     picture_rows: int | None = None  # px, height of the panoramas; None without pictures
     raw: Sequence[RawTopic] = ()
-    full: bool = False  # nothing is left out of a long log
+    full: bool = False  # no thinning of long logs
     palette: Mapping[str, Rgb] = field(default_factory=dict)  # by configuration
-    events: Sequence[Event] = ()  # what happened when, in order of time
-    thinned: Mapping[str, Drive] = field(default_factory=dict)  # configurations that saw fewer readings
+    events: Sequence[Event] = ()  # in order of time
+    thinned: Mapping[str, Drive] = field(default_factory=dict)  # configuration with reduced rates -> its drive
 
     @property
     def max_points(self) -> int:
-        """The most points of a curve that are drawn."""
+        """Maximum number of points per curve."""
         return NO_LIMIT if self.full else MAX_CURVE_POINTS
 
     @property
     def max_scans(self) -> int:
-        """The most scans, or readings of another sensor on the map, that are drawn."""
+        """Maximum number of scans or other readings on the map."""
         return NO_LIMIT if self.full else MAX_SCANS
 
     @property
     def best(self) -> Estimates:
-        """The configuration with the most sensors: its map, scan and matches are shown from the start."""
+        """The configuration with most sensors, whose map, scans and matches are visible at first."""
         return max(self.estimates, key=lambda e: len(e.sensors))
 
     @cached_property
     def extent(self) -> tuple[Array, Array]:
-        """Least and greatest corner (2,) [m] of truth, the best path, its walls, and the landmarks."""
+        """Lower and upper corner (2,) [m] of the box around truth, best path, its walls and landmarks."""
         parts: list[Array] = [self.best.pose[:, :2]]
         if self.drive.truth is not None and len(self.drive.truth.xy):
             parts.append(self.drive.truth.xy)
@@ -112,5 +112,5 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         return self.palette.get(configuration, GREY)
 
     def seen_by(self, configuration: str) -> Drive:
-        """Return the drive with the readings that a configuration used, to which its audit refers."""
+        """Return the drive with the readings that the configuration's audit refers to."""
         return self.thinned.get(configuration, self.drive)

@@ -1,4 +1,4 @@
-"""Plots over time: deviation from truth, NIS, innovations, gates, raw numbers, and events as texts."""
+"""Drawing of time series: deviation from truth, NIS, innovations, gates, raw numbers, events as text."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from . import drawing as ink
 from .drawing import TimelineRecorder, part
 from .scene import RerunScene, Rgb, SensorLook
 
-# name -> unit of the plot, and what a deviation is multiplied by for it
+# component -> unit of the plot, factor from SI units
 DEVIATIONS = {"x": ("m", 1.0), "y": ("m", 1.0), "heading": ("deg", float(np.degrees(1.0)))}
 DEVIATION_BAND_SIGMAS = 3.0  # sigmas of a deviation
 INNOVATION_BAND_SIGMAS = 2.0  # sigmas of an innovation
 EVENTS = "events"
-LEVELS = {data.LOST: "ERROR", data.FAULT: "WARN", data.REFUSED: "WARN"}  # asks for attention; the rest is INFO
+LEVELS = {data.LOST: "ERROR", data.FAULT: "WARN", data.REFUSED: "WARN"}  # others are INFO
 ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 class Pen(NamedTuple):
-    """Draws curves of one name and colour, thinned to `limit` points."""
+    """Draws time series of one name and colour, thinned to `limit` points."""
 
     to: TimelineRecorder
     name: str  # in the legend
@@ -33,16 +33,16 @@ class Pen(NamedTuple):
     limit: int
 
     def curve(self, path: str, t: Array, values: Array) -> None:
-        """Draw one line."""
+        """Draw values (n,) over times t (n,) s as a line."""
         self._draw(path, t, values, rr.SeriesLines(colors=[self.colour], names=[self.name], widths=[1.5]))
 
     def dots(self, path: str, t: Array, values: Array) -> None:
-        """Draw one cloud of dots."""
+        """Draw values (n,) over times t (n,) s as dots."""
         look = rr.SeriesPoints(colors=[self.colour], names=[self.name], markers=["circle"], marker_sizes=[1.5])
         self._draw(path, t, values, look)
 
     def band(self, path: str, t: Array, bound: Array) -> None:
-        """Draw two lines at +-bound (n,) with the curve's name, so that the legend switches them together."""
+        """Draw two lines at +-bound (n,), switched together with the curve in the legend."""
         look = rr.SeriesLines(colors=[(*self.colour, 200)] * 2, names=[self.name] * 2, widths=[0.75] * 2)
         self._draw(path, t, np.column_stack((bound, -bound)), look)
 
@@ -54,7 +54,7 @@ class Pen(NamedTuple):
 
 
 def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw all curves, states and events."""
+    """Draw all time series, gate states and events."""
     limit = scene.max_points
     causal = {e.configuration for e in scene.estimates if not e.smoothed}
     for e in scene.estimates:
@@ -62,7 +62,7 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
         if e.name in scene.evaluations:
             _draw_deviation(pen, scene.evaluations[e.name])
         if e.smoothed and e.configuration in causal:
-            continue  # its audits are the filter's
+            continue  # it has the audits of its filter
         for sensor, audit in e.audits.items():
             compared = np.flatnonzero(np.isfinite(audit.nis))
             pen.dots(f"nis/{sensor}/{name}", e.t[audit.instant[compared]], audit.nis[compared])
@@ -73,7 +73,7 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
         _draw_limits(to, scene, sensor, sight)
     for topic in scene.raw:
         for i, (name, values) in enumerate(topic.fields.items()):
-            colour = ink.FIELDS[i % len(ink.FIELDS)]
+            colour = ink.FIELD_COLOURS[i % len(ink.FIELD_COLOURS)]
             Pen(to, name, colour, limit).curve(raw_path(topic.topic, name), topic.t, values)
     for kind in dict.fromkeys(e.kind for e in scene.events):
         some = sorted(line for e in scene.events if e.kind == kind for line in _lines(e))
@@ -83,17 +83,17 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
 
 
 def component(sight: SensorLook | None, i: int) -> Component:
-    """Return the name of number i of a sensor's innovation; y0, y1, ... for a sensor without a description."""
+    """Return the description of component i of a sensor's innovation; "y0", "y1", ... without one."""
     return sight.components[i] if sight else Component(f"y{i}", "")
 
 
 def raw_path(topic: str, name: str = "") -> str:
-    """Return the entity of a raw topic, or of one of its fields."""
+    """Return the entity path of a raw topic, or of its field `name`."""
     return "/".join(("raw", *(part(p) for p in (*topic.split("/"), name) if p)))
 
 
 def _draw_deviation(pen: Pen, judged: Evaluation) -> None:
-    """Draw estimate - truth in x, y, heading, and the filter's 3 sigma around zero."""
+    """Draw estimate - truth in x, y and heading, with bands of +-3 sigma."""
     columns = [*judged.deviation.T, *([] if judged.heading is None else [judged.heading])]
     for (name, (_, scale)), values, sigma in zip(DEVIATIONS.items(), columns, judged.sigma.T, strict=False):
         path = f"deviation/{name}/{part(judged.name)}"
@@ -103,7 +103,7 @@ def _draw_deviation(pen: Pen, judged: Evaluation) -> None:
 
 
 def _draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: SensorLook | None) -> None:
-    """Draw every component of the innovation as dots, and its predicted 2 sigma around zero."""
+    """Draw each component of the innovation as dots, with bands of +-2 sigma."""
     some = np.flatnonzero(np.isfinite(audit.y).all(axis=1))
     t = e.t[audit.instant[some]]
     for i in range(audit.y.shape[1]):
@@ -114,7 +114,7 @@ def _draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: Sen
 
 
 def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: SensorLook) -> None:
-    """Draw a sensor's gate and the 95 % bounds of a consistent NIS, as level lines."""
+    """Draw a sensor's gate and the 95 % bounds of its NIS as horizontal lines."""
     audits = (e.audits[sensor] for e in scene.estimates if sensor in e.audits)
     gate = next((float(a.threshold[0]) for a in audits if len(a.threshold)), None)
     if gate is None:
@@ -132,7 +132,7 @@ def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: Se
 
 
 def _draw_gate(pen: Pen, path: str, t: Array, codes: Ints) -> None:
-    """Draw the verdict on each reading, at the readings where it changes."""
+    """Draw the state of each reading on the gate timeline, where it changes."""
     names = list(ink.STATES)
     reading, code = thinned_states(codes, pen.limit)
     changes = np.flatnonzero(np.diff(code, prepend=-1))
@@ -142,7 +142,7 @@ def _draw_gate(pen: Pen, path: str, t: Array, codes: Ints) -> None:
 
 
 def reading_states(m: Measurements, audit: Audit) -> Ints:
-    """Return the state of every reading (n,), a position in STATES: a scan with five walls is one reading."""
+    """Return the state of every reading (n,), an index into drawing.STATES; a scan is one reading."""
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
 
     def any_of(rows: Any) -> Any:
@@ -156,7 +156,7 @@ def reading_states(m: Measurements, audit: Audit) -> Ints:
 
 
 def thinned_states(code: Ints, limit: int) -> tuple[Ints, Ints]:
-    """Return readings (k,) and their states (k,): all, or the worst state in each of `limit` intervals."""
+    """Return indices (k,) and states (k,) of all readings, or the worst state in each of `limit` intervals."""
     n = len(code)
     if np.count_nonzero(np.diff(code)) < limit:
         return np.arange(n), code
@@ -165,7 +165,7 @@ def thinned_states(code: Ints, limit: int) -> tuple[Ints, Ints]:
 
 
 def _lines(event: Event) -> list[tuple[float, str]]:
-    """Return times and texts of an event: at its begin, and at its end if it lasted."""
+    """Return (time [s], text) for the begin of an event, and for its end if it has a duration."""
     who = f"{event.configuration}: " if event.configuration else ""
     begin = (event.start, f"{event.kind}: {who}{event.words}")
     end = (event.end, f"{event.kind} ends: {who}{event.words}")

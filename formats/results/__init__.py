@@ -1,1 +1,1 @@
-"""Results as files for other tools: trajectories, audit trail, MCAP."""
+"""Results for other tools: trajectories and audit trail as text, estimates and recovered logs as MCAP."""

@@ -1,7 +1,7 @@
-"""Layouts for `estimates.mcap`: what Foxglove and PlotJuggler show of it when they open it.
+"""Layout files of Foxglove and PlotJuggler for `estimates.mcap`.
 
-Foxglove: paths and poses of all configurations on the map, position and turn rate over time. PlotJuggler: the
-paths as x against y, and the same curves over time.
+Foxglove: paths and poses of all configurations on the map, position and turn rate over time. PlotJuggler: y over x
+of the paths, and the same curves over time.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ CURVES = ("x", "y", "turn rate")  # [m], [m], [rad/s]
 
 
 class Shown(NamedTuple):
-    """A topic with positions."""
+    """A topic with positions, and its colour."""
 
     topic: str
-    fields: dict[str, str]  # of CURVES: dotted path in the message
+    fields: dict[str, str]  # curve of CURVES -> dotted path in the message
     colour: str
 
 
 def layouts(topics: Mapping[str, str]) -> dict[str, str]:
-    """Return the layout files of an export by name; `topics` are those of the file, with their message types."""
+    """Return layout file name -> content; `topics`: topic of the export -> message type."""
     shown = list(_shown(topics))
     paths = [name for name, msgtype in topics.items() if msgtype.endswith("/Path")]
     return {FOXGLOVE: _foxglove(shown, paths), PLOTJUGGLER: _plotjuggler(shown)}
@@ -46,7 +46,7 @@ def _shown(topics: Mapping[str, str]) -> Iterator[Shown]:
 
 
 def _foxglove(shown: Sequence[Shown], paths: Sequence[str]) -> str:
-    """Return the JSON that Foxglove's "Import from file" takes."""
+    """Return a Foxglove layout as JSON, for "Import from file"."""
     colour = {s.topic.rpartition("/")[0]: s.colour for s in shown}
     drawn: dict[str, Any] = {s.topic: {"visible": True} for s in shown}
     drawn |= {
@@ -77,7 +77,7 @@ def _foxglove(shown: Sequence[Shown], paths: Sequence[str]) -> str:
 
 
 def _plotjuggler(shown: Sequence[Shown]) -> str:
-    """Return the XML that PlotJuggler's --layout takes."""
+    """Return a PlotJuggler layout as XML, for --layout."""
     root = ET.Element("root")
     tabs = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     _area(_tab(tabs, "paths", 1), "XYPlot", [(s, {"x": s.fields["x"], "y": s.fields["y"]}) for s in shown])
@@ -91,14 +91,14 @@ def _plotjuggler(shown: Sequence[Shown]) -> str:
 
 
 def _tab(tabs: ET.Element, name: str, plots: int) -> ET.Element:
-    """Return the position of a new tab's plots in the layout, one below the other."""
+    """Add a tab to the layout; return the element for its plots, one below the other."""
     container = ET.SubElement(ET.SubElement(tabs, "Tab", tab_name=name, containers="1"), "Container")
     sizes = ";".join([f"{1 / plots:.6f}"] * plots)
     return ET.SubElement(container, "DockSplitter", orientation="-", count=str(plots), sizes=sizes)
 
 
 def _area(split: ET.Element, mode: str, curves: Sequence[tuple[Shown, dict[str, str]]]) -> None:
-    """Add a plot of curves: the series of x and y in XYPlot, one series in TimeSeries."""
+    """Add a plot of curves: y over x for mode XYPlot, a series over time for TimeSeries."""
     area = ET.SubElement(split, "DockArea", name="...")
     plot = ET.SubElement(area, "plot", mode=mode, style="Lines", flip_x="false", flip_y="false")
     for shown, fields in curves:

@@ -1,7 +1,7 @@
-"""Estimates as ROS 2 messages in one MCAP, for Foxglove, rosbag2 and other readers of topics.
+"""Export of estimates as ROS 2 messages in one MCAP, for Foxglove, rosbag2 and other tools.
 
-Per configuration /locfuse/<name>/odometry (a row of the .tum each, with covariance), /locfuse/<name>/path, and its
-frame on /tf; the truth; optionally every message of the log itself, with its bytes and times as they were.
+Per configuration: /locfuse/<name>/odometry (a message per row of the .tum, with covariance), /locfuse/<name>/path,
+and its frame on /tf; also the truth, and optionally unchanged copies of all messages of the log.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from locfuse.formats.messages.schema import Many, Node, Scalar, parse
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth, matrices
 
 from .recovered_log import copy_messages
-from .trajectory import SIX, stamps, with_truth_rows
+from .trajectory import PLANAR, stamps, with_truth_rows
 
 MESSAGES = StandardMessages()
 Columns = Mapping[str, NDArray[Any]]  # dotted path of a field -> numbers (n,), or (n, k) for an array of k
 
 
 def stamp_columns(path: str, t_ns: Ints) -> dict[str, Ints]:
-    """Return the columns of a builtin_interfaces/Time."""
+    """Return the columns of a builtin_interfaces/Time field at `path`."""
     return {f"{path}.sec": t_ns // 1_000_000_000, f"{path}.nanosec": t_ns % 1_000_000_000}
 
 
@@ -49,25 +49,25 @@ def _number(node: Node) -> np.dtype[Any]:
     return np.dtype(scalar.dtype).newbyteorder("<")
 
 
-# --- Poses as messages, by the thousand: nav_msgs/Odometry, PoseStamped, PointStamped, Path, and /tf
+# --- Series of poses as messages: nav_msgs/Odometry, PoseStamped, PointStamped, Path, and /tf
 
 MAP = "map"
 ODOMETRY, PATH, TF = "nav_msgs/msg/Odometry", "nav_msgs/msg/Path", "tf2_msgs/msg/TFMessage"
 POSE, POINT = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped"
-MAX_PATH_POSES = 2000  # of a path, which is to be looked at; every pose is on the odometry topic
+MAX_PATH_POSES = 2000  # of a Path, for display; the odometry topic has every pose
 
 
 class PoseSeries(msgspec.Struct, frozen=True, dict=True):
-    """Messages of one type at times t_ns (n,): `constant` parts, numbers by `columns`, the rest zero."""
+    """Messages of one type at times t_ns (n,): `constant` fields, numbers from `columns`, other fields zero."""
 
     msgtype: str
     t_ns: Ints
     constant: dict[str, Any]
-    columns: Callable[[slice], Columns]  # of these rows
+    columns: Callable[[slice], Columns]  # rows -> their columns
 
     @cached_property
     def _template(self) -> tuple[NDArray[np.uint8], dict[str, tuple[int, np.dtype[Any]]]]:
-        """Return one message as CDR bytes, and for each column the offset and type of its number in it."""
+        """One message as CDR bytes, and for each column the offset and dtype of its numbers in it."""
         one = MESSAGES.cdr(self.msgtype, nested(self.constant))
         message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
         paths = self.columns(slice(1)).keys()
@@ -76,7 +76,7 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
         return np.frombuffer(one, np.uint8), {p: (layout.leaves[p].offsets[0], types[p]) for p in paths}
 
     def messages(self, rows: slice) -> NDArray[np.uint8]:
-        """Return the given rows as CDR bytes (k, size)."""
+        """Return the messages of these rows as CDR bytes (k, size)."""
         one, places = self._template
         columns = self.columns(rows)
         out = np.tile(one, (len(self.t_ns[rows]), 1))
@@ -88,11 +88,11 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
 
 
 def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str) -> PoseSeries:
-    """Return Odometry of poses (n, 3) with triangles of covariances (n, 6) and body twists (n, 3)."""
+    """Return Odometry messages of poses (n, 3), covariance triangles (n, 6) and body twists (n, 3)."""
 
     def columns(rows: slice) -> Columns:
         covariance = np.zeros((len(t_ns[rows]), 6, 6))
-        covariance[:, np.array(SIX)[:, None], SIX] = matrices(triangles[rows])
+        covariance[:, np.array(PLANAR)[:, None], PLANAR] = matrices(triangles[rows])
         return {
             **stamp_columns("header.stamp", t_ns[rows]),
             **_pose("pose.pose", pose[rows]),
@@ -106,7 +106,7 @@ def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str
 
 
 def poses(t_ns: Ints, pose: Array) -> PoseSeries:
-    """Return PoseStamped of poses (n, 3)."""
+    """Return PoseStamped messages of poses (n, 3)."""
     return PoseSeries(
         POSE,
         t_ns,
@@ -116,7 +116,7 @@ def poses(t_ns: Ints, pose: Array) -> PoseSeries:
 
 
 def points(t_ns: Ints, xy: Array) -> PoseSeries:
-    """Return PointStamped of points (n, 2)."""
+    """Return PointStamped messages of points (n, 2)."""
     return PoseSeries(
         POINT,
         t_ns,
@@ -126,7 +126,7 @@ def points(t_ns: Ints, xy: Array) -> PoseSeries:
 
 
 def transforms(t_ns: Ints, pose: Array, child: str) -> PoseSeries:
-    """Return TFMessage from the map to a frame at poses (n, 3)."""
+    """Return TFMessages with the poses (n, 3) of frame `child` in the map."""
     constant = {"transforms": [{"header": {"frame_id": MAP}, "child_frame_id": child}]}
 
     def columns(rows: slice) -> Columns:
@@ -139,7 +139,7 @@ def transforms(t_ns: Ints, pose: Array, child: str) -> PoseSeries:
 
 
 def path(t_ns: Ints, pose: Array) -> NDArray[np.uint8]:
-    """Return one Path (1, size) through poses (n, 3), thinned to MAX_PATH_POSES."""
+    """Return one Path message of poses (n, 3), thinned to MAX_PATH_POSES, as CDR bytes (1, size)."""
     rows = np.unique(np.linspace(0, len(t_ns) - 1, min(len(t_ns), MAX_PATH_POSES)).round().astype(np.int64))
     columns = {**stamp_columns("header.stamp", t_ns[rows]), **_pose("pose", pose[rows])}
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
@@ -162,22 +162,22 @@ def _pose(at: str, pose: Array, position: str = "position", orientation: str = "
 
 BASE = "base_link"
 TRUTH_POINT, TRUTH_POSE, TRUTH_PATH = (f"/locfuse/truth/{what}" for what in ("point", "pose", "path"))
-FIRST_STAMP, LAST_STAMP = -(2**31), 2**31 - 1  # s: a ROS stamp counts its seconds in 32 bits
+FIRST_STAMP, LAST_STAMP = -(2**31), 2**31 - 1  # s: ROS stamps have 32-bit seconds
 
 
 class Export(msgspec.Struct, frozen=True):
-    """The content of one file."""
+    """The content of an exported MCAP."""
 
     drive: Drive
     estimates: Sequence[Estimates]
-    twist: Array  # (n, 3) body twist by the wheels in the interval that ends at each instant [m/s, m/s, rad/s]
+    twist: Array  # (n, 3) body twist [m/s, m/s, rad/s] by the wheels, over the interval before each update time
     robot_toml: bytes
-    clock_ns: int = 0  # recording clock minus stamps, where the log keeps two clocks
-    log: Log | None = None  # its messages are copied
+    clock_ns: int = 0  # recording clock minus clock of the stamps
+    log: Log | None = None  # log to copy messages from
 
     @property
     def topics(self) -> dict[str, str]:
-        """Return the topics with poses, and their message types."""
+        """Topic with poses -> message type."""
         found: dict[str, str] = {}
         for name in (ros_name(e.name) for e in self.estimates):
             found |= {f"/locfuse/{name}/odometry": ODOMETRY, f"/locfuse/{name}/path": PATH}
@@ -223,11 +223,11 @@ class Export(msgspec.Struct, frozen=True):
         topics.add(f"/locfuse/{name}/odometry", odometry(t_ns, pose, triangles, twist, f"{name}/{BASE}"))
         topics.once(f"/locfuse/{name}/path", t_ns, pose)
         topics.add("/tf", transforms(t_ns, pose, f"{name}/{BASE}"))
-        if e is self.estimates[-1] and self._base_is_free():
+        if e is self.estimates[-1] and self._may_publish_base():
             topics.add("/tf", transforms(t_ns, pose, BASE))
 
-    def _base_is_free(self) -> bool:
-        """Whether no topic of the log is a /tf, so that a configuration may publish the robot's own frame."""
+    def _may_publish_base(self) -> bool:
+        """Return whether the log has no /tf, so that a configuration may publish the frame base_link."""
         topics = self.log.topics if self.log is not None else {}
         return not any(t.msgtype in TF_TYPES and not name.endswith("tf_static") for name, t in topics.items())
 
@@ -243,7 +243,7 @@ def _truth(topics: _Topics, truth: Truth, epoch_ns: int) -> None:
 
 
 class _Topics:
-    """Channels by topic, with their series of messages."""
+    """The topics of an exported MCAP, with their series of messages."""
 
     def __init__(self, writer: Any, clock_ns: int) -> None:
         self._writer, self._clock_ns = writer, clock_ns
@@ -252,18 +252,18 @@ class _Topics:
         self._parts: list[tuple[int, PoseSeries]] = []  # channel, its messages
 
     def add(self, topic: str, series: PoseSeries) -> None:
-        """Take a series of messages for a topic."""
+        """Add a series of messages to a topic."""
         self._parts.append((self._channel(topic, series.msgtype), series))
 
     def once(self, topic: str, t_ns: Ints, pose: Array) -> None:
-        """Write a latched path at the beginning."""
+        """Write a path as one latched message."""
         block = MessageBlock(
             self._channel(topic, PATH, LATCHED), self._recorded(t_ns[:1]), np.ones(1, np.int64), path(t_ns, pose)
         )
         block.write(self._writer)
 
     def _recorded(self, t_ns: Ints) -> Ints:
-        """Return recording times (n,) of stamps (n,): an MCAP has none before zero."""
+        """Return the recording times (n,) of stamps (n,), at least 0, as MCAP demands."""
         return np.maximum(t_ns + self._clock_ns, 0)
 
     def _channel(self, topic: str, msgtype: str, profile: str = "") -> int:
@@ -277,7 +277,7 @@ class _Topics:
         return self._channels[topic]
 
     def write(self) -> None:
-        """Write all series in chunks, each of which holds one time interval of all series."""
+        """Write all series, so that each chunk has one time interval of all of them."""
         t = np.sort(np.concatenate([series.t_ns for _, series in self._parts]))
         size = sum(series.messages(slice(1)).size * len(series.t_ns) for _, series in self._parts)
         number = -(-size // CHUNK_BYTES)
@@ -291,5 +291,5 @@ class _Topics:
 
 
 def ros_name(configuration: str) -> str:
-    """Return a configuration's name with characters that ROS allows: compass+lrf -> compass_lrf."""
+    """Return a configuration's name as a ROS name: compass+lrf -> compass_lrf."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", configuration)

@@ -1,7 +1,6 @@
-"""Copies of a log's messages; and a recovered log with all readable messages in one clean MCAP.
+"""Copying of a log's messages, and recovery of a damaged log as a valid MCAP with all readable messages.
 
-The copy is chunked, indexed and checksummed, so that tools that trust a file's index read it too. What could not
-be read is said in its metadata.
+The copy has chunks, indexes and checksums; its metadata lists the losses of the damaged log.
 """
 
 from __future__ import annotations
@@ -20,20 +19,20 @@ from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 
 NOTE = "locfuse recover"  # name of the metadata record
-CLOCKLESS_LOG_NS = 0  # log time of a message whose own is before 1970 or beyond what MCAP can say
+CLOCKLESS_LOG_NS = 0  # log time of a message from before 1970
 END_OF_TIME = 2**63 - 1  # ns
 
 
 class Recovered(msgspec.Struct, frozen=True):
-    """The content of a recovered copy."""
+    """The result of a recovery."""
 
     path: Path
-    messages: dict[str, int]  # by topic
+    messages: dict[str, int]  # topic -> number
     lost: tuple[str, ...]  # one line for each file and reason
 
 
 def recover(log: Log, path: Path) -> Recovered:
-    """Write all readable messages of a log to `path`, or no file. Raises LocfuseError if none is readable."""
+    """Write all readable messages of a log to an MCAP at `path`. Raises LocfuseError if none is readable."""
     encodings = {topic.encoding for topic in log.topics.values()}
     with whole_file(path) as temporary, temporary.open("wb") as file:
         writer = open_writer(file, "ros1" if encodings == {"ros1"} else "ros2")
@@ -59,7 +58,7 @@ def recover(log: Log, path: Path) -> Recovered:
 
 
 def copy_messages(writer: Any, log: Log) -> Counter[str]:
-    """Copy every message of a log with its bytes, times and order; return their number by topic."""
+    """Copy every message of a log with its bytes, times and order; return topic -> number of messages."""
     schemas: dict[tuple[str, str, bytes], int] = {}
     channels: dict[tuple[str, str, int], int] = {}
     counts: Counter[str] = Counter()

@@ -1,4 +1,4 @@
-"""Trajectories as text: TUM for evo and similar tools, CSV with covariances. Full precision, no alignment."""
+"""Trajectories as text in full precision, not aligned: TUM (for evo), KITTI, CSV; and the audit trail."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Ints, Truth, matrices, upper_triangles
 
-LINES_AT_ONCE = 4096  # lines at a time: an hour's lines as Python values take ten times their file
-SIX = (0, 1, 5)  # where x, y, theta stand among x, y, z, roll, pitch, yaw
+LINES_AT_ONCE = 4096  # lines per block; as Python values they take ten times their size
+PLANAR = (0, 1, 5)  # indices of x, y, theta among x, y, z, roll, pitch, yaw
 TUM_COVARIANCE_HEADER = "# t x y z qx qy qz qw, then P by rows, upper triangle: " + " ".join(
     f"P_{i}_{j}" for i, j in itertools.combinations_with_replacement(("x", "y", "z", "roll", "pitch", "yaw"), 2)
 )
@@ -20,22 +20,21 @@ CSV_HEADER = "t,x,y,theta,P_xx,P_xy,P_xt,P_yy,P_yt,P_tt"
 
 
 def seconds(t_ns: int) -> str:
-    """Return integer nanoseconds as exact decimal seconds."""
+    """Return integer nanoseconds as text in exact decimal seconds."""
     sign, t_ns = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
     return f"{sign}{t_ns // 1_000_000_000}.{t_ns % 1_000_000_000:09d}"
 
 
 def stamps(epoch_ns: int, t: Array) -> list[int]:
-    """Return seconds since the epoch as integer nanoseconds."""
+    """Return times t (n,) s since `epoch_ns` as integer nanoseconds."""
     t_ns: list[int] = (epoch_ns + np.rint(t * 1e9).astype(np.int64)).tolist()
     return t_ns
 
 
 def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, Array]:
-    """Return t (n,), pose (n, 3), triangles of P (n, 6) at every instant and every truth stamp inside the drive.
+    """Return t (n,) s, pose (n, 3), triangles of P (n, 6) at every update time and truth stamp of the drive.
 
-    evo pairs stamps within 10 ms unless it is asked to interpolate (since 1.38), so the prediction at each truth
-    stamp is written too. Rows at instants do not depend on the truth.
+    evo pairs stamps within 10 ms by default, so the prediction at each truth stamp is written too.
     """
     if drive.truth is None or estimates.truth_pose is None or estimates.truth_P is None:
         return estimates.t, estimates.pose, estimates.triangles
@@ -48,7 +47,7 @@ def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, A
 
 
 def tum(epoch_ns: int, t: Array, xy: Array, theta: Array | None) -> Iterator[str]:
-    """Yield blocks of `t x y z qx qy qz qw` lines; no heading: the rotation is the identity, as line 1 says."""
+    """Yield blocks of `t x y z qx qy qz qw` lines; without theta identity rotations, and a comment line."""
     half = np.zeros(len(t)) if theta is None else 0.5 * theta
     if theta is None:
         yield "# heading unknown\n"
@@ -62,13 +61,13 @@ def _blocks(n: int) -> Iterator[slice]:
 
 
 def write_blocks(blocks: Iterable[str], path: Path) -> None:
-    """Write a text block by block, so that it is never whole in memory."""
+    """Write a text block by block, to save memory."""
     with path.open("wb") as file:
         file.writelines(block.encode() for block in blocks)
 
 
 def tum_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
-    """Yield one configuration's trajectory in TUM format, block by block."""
+    """Yield a configuration's trajectory in TUM format, block by block."""
     t, pose, _ = with_truth_rows(drive, estimates)
     yield from tum(drive.epoch_ns, t, pose[:, :2], pose[:, 2])
 
@@ -76,12 +75,12 @@ def tum_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
 def tum_covariance_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
     """Yield the trajectory in TUM format with 21 more columns: the upper triangle of the 6 x 6 pose covariance.
 
-    Rows and columns are x, y, z, roll, pitch, yaw, as in geometry_msgs/PoseWithCovariance; line 1 says so.
+    Rows and columns are x, y, z, roll, pitch, yaw, as in geometry_msgs/PoseWithCovariance and in line 1.
     """
     yield f"{TUM_COVARIANCE_HEADER}\n"
     _, _, triangles = with_truth_rows(drive, estimates)
     P = np.zeros((len(triangles), 6, 6))
-    P[:, np.array(SIX)[:, None], SIX] = matrices(triangles)
+    P[:, np.array(PLANAR)[:, None], PLANAR] = matrices(triangles)
     rows = "".join(tum_blocks(drive, estimates)).splitlines()
     for row, upper in zip(rows, P[:, *np.triu_indices(6)].tolist(), strict=True):
         yield f"{row} {' '.join(map(repr, upper))}\n"
@@ -96,18 +95,18 @@ def kitti_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
 
 
 def kitti_times(drive: Drive, estimates: Estimates) -> Iterator[str]:
-    """Yield the stamp of every line of the KITTI file."""
+    """Yield the stamps [s] of the lines of the KITTI file."""
     t, _, _ = with_truth_rows(drive, estimates)
     yield from (f"{seconds(s)}\n" for s in stamps(drive.epoch_ns, t))
 
 
 def truth_tum(drive: Drive, truth: Truth) -> str:
-    """Return the truth in TUM format, of the body point that was tracked."""
+    """Return the truth (of the tracked body point) in TUM format."""
     return "".join(tum(drive.epoch_ns, truth.t, truth.xy, truth.theta))
 
 
 def csv_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
-    """Yield `t,x,y,theta` and the upper triangle of P, block by block."""
+    """Yield CSV lines of t, x, y, theta and the upper triangle of P, block by block."""
     t, pose, triangles = with_truth_rows(drive, estimates)
     yield f"{CSV_HEADER}\n"
     for at in _blocks(len(t)):
@@ -119,7 +118,7 @@ def csv_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
 
 
 def nanoseconds(text: str) -> int:
-    """Return exact decimal seconds as integer nanoseconds: the inverse of `seconds`."""
+    """Return decimal seconds as integer nanoseconds: the inverse of `seconds`."""
     whole, _, part = text.strip().partition(".")
     value = abs(int(whole)) * 1_000_000_000 + int((part + "0" * 9)[:9])
     return -value if whole.startswith("-") else value
@@ -140,10 +139,10 @@ HEADER = "t,sensor,measurement,verdict,landmark,distance2,threshold,innovation_1
 
 
 def audit_csv(drive: Drive, estimates: Estimates) -> str:
-    """Return one line per measurement in time order.
+    """Return the audit trail as CSV, one line per measurement, in time order.
 
-    `distance2` is the squared Mahalanobis distance and `threshold` the gate it had to pass; innovations are in the
-    sensor's units (rad for headings and bearings; m, rad for a line's r, psi). Empty where nothing was predicted.
+    `distance2` is the squared Mahalanobis distance and `threshold` its gate; innovations are in the sensor's units
+    (rad for headings and bearings; m, rad for a line's r, psi). Empty without a prediction.
     """
     times = [seconds(s) for s in stamps(drive.epoch_ns, estimates.t)]
     rows = [

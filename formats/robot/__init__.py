@@ -1,1 +1,1 @@
-"""The robot's description in files: robot.toml, /tf_static, URDF, a saved line map."""
+"""Files on robot and map: robot.toml, ROS parameters, /tf_static, URDF, line and landmark maps, map images."""

@@ -1,4 +1,4 @@
-"""TOML for people to read and edit: every line has a comment, inactive lines start with #."""
+"""Commented TOML: a new robot.toml with a comment on every line, or new values in an existing one."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ WRAPPER = textwrap.TextWrapper(MAX_LINE_CHARACTERS - 2, break_long_words=False, 
 
 
 class TomlLine(NamedTuple):
-    """One key. `words` are the source of its value, or how to find it."""
+    """One key with its value and a comment."""
 
     key: str
     value: Any  # None: blank, to be filled in
-    words: str = ""
-    holds: bool = True  # False: behind a #
+    words: str = ""  # the comment: source of the value, or how to find it
+    holds: bool = True  # False: commented out
 
 
 class TomlSection(NamedTuple):
@@ -38,13 +38,13 @@ class TomlSection(NamedTuple):
 
 
 def render(head: str, sections: Sequence[TomlSection], foot: str = "") -> str:
-    """Return the text. A table without an active line is itself commented out."""
+    """Return a commented TOML file; a table without active lines is commented out too."""
     parts = [comment(head), *("\n".join(_section(section)) for section in sections if section.lines)]
     return "\n\n".join([*parts, comment(foot)] if foot else parts) + "\n"
 
 
 def comment(text: str) -> str:
-    """Return text behind #, paragraph by paragraph; an indented one is not wrapped."""
+    """Return the text as wrapped comment lines; a paragraph that begins with a space is not wrapped."""
     lines: list[str] = []
     for paragraph in text.splitlines():
         plain = printable(paragraph)
@@ -53,7 +53,7 @@ def comment(text: str) -> str:
 
 
 def as_toml(plain: Any) -> str:
-    """Return a number, text, list or table on one line."""
+    """Return a value (number, text, list or table) as TOML on one line."""
     if isinstance(plain, Mapping):
         return "{ " + ", ".join(f"{as_toml(str(k))} = {as_toml(v)}" for k, v in plain.items()) + " }"
     if isinstance(plain, list | tuple):
@@ -62,7 +62,7 @@ def as_toml(plain: Any) -> str:
 
 
 def printable(text: str) -> str:
-    """Return text without characters that end a comment or move a terminal's cursor."""
+    """Return text with unprintable characters (line ends, control characters) replaced by "?"."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
@@ -81,9 +81,9 @@ def _section(section: TomlSection) -> Iterator[str]:
             yield from (comment(words), *lines)
 
 
-# --- New values in a robot.toml that people have written: comments, order and everything else stay as they are
-# A value that spans lines, or a table that is written in another way than [table], cannot be replaced line by
-# line: the text that comes out is read again, and must hold exactly what the merged tables hold.
+# --- New values in an existing robot.toml, with comments, order and all else unchanged
+# Values over several lines and tables not written as [table] cannot be replaced line by line, so the new text is
+# parsed again and compared with the merged tables.
 
 HEADING = re.compile(r"\s*(#\s*)?\[\s*([\w-]+)\s*\]\s*(#.*)?$")
 BASIC, LITERAL = r'"(?:[^"\\]|\\.)*"', r"'[^']*'"
@@ -96,10 +96,10 @@ def text_of(robot: Path | None) -> str:
 
 
 def updated(text: str, changes: Mapping[str, Any], who: str) -> str:
-    """Return the text of a robot.toml with some keys of tables changed, or added at the end of their tables.
+    """Return the text of a robot.toml with keys of tables changed, or added at the end of their tables.
 
-    A key that stands behind a # is filled in there. `who` is named where a key is added. Raises LocfuseError
-    where the text cannot be changed line by line.
+    A commented-out key becomes active in place. `who`: comment of an added key. Raises LocfuseError if the text
+    cannot be changed line by line.
     """
     wanted = robot_toml.merge(robot_toml.parse(text, "robot.toml"), changes)
     lines = text.splitlines()
@@ -116,7 +116,7 @@ def updated(text: str, changes: Mapping[str, Any], who: str) -> str:
 
 
 def _in_table(lines: list[str], table: str, values: Mapping[str, Any], who: str) -> list[str]:
-    """Return the lines with the values of one table; "" is the part above all tables."""
+    """Return the lines with new values in one table; "" is the part above all tables."""
     start, end = _bounds(lines, table)
     if start is None:
         return [*lines, *([""] if lines and lines[-1] else []), f"[{table}]", *_added(values, who)]
@@ -127,7 +127,7 @@ def _in_table(lines: list[str], table: str, values: Mapping[str, Any], who: str)
         if found and found[1] in missing and (not line.lstrip().startswith("#") or found[1] not in active):
             comment = COMMENT.match(found[2])
             body[i] = f"{found[1]} = {as_toml(missing.pop(found[1]))}{(comment and comment[2]) or ''}"
-    if table:  # it may have stood behind a #
+    if table:  # activate a commented-out heading
         lines[start - 1] = re.sub(r"^\s*#\s*", "", lines[start - 1])
     while body and not body[-1].strip():
         body.pop()
@@ -136,13 +136,13 @@ def _in_table(lines: list[str], table: str, values: Mapping[str, Any], who: str)
 
 
 def _bounds(lines: list[str], table: str) -> tuple[int | None, int]:
-    """Return the first line of a table's body and the one after its last; None if there is no such table."""
+    """Return first and end line index of a table's body; (None, number of lines) without the table."""
     heads = [(i, m[2], bool(m[1])) for i, line in enumerate(lines) if (m := HEADING.match(line))]
     if not table:
         return 0, heads[0][0] if heads else len(lines)
     for hidden in (False, True):
-        for n, (i, name, behind) in enumerate(heads):
-            if name == table and behind == hidden:
+        for n, (i, name, commented) in enumerate(heads):
+            if name == table and commented == hidden:
                 return i + 1, heads[n + 1][0] if n + 1 < len(heads) else len(lines)
     return None, len(lines)
 

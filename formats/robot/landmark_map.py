@@ -11,7 +11,7 @@ from locfuse.fusion.data import MAX_MAGNITUDE, LocfuseError
 
 
 def read(path: Path) -> dict[str, tuple[float, float]]:
-    """Return id -> x, y [m]. Raises LocfuseError with the line that is wrong or repeats an id."""
+    """Return id -> x, y [m, map frame]. Raises LocfuseError with the line of an invalid value or repeated id."""
     rows = csv_rows(path, MAX_MAP_FILE)
     names = [word.strip().lstrip("#").strip().lower() for word in rows[0][1]] if rows else []
     missing = [name for name in ("id", "x", "y") if name not in names]

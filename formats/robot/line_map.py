@@ -1,7 +1,7 @@
-"""The line map as an editable file: every wall by its two ends, as JSON.
+"""The line map as an editable JSON file: every wall by its two ends.
 
-Walking from `from` to `to`, the robot saw the wall from its left. `covariance` is that of the wall's offset [m]
-along its normal at the wall's middle and of its direction [rad]: there the two hardly depend on each other.
+The robot saw the wall from the left of the direction `from` -> `to`. `covariance` is that of the wall's offset [m]
+along its normal at its middle and of its direction [rad]; at the middle the two are nearly uncorrelated.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ Point = tuple[float, float]
 
 
 class Wall(msgspec.Struct, forbid_unknown_fields=True, rename={"start": "from", "end": "to"}):
-    """One line of the map."""
+    """One line of the map as stored in the file."""
 
     id: int
     start: Point  # m, map frame
     end: Point
     covariance: tuple[Point, Point] = ((1e-4, 0.0), (0.0, 1e-5))  # m^2, m rad, rad^2
-    hits: int = 0  # scans that saw it
+    hits: int = 0  # number of scans with this line
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -41,7 +41,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def encode(lines: Sequence[MapLine], made_from: str = "") -> str:
-    """Return the map as indented JSON, one wall per line."""
+    """Return the text of a map file: indented JSON, one wall per line."""
     walls = (msgspec.json.encode(_wall(line)).decode() for line in lines)
     head = {"format": FORMAT, "version": VERSION, "made_from": writable(made_from)}
     start = msgspec.json.encode(head).decode()[:-1]
@@ -50,12 +50,12 @@ def encode(lines: Sequence[MapLine], made_from: str = "") -> str:
 
 
 def read(path: Path) -> list[MapLine]:
-    """Read a map file. Raises LocfuseError if it is none, or has impossible values."""
+    """Return the lines of a map file. Raises LocfuseError for another file or invalid values."""
     return decode(read_small(path, MAX_MAP_FILE), str(path))
 
 
 def decode(text: bytes | str, name: str) -> list[MapLine]:
-    """Return the lines of a map file's text."""
+    """Return the lines of a map file from its text; `name` is its name in errors."""
     try:
         file = msgspec.json.decode(text, type=_File)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
@@ -72,13 +72,13 @@ def decode(text: bytes | str, name: str) -> list[MapLine]:
 def _wall(line: MapLine) -> Wall:
     c, s = math.cos(line.beta), math.sin(line.beta)
     a, b = ((line.rho * c - t * s, line.rho * s + t * c) for t in line.ends)
-    G = _about_middle(line)
+    G = _jacobian_at_middle(line)
     (p, q), (_, r) = (G @ line.P @ G.T).tolist()
     return Wall(line.id, a, b, ((p, q), (q, r)), line.hits)
 
 
-def _about_middle(line: MapLine) -> Array:
-    """Return d(offset at the wall's middle, beta) / d(rho, beta), (2, 2), with the middle held fixed."""
+def _jacobian_at_middle(line: MapLine) -> Array:
+    """Return the Jacobian d(offset at the wall's middle, beta) / d(rho, beta), (2, 2), for a fixed middle."""
     return np.array([[1.0, -0.5 * (line.ends[0] + line.ends[1])], [0.0, 1.0]])
 
 
@@ -90,10 +90,10 @@ def _line(wall: Wall, where: str) -> MapLine:
         raise LocfuseError(f"{where} has no length: its ends are {wall.start} and {wall.end}")
     if not np.isfinite(P).all() or abs(P[0, 1] - P[1, 0]) > 1e-12 or np.linalg.eigvalsh(P)[0] < 0.0:
         raise LocfuseError(f"{where} has a covariance that is not symmetric and positive: {P.tolist()}")
-    c, s = dy / length, -dx / length  # the normal lies to the right of from -> to
+    c, s = dy / length, -dx / length  # the normal points to the right of from -> to
     ends = tuple(-s * x + c * y for x, y in (wall.start, wall.end))
     line = MapLine(
         wall.id, c * wall.start[0] + s * wall.start[1], math.atan2(s, c), (ends[0], ends[1]), P, wall.hits
     )
-    G = np.linalg.inv(_about_middle(line))
+    G = np.linalg.inv(_jacobian_at_middle(line))
     return MapLine(line.id, line.rho, line.beta, line.ends, G @ P @ G.T, line.hits)

@@ -1,7 +1,7 @@
-"""A map as an image and a YAML file beside it, as ROS's map_server reads and writes them.
+"""Maps of ROS's map_server: a map.yaml with an image (.pgm, .png), or an OccupancyGrid message.
 
-A pixel's darkness p says how surely a cell is a wall: above `occupied_thresh` it is one, below `free_thresh` it is
-free, between unknown. The image's last row is the southernmost.
+A pixel's darkness (0 to 1) above `occupied_thresh` means wall, below `free_thresh` free, between them unknown. The
+image's last row is the southernmost.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from .ros_yaml import by_yaml
 
 SUFFIXES = (".yaml", ".yml")
 PICTURES = (".pgm", ".png")
-OCCUPIED, FREE = 0.65, 0.25  # thresholds of map_server where the file gives none
-UNKNOWN_GREY = 205  # what map_saver writes for unknown cells, whatever the thresholds beside it say
+OCCUPIED, FREE = 0.65, 0.25  # default thresholds of map_server
+UNKNOWN_GREY = 205  # value that map_saver writes for unknown cells, independent of the thresholds
 MAX_CELL_M = 10.0
-ROWS_AT_ONCE = 256  # of a picture, whose numbers take eight times its bytes
-UNKNOWN_CELL = -1  # of an OccupancyGrid, whose other cells are 0 to 100
+ROWS_AT_ONCE = 256  # rows of an image: as float64 it takes eight times its bytes
+UNKNOWN_CELL = -1  # in an OccupancyGrid, whose other values are 0 to 100
 
 
 class MapImage(NamedTuple):
-    """Cells (rows, columns), the first row the southernmost: walls, free ones; the others are unknown."""
+    """Grid map: masks (rows, columns) of occupied and free cells, southernmost row first; others are unknown."""
 
     occupied: NDArray[np.bool_]
     free: NDArray[np.bool_]
     cell: float  # m
-    origin: Array  # (3,) x, y [m], yaw [rad] of the lower left corner
+    origin: Array  # (3,) x, y [m], yaw [rad] of the lower left corner, map frame
 
 
 def read(path: Path) -> MapImage:
-    """Read map.yaml and its image. Raises LocfuseError with one line on what is missing or impossible."""
+    """Return the map of a map.yaml and its image. Raises LocfuseError for missing or invalid values."""
     keys = _keys(path)
     image = _text(keys, "image", path)
     file = Path(image) if Path(image).is_absolute() else path.parent / image
@@ -58,7 +58,7 @@ def read(path: Path) -> MapImage:
 
 
 def of_message(data: Any, width: int, height: int, cell: float, origin: Array, name: str) -> MapImage:
-    """Return a nav_msgs/OccupancyGrid: cells 0 to 100 from the lower left, -1 unknown."""
+    """Return the map of an OccupancyGrid message: data (width * height,) 0 to 100, -1 unknown, `cell` [m]."""
     cells = np.asarray(data).astype(np.int64)
     if width < 1 or height < 1 or len(cells) != width * height:
         raise LocfuseError(f"{name}: {len(cells)} cells are no map of {width} x {height}")
@@ -70,7 +70,7 @@ def of_message(data: Any, width: int, height: int, cell: float, origin: Array, n
 
 
 def checked(found: MapImage, name: str) -> MapImage:
-    """Return a map unchanged. Raises LocfuseError if it has no wall or no free cell."""
+    """Return the map. Raises LocfuseError if it has no occupied or no free cell."""
     for cells, what in ((found.occupied, "wall"), (found.free, "free cell")):
         if not cells.any():
             raise LocfuseError(f"{name} has no {what}: nothing can be localised in it (negate, thresholds)")
@@ -78,7 +78,7 @@ def checked(found: MapImage, name: str) -> MapImage:
 
 
 def _keys(path: Path) -> dict[str, Any]:
-    # 400 bytes of aliases stand for 10^9 values, and a map needs none
+    # aliases are refused: 400 bytes of them can stand for 10^9 values
     from ruamel.yaml.events import AliasEvent
 
     text = read_small(path, MAX_ROBOT_TOML)
@@ -97,15 +97,15 @@ def _text(keys: dict[str, Any], key: str, path: Path) -> str:
     return value
 
 
-def _number(keys: dict[str, Any], key: str, path: Path, usual: float | None = None) -> float:
-    value = keys.get(key, usual)
+def _number(keys: dict[str, Any], key: str, path: Path, default: float | None = None) -> float:
+    value = keys.get(key, default)
     if isinstance(value, bool | int | float) and abs(value) < MAX_MAGNITUDE:
         return float(value)
-    raise LocfuseError(f"{path}: {key} is {_kind(value)}, not a number below {MAX_MAGNITUDE:g}")
+    raise LocfuseError(f"{path}: {key} is {_described(value)}, not a number below {MAX_MAGNITUDE:g}")
 
 
-def _kind(value: Any) -> str:
-    """Return the kind of a file by its first characters, however large it is."""
+def _described(value: Any) -> str:
+    """Return a YAML value for an error message: the first 40 characters of a text, else its type."""
     return repr(visible(value[:40])) if isinstance(value, str) else f"of type {type(value).__name__}"
 
 
@@ -113,12 +113,12 @@ def _origin(keys: dict[str, Any], path: Path) -> Array:
     value = keys.get("origin")
     numbers = value if isinstance(value, list) and len(value) == 3 else []
     if not numbers or not all(isinstance(v, int | float) and abs(v) < MAX_MAGNITUDE for v in numbers):
-        raise LocfuseError(f"{path}: origin is {_kind(value)}, not [x, y, yaw] in m, m, rad")
+        raise LocfuseError(f"{path}: origin is {_described(value)}, not [x, y, yaw] in m, m, rad")
     return np.array(numbers, np.float64)
 
 
 def _pixels(file: Path) -> NDArray[Any]:
-    """Return a picture as it is stored, (rows, columns) or (rows, columns, colours)."""
+    """Return the pixels of an image, (rows, columns) or (rows, columns, colours)."""
     from locfuse.fusion.camera.opencv import MAX_MAP_PIXELS, cv2, listened
 
     data = read_small(file, MAX_MAP_PICTURE)
@@ -128,7 +128,7 @@ def _pixels(file: Path) -> NDArray[Any]:
     if size[0] * size[1] > MAX_MAP_PIXELS:
         raise LocfuseError(names_its_cap(f"{file}", size[0] * size[1], MAX_MAP_PIXELS, "cells"))
     try:
-        # what OpenCV itself prints is not shown: a damaged picture is refused below
+        # OpenCV's own output is dropped; a damaged image raises below
         pixels, _ = listened(lambda: cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
     except cv2.error:
         pixels = None
@@ -138,7 +138,7 @@ def _pixels(file: Path) -> NDArray[Any]:
 
 
 def _darkness(pixels: NDArray[Any]) -> Array:
-    """Return the darkness of each pixel, (rows, columns) 0 to 1; transparent ones are 0.5: unknown."""
+    """Return the darkness of each pixel, (rows, columns) 0 to 1; 0.5 (unknown) for transparent ones."""
     light = pixels.astype(np.float64) / (255.0 if pixels.dtype == np.uint8 else 65535.0)
     if light.ndim == 2:
         unknown = (pixels == UNKNOWN_GREY) & (pixels.dtype == np.uint8)
@@ -148,7 +148,7 @@ def _darkness(pixels: NDArray[Any]) -> Array:
 
 
 def _size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height by the header of a PGM or PNG, before decoding; None for other files."""
+    """Return width and height [px] from the header of a PGM or PNG; None for other files."""
     if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
         width, height = struct.unpack(">II", data[16:24])
         return int(width), int(height)

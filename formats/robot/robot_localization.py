@@ -1,8 +1,8 @@
-"""An ekf.yaml of robot_localization as tables of robot.toml, with notes on settings without a counterpart.
+"""Import of an ekf.yaml of robot_localization as tables of robot.toml, with notes on keys without a counterpart.
 
 Its inputs are odom0, twist0, pose0, imu0 ..., each with 15 switches: x, y, z, roll, pitch, yaw, their six speeds,
-and three accelerations (robot_localization, state_estimation_nodes). Here the motion comes from the wheels and is
-no state, so the first odometry becomes the wheels, and every other input a sensor.
+and three accelerations (robot_localization, state_estimation_nodes). The first odometry becomes the wheels, the
+motion model of locfuse; every other input becomes a sensor.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from locfuse.fusion.data import LocfuseError
 
 from .ros_yaml import by_yaml
 
-X, Y, YAW, SPEED, TURN, ACCELERATION = 0, 1, 5, 6, 11, 12  # places of the switches
+X, Y, YAW, SPEED, TURN, ACCELERATION = 0, 1, 5, 6, 11, 12  # indices of the switches
 SWITCHES = 15
 INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
-OF_INPUT = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
+INPUT_KEY = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
 USED_OF_INPUT = ("config", "differential", "relative")
 IDLE_OF_INPUT = ("queue_size", "nodelay", "remove_gravitational_acceleration", "use_sim_time")
 UNUSED_OF_INPUT = (
@@ -33,7 +33,7 @@ UNUSED_OF_INPUT = (
 )
 KNOWN_OF_INPUT = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
 USED = ("initial_state", "two_d_mode", "world_frame", "map_frame", "odom_frame", "base_link_frame")
-IDLE = (  # of a node that runs live; a log has its own time
+IDLE = (  # keys that matter only in a live node
     "frequency", "sensor_timeout", "transform_time_offset", "transform_timeout", "predict_to_current_time",
     "print_diagnostics", "debug", "debug_out_file", "publish_tf", "publish_acceleration", "tf_prefix",
     "permit_corrected_publication", "reset_on_time_jump", "use_sim_time", "qos_overrides", "history_length",
@@ -57,14 +57,14 @@ UNUSED = {
 
 
 class Translated(NamedTuple):
-    """An ekf.yaml in terms of robot.toml."""
+    """The tables of robot.toml that an ekf.yaml becomes."""
 
     tables: dict[str, dict[str, Any]]
-    notes: tuple[str, ...]  # what does not map, one line each
+    notes: tuple[str, ...]  # one line per key or input without a counterpart
 
 
 class EkfInput(NamedTuple):
-    """One input."""
+    """One input of an ekf.yaml."""
 
     name: str  # "odom0"
     kind: str  # "odom"
@@ -75,24 +75,25 @@ class EkfInput(NamedTuple):
 
 
 def read(path: Path, topics: Sequence[str]) -> Translated:
-    """Translate a file for a log with these topics. Raises LocfuseError if it is no ekf.yaml."""
+    """Translate an ekf.yaml for a log with these topics. Raises LocfuseError for another file."""
     parameters, notes = _parameters(path)
-    sources = [source for source in _sources(path, parameters) if source is not None]
+    inputs = (_source(path, name, parameters) for name in sorted(parameters) if INPUT.fullmatch(name))
+    sources = [source for source in inputs if source is not None]
     if not sources:
         raise LocfuseError(f"{path} names no input (odom0, twist0, pose0, imu0): is it of robot_localization?")
-    notes += _words(parameters)
+    notes += _notes_on_keys(parameters)
     tables: dict[str, dict[str, Any]] = _start(path, parameters)
     for source in sources:
         topic = _in_log(source.topic, topics)
         if topic is None:
             notes.append(f"{source.name}: this log has no topic {visible(source.topic)}")
             continue
-        notes += _placed(source._replace(topic=topic), tables)
+        notes += _assign(source._replace(topic=topic), tables)
     return Translated(tables, tuple(notes))
 
 
 def _parameters(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return the parameters of the first filter in a file, with notes on the other content."""
+    """Return the parameters of the first filter node in a file, and a note on its other nodes."""
     found = by_yaml(path, "load", read_small(path, MAX_ROBOT_TOML))
     nodes = _nodes(found, "", 0)
     if not nodes:
@@ -103,7 +104,7 @@ def _parameters(path: Path) -> tuple[dict[str, Any], list[str]]:
 
 
 def _nodes(value: Any, name: str, depth: int) -> list[tuple[str, dict[str, Any]]]:
-    """Return the mappings with inputs, with the names of their nodes."""
+    """Return (node name, parameters) of each node with inputs."""
     if not isinstance(value, Mapping) or depth > 4:
         return []
     if any(INPUT.fullmatch(str(key)) for key in value):
@@ -112,12 +113,8 @@ def _nodes(value: Any, name: str, depth: int) -> list[tuple[str, dict[str, Any]]
     return [node for key, part in parts for node in _nodes(part, key, depth + 1)]
 
 
-def _sources(path: Path, parameters: Mapping[str, Any]) -> list[EkfInput | None]:
-    return [_source(path, name, parameters) for name in sorted(parameters) if INPUT.fullmatch(name)]
-
-
 def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | None:
-    """Return one input; None without a topic."""
+    """Return the input `name`; None if it has no topic."""
     topic, switches = parameters[name], parameters.get(f"{name}_config")
     if not isinstance(topic, str) or not topic:
         return None
@@ -132,16 +129,16 @@ def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | 
 
 
 def _in_log(topic: str, topics: Sequence[str]) -> str | None:
-    """Return a topic as in the log: relative names have no slash, and may follow a namespace."""
+    """Return the log's topic for a relative or absolute name, perhaps in a namespace; None unless exactly one."""
     bare = topic.strip("/")
     near = [t for t in topics if t.strip("/") == bare] or [t for t in topics if t.endswith(f"/{bare}")]
     return near[0] if len(near) == 1 else None
 
 
-def _placed(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
+def _assign(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
     """Assign an input of an ekf.yaml to a table; return notes on its settings without a counterpart."""
     if source.kind == "imu":
-        return _imu(source, tables)
+        return _assign_imu(source, tables)
     on = source.switches
     posed, moves = on[X] or on[Y] or on[YAW], on[SPEED] or on[TURN]
     if source.kind == "odom" and "wheels" not in tables and (posed or moves):
@@ -165,8 +162,8 @@ def _placed(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
     return []
 
 
-def _imu(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Use an IMU as compass and gyro, by its switches."""
+def _assign_imu(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
+    """Assign an IMU to the tables compass and gyro, by its switches; return notes."""
     on, notes = source.switches, []
     for table, switch in (("compass", YAW), ("gyro", TURN)):
         if on[switch] and table not in tables:
@@ -194,13 +191,13 @@ def _finite(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _words(parameters: Mapping[str, Any]) -> list[str]:
-    """Add notes on keys without meaning here, and unknown ones."""
+def _notes_on_keys(parameters: Mapping[str, Any]) -> list[str]:
+    """Return notes on unknown keys and on keys without a counterpart."""
     notes = []
     if parameters.get("two_d_mode") is False:
         notes.append("two_d_mode: false: only the plane is estimated here")
     for key in parameters:
-        of_input = OF_INPUT.fullmatch(key)
+        of_input = INPUT_KEY.fullmatch(key)
         if of_input is None and (key in USED or key in IDLE or INPUT.fullmatch(key)):
             continue
         if key in UNUSED:

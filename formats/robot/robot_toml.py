@@ -1,4 +1,4 @@
-"""robot.toml: the robot's description as typed settings, merged from several places key by key."""
+"""robot.toml: parsing, merging of several sources key by key, and conversion to typed settings."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import units
 
-MAX_LISTED_KEYS = 12  # keys are listed up to this many
-MOUNT_KEYS = ("x", "y", "yaw_deg")  # of a sensor on the base; each has a sigma_<key>
-MAX_NUMBER = 1e20  # no robot's number is larger; a 64-bit counter's range is not
-MIN_NUMBER = 1e-30  # and none but 0 is smaller: its square must still be a number
-MAX_METRES = 1e8  # no place on Earth is farther from the origin of any map
+MAX_LISTED_KEYS = 12  # in an error message
+MOUNT_KEYS = ("x", "y", "yaw_deg")  # sensor mount in the base frame; each key has a sigma_<key>
+MAX_NUMBER = 1e20  # larger than the range of a 64-bit counter
+MIN_NUMBER = 1e-30  # of absolute values but 0; their square does not underflow
+MAX_METRES = 1e8  # larger than the Earth
 Tables = dict[str, Any]
 
 
@@ -34,7 +34,7 @@ def parse(text: str | bytes, source: str) -> Tables:
         tables = tomllib.loads(text.removeprefix("\ufeff"))
     except UnicodeDecodeError as problem:
         raise LocfuseError(f"{source}: not UTF-8 text (byte {problem.start})") from None
-    except ValueError as problem:  # tomllib's own, and that of int() for thousands of digits
+    except ValueError as problem:  # of tomllib, and of int() for thousands of digits
         raise LocfuseError(f"{source}: not valid TOML: {' '.join(str(problem).split())}") from None
     except RecursionError:
         raise LocfuseError(f"{source}: not valid TOML: nested too deeply") from None
@@ -43,7 +43,7 @@ def parse(text: str | bytes, source: str) -> Tables:
 
 
 def _refuse_large(text: str, source: str) -> None:
-    """Refuse a text that would take TOML's parser minutes."""
+    """Raise LocfuseError for a text that would take tomllib minutes."""
     if len(text) > MAX_ROBOT_TOML:
         raise LocfuseError(names_its_cap(f"{source}: too long", len(text), MAX_ROBOT_TOML, "characters"))
     dots = max((line.count(".") for line in text.splitlines()), default=0)
@@ -52,7 +52,7 @@ def _refuse_large(text: str, source: str) -> None:
 
 
 def merge(*tables: Mapping[str, Any]) -> Tables:
-    """Merge tables key by key; what comes later wins."""
+    """Merge tables key by key; a later value replaces an earlier one."""
     merged: Tables = {}
     for layer in tables:
         for key, value in layer.items():
@@ -63,29 +63,29 @@ def merge(*tables: Mapping[str, Any]) -> Tables:
 
 
 def layered(*tables: Mapping[str, Any]) -> Tables:
-    """Merge the settings of several sources for one robot; later ones win.
+    """Merge settings of several sources for one robot; a later value replaces an earlier one.
 
-    `sigma_x = 0` says that the x beside it is exact. Where a later place gives another x, and no sigma, that is
-    not said of it: the sigma goes. The same holds of y and yaw_deg.
+    If a later source changes a mount's x without a sigma, an earlier `sigma_x = 0` (exact) is removed. The same
+    holds for y and yaw_deg.
     """
     merged: Tables = {}
     for layer in tables:
-        kept = {name: _without_void(table, layer.get(name)) for name, table in merged.items()}
+        kept = {name: _without_outdated_sigmas(table, layer.get(name)) for name, table in merged.items()}
         merged = merge(kept, layer)
     return merged
 
 
-def _without_void(before: Any, above: Any) -> Any:
-    """Return a table without zero sigmas of mount values that a later table changes: they are not exact now."""
+def _without_outdated_sigmas(before: Any, above: Any) -> Any:
+    """Return a table without the zero sigmas of mount values that a later table changes."""
     if not (isinstance(before, Mapping) and isinstance(above, Mapping)):
         return before
     moved = (key for key in MOUNT_KEYS if key in above and above[key] != before.get(key, 0.0))
-    void = {f"sigma_{key}" for key in moved if before.get(f"sigma_{key}") == 0}
-    return {key: value for key, value in before.items() if key not in void}
+    outdated = {f"sigma_{key}" for key in moved if before.get(f"sigma_{key}") == 0}
+    return {key: value for key, value in before.items() if key not in outdated}
 
 
 def apply_sets(sets: Sequence[str]) -> Tables:
-    """Convert ["lrf.topic=/scan", "wheels.radius=0.03"] to tables: a TOML value, else plain text."""
+    """Parse --set arguments, ["lrf.topic=/scan", "wheels.radius=0.03"], to tables; values are TOML or text."""
     tables: Tables = {}
     for text in sets:
         path, equals, value = text.partition("=")
@@ -106,9 +106,9 @@ def apply_sets(sets: Sequence[str]) -> Tables:
 
 
 def as_set(key: str, value: Any) -> str:
-    """Return one setting as `--set` takes it: ("lrf.topic", "/scan") is 'lrf.topic="/scan"'.
+    """Return a setting as an argument of --set: ("lrf.topic", "/scan") -> 'lrf.topic="/scan"'.
 
-    Raises UsageError for a value that TOML has no word for.
+    Raises UsageError for a value that TOML cannot express.
     """
     import tomli_w
 
@@ -130,9 +130,9 @@ def _value(text: str) -> Any:
 
 
 def _refuse_absurd(tables: Mapping[str, Any], source: str) -> None:
-    """Refuse impossible numbers of a robot, and more or deeper keys than any robot has."""
+    """Raise LocfuseError for impossible numbers, too many keys and too deeply nested tables."""
     waiting: list[tuple[str, Any]] = [("", tables)]
-    for count, (path, value) in enumerate(waiting):  # grows while it is walked
+    for count, (path, value) in enumerate(waiting):  # the list grows in the loop
         _refuse_number(value, source, path)
         children: Iterable[tuple[Any, Any]] = ()
         if isinstance(value, Mapping):
@@ -162,14 +162,15 @@ def _refuse_number(value: Any, source: str, path: str) -> None:
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert tables (and top-level values) to the type registered for each name.
+    """Convert tables (and top-level values) to the type of each name in `types`.
 
-    Raises LocfuseError naming the key path and the value, or the nearest known key for an unknown one.
+    Raises LocfuseError with key path and value, or the most similar key for an unknown one.
     """
     converted: dict[str, Any] = {}
     for name, table in tables.items():
         if name not in types:
-            raise LocfuseError(_unknown(name, "", list(types), _tables_with(name, types)))
+            having = [t for t, kind in types.items() if name in getattr(kind, "__struct_encode_fields__", ())]
+            raise LocfuseError(_unknown(name, "", list(types), [f"{table}.{name}" for table in having]))
         kind = types[name]
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
             _check_table(name, table, kind)
@@ -192,19 +193,12 @@ def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
 
 
 def _refuse_far(path: str, value: Any) -> None:
-    """Refuse lengths in metres, or lists or tables of them, that are larger than the Earth."""
+    """Raise LocfuseError for lengths [m], or lists or tables of them, above MAX_METRES."""
     if isinstance(value, Mapping | list):
         for one in value.values() if isinstance(value, Mapping) else value:
             _refuse_far(path, one)
     elif isinstance(value, int | float) and abs(value) > MAX_METRES:
         raise LocfuseError(f"{path} = {_shown(value)}: it is in metres, and may be {MAX_METRES:g} at most")
-
-
-def _tables_with(key: str, types: Mapping[str, Any]) -> list[str]:
-    """Return "lrf.sigma_range" for every table that has this key."""
-    return [
-        f"{name}.{key}" for name, kind in types.items() if key in getattr(kind, "__struct_encode_fields__", ())
-    ]
 
 
 def _unknown(key: str, table: str, known: Sequence[str], paths: Sequence[str] = ()) -> str:
@@ -215,10 +209,10 @@ def _unknown(key: str, table: str, known: Sequence[str], paths: Sequence[str] = 
 
 
 def _mismatch(name: str, table: Any, kind: Any, problem: str) -> str:
-    """Return "wheels.radius = 'big': expected float, got str" for msgspec's "... - at `$.radius`"."""
+    """Return msgspec's "... - at `$.radius`" as "wheels.radius = 'big': must be a number, in metres"."""
     reason, _, where = problem.partition(" - at `$")
     path = where.rstrip("`")
-    if not path and isinstance(table, Mapping):  # a whole table is refused, in words of its own
+    if not path and isinstance(table, Mapping):  # the table's own check failed: its message is complete
         return f"{name}: {reason.removeprefix(name).lstrip('.: ')}"
     value = table
     for key in path.replace("[", ".").replace("]", "").split(".")[1:]:
@@ -233,7 +227,7 @@ def _mismatch(name: str, table: Any, kind: Any, problem: str) -> str:
 
 
 def _choices(kind: Any, key: str) -> str:
-    """Return the allowed words of a key, and whether a number is allowed; "" for other kinds of keys."""
+    """Return the allowed values of a key with fixed words, as a sentence; "" for other keys."""
     hint = get_type_hints(kind).get(key) if isinstance(kind, type) else None
     kinds = get_args(hint) if get_origin(hint) is not Literal else (hint,)
     words = ", ".join(repr(word) for one in kinds if get_origin(one) is Literal for word in get_args(one))
@@ -241,7 +235,7 @@ def _choices(kind: Any, key: str) -> str:
 
 
 def _needed(table: str, key: str, reason: str) -> str:
-    """Return the error in words: "must be a number, in metres" for a wrong kind of value, else msgspec's."""
+    """Return the reason of a wrong value: "must be a number, in metres"; for other errors msgspec's reason."""
     unit = units.in_words(table, key)
     found = re.match(r"Expected `(int|float)(?: \| null)?`( [<>]=? [-\d.e+]+)?", reason)
     if not found:
@@ -257,13 +251,13 @@ def _plain(reason: str) -> str:
 def _shown(value: Any) -> str:
     try:
         text = repr(value)
-    except ValueError:  # Python writes no integer of more than 4300 digits
+    except ValueError:  # Python's limit for the digits of an integer
         return "an integer of more than 4300 digits"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def dump(tables: Mapping[str, Any]) -> str:
-    """Return tables as TOML: equal for equal tables; floats in full precision; keys without a value left out."""
+    """Return tables as TOML, floats in full precision, without keys whose value is None."""
     import tomli_w
 
     _refuse_absurd(dict(tables), "robot.toml")

@@ -1,4 +1,4 @@
-"""The ROS nodes that `locfuse export ros` writes for: how to find their section of a file, and their keys.
+"""The ROS nodes that `locfuse export ros` writes parameters for: their known keys, and their section in a file.
 
 Keys: robot_localization (state_estimation_nodes), nav2 (configuring-amcl), ros2_controllers (parameters of
 diff_drive_controller), FusionCore (docs/configuration.md).
@@ -22,12 +22,12 @@ OF_EVERY_NODE = ("use_sim_time", r"qos_overrides\..+", "<<")
 class RosNode(NamedTuple):
     """One kind of node."""
 
-    name: str  # as its users call it
-    usual: str  # its own name where its user gave none
-    telling: str  # pattern of a key that only its section has
-    example: str  # of such keys, for errors
-    known: tuple[str, ...]  # patterns of its keys
-    plugin: str = ""  # the type that the controller manager must give it
+    name: str  # of the package or plugin
+    usual: str  # default name of the node
+    distinctive: str  # pattern of keys that only its section has
+    example: str  # of distinctive keys, for errors
+    known: tuple[str, ...]  # patterns of all its keys
+    plugin: str = ""  # its type in the controller manager
 
 
 NODES = {
@@ -103,14 +103,14 @@ NODES = {
 
 
 def sections_of(file: RosFile, target: str) -> list[Section]:
-    """Return the sections of a kind of node in a file."""
-    return [s for s in file.sections if any(re.fullmatch(NODES[target].telling, key) for key in s.at)]
+    """Return the sections of a file that belong to a kind of node (a key of NODES)."""
+    return [s for s in file.sections if any(re.fullmatch(NODES[target].distinctive, key) for key in s.at)]
 
 
 def section_of(file: RosFile, target: str, name: str | None = None) -> Section:
-    """Return the section of a node in a file; `name` is the node's own, if the file has several of its kind.
+    """Return the only section of a kind of node in a file; `name` selects one node of several.
 
-    Raises LocfuseError where there is none, or several, or one of another type or with keys that it does not know.
+    Raises LocfuseError for no or several sections, another controller type or unknown keys.
     """
     node, types = NODES[target], dict(_types(file))
     found = sections_of(file, target)
@@ -142,7 +142,7 @@ def section_of(file: RosFile, target: str, name: str | None = None) -> Section:
 
 
 def _types(file: RosFile) -> Iterator[tuple[str, str]]:
-    """Yield (name, type) of every controller that a controller manager of the file names."""
+    """Yield (name, type) of every controller that the file's controller managers declare."""
     for section in file.sections:
         for key, value in section.values.items():
             if key.endswith(".type") and isinstance(value, str):

@@ -1,8 +1,8 @@
-"""Parameter files of ROS nodes: a new file with a reason on every line, or new values in an existing one.
+"""Parameter files of ROS nodes: a new file with a comment on every line, or new values in an existing one.
 
-In a file that exists only the bytes of the named values change, and comments beside them that an export wrote.
-Other comments, order, quotes and line ends stay. The marks of the YAML parser say where a value begins and ends.
-The new text is read again, and must hold exactly what was asked for.
+In an existing file, only values and the comments of an earlier export change; other comments, order, quotes and
+line ends stay. The YAML parser's marks give the position of each value. The new text is parsed again and compared
+with the intended values.
 """
 
 from __future__ import annotations
@@ -24,37 +24,39 @@ from .commented_toml import as_toml, printable
 
 PARAMETERS = "ros__parameters"
 BOM = "\ufeff"
-MAX_DEPTH = 8  # of mappings in mappings
+MAX_DEPTH = 8  # of nested mappings
 UNMAPPED = "cannot be mapped: "
-PLAIN_TEXT = re.compile(r"/?[A-Za-z][\w/:.~-]*")  # needs no quotes ...
-RESERVED = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}  # ... unless it is one of these
+PLAIN_TEXT = re.compile(r"/?[A-Za-z][\w/:.~-]*")  # needs no quotes
+RESERVED = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}  # need quotes
 Value = float | bool | str | list[float] | list[bool]
 
 
-# measured by a command; set by hand; a file that exists keeps its own: of the log, or assumed where it has none
+# measured by a command; set by the user; of the log; assumed. For the last two an existing file keeps its value
 Origin = Literal["found", "set", "kept", "assumed"]
 FOUND: Final = "found"
 SET: Final = "set"
 KEPT: Final = "kept"
 ASSUMED: Final = "assumed"
 LABELS: dict[Origin, str] = {FOUND: "found: ", SET: "carried over: ", KEPT: "carried over: ", ASSUMED: UNMAPPED}
-OWN_COMMENT = re.compile(rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)""")  # of an export
+OWN_COMMENT = re.compile(
+    rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)"""
+)  # comment of an export
 
 
 class Setting(msgspec.Struct, frozen=True):
     """One parameter of a node, with the reason for its value."""
 
-    key: str  # "odom0_config"; of nested ones "encoder.vel_noise"
+    key: str  # "odom0_config"; nested: "encoder.vel_noise"
     value: Value | None  # None: a comment only
-    words: str  # where the value comes from, or why there is none
+    words: str  # source of the value, or why there is none
     origin: Origin = FOUND
-    places: tuple[int, ...] = ()  # of a list: the numbers that are meant; () all
-    row: int = 0  # of a list: how many stand on a line; 0 all
-    row_words: tuple[str, ...] = ()  # of a list: the words of every line
+    places: tuple[int, ...] = ()  # indices of the list's values that are set; () all
+    row: int = 0  # values of the list per line; 0: all
+    row_words: tuple[str, ...] = ()  # comment of every line of the list
 
     @property
     def label(self) -> str:
-        """The first words of a comment on a setting."""
+        """The prefix of a setting's comment: "found: ", "carried over: ", ..."""
         return LABELS[self.origin]
 
     @property
@@ -68,28 +70,28 @@ class Setting(msgspec.Struct, frozen=True):
         return self.value is not None and self.origin in {FOUND, SET}
 
     def words_at(self, place: int | None) -> str:
-        """Return the words for a number of a list: those of its row, if the list has rows."""
+        """Return the comment for index `place` of a list: that of its line, if lines have comments."""
         rows = isinstance(self.value, list) and self.row * len(self.row_words) == len(self.value)
         return self.words if place is None or not rows else self.row_words[place // self.row]
 
 
 class Section(NamedTuple):
-    """The parameters of one node: the place of every value, nested keys joined by dots."""
+    """The parameters of one node in a file: key (nested ones joined by dots) -> node of the YAML parser."""
 
     name: str
-    at: dict[str, Any]  # key -> node of the YAML parser; None where the key stands twice
-    begin: int  # of its text in the file
+    at: dict[str, Any]  # key -> node of the YAML parser; None for a key that occurs twice
+    begin: int  # character offset in the file
     end: int
-    shared: frozenset[str]  # keys inside a mapping with an anchor: to change them may change another place too
+    shared: frozenset[str]  # keys inside a mapping with an anchor, which may be used elsewhere too
 
     @property
     def values(self) -> dict[str, Any]:
-        """Return the values: numbers, true or false, text, or lists of these."""
+        """Key -> value: number, bool, text, or list of these."""
         return {key: _plain(node) for key, node in self.at.items()}
 
 
 class RosFile(NamedTuple):
-    """A parameter file as it was read."""
+    """The text of a parameter file, and its sections."""
 
     path: Path
     text: str
@@ -100,7 +102,7 @@ class RosFile(NamedTuple):
 
 
 def render(head: str, nodes: Sequence[tuple[str, str, Sequence[Setting]]]) -> str:
-    """Return a parameter file of nodes, each (name, comment, settings); every line ends with a comment."""
+    """Return the text of a new parameter file; `nodes` are (name, comment, settings)."""
     lines = [f"# {printable(line)}".rstrip() for line in head.splitlines()]
     for name, words, settings in nodes:
         lines += ["", f"{name}:  # {printable(words)}", f"  {PARAMETERS}:  # as a ROS 2 node reads them"]
@@ -124,14 +126,14 @@ def _rendered(setting: Setting) -> Iterator[str]:
 
 
 def in_yaml(value: Value) -> str:
-    """Return a value in ROS's YAML: a float needs its dot, or YAML 1.1 reads 1e-09 as text."""
+    """Return a value as YAML for ROS; floats always have a dot, because YAML 1.1 reads 1e-09 as text."""
     if isinstance(value, list):
         return f"[{', '.join(in_yaml(v) for v in value)}]"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         bare = PLAIN_TEXT.fullmatch(value) and value.lower() not in RESERVED and not value.endswith(":")
-        return value if bare else as_toml(value)  # a JSON text is one of YAML too
+        return value if bare else as_toml(value)  # JSON strings are valid YAML
     mantissa, e, exponent = f"{value:.4g}".partition("e")
     return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{e}{exponent}"
 
@@ -140,7 +142,7 @@ def in_yaml(value: Value) -> str:
 
 
 def read(path: Path) -> RosFile:
-    """Read a parameter file. Raises LocfuseError in one line if it is none."""
+    """Return a parameter file. Raises LocfuseError for another file."""
     data = read_small(path, MAX_ROBOT_TOML)
     try:
         text = data.decode("utf-8")
@@ -150,7 +152,7 @@ def read(path: Path) -> RosFile:
 
 
 def parsed(path: Path, text: str) -> RosFile:
-    """Return a parameter file of this text. Raises LocfuseError in one line if it is none."""
+    """Return the parameter file with this text. Raises LocfuseError for invalid YAML."""
     for number, line in enumerate(text.splitlines(), 1):
         if "\t" in line[: len(line) - len(line.lstrip())]:
             raise LocfuseError(f"{path}: line {number} begins with a tab; indent YAML with spaces")
@@ -158,7 +160,7 @@ def parsed(path: Path, text: str) -> RosFile:
 
 
 def by_yaml(path: Path, method: Literal["load", "compose", "parse"], text: str | bytes) -> Any:
-    """Return the result of a method of the YAML parser for a text. Raises LocfuseError if it is no YAML."""
+    """Return the result of a ruamel.yaml method for a text. Raises LocfuseError for invalid YAML."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -170,7 +172,7 @@ def by_yaml(path: Path, method: Literal["load", "compose", "parse"], text: str |
 
 
 def _composed(path: Path, text: str) -> Any:
-    """Return the root of the parser's tree, whose positions count characters of `text` after its BOM."""
+    """Return the root node of a YAML text; its positions count characters after the BOM."""
     root = by_yaml(path, "compose", text.removeprefix(BOM))
     if not _is_mapping(root):
         raise LocfuseError(f"{path} is no parameter file of ROS: its top level is not a mapping")
@@ -182,7 +184,7 @@ def _is_mapping(node: Any) -> bool:
 
 
 def _sections(root: Any, path: Path) -> Iterator[Section]:
-    """Yield the nodes of a file: below ros__parameters, or as in ROS 1, at the top or a level below."""
+    """Yield the sections of a file: mappings below ros__parameters, else (ROS 1) top level and its mappings."""
     found = list(_below(root, "", False, set()))
     if not found:
         inside = ((key.value, part, _has_anchor(part)) for key, part in root.value if _is_mapping(part))
@@ -199,7 +201,7 @@ def _sections(root: Any, path: Path) -> Iterator[Section]:
 
 
 def _below(mapping: Any, name: str, anchored: bool, seen: set[int]) -> Iterator[tuple[str, Any, bool]]:
-    """Yield (node's name, its parameters, whether an anchor is above them), every mapping once."""
+    """Yield (node name, its parameters, whether an outer mapping has an anchor) for each ros__parameters."""
     for key, part in mapping.value:
         if not _is_mapping(part) or id(part) in seen or len(seen) > MAX_KEYS:
             continue
@@ -240,11 +242,11 @@ def _plain(node: Any) -> Any:
 
 
 def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tuple[str, list[Setting]]:
-    """Return the text with the new values in place, and the settings whose key the section lacks.
+    """Return the file's text with the new values, and the settings whose key the section lacks.
 
-    Raises LocfuseError in one line where a value cannot be replaced.
+    Raises LocfuseError for a value that cannot be replaced.
     """
-    spans: dict[tuple[int, int], str] = {}  # begin and end in the text -> what comes there
+    spans: dict[tuple[int, int], str] = {}  # (begin, end) in the text -> new text
     absent, wanted = [], section.values
     for setting in settings:
         if not setting.replaces:
@@ -252,18 +254,18 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
         if setting.key not in section.at:
             absent.append(setting)
             continue
-        for place, node, value in _pairs(file, section, setting):
-            new = _reread(node, value)
+        for place, node, value in _changed_values(file, section, setting):
+            new = _as_read_back(node, value)
             if _plain(node) != new:
                 spans |= _span(file, setting.key, node, value)
             if place is None:
                 wanted[setting.key] = new
             else:
                 wanted[setting.key][place] = new
-            _renew_comment(file, setting, place, node, spans)
+            _update_comment(file, setting, place, node, spans)
     if absent and "<<" in section.at:
         raise LocfuseError(f"{file.path}: {section.name} takes keys by << from elsewhere: write its values out")
-    _renew_notes(file, section, settings, spans)
+    _update_notes(file, section, settings, spans)
     text = file.text
     for (begin, end), new in sorted(spans.items(), reverse=True):
         text = text[:begin] + new + text[end:]
@@ -275,20 +277,20 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
     return text, absent
 
 
-def _renew_comment(
+def _update_comment(
     file: RosFile, setting: Setting, place: int | None, node: Any, spans: dict[tuple[int, int], str]
 ) -> None:
-    """Replace the comment of an earlier export on a value's line."""
+    """Add to `spans` the new comment on a value's line, if an earlier export wrote the old one."""
     if own := OWN_COMMENT.match(file.text, _end(file, node)):
         words = setting.words if own.span(1) in spans else setting.words_at(place)  # several rows may share a line
         spans[own.span(1)] = f"# {setting.label}{printable(words)}"
 
 
-def _renew_notes(
+def _update_notes(
     file: RosFile, section: Section, settings: Sequence[Setting], spans: dict[tuple[int, int], str]
 ) -> None:
-    """Replace the comments of an earlier export on settings without a counterpart; a key may have several."""
-    begin: dict[str, int] = {}  # key -> where to look for its next comment
+    """Add to `spans` the new comments on settings without a value; a key may have several."""
+    begin: dict[str, int] = {}  # key -> offset from which to search for its next comment
     for key, note in ((setting.key, setting.note) for setting in settings if setting.value is None):
         own = re.compile(rf"^[ \t]*(# {re.escape(key)}: {UNMAPPED}[^\r\n]*)", re.MULTILINE)
         if found := own.search(file.text, begin.get(key, section.begin), section.end + len(BOM)):
@@ -296,10 +298,10 @@ def _renew_notes(
             begin[key] = found.end()
 
 
-def _pairs(
+def _changed_values(
     file: RosFile, section: Section, setting: Setting
 ) -> Iterator[tuple[int | None, Any, float | bool | str]]:
-    """Yield list index, parser node and new value of every number or word that a setting changes."""
+    """Yield (list index or None, YAML node, new value) of every scalar that a setting changes."""
     node, value = section.at[setting.key], setting.value
     if node is None:
         raise LocfuseError(f"{file.path}: {setting.key} stands twice in {section.name}: keep one of them")
@@ -319,12 +321,12 @@ def _pairs(
 
 
 def _end(file: RosFile, node: Any) -> int:
-    """Return where a value ends in the text."""
+    """Return the offset of a value's end in the file's text."""
     return int(node.end_mark.index) + file.text.startswith(BOM)
 
 
 def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict[tuple[int, int], str]:
-    """Return {(begin, end): new text} for a value in the text of the file."""
+    """Return {(begin, end): new text} for a value. Raises LocfuseError if it is not plain."""
     end = _end(file, node)
     begin = end - (node.end_mark.index - node.start_mark.index)
     if begin == end or not isinstance(node.value, str) or node.style in {"|", ">"} or file.text[begin] in "!&*":
@@ -333,8 +335,8 @@ def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict
     return {(begin, end): f"{node.style}{new.strip(chr(34))}{node.style}" if node.style else new}
 
 
-def _reread(node: Any, value: float | bool | str) -> float | bool | str:
-    """Return the value that a reader of the file will get: rounded to the written digits, or quoted text."""
+def _as_read_back(node: Any, value: float | bool | str) -> float | bool | str:
+    """Return the value as parsed from the written file: rounded to the written digits, or text if quoted."""
     if node.style:
         return in_yaml(value).strip('"')
     return value if isinstance(value, bool | str) else float(in_yaml(value))

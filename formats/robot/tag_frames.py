@@ -1,7 +1,4 @@
-"""Tags published as frames of /tf, one transform camera -> tag at every detection.
-
-Which child frames of a camera are tags, what their numbers are, and along which axes the camera sees them.
-"""
+"""Tags published as frames of /tf, one transform camera -> tag per detection: names, ids, axes of the camera."""
 
 from __future__ import annotations
 
@@ -17,28 +14,30 @@ TAGS = "locfuse/msg/TagFrames"  # id, x, y, z [m] in the camera's optical axes (
 OF_CAMERA = "tags"  # the last part of "/tf:camera_optical:tags"
 NUMBERED = re.compile(r"^(.*?)(\d+)$", re.DOTALL)
 MAX_ID = 2**62
-TAG_NAME = re.compile(r"tags?(?![a-z])|marker|aruco|april|fiducial|landmark|beacon|\d+h\d+")  # "stage" is none
-MIN_UPRIGHT_SHARE = 0.7  # of the z axis, along the vertical: more is a body's frame, whose z axis is up
+TAG_NAME = re.compile(
+    r"tags?(?![a-z])|marker|aruco|april|fiducial|landmark|beacon|\d+h\d+"
+)  # does not match "stage"
+MIN_UPRIGHT_SHARE = 0.7  # vertical component of a frame's z axis, above which its z axis is up as in a body frame
 
 
 def number_of(frame: str) -> int | None:
-    """Return the id of a frame whose name ends in a number ("tag_3", "tag36h11:5"), None for any other."""
+    """Return the number at the end of a frame's name ("tag_3", "tag36h11:5"); None without one."""
     match = NUMBERED.match(frame)
     return int(match[2][-18:]) % MAX_ID if match else None
 
 
 def named_as_tag(frame: str) -> bool:
-    """Return whether a frame has the name of a tag with a number."""
+    """Return whether a frame's name is that of a tag with a number."""
     name = frame.rpartition("/")[2].lower()
     return number_of(name) is not None and TAG_NAME.search(name) is not None
 
 
 def ancestors(transforms: StaticTransforms, frame: str) -> list[tuple[str, Array]]:
-    """Return the frames above a frame, nearest first, and the frame's pose in each of them (4, 4)."""
+    """Return the ancestors of a frame, nearest first, each with the frame's pose in it (4, 4)."""
     above = {edge.child: edge for edge in transforms.edges}
     found: list[tuple[str, Array]] = []
     T = np.eye(4)
-    while frame in above and len(found) < len(above):  # a loop ends, too
+    while frame in above and len(found) < len(above):  # also ends in a loop of frames
         edge = above[frame]
         T, frame = edge.T_parent_child @ T, edge.parent
         found.append((frame, T))
@@ -46,10 +45,10 @@ def ancestors(transforms: StaticTransforms, frame: str) -> list[tuple[str, Array
 
 
 def in_optical_axes(p: Array, frame: str, transforms: StaticTransforms) -> Array:
-    """Return places (n, 3) [m] in a camera's frame along x right, y down, z ahead.
+    """Return positions (n, 3) [m] in a camera's frame as positions in optical axes (x right, y down, z ahead).
 
-    A frame is optical where its name says so, else where its z axis is not upright on the body above it; where
-    nothing is above it, by the places: what a camera sees is ahead of it.
+    The frame counts as optical if its name has "optical", else if its z axis is not upright in its root frame.
+    Without a root: if more positions are ahead along z than along x.
     """
     above = ancestors(transforms, frame)
     if "optical" in frame.lower():

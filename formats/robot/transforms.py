@@ -1,4 +1,4 @@
-"""Sensor mounts on the robot: the transforms of /tf_static, chained to the base.
+"""Sensor mounts on the robot, from the transforms of /tf_static, chained to the base frame.
 
 `T_parent_child` maps coordinates in the child frame to coordinates in the parent frame (REP-105 trees).
 """
@@ -16,7 +16,7 @@ import numpy as np
 from locfuse.formats.caps import MAX_TRANSFORMS, names_its_cap
 from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged
 
-# of a TFMessage; of Foxglove's FrameTransforms; of its FrameTransform, which is a single one
+# fields of TFMessage | Foxglove's FrameTransforms | its FrameTransform (a single one)
 FIELDS = (
     "transforms.header.frame_id|transforms.parent_frame_id|parent_frame_id",
     "transforms.child_frame_id|child_frame_id",
@@ -28,11 +28,11 @@ FIELDS = (
 MAX_FLIPPED_COSINE = -0.5  # cosine of the angle between a sensor's z axis and up
 SAME_M = 1e-6  # differences below are rounding, not a conflict
 SAME_RAD = 1e-6
-MIN_QUATERNION = 1e-6  # length: a shorter one is no rotation
+MIN_QUATERNION = 1e-6  # norm, below which it is no rotation
 
 
 class Transform(msgspec.Struct, frozen=True):
-    """One edge of the tree."""
+    """The transform between a parent and a child frame."""
 
     parent: str
     child: str
@@ -40,30 +40,32 @@ class Transform(msgspec.Struct, frozen=True):
 
 
 class Conflict(NamedTuple):
-    """A problem with one frame: it has two places, or its rotation is unusable."""
+    """A problem of a frame: contradicting transforms, or an invalid rotation."""
 
     frame: str
     message: str
 
     @property
     def line(self) -> str:
-        """Return the name of the frame and its conflict in one sentence."""
+        """The problem as a sentence with the frame's name."""
         return f"{self.frame}: {self.message}"
 
 
 class StaticTransforms(msgspec.Struct, frozen=True):
-    """The transforms of all publishers, one per child frame: as in tf2, the last one counts."""
+    """The fixed transforms of all publishers, the last one of each child frame (as in tf2)."""
 
     edges: tuple[Transform, ...] = ()
     conflicts: tuple[Conflict, ...] = ()
-    bases: tuple[str, ...] = ()  # frames that are the robot's body, whatever they are called
-    moving: tuple[Transform, ...] = ()  # frames that move on it, as they were first: what hangs there has no mount
+    bases: tuple[str, ...] = ()  # additional names of the robot's base frame
+    moving: tuple[
+        Transform, ...
+    ] = ()  # first value of frames that move on the robot; sensors on them have no mount
 
 
 class Mount(msgspec.Struct, frozen=True):
     """Pose of a sensor on the base: metres, radians, base frame (x forward, y left, z up)."""
 
-    base: str  # the base frame it is relative to
+    base: str  # base frame
     frame: str
     x: float
     y: float
@@ -77,27 +79,27 @@ class Mount(msgspec.Struct, frozen=True):
 def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransforms:
     """Collect the transforms of TFMessage columns (FIELDS), one mapping per topic, rows in recording order."""
     edges: dict[str, Transform] = {}
-    conflicts: dict[Conflict, None] = {}  # as a set in order: many publishers may say the same
+    conflicts: dict[Conflict, None] = {}  # an ordered set
     for topic in columns:
         for parent, child, numbers in _entries(as_lists(topic)):
             values = np.array([numbers])
             if not (np.isfinite(values).all() and np.linalg.norm(values[0, 3:]) > MIN_QUATERNION):
                 conflicts[Conflict(child, "a transform without a usable rotation is ignored")] = None
                 continue
-            said = Transform(parent, child, matrices_of(values)[0])
-            if child in edges and _conflict(edges[child], said):
-                places = f"{_place(edges[child])} and {_place(said)} contradict; the last one counts"
+            transform = Transform(parent, child, matrices_of(values)[0])
+            if child in edges and _conflict(edges[child], transform):
+                places = f"{_place(edges[child])} and {_place(transform)} contradict; the last one counts"
                 conflicts[Conflict(child, places)] = None
-            edges[child] = said
+            edges[child] = transform
             if len(edges) > MAX_TRANSFORMS:
                 raise LocfuseError(names_its_cap("/tf_static: too many frames", len(edges), MAX_TRANSFORMS))
     return StaticTransforms(tuple(edges.values()), tuple(conflicts))
 
 
 def as_lists(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return columns of one transform per message as columns of lists with one entry.
+    """Return transform columns as one list per message, also for messages with a single transform.
 
-    Raises LocfuseError where a definition makes a field an array, so that it is not one for each transform.
+    Raises LocfuseError if the numbers of values and transforms in a message differ.
     """
     lists = {name: _listed(column) for name, column in columns.items()}
     transforms = _lengths(lists[FIELDS[0]])
@@ -133,7 +135,7 @@ def _entries(topic: Mapping[str, Column]) -> Iterable[tuple[str, str, list[float
 
 
 def matrices_of(values: Array) -> Array:
-    """Return matrices (n, 4, 4) of positions and quaternions (n, 7): x, y, z, then x, y, z, w, not zero."""
+    """Return matrices (n, 4, 4) from (n, 7): positions x, y, z [m] and non-zero quaternions x, y, z, w."""
     x, y, z, w = (values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)).T
     T = np.zeros((len(values), 4, 4))
     T[:, 0, :3] = np.stack((1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)), axis=-1)
@@ -180,7 +182,7 @@ def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
 
 
 def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame: str) -> Mount | None:
-    """Return the mount of `frame` on the first of the base frames connected with it, None if there is none."""
+    """Return the pose of `frame` in the first connected frame of `base_frames`; None without one."""
     wanted = frame.lstrip("/")
     at = neighbours((edge.parent, edge.child, edge.T_parent_child) for edge in transforms.edges)
     for base in base_frames:
@@ -195,11 +197,11 @@ def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame
 
 
 Edge = TypeVar("Edge")
-Neighbours = Mapping[str, Sequence[tuple[str, Edge, bool]]]  # frame -> (frame, edge, whether backward)
+Neighbours = Mapping[str, Sequence[tuple[str, Edge, bool]]]  # frame -> (neighbour, edge, whether inverted)
 
 
 def neighbours(edges: Iterable[tuple[str, str, Edge]]) -> Neighbours[Edge]:
-    """Return the edges (parent, child, edge) at each frame."""
+    """Return frame -> [(neighbour, edge, whether inverted)] from edges (parent, child, edge)."""
     at: dict[str, list[tuple[str, Edge, bool]]] = {}
     for parent, child, edge in edges:
         at.setdefault(parent, []).append((child, edge, False))
@@ -208,7 +210,7 @@ def neighbours(edges: Iterable[tuple[str, str, Edge]]) -> Neighbours[Edge]:
 
 
 def path_between(at: Neighbours[Edge], start: str, goal: str) -> list[tuple[Edge, bool]] | None:
-    """Return the shortest path between two frames over edges in either direction, None without one."""
+    """Return the shortest path between two frames, as (edge, whether inverted); None without one."""
     paths: dict[str, list[tuple[Edge, bool]]] = {start: []}
     waiting = deque([start])
     while waiting and goal not in paths:
@@ -221,7 +223,7 @@ def path_between(at: Neighbours[Edge], start: str, goal: str) -> list[tuple[Edge
 
 
 def inverse_of(T: Array) -> Array:
-    """Return the inverses of rigid transforms (..., 4, 4)."""
+    """Return the inverses of rigid transforms T (..., 4, 4)."""
     inverse = np.zeros_like(T)
     turned = np.swapaxes(T[..., :3, :3], -1, -2)
     inverse[..., :3, :3] = turned

@@ -1,4 +1,4 @@
-"""The unit of every number in robot.toml: by the key's ending, else by the key."""
+"""Units of the numbers in robot.toml, from the key or its ending."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BY_UNIT = {
     "1/rad": ("wheels.servo_gain",),
     "the message's unit": ("compass.hard_iron",),
 }  # fmt: skip
-EXACT = {path: unit for unit, paths in BY_UNIT.items() for path in paths}
+UNIT_OF_PATH = {path: unit for unit, paths in BY_UNIT.items() for path in paths}
 SECONDS = {"at", "time_offset", "period"}
 METRES = {
     "floor_range", "min_length", "noise", "offset", "radius", "range_max", "range_offset", "track", "wheelbase",
@@ -37,13 +37,13 @@ WORDS = {"m": "metres", "°": "degrees", "s": "seconds", "px": "pixels", "m/s": 
 
 
 def of(table: str, key: str) -> str:
-    """Return the unit of a key's value, "" without one."""
-    if (path := f"{table}.{key}") in EXACT:
-        return EXACT[path]
+    """Return the unit of a key's value: "m"; "" without one."""
+    if (path := f"{table}.{key}") in UNIT_OF_PATH:
+        return UNIT_OF_PATH[path]
     return "°" if key.endswith("_deg") else "s" if key in SECONDS else "m" if key in METRES else ""
 
 
 def in_words(table: str, key: str) -> str:
-    """Return the unit as a word for a sentence: "metres"; "" without a unit."""
+    """Return the unit of a key's value in words: "metres"; "" without one."""
     unit = of(table, key)
     return WORDS.get(unit, unit)

@@ -1,4 +1,4 @@
-"""Wheel geometry from a robot description (URDF): the wheels' joints, radius, and track."""
+"""Wheel geometry from a robot description (URDF): wheel joints, radius and track width."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ TURNS = ("continuous", "revolute")
 
 
 class WheelGeometry(NamedTuple):
-    """The two driven wheels of a description."""
+    """The geometry of the two driven wheels."""
 
     left: str  # joint names
     right: str
     radius: float | None  # m, of the wheel's cylinder or sphere
-    track: float  # m between both joints
+    track: float  # m, distance between both joints
 
 
 def wheel_geometry(text: str) -> WheelGeometry | None:
-    """Return the geometry of the only pair of wheels side by side; None if the text has none.
+    """Return the geometry of the left and right wheel; None unless the URDF text has exactly one of each.
 
-    Descriptions with a DTD are not read: entities can be made to fill the memory.
+    None for a text with a DTD too: its entities could fill the memory.
     """
     if len(text) > MAX_TEXT or "<!DOCTYPE" in text or "<!ENTITY" in text:
         return None
@@ -46,8 +46,8 @@ def wheel_geometry(text: str) -> WheelGeometry | None:
     right = [n for n in wheels if "right" in n.lower() or n.lower().startswith("r")]
     if len(left) != 1 or len(right) != 1:
         return None
-    hanging = [joint for joint in robot.iter("joint") if _link(joint, "child")]
-    tree = StaticTransforms(tuple(Transform(_link(j, "parent"), _link(j, "child"), _origin(j)) for j in hanging))
+    connected = [joint for joint in robot.iter("joint") if _link(joint, "child")]
+    tree = StaticTransforms(tuple(Transform(_link(j, "parent"), _link(j, "child"), _origin(j)) for j in connected))
     in_root = [ancestors(tree, _link(joints[name], "child")) for name in (left[0], right[0])]
     if not all(in_root):
         return None
@@ -59,7 +59,7 @@ def wheel_geometry(text: str) -> WheelGeometry | None:
 
 
 def _link(joint: ET.Element, end: str) -> str:
-    """Return the link at an end of a joint, "parent" or "child"; "" without one."""
+    """Return the name of a joint's "parent" or "child" link; "" without one."""
     found = joint.find(end)
     return "" if found is None else found.get("link", "")
 
@@ -89,7 +89,7 @@ def _numbers(text: str | None) -> Sequence[float]:
 
 
 def _radius(robot: ET.Element, joint: ET.Element) -> float | None:
-    """Return the radius of the wheel on a joint, by its collision shape, else by its visual shape."""
+    """Return the radius [m] of a joint's wheel from its collision or visual shape; None without one."""
     link = next((ln for ln in robot.iter("link") if ln.get("name") == _link(joint, "child")), None)
     if link is None:
         return None

@@ -15,7 +15,7 @@ from commands import locfuse, ok
 from hostile import crashed_recording, sample
 
 from locfuse.formats.container import rosbag2_sqlite
-from locfuse.formats.container.rosbag2_sqlite import HEADER_BYTES, Leash, journal_of
+from locfuse.formats.container.rosbag2_sqlite import HEADER_BYTES, TimeLimit, journal_of
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError
 
@@ -176,26 +176,26 @@ def test_what_a_database_computes_is_not_read(tmp_path: Path, script: str, words
     assert len(done.stderr.splitlines()) == 1
 
 
-def endless(path: Path) -> Iterator[tuple[Leash, sqlite3.Connection]]:
-    leash = Leash(path, 0)
+def endless(path: Path) -> Iterator[tuple[TimeLimit, sqlite3.Connection]]:
+    limit = TimeLimit(path, 0)
     with closing(sqlite3.connect(":memory:")) as made:
-        leash.hold(made)
-        yield leash, made
+        limit.hold(made)
+        yield limit, made
 
 
 def test_a_query_without_end_meets_its_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rosbag2_sqlite, "MAX_DATABASE_SECONDS", 0.05)
-    for leash, made in endless(tmp_path):
-        with pytest.raises(LocfuseError, match="busy for more than the cap of"), leash.step():
+    for limit, made in endless(tmp_path):
+        with pytest.raises(LocfuseError, match="busy for more than the cap of"), limit.step():
             made.execute(f"{ENDLESS} SELECT count(*) FROM c").fetchall()
 
 
 def test_a_signal_ends_a_query_without_end(tmp_path: Path) -> None:
     before = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
-        for leash, made in endless(tmp_path):
+        for limit, made in endless(tmp_path):
             signal.setitimer(signal.ITIMER_REAL, 0.1)
-            with pytest.raises(KeyboardInterrupt), leash.step():
+            with pytest.raises(KeyboardInterrupt), limit.step():
                 made.execute(f"{ENDLESS} SELECT count(*) FROM c").fetchall()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)

@@ -18,7 +18,7 @@ from locfuse.formats.container.chunked import Part
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_survey import ChunkRef, promised, put_in_order, read_summary, summary_section
+from locfuse.formats.container.mcap_survey import ChunkRef, promised, read_summary, sort_by_time, summary_section
 from locfuse.formats.container.remote_objects import RemoteBytes
 from locfuse.formats.container.url import Url
 
@@ -287,5 +287,5 @@ def test_parts_are_sorted_only_where_one_ends_before_an_earlier_one_begins(
     spans: list[tuple[int, int]], expected: list[int]
 ) -> None:
     parts = [span(*one) for one in spans]
-    put_in_order(parts)
+    sort_by_time(parts)
     assert [spans.index(part.span) for part in parts] == expected

@@ -307,7 +307,7 @@ def test_a_path_is_coloured_by_the_error_of_its_stretch() -> None:
     jump = replace(judged, deviation=np.stack((error, np.zeros_like(error)), axis=-1))
     panel = where(replace(scene, evaluations=[scene.evaluations[0], jump])).panels[1]
     drawn = marks(panel, Curve)
-    assert [panel.said[of] for of in drawn] == ["below 10 mm", "100 mm to 300 mm"] or len(drawn) == 2
+    assert [panel.legend[of] for of in drawn] == ["below 10 mm", "100 mm to 300 mm"] or len(drawn) == 2
     small, large = drawn.values()
     first = judged.estimate_xy[judged.t < 14.5]
     for x, y in zip(small.x, small.y, strict=True):  # type: ignore[attr-defined]

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -290,7 +291,7 @@ def test_only_what_is_asked_for_loads_its_packages(tmp_path: Path, write: str, h
 
 
 def test_a_figure_that_is_not_finite_is_a_dash() -> None:
-    figures = report_html.ReportFigures({"a": np.nan, "b": None, "c": 0.25})
+    figures = partial(report_html.figure, {"a": np.nan, "b": None, "c": 0.25})
     assert "–" in figures(["a"])
     assert "–" in figures(["b"])
     assert figures(["c"], "{:.2f}") == '<data value="0.25" data-from="/c">0.25</data>'

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # between first poses: more is another frame
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
 RunReceiver = Callable[[Estimates, Evaluation], None]
-ListenedReceiver = Callable[[Estimates], None]
+PredictionReceiver = Callable[[Estimates], None]
 
 
 class Compared(msgspec.Struct, frozen=True):
@@ -111,7 +111,7 @@ def compare_log(
     progress: Progress,
     receivers: Sequence[RunReceiver] = (),
     foreign: Sequence[Estimates] = (),
-    listened_receivers: Sequence[ListenedReceiver] = (),
+    prediction_receivers: Sequence[PredictionReceiver] = (),
 ) -> Compared:
     """Run and judge every configuration; smoothed ones come last, then `foreign` ones.
 
@@ -119,7 +119,7 @@ def compare_log(
     the evaluations given to `receivers` do not use them.
 
     Audits take most of a run's memory. Unless `asked.audits`, they are freed as soon as the run is judged:
-    `receivers` get each run before that, `listened_receivers` each run in which unused sensors are only predicted.
+    `receivers` get each run before that, `prediction_receivers` each run in which unused sensors are predicted.
     """
     align = cast("Align", one_of(asked.align, get_args(Align), "align"))
     drive, robot, reference = loaded.drive, loaded.robot, bool(asked.reference)
@@ -148,7 +148,7 @@ def compare_log(
     present = [s for s in REGISTRY if s in drive.measurements]
     judged = {sensors: j.evaluation for sensors, j in plain.items()}
     found = credit(judged, present) if drive.truth is not None else None
-    predicted = [] if found is not None else predict(drive, robot, configurations, progress, listened_receivers)
+    predicted = [] if found is not None else predict(drive, robot, configurations, progress, prediction_receivers)
     progress("solving the whole drive" if reference else "judging")
     runs = [run for j in filtered for run in j.evidence]
     references = None
@@ -244,7 +244,7 @@ def predict(
     robot: Robot,
     configurations: Sequence[Configuration],
     progress: Progress,
-    listened_receivers: Sequence[ListenedReceiver] = (),
+    prediction_receivers: Sequence[PredictionReceiver] = (),
 ) -> list[Score]:
     """Return the innovation scores of each configuration for the sensors that it does not use."""
     if not drive.measurements:
@@ -258,7 +258,7 @@ def predict(
         for sensors, name in sets:
             progress(f"trying how {name} predicts the rest")
             e = fuser(robot.preset)(drive, robot, sensors, name, listeners(drive, sensors))
-            for take in listened_receivers:
+            for take in prediction_receivers:
                 take(e)
             yield e
             del e

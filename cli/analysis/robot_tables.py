@@ -42,7 +42,8 @@ def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
     Call this before the files are read: a file that changes later then has another hash at the next run.
     """
     settings = {name: value for name, value in tables.items() if name != FILES}
-    found = {text: digest for text in texts_of(settings) if (digest := _digest(text)) is not None}
+    files = {text: path for text in texts_of(settings) if (path := file_named(text)) is not None}
+    found = {text: hashlib.sha256(read_small(path, MAX_TEXT_FILE)).hexdigest() for text, path in files.items()}
     return {**settings, FILES: found} if found else settings
 
 
@@ -68,15 +69,13 @@ def texts_of(value: Any) -> Iterator[str]:
             yield from texts_of(inner)
 
 
-def _digest(text: str) -> str | None:
-    """Return the SHA-256 of the file that a setting names; None if it is not a file."""
+def file_named(text: str) -> Path | None:
+    """Return the path of the existing file that a text names, else None."""
     try:
         path = Path(text).expanduser()
-        if not path.is_file():
-            return None
-    except (OSError, ValueError, RuntimeError):  # too long, or a NUL in it: no path
+        return path if path.is_file() else None
+    except (OSError, ValueError, RuntimeError):  # too long, or with a NUL: not a path
         return None
-    return hashlib.sha256(read_small(path, MAX_TEXT_FILE)).hexdigest()
 
 
 def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:

@@ -237,7 +237,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             from locfuse.cli.advice.evaluator import Evaluator  # imports all checks
 
             evaluator = Evaluator(self.loaded, self.progress, asked.align)
-        runs, listened = ([], []) if evaluator is None else (evaluator.run_receivers, evaluator.listened_receivers)
+        runs, listened = (
+            ([], []) if evaluator is None else (evaluator.run_receivers, evaluator.prediction_receivers)
+        )
         receivers = [drawn.take, *runs]
         compared = compare_log(self.loaded, wanted, asked, self.progress, receivers, foreign, listened)
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)

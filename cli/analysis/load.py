@@ -148,7 +148,7 @@ def _within(loaded: Loaded) -> Loaded:
     return replace(loaded, drive=drive, robot=robot)
 
 
-def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
+def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool) -> Loaded:
     """Load a log and free its columns after measuring, unless it is `read_again`."""
     loaded = load(log, how, progress)
     if not read_again:

@@ -179,7 +179,7 @@ def _losses(reasons: Mapping[str, int]) -> dict[str, int]:
 # --- Warnings on the motion: void figures, unused wheels
 
 
-def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> None:
+def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool) -> None:
     """Add warnings on the motion to a report; they come before its headline.
 
     With `judged`, wheel counters are also compared with scan matching.

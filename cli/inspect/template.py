@@ -15,7 +15,7 @@ from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.load import Parts
 from locfuse.cli.analysis.mounts import is_base
 from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
-from locfuse.cli.analysis.settings import LogOptions, Progress, set_words, silent
+from locfuse.cli.analysis.settings import LogOptions, Progress, set_words
 from locfuse.cli.analysis.topics import filled
 from locfuse.cli.analysis.wheel_topics import steers
 from locfuse.formats.robot import robot_toml
@@ -100,20 +100,15 @@ class Draft(NamedTuple):
     robot: str = ""  # the known robot whose values are used, in words
 
 
-def draft(
-    log: Parts,
-    how: LogOptions,
-    progress: Progress = silent,
-    imported: Mapping[str, Mapping[str, Any]] | None = None,
-) -> Draft:
+def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str, Mapping[str, Any]]) -> Draft:
     """Inspect a log, apply the fixes found, repeat until nothing changes, and return the draft.
 
     `imported` are tables converted from another program's configuration, by file name.
     """
-    words = [word for tables in (imported or {}).values() for word in set_words(tables)]
+    words = [word for tables in imported.values() for word in set_words(tables)]
     typed, how = how, replace(how, sets=(*words, *how.sets))
     overview = inspect_log(log, how, progress)
-    given = _given(overview, typed, imported or {})
+    given = _given(overview, typed, imported)
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
     robot, shown = "", _fixes(filter(_may_apply, overview.findings))
     if (known_robot := recognise(overview)) is not None:

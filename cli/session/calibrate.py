@@ -11,7 +11,7 @@ from msgspec.structs import asdict, astuple, replace
 
 from locfuse.cli.analysis.load import Loaded, Parts, load
 from locfuse.cli.analysis.robot_tables import nested
-from locfuse.cli.analysis.settings import LogOptions, Progress, silent
+from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
@@ -219,7 +219,7 @@ def calibrated(logs: Sequence[Parts], how: LogOptions, progress: Progress) -> Ca
     return calibrate_logs(loaded, progress)
 
 
-def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
+def calibrate_logs(loaded: Sequence[Loaded], progress: Progress) -> Calibration:
     """Calibrate what the logs of one robot show. Raises LocfuseError if they show nothing."""
     settings = _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):

@@ -41,7 +41,7 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collection[str] = ()) -> list[Estimates]:
+def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collection[str]) -> list[Estimates]:
     """Return the estimates of topics or files. Raises LocfuseError if the drive's time has no poses of one."""
     for name in sources:
         if name in taken:

@@ -79,7 +79,7 @@ class LazyGroup(click.Group):
 
 
 def _print_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
-    """Print the version, and the kernels' kind unless they are compiled."""
+    """Print the version, and whether the kernels run without compilation."""
     if not asked or ctx.resilient_parsing:
         return
     from locfuse.formats.versions import own

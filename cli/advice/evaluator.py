@@ -63,12 +63,12 @@ class Evaluator:
 
     @property
     def run_receivers(self) -> list[RunReceiver]:
-        """The function that receives each finished run of a comparison; [] if the log cannot be judged."""
+        """The function that receives each finished run of a comparison; [] if none is needed."""
         return [self._take] if self.may_judge else []
 
     @property
     def prediction_receivers(self) -> list[PredictionReceiver]:
-        """The function that receives each run with predicted, unused sensors; [] if the log cannot be judged."""
+        """The function that receives each run with predictions for unused sensors; [] if none is needed."""
         return [self._take_predicted] if self.may_judge else []
 
     def _take(self, e: Estimates, judged: Evaluation) -> None:
@@ -84,7 +84,7 @@ class Evaluator:
             trial.know(WHOLE, (), e, marks_of(e, judged, whole.drive))
 
     def _take_predicted(self, e: Estimates) -> None:
-        """Store a run's prediction scores for the sensors that it does not use; odometry's run comes first."""
+        """Store a run's prediction scores for unused sensors; the run with odometry alone comes first."""
         trial, drive = self.trial, self.trial.whole.drive
         if trial.loaded is trial.whole:
             self._odometry = self._odometry or e
@@ -209,7 +209,7 @@ def on_the_whole_drive(
 
 
 def _judged_by_all(advice: Advice, names: Sequence[str]) -> Candidate:
-    """Return the advice as a candidate judged by all configurations in `names`; added ones count as `minor`."""
+    """Return the advice for judgement by all of `names`; configurations new to it are `minor`."""
     one = advice.candidate or Candidate(advice.finding, (advice.fixes,), tuple(names))
     kept = [n for n in one.judges if n not in one.minor]
     minor = tuple(n for n in names if n not in kept)

@@ -87,7 +87,7 @@ class Evidence(Noise):
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return functions that find faults, in classes; a class runs only if all earlier classes are clear."""
+        """Return lists of functions that find faults; a list is used only if the earlier ones find none."""
         return (
             (self.truth,),
             (self.start, self.clocks, self.other_clocks, self.geometry),
@@ -112,17 +112,17 @@ class Evidence(Noise):
 
     @cached_property
     def wrong(self) -> list[tuple[Clock, ...]]:
-        """Return the possible explanations of time lags, best first: the clocks that are off in each."""
+        """For each explanation of the time lags between sensors (best first) the clocks that it assumes wrong."""
         found = differences(self.loaded.drive, self.loaded.robot, self.compared.estimates)
         again = any(".time_offset=" in fix for fix in self.fixes)
         return wrong_clocks(found, TRIED_SIGMAS, MIN_AGAIN_S if again else MIN_LAG_S)
 
     def clocks(self) -> list[Candidate]:
-        """Return candidates for clocks that are off, by the best explanation of the lags."""
+        """Return candidate fixes of wrong clocks, by the best explanation of the time lags between sensors."""
         return [*self._late(self.wrong[:1]), *self._late_pictures()]
 
     def other_clocks(self) -> list[Candidate]:
-        """Return candidates for clocks that are off by other explanations of the same lags."""
+        """Return candidate fixes of wrong clocks, by other explanations of the same time lags."""
         first = {clock.name for clocks in self.wrong[:1] for clock in clocks}
         return [one for one in self._late(self.wrong[1:]) if one.finding.role not in first]
 
@@ -159,7 +159,7 @@ class Evidence(Noise):
             yield self._candidate(Finding("camera", verdict.verdict, verdict.words), constant, True)
 
     def geometry(self) -> list[Candidate]:
-        """Return candidates for mounts, scales and directions, by comparison of sensors and by extra states."""
+        """Return candidate fixes of mounts, scales and directions, by comparing sensors or by extra states."""
         # a laser whose mount changed during the drive has no single mount
         no_mount = self._open_scale or any(f.code == BUMP for f in self.doctor)
         probed = [] if no_mount else [*self._probed(), *self._scaled()]
@@ -179,12 +179,12 @@ class Evidence(Noise):
         return [*known, *(self._candidate(f, ()) for f in open_)]
 
     def slips(self) -> list[Candidate]:
-        """Return the candidate for wheel noise, if turns show slip and no distance scale is open."""
+        """Return the candidate fix of wheels.noise, if turns show slip and the distance scale is certain."""
         return [] if self._open_scale or self._distances else super().slips()
 
     @cached_property
     def _distances(self) -> list[Finding]:
-        """Return the finding that laser and wheels differ in path length, for a log without truth."""
+        """Findings that laser and wheels measure different path lengths, in a log without truth."""
         if self.loaded.drive.truth is not None or self.loaded.drive.wheels.matched is not None:
             return []
         return [finding for e in self.runs_alone(LASER) for finding in of_ways(self.loaded.drive, e)]
@@ -196,7 +196,7 @@ class Evidence(Noise):
         by_measuring: Collection[Key],
         by_offers: Collection[Key],
     ) -> list[Candidate]:
-        """Return findings as candidates; `offers` are findings with settings to try.
+        """Return candidate fixes of the findings `seen`, and of `offers` (findings with values to try).
 
         `by_measuring` and `by_offers` are the keys of findings in `seen` and in `offers` with a measured value.
         A sensor whose readings are all rejected gets no candidate.
@@ -253,7 +253,7 @@ class Evidence(Noise):
         return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
 
     def _points(self) -> Iterator[Finding]:
-        """Yield the finding on the truth's body point, by the run with all sensors."""
+        """Yield findings on the point of the robot that the truth tracks, by the run with all sensors."""
         truth = self.loaded.drive.truth
         for e in self.compared.estimates:
             if (
@@ -265,7 +265,7 @@ class Evidence(Noise):
                 yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
 
     def _probed(self) -> Iterator[Finding]:
-        """Yield findings on mounts and track from runs that estimate them as states, one sensor at a time."""
+        """Yield findings on mounts and track from runs that estimate them, one sensor at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
             if sensor == LASER and drive.wheels.matched is not None:
@@ -282,7 +282,7 @@ class Evidence(Noise):
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
-        """Findings on mounts that are states and are estimated differently than configured."""
+        """Findings on mounts that the filter estimated and that differ from the configured ones."""
         return [
             finding
             for e in self.runs_alone()
@@ -291,7 +291,7 @@ class Evidence(Noise):
 
     @cached_property
     def _beyond_prior(self) -> set[str]:
-        """Sensors whose mount is a state and is estimated further off than its prior sigma allows."""
+        """Sensors whose estimated mount differs from the configured one by more than its prior sigma allows."""
         if self.loaded.drive.truth is not None:
             return set()  # errors to the truth judge the mount instead
         return {e.sensors[0] for e in self.runs_alone() if beyond_prior(self.loaded.robot, e.sensors[0], e)}
@@ -303,7 +303,7 @@ class Evidence(Noise):
                 yield from of_scale(self.loaded.robot, e, self.loaded.drive)
 
     def offsets(self) -> list[Candidate]:
-        """Return candidates for constant errors: compass and camera offsets, or a mirrored camera."""
+        """Return candidate fixes of constant errors: compass and camera offsets, or a mirrored camera."""
         found = [
             self._candidate(f, (f.fixes,), True)
             for e in self.compared.estimates
@@ -352,7 +352,7 @@ class Evidence(Noise):
 
     @cached_property
     def _biases_again(self) -> dict[str, Consistency]:
-        """Verdicts on offsets that an earlier fix has set, since a later fix may change them."""
+        """Verdicts on offsets that an earlier fix has set; they may change after a later fix."""
         keys = [fix.partition("=")[0] for fix in self.fixes]
         fixed = [
             s for s in self.consistency if (b := REGISTRY[s].bias) is not None and f"{s}.{b.key}" in keys[:-1]

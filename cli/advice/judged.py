@@ -162,7 +162,7 @@ class Judged:
 
 
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
-TOO_LOW = 2.0  # tried factor on the observed sigma: the gate of a low sigma hides large residuals
+TOO_LOW = 2.0  # on the observed sigma, tried too: the gate of a low sigma hides large residuals
 MAX_OFFERED_FACTOR = 8.0  # on a sigma: a larger one would disable the sensor
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by ANEES
 FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
@@ -173,13 +173,10 @@ class Noise(Judged):
     """One log compared under some settings, with findings on sensor and wheel noise."""
 
     def noise(self) -> list[Candidate]:
-        """Return candidates for wrong noise settings of sensors and wheels."""
+        """Return candidate fixes of the noise settings of sensors and wheels."""
         found = []
         for sensor, verdict in self.consistency.items():
-            seen, more = (
-                [*_noise_options(sensor, verdict), *_larger_than_observed(verdict)],
-                self._by_anees(sensor),
-            )
+            seen, more = _noise_options(sensor, verdict), self._by_anees(sensor)
             by_ranges, words = self._as_ranges_scatter(sensor, verdict), verdict.words
             if by_ranges:
                 seen.append(by_ranges)
@@ -233,7 +230,7 @@ class Noise(Judged):
         return [self._candidate(Finding(LASER, "floor", words), options, True)]
 
     def slips(self) -> list[Candidate]:
-        """Return the candidate for wheel noise, if turns show unusual slip."""
+        """Return the candidate fix of wheels.noise, if turns show unusual slip."""
         return [self._wheel_noise()] if self._slips_unusually else []
 
     @cached_property
@@ -279,7 +276,7 @@ class Noise(Judged):
 
     @property
     def _slips_unusually(self) -> bool:
-        """Whether the wheels slip more than wheels.noise, or proven less.
+        """Whether the wheels slip more than wheels.noise allows, or clearly less.
 
         Less slip is accepted only if truth can judge it or several sensors agree: wheels may slip rarely but far,
         and a laser's turns are not independent of a run with the same scans.
@@ -315,12 +312,12 @@ class Noise(Judged):
         return both, f"{words}; wheels.noise is set too low ({alone})"
 
     def _rejected_share(self, sensor: str, fixes: Fixes) -> float | None:
-        """Return the share of readings rejected in the sensor's run under more settings; None if it fails."""
+        """Return the share of a sensor's readings rejected with these settings added; None if fusing fails."""
         found = self._innovations(sensor, fixes)
         return None if found is None else found.refused
 
     def _innovations(self, sensor: str, fixes: Fixes) -> Own | None:
-        """Return the innovation figures of the sensor's run under more settings; None if it fails."""
+        """Return a sensor's innovation statistics with these settings added; None if fusing fails."""
         tried = self.trial.under((*self.fixes, *fixes))
         run = None if tried is None else self.trial.fused(tried, self._alone(sensor))
         if tried is None or run is None:
@@ -329,7 +326,7 @@ class Noise(Judged):
 
     @property
     def _noise_factors(self) -> tuple[float, ...]:
-        """Factors on wheels.noise to try by truth: larger ones if overconfident, else smaller ones."""
+        """Factors on wheels.noise to try with truth: above 1 if the filter is overconfident, else below 1."""
         check = self.covariance_checks.get(self._best(self.trial.configurations))
         if check is None:
             return ()
@@ -410,15 +407,9 @@ def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:
     """Return alternative fixes of a noise verdict: noise settings, or the drift of an offset."""
     if verdict.verdict not in NOISE or not verdict.fix_values:
         return []
-    if verdict.verdict == "correlated":  # a larger sigma, or an offset that walks
+    if verdict.verdict == "correlated":  # a larger sigma, or a drifting offset
         noise = {k: v for k, v in verdict.fix_values.items() if k.partition(".")[2] in REGISTRY[sensor].noise_keys}
         walks = {k: v for k, v in verdict.fix_values.items() if k not in noise}
         return [as_fixes(fix_values) for fix_values in (noise, walks) if fix_values]
-    return [as_fixes(verdict.fix_values)]
-
-
-def _larger_than_observed(verdict: Consistency) -> list[Fixes]:
-    """Return a fix with twice the observed sigma if the configured one is too low, else []."""
-    if verdict.verdict != "understated" or not verdict.fix_values:
-        return []
-    return [as_fixes({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.fix_values.items()})]
+    larger = {key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.fix_values.items()}
+    return [as_fixes(verdict.fix_values), *([as_fixes(larger)] if verdict.verdict == "understated" else [])]

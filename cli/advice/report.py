@@ -192,17 +192,13 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
         found = advice.finding
         using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
         if found.severe and using and found.code != "start" and not advice.harmless:
-            message = f"{found.role}: {_first_sentence(found.brief)}"
+            first_sentence = re.sub(r" \(correlation [^()]*\)", "", found.brief.partition(". ")[0])
+            message = f"{found.role}: {first_sentence}"
             if advice.fixes:
                 message += f". All figures are without this fix: {options(advice.fixes)}"
             entry = {"code": found.code, "message": message, "since_s": 0.0, "configurations": using}
             doubts.append({**entry, "void": False})
     return doubts
-
-
-def _first_sentence(words: str) -> str:
-    """Return the first sentence of a finding, without the correlations in it."""
-    return re.sub(r" \(correlation [^()]*\)", "", words.partition(". ")[0])
 
 
 def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
@@ -241,7 +237,7 @@ HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
 def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return the headline in one or two sentences; `sets`: configuration -> sensors, of those to compare.
+    """Return the report's headline; `sets` are the sensors of each configuration to compare.
 
     The first "the laser" becomes "the laser (lrf)", with the name of its settings.
     """
@@ -363,7 +359,7 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
-    """Return differences of odometry, and the sensors that help or hurt, measured against a reference."""
+    """Return a sentence on errors against a reference: of odometry, and the sensors that help or hurt."""
     verdicts = report.get("verdicts", {})
     words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
     parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]

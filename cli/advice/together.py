@@ -82,7 +82,7 @@ def fixes_files(robots: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     }
 
 
-def here(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:
+def in_this_process(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:
     """Return a function that fuses these logs in this process under given settings."""
     return lambda names, sets: {name: looks(logs[name], sets, align, progress) for name in names}
 

@@ -67,7 +67,7 @@ class Trial:
             self._runs = {}
 
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return the figures of these configurations under more settings; {} if these cannot be applied."""
+        """Return the figures of these configurations with settings added; {} if they cannot be applied."""
         return self._of(TRIED, fixes, names)
 
     def on_whole(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
@@ -82,7 +82,7 @@ class Trial:
         return self._of(SMOOTHED, fixes, shown)
 
     def agreement(self, fixes: Fixes) -> float | None:
-        """Return the revisit agreement of the run with the laser alone, a share of scan points.
+        """Return the share of scan points that agree at revisited places, in the run with the laser alone.
 
         None if the log has a truth (errors judge better), or no such run.
         """
@@ -130,7 +130,7 @@ class Trial:
             self.know(TRIED, fixes, e, marks_of(e, judged, compared.loaded.drive))
 
     def under(self, fixes: Fixes) -> Loaded | None:
-        """Return the log (or its beginning) under more settings; None if they cannot be applied."""
+        """Return the log (or its beginning) with settings added; None if they cannot be applied."""
         if not fixes:
             return self.loaded
         if fixes not in self._logs:
@@ -139,7 +139,7 @@ class Trial:
         return self._logs[fixes]
 
     def whole_under(self, fixes: Fixes) -> Loaded | None:
-        """Return the whole log under more settings; None if they cannot be applied."""
+        """Return the whole log with settings added; None if they cannot be applied."""
         if not fixes:
             return self.whole
         if fixes != self._last[0]:

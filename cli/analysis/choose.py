@@ -1,4 +1,4 @@
-"""Choosing topics: one for the wheels, one for each sensor, one for the truth.
+"""Choice of topics: one for the wheels, one for each sensor, one for the truth.
 
 Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estimate must not judge another.
 """
@@ -117,7 +117,7 @@ def _names(settings: Any) -> tuple[str, ...]:
 
 
 def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
-    """Return topics that fit a sensor and are free or read by another sensor; with messages if there are any."""
+    """Return topics of a sensor's message types, except those of wheels and truth; with messages if possible."""
     sensor = REGISTRY[name]
     wheels = [
         t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS

@@ -182,7 +182,7 @@ def compare_log(
 
 
 def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]) -> ByReference | None:
-    """Return the errors without and with a sensor by a reference that does not use it; None without these runs."""
+    """Return the errors without and with a sensor by a reference without it; None if a run is missing."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:

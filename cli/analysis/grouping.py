@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from locfuse.formats.container.url import Place, Url, is_url, place
+from locfuse.formats.container.url import Url, is_url, place
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import ENDINGS, REPORTS, log_name
 from locfuse.formats.visible import writable
@@ -148,8 +148,11 @@ def logs_of(words: Sequence[str]) -> list[list[str]]:
     """
     groups: dict[object, list[str]] = {}
     for word in _once(words):
-        part = PART_NAME_PATTERN.fullmatch(place(word).name)
-        key = (_folder(word), part["name"]) if part and (is_url(word) or Path(word).is_file()) else word
+        at = place(word)
+        key: object = word
+        part = PART_NAME_PATTERN.fullmatch(at.name)
+        if part and (isinstance(at, Url) or at.is_file()):
+            key = at.parent if isinstance(at, Url) else at.resolve().parent, part["name"]
         groups.setdefault(key, []).append(word)
     return [log for parts in groups.values() for log in _split(parts)]
 
@@ -174,11 +177,6 @@ def _name(parts: Sequence[str]) -> str:
         return writable(Path(parts[0]).stem) or "log"
 
 
-def _folder(word: str) -> Place:
-    found = place(word)
-    return found.parent if isinstance(found, Url) else found.resolve().parent
-
-
 def _once(words: Sequence[str]) -> list[str]:
     """Remove repeated files, and a metadata.yaml given with files of its folder (as in `bag/*`)."""
     first: dict[object, str] = {}
@@ -192,7 +190,7 @@ def _once(words: Sequence[str]) -> list[str]:
 
 
 def _split(parts: list[str]) -> list[list[str]]:
-    """Return the parts as one log, or each as a log if they overlap in time."""
+    """Return the parts as one log, or as separate logs if they overlap in time."""
     if len(parts) < 2:
         return [parts]
     from locfuse.formats.logs.log import open_log

@@ -137,10 +137,10 @@ def load(
     tables, sources = merged_tables(opened, how)
     choice = choose(opened, make_robot(tables), named_by_hand(how.sets))
     found = measured(opened, tables, choice, progress, only, aside)
-    return _within(replace(found, sources=sources, given=given, how=how))
+    return _in_window(replace(found, sources=sources, given=given, how=how))
 
 
-def _within(loaded: Loaded) -> Loaded:
+def _in_window(loaded: Loaded) -> Loaded:
     """Return the log with its drive cut to the window of --from and --to."""
     if loaded.window == (None, None):
         return loaded
@@ -291,7 +291,7 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
     sources = {**loaded.sources, **dict.fromkeys(flat(sets), "--set")}
     how = replace(loaded.how, sets=(*loaded.how.sets, *words))
-    return _within(replace(found, sources=sources, given=given, how=how))
+    return _in_window(replace(found, sources=sources, given=given, how=how))
 
 
 def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
@@ -308,14 +308,14 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
     wants: dict[str, tuple[str, ...]] = {}
     for role in choice.topics:
         for topic in choice.of(role):
-            fields = _light(role, log.topics[topic].msgtype)
+            fields = _common_fields(role, log.topics[topic].msgtype)
             wants[topic] = tuple(dict.fromkeys((*wants.get(topic, ()), *fields)))
     streams = log.streams(wants, order=order)
     return {role: merged([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
 
 
-def _light(role: str, msgtype: str) -> tuple[str, ...]:
-    """Return the fields of a role to read in the common pass; () for a sensor that reads in blocks."""
+def _common_fields(role: str, msgtype: str) -> tuple[str, ...]:
+    """Return a role's message fields to read in one pass over all topics; () if it is read in blocks."""
     from locfuse.fusion.truth import TRUTH_READS
     from locfuse.fusion.wheels.read import WHEEL_READS
 

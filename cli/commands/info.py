@@ -91,7 +91,7 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
 
 def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool, preview: Path | None) -> int:
     """Print the values that several logs of one robot share, and their findings, each once."""
-    from locfuse.cli.advice.together import ask, here, numbers_of
+    from locfuse.cli.advice.together import ask, in_this_process, numbers_of
     from locfuse.cli.analysis.load import load
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
@@ -106,7 +106,7 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
         overviews = {name: inspect_log(parts, how, progress) for name, parts in logs.items()}
         shown = {n: found for n, o in overviews.items() if o.loaded and (found := numbers_of(o.loaded))}
         trying = {n: load(logs[n], how, progress) for n in shown if check and asked.advice}
-        look = here(trying, asked.align, progress) if trying else lambda names, sets: {}
+        look = in_this_process(trying, asked.align, progress) if trying else lambda names, sets: {}
         together = {"robot": None, **ask(shown, look)}
     with ignore_closed_stdout():
         if options.outputs.as_json:

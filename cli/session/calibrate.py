@@ -432,7 +432,7 @@ def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
 
 
 def has_both(one: Loaded) -> bool:
-    """Return whether a log has both wheels and a laser, and the motion is not by scan matching."""
+    """Return whether a log has a laser and wheels (or an odometry) that do not come from its scans."""
     return "lrf" in one.choice.topics and one.drive.wheels.matched is None
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Unpack, overload
 from msgspec.structs import replace
 
 from locfuse.cli.advice.report import forget_fixes
-from locfuse.cli.advice.together import ask, fixes_files, here, numbers_of
+from locfuse.cli.advice.together import ask, fixes_files, in_this_process, numbers_of
 from locfuse.cli.analysis import results
 from locfuse.cli.analysis.configurations import Sensors, configuration_words
 from locfuse.cli.analysis.grouping import logs_of, named
@@ -153,7 +153,7 @@ def compare(
             known |= {name: numbers} if numbers is not None else {}
     if not asked.advice or len(known) < 2:
         return Summary(found)
-    look = here({name: r.loaded for name, r in found.items()}, asked.align, progress)
+    look = in_this_process({name: r.loaded for name, r in found.items()}, asked.align, progress)
     return Summary(found, [{"robot": None, **ask(known, look)}])  # fixes common to the logs of one robot
 
 

@@ -216,7 +216,7 @@ def tune_logs(
 
 def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
     """Return notes on logs, or held-out data, that get worse with the tuned noise."""
-    worse = [line for j in judged if (line := spoiled(j)) is not None]
+    worse = [line for j in judged if (line := got_worse(j)) is not None]
     if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
         worse.append(f"{_less_likely(*tuned.held_out)}: the noise that was found is not used")
     return worse
@@ -227,7 +227,7 @@ def _less_likely(before: float, after: float) -> str:
     return f"what was held out is less likely with the noise that was found ({figures})"
 
 
-def spoiled(j: Judged) -> str | None:
+def got_worse(j: Judged) -> str | None:
     """Return a note if a log gets worse with the tuned noise (which is then not written), else None."""
     before, after = (Marks(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
     if not worsens(before, after):

@@ -134,7 +134,7 @@ def _exit_code(problem: BaseException) -> int:
     if isinstance(problem, click.exceptions.Exit):
         return problem.exit_code
     if isinstance(problem, click.ClickException):
-        if isinstance(problem, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 shows it by itself
+        if isinstance(problem, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 prints the help
             problem.show()
             return 2
         context = getattr(problem, "ctx", None)

@@ -37,7 +37,7 @@ from locfuse.fusion.judge.predictive import Score, scores_of
 from locfuse.fusion.robot import Robot
 
 from .evidence import Evidence
-from .judged import REFERENCE
+from .judged import SHARED_ROLES
 from .report import Advised
 from .trial import SMOOTHED, TRIED, WHOLE, Trial, marks_of, predicted
 
@@ -186,7 +186,7 @@ def on_the_whole_drive(
             judged.append(advice)
             continue
         role = advice.finding.role
-        names = [n for n, c in trial.configurations.items() if role in REFERENCE or role in c.sensors]
+        names = [n for n, c in trial.configurations.items() if role in SHARED_ROLES or role in c.sensors]
         pairs = judged_pairs(_judged_by_all(advice, names), kept, fixes, trial.on_whole)
         worse = not pairs
         if worse or not (advice.proven or any(improves(*pair) for pair in pairs.values())):
@@ -257,7 +257,7 @@ def without_repeated(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list
 def number(robot: Robot, key: str) -> float | None:
     """Return the number configured at a key of robot.toml; None if the value is not a number."""
     table, _, name = key.partition(".")
-    settings = getattr(robot, table, None) if table in REFERENCE else robot.settings(table)
+    settings = getattr(robot, table, None) if table in SHARED_ROLES else robot.settings(table)
     now = getattr(settings, name, None)
     return None if isinstance(now, bool) or not isinstance(now, int | float) else float(now)
 

@@ -44,7 +44,7 @@ from locfuse.fusion.judge.innovations import compare_readings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
-from .judged import FINE, LASER, Noise, Offer, as_fixes
+from .judged import LASER, UNREMARKABLE, Noise, Offer, as_fixes
 
 TRIED_SIGMAS = 2.5  # of a time lag: more is tried
 MIN_AGAIN_S = 0.005  # least change of a time offset that a fix has set before
@@ -56,7 +56,7 @@ SUSPICIOUS = Least(0.005, 2.5)  # least scale error that is suspicious without o
 MEASURED = (OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
 MAX_SCAN_PERIOD_S = 0.4  # with a longer one the laser's path follows the wheels between scans
 Key = tuple[str, str]  # role and code of a finding
-SIGNS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
+SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 
 
 class Evidence(Noise):
@@ -64,7 +64,7 @@ class Evidence(Noise):
 
     def suspicious(self) -> bool:
         """Return whether anything looks wrong; if not, no fix is tried."""
-        noise = any(f.verdict not in FINE for f in self.consistency.values())
+        noise = any(f.verdict not in UNREMARKABLE for f in self.consistency.values())
         claims_too_much = bool(overconfident_by_truth(self.covariance_checks))
         lost = any(e.lost for e in self.compared.estimates)
         seen = (
@@ -150,7 +150,7 @@ class Evidence(Noise):
         verdict = self.consistency.get("camera")
         if any(f.role == "camera" and f.severe and f.fixes for f in self.doctor) or verdict is None:
             return
-        if verdict.verdict in {*FINE, "overstated"} or not self.judges("camera"):
+        if verdict.verdict in {*UNREMARKABLE, "overstated"} or not self.judges("camera"):
             return
         now = float(self.loaded.robot.settings("camera").time_offset)
         ways = tuple((f"camera.time_offset={now + step:z.3f}",) for step in CAMERA_LAGS_S)
@@ -171,7 +171,7 @@ class Evidence(Noise):
         # a state's sigma is valid only in a consistent or underconfident run;
         # without truth, a mount state also absorbs other errors
         by_truth = self.loaded.drive.truth is not None
-        fine = {f.role for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
+        fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
         measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
         seen = [f for f in self.doctor if f.code not in {CLOCK, OPEN_CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
@@ -217,7 +217,7 @@ class Evidence(Noise):
             self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
         ]
         return [
-            *(replace(c, measured=c.key in by_measuring, by_shape=c.key in SIGNS) for c in coarse),
+            *(replace(c, measured=c.key in by_measuring, by_shape=c.key in SIGN_FAULTS) for c in coarse),
             *(replace(c, measured=c.key in by_offers) for c in sharper),
         ]
 
@@ -370,7 +370,7 @@ class Evidence(Noise):
         unusual = [
             Finding(sensor, verdict.verdict, verdict.words)
             for sensor, verdict in self.consistency.items()
-            if verdict.verdict not in FINE and not verdict.fix_values
+            if verdict.verdict not in UNREMARKABLE and not verdict.fix_values
         ]
         return [self._candidate(finding, ()) for finding in (*self._spins, *unusual)]
 

@@ -29,9 +29,9 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from .trial import Trial
 
 LASER = "lrf"
-REFERENCE = {"wheels", "start", "truth"}  # roles whose settings change every configuration
+SHARED_ROLES = {"wheels", "start", "truth"}  # roles whose settings change every configuration
 WORTH_TRYING = Least(0.005, 2.0)  # least size of a fault to try a fix
-FINE = {"consistent", "unclear"}  # verdicts on residuals that need no fix
+UNREMARKABLE = {"consistent", "unclear"}  # verdicts on residuals that need no fix
 
 
 def as_fixes(fix_values: Mapping[str, float]) -> Fixes:
@@ -72,7 +72,7 @@ class Judged:
 
     def _unusual_residuals(self, sensor: str) -> bool:
         """Return whether a sensor's residuals are unusual, by its innovations alone."""
-        return self._verdict(sensor) not in FINE
+        return self._verdict(sensor) not in UNREMARKABLE
 
     def _verdict(self, sensor: str) -> str:
         """Return the verdict on a sensor's residuals; "unclear" without residuals."""
@@ -97,7 +97,7 @@ class Judged:
         judges = self.judges(finding.role)
         kept = self.kept(finding.role)
         minor = tuple(n for n in judges if n not in kept)
-        others = tuple(n for n in minor if n not in BASES) if finding.role in REFERENCE else ()
+        others = tuple(n for n in minor if n not in BASES) if finding.role in SHARED_ROLES else ()
         return Candidate(finding, alternatives, judges, minor, others, offer)
 
     def kept(self, role: str) -> set[str]:
@@ -107,7 +107,7 @@ class Judged:
     def _using(self, role: str) -> list[str]:
         """Return the configurations that a fix of this role (a sensor, wheels, start, truth) changes."""
         known = self.trial.configurations
-        return list(known) if role in REFERENCE else [n for n, c in known.items() if role in c.sensors]
+        return list(known) if role in SHARED_ROLES else [n for n, c in known.items() if role in c.sensors]
 
     def judges(self, role: str) -> tuple[str, ...]:
         """Return the configurations that judge a fix of this role.
@@ -116,7 +116,7 @@ class Judged:
         where its effect is largest. A fix of wheels, start or truth is judged by all configurations: a track that
         fits one drive's slip may improve odometry and harm a camera.
         """
-        if role in REFERENCE:
+        if role in SHARED_ROLES:
             known = self.trial.configurations
             kept = (self._best(known), self._all())
             others = (n for n in known if n not in kept and n not in BASES)  # decisive ones first
@@ -166,7 +166,7 @@ TOO_LOW = 2.0  # on the observed sigma, tried too: the gate of a low sigma hides
 MAX_OFFERED_FACTOR = 8.0  # on a sigma: a larger one would disable the sensor
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by ANEES
 FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
-NOISE = {"understated", "overstated", "correlated"}
+NOISE_VERDICTS = {"understated", "overstated", "correlated"}
 
 
 class Noise(Judged):
@@ -405,7 +405,7 @@ def useful(fixes: Fixes, settings: Any) -> bool:
 
 def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:
     """Return alternative fixes of a noise verdict: noise settings, or the drift of an offset."""
-    if verdict.verdict not in NOISE or not verdict.fix_values:
+    if verdict.verdict not in NOISE_VERDICTS or not verdict.fix_values:
         return []
     if verdict.verdict == "correlated":  # a larger sigma, or a drifting offset
         noise = {k: v for k, v in verdict.fix_values.items() if k.partition(".")[2] in REGISTRY[sensor].noise_keys}

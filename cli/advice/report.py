@@ -11,6 +11,7 @@ import msgspec
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.refused_motion import STANDS
+from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import MAX_ANEES, length, options, void_reasons
 from locfuse.formats.robot import robot_toml
@@ -19,7 +20,6 @@ from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import BASES, result_name
-from locfuse.fusion.judge.evaluate import ERROR_KEYS
 from locfuse.fusion.judge.own_scans import is_better
 from locfuse.fusion.mount import OTHER_MOUNT
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -141,8 +141,7 @@ def score(score: Marks) -> dict[str, float | None]:
 
 MAX_LOST_SHARE = 0.1  # of the drive: a filter that is lost for longer has void figures
 MAX_START_ERROR_M = 0.5  # between the truth's first position and a start that is not configured
-EVERY = ("wheels", "truth")  # roles that every configuration depends on
-JUDGED = (*ERROR_KEYS, "anees")
+BASE_ROLES = ("wheels", "truth")  # roles that every configuration depends on
 
 
 def add_validity(
@@ -160,9 +159,7 @@ def add_validity(
         if reason is None:
             continue
         code, message = reason
-        known = {key: values[key] for key in JUDGED if values.get(key) is not None}
-        values["void"] = {"reason": message, "figures": known}
-        values.update(dict.fromkeys(known))
+        void_figures(values, message)
         since = float(values["lost"][0][0]) if code == "lost" else 0.0
         found.append({"configuration": name, "code": code, "message": message, "since_s": since})
     void = {entry["code"] for entry in found}  # reported once: as void, not as doubtful
@@ -170,16 +167,10 @@ def add_validity(
     report["validity"] = [*_by_message(found), *doubts]
     if found and all("void" in values for values in report["configurations"].values()):
         report["credit"] = None
-        _withdraw_verdicts(report, "All errors of this log are void.")
+        withdraw_verdicts(report, "All errors of this log are void.")
     elif doubts:
         report["credit"] = None  # its factors depend on the doubtful errors
-        _withdraw_verdicts(report, "Not judged while a warning is open.")
-
-
-def _withdraw_verdicts(report: dict[str, Any], words: str) -> None:
-    """Replace all verdicts by "no verdict", since their figures are void or doubtful."""
-    for verdict in report.get("verdicts", {}).values():
-        verdict.update(verdict="no verdict", words=words)
+        withdraw_verdicts(report, "Not judged while a warning is open.")
 
 
 def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
@@ -190,7 +181,7 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
     doubts = []
     for advice in advised.advice if advised is not None else ():
         found = advice.finding
-        using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
+        using = [n for n, v in report["configurations"].items() if found.role in {*BASE_ROLES, *v["sensors"]}]
         if found.severe and using and found.code != "start" and not advice.harmless:
             first_sentence = re.sub(r" \(correlation [^()]*\)", "", found.brief.partition(". ")[0])
             message = f"{found.role}: {first_sentence}"
@@ -229,7 +220,7 @@ def _by_message(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return list(by_message.values())
 
 
-NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
+SENSOR_WORDS = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
 MIN_HINT = 0.1  # of the agreeing share of points: a smaller gain is not reported
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 MAX_CONSISTENT_ANEES = 3.0  # above: the covariance is too small
@@ -412,7 +403,7 @@ def _with(name: str, sensors: Sequence[str]) -> str:
 
 def _names(sensors: Sequence[str]) -> str:
     """Return sensors in words: "the laser, the compass and the camera"."""
-    words = [f"the {NAMES.get(s, s)}" for s in REGISTRY if s in sensors]
+    words = [f"the {SENSOR_WORDS.get(s, s)}" for s in REGISTRY if s in sensors]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 

@@ -23,7 +23,7 @@ from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 from .adapted_topics import not_read
 from .motion_evidence import Evidence, MotionSensors
 from .mounts import is_base, is_fixed, is_odometry, is_room
-from .topics import ONLY, Choice, checked, filled, of_sensor, one
+from .topics import WHY_ONLY, Choice, checked, filled, of_sensor, one
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -44,7 +44,7 @@ ONLY_CORRECT = (FIX, IMU)  # message types that can only correct a motion
 NAMES_RAW = re.compile("unfiltered|raw|wheel|encoder|_enc")
 ADAPTED_SUFFIX = ":odometry"  # of topics converted to Odometry
 NOTHING_ELSE = "nothing else says how the robot moved"
-NEAREST = "the odometry nearest to the wheels"
+WHY_NEAREST = "the odometry nearest to the wheels"
 NEAR_BASE = ("cmd_vel", "ackermann_cmd")  # topics that a base's driver reads
 NAMES_UPSTREAM = re.compile("teleop|joy|key|nav|raw|smooth|mux|input|plan|auto|unstamped")
 OF_COMMANDS = "; of several commands ({others} beside it) the base obeys it, by its name"
@@ -150,18 +150,18 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
     ranks = [[t for t in rolled if _odometry_rank(t) == rank] for rank in range(4)]
     for same in filter(None, ranks):
         others = [t for t in odometry if t not in same]
-        yield [_odometry_body(t, NEAREST if others else ONLY, others) for t in same]
+        yield [_odometry_body(t, WHY_NEAREST if others else WHY_ONLY, others) for t in same]
     if not rolled:
         yield [_odometry_body(t, "the only odometry in /tf", estimated) for t in moving_frames(log, is_odometry)]
         poses = [t for t in _free_topics(log, robot, choice, POSES) if is_odometry(log.stream(t).frame_id)]
         yield [_odometry_body(t, "poses in the frame of an odometry", estimated) for t in poses]
     measured = _twists(log, robot, choice, asked=False)
     twists = [t for t in measured if _is_twist(log, t)]
-    yield [_odometry_body(t, ONLY, estimated) for t in measured if t not in twists]
+    yield [_odometry_body(t, WHY_ONLY, estimated) for t in measured if t not in twists]
     if found := motor_of(log, robot):
         yield [Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))]
     if speeds:
-        yield [_odometry_body(t, ONLY, estimated) for t in twists]
+        yield [_odometry_body(t, WHY_ONLY, estimated) for t in twists]
     yield [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in estimated]
 
 

@@ -18,7 +18,7 @@ from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .adapted_topics import not_read, offer_presented, offer_tags
 from .body_topics import by_fixes
-from .topics import NAMED, ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
+from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
 NO_TRUTH = "none"  # truth.topic: the log's truth is left out
@@ -67,7 +67,7 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         return
     if named:
         _refuse_twice(named, sensor, choice)
-        choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
+        choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], WHY_NAMED)
     elif not candidates:
         other = not_read(log, name)
         if other:
@@ -143,7 +143,7 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     sensor = REGISTRY[name]
     if len(candidates) == 1:
         same = filled(log, log.topics[candidates[0]].msgtype)
-        choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
+        choice.take(name, candidates, WHY_ONLY if len(same) < 2 else "the only one of its type that fits")
     elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
         choice.take(name, shared[:1], "another sensor reads it too")
     elif sensor.several or (sensor.several_frames and _differ_in_frame(log, candidates)):
@@ -178,4 +178,4 @@ def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None
     topic = one(log, "truth", named, candidates, TRUTH_READS)
     if topic is not None:
         why = "by its type" if topic in known else "by its name"
-        choice.take("truth", [topic], NAMED if named else why)
+        choice.take("truth", [topic], WHY_NAMED if named else why)

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 # scan-to-scan matching cannot observe the laser's mount
 EXACT_LASER = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
-TWICE = (
+SAME_SCANS = (
     "wheels: the motion and the laser are of the same scans, which count twice: with the laser the covariance is "
     "too small where the scans share an error"
 )
@@ -219,7 +219,7 @@ def measured(
         *start_notes(robot, drive),
         *((f"wheels: {STANDS}",) if drive.wheels.stands else ()),
         *(finding.line for finding in (of_angles(streams["lrf"]) if "lrf" in streams else ())),
-        *((TWICE,) if by_scans and "lrf" in drive.measurements else ()),
+        *((SAME_SCANS,) if by_scans and "lrf" in drive.measurements else ()),
         *drive.notes,
     )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})

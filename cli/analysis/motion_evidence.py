@@ -45,7 +45,7 @@ TELLING_SHARE = 0.03  # least gain of scan matching over standing still: else th
 ALIKE_SHARE = 0.10  # least difference of two motions of one kind: else neither is preferred
 
 # --- without a laser
-TURNING = {"gyro": (IMU,), "compass": (IMU, FIELD)}
+HEADING_TYPES = {"gyro": (IMU,), "compass": (IMU, FIELD)}
 MIN_EXPLAINED_SHARE = 0.5  # of a sensor's measured motion, by the best topic: else the sensor judges none
 LESS_EXPLAINED_SHARE = 0.3  # largest loss of a motion against the best one
 MIN_OTHER_WAY_M = 1.0  # distance by another motion: a shorter one is not compared
@@ -71,7 +71,7 @@ def path_of(log: Log, topic: str, order: str, laser: Laser) -> MatchedScans:
 
     Raises LocfuseError if they cannot be matched.
     """
-    from locfuse.fusion.wheels.motion_by_scans import match_scans  # SciPy comes with it
+    from locfuse.fusion.wheels.motion_by_scans import match_scans  # imports SciPy
 
     known, how = _matched_scans.setdefault(log, {}), (topic, order, *laser.mount.tolist(), *laser[1:-1])
     if how not in known:
@@ -180,7 +180,7 @@ class Evidence:
         return self._pairs.still
 
     def _read_scans(self, motions: Sequence[WheelReading]) -> None:
-        from locfuse.fusion.wheels.scan_agreement import scan_pairs  # SciPy comes with it
+        from locfuse.fusion.wheels.scan_agreement import scan_pairs  # imports SciPy
 
         with suppress(LocfuseError):  # scans that cannot be read are reported where they are measured
             stream = self._log.stream(self._topic, self._robot.order)
@@ -273,7 +273,7 @@ class MotionSensors:
 
     def _sensors(self) -> Iterator[tuple[str, Callable[[WheelReading], float | None]]]:
         """Yield each sensor that can judge motions: name in words, function motion -> explained share."""
-        for name, kinds in TURNING.items():
+        for name, kinds in HEADING_TYPES.items():
             if (topic := of_sensor(self._log, self._robot, name, kinds)) is not None:
                 yield f"the turning of {topic}", partial(self._turning_explained, name, topic)
         if (topic := of_sensor(self._log, self._robot, "gps", (FIX,))) is not None:

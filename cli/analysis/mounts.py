@@ -23,7 +23,7 @@ from .topics import filled
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
-TURNS = ("roll_deg", "pitch_deg")
+TILT_KEYS = ("roll_deg", "pitch_deg")
 MAX_VERTICAL = 0.7  # vertical part of the z axis (unit vector): more is not an optical frame
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
@@ -161,13 +161,13 @@ def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Strea
     An IMU is both compass and gyro, and has one mount.
     """
     found: dict[str, Any] = {}
-    turned = [s for s in streams if {*TURNS} <= set(REGISTRY[s].Settings.__struct_fields__)]
+    turned = [s for s in streams if {*TILT_KEYS} <= set(REGISTRY[s].Settings.__struct_fields__)]
     for given, other in permutations(turned, 2):
         a, b = streams[given][0], streams[other][0]
         if a.topic != b.topic and not (a.frame_id and a.frame_id == b.frame_id):
             continue
-        if not any(key in tables.get(other, {}) for key in TURNS):
-            keys = {key: tables[given][key] for key in TURNS if key in tables.get(given, {})}
+        if not any(key in tables.get(other, {}) for key in TILT_KEYS):
+            keys = {key: tables[given][key] for key in TILT_KEYS if key in tables.get(given, {})}
             found |= {other: keys} if keys else {}
     return found
 

@@ -31,7 +31,7 @@ from .topics import Note
 from .wheel_topics import steers, unused_words
 
 MIN_COVERED_SHARE = 0.8  # of the log's duration: less is reported
-VOID = (*ERROR_KEYS, "anees")  # figures without meaning if the motion is not the robot's
+VOIDABLE = (*ERROR_KEYS, "anees")  # figures that depend on errors
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
 # exact repeats, readings before or after the wheels, messages of an arm on the wheels' topic
 NOT_A_LOSS = ("repeat", "outside_wheels", "other_joints", "other_bodies", "not_in_map", "ignored")
@@ -220,17 +220,27 @@ def _partial_motion(loaded: Loaded) -> str:
     return f"The motion by {topics} covers {covered:.1f} s of the {whole:.1f} s of this log"
 
 
+def void_figures(values: dict[str, Any], reason: str) -> None:
+    """Move the figures of a configuration that depend on errors to `void`, and set them to None."""
+    known = {key: values[key] for key in VOIDABLE if values.get(key) is not None}
+    values["void"] = {"reason": reason, "figures": {**values.get("void", {}).get("figures", {}), **known}}
+    values.update(dict.fromkeys(known))
+
+
+def withdraw_verdicts(report: dict[str, Any], words: str) -> None:
+    """Replace all verdicts by "no verdict", since their figures are void or doubtful."""
+    for verdict in (report.get("verdicts") or {}).values():
+        verdict.update(verdict="no verdict", words=words)
+
+
 def _void_all(report: dict[str, Any], faults: Sequence[Note]) -> None:
     """Set all figures and verdicts of a report to void if its motion is not the robot's."""
     if not faults:
         return
     message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in faults)
     for values in report["configurations"].values():
-        known = {key: values[key] for key in VOID if values.get(key) is not None}
-        values["void"] = {"reason": message, "figures": {**values.get("void", {}).get("figures", {}), **known}}
-        values.update(dict.fromkeys(known))
-    for verdict in (report.get("verdicts") or {}).values():
-        verdict.update(verdict="no verdict", words="What is used as the motion is not the robot's.")
+        void_figures(values, message)
+    withdraw_verdicts(report, "What is used as the motion is not the robot's.")
     report.update(dict.fromkeys(key for key in ("credit", "prediction") if report.get(key) is not None))
     entry = {"code": "motion", "message": message, "since_s": 0.0, "void": True}
     report["validity"] = [{**entry, "configurations": [*report["configurations"]]}, *report.get("validity", ())]

@@ -26,7 +26,14 @@ from locfuse.fusion.sensors.registry import REGISTRY, SOURCES, of_points
 
 from .settings import ORDERS, PRESETS, Asked, LogOptions
 
-KEYED = ("sensors", "all_subsets", "align", "smooth", "jitter", "reference")  # options that figures depend on
+KEY_OPTIONS = (
+    "sensors",
+    "all_subsets",
+    "align",
+    "smooth",
+    "jitter",
+    "reference",
+)  # options in a result's key
 FILES = "files"  # key of the hashes of the files that settings name
 ATTACHMENT = "robot.toml"  # name of the log's attachment with settings
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
@@ -83,7 +90,7 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
     parts = {
         "content": content._asdict(),
         "settings": tables,
-        "asked": {name: getattr(asked, name) for name in KEYED},
+        "asked": {name: getattr(asked, name) for name in KEY_OPTIONS},
         "locfuse": own(),
         "schema_version": SCHEMA_VERSION,
         "made_with": {**made_with(), **SOURCES},

@@ -23,7 +23,7 @@ Progress = Callable[[str], None]  # is given the name of the current step
 MAX_REFERENCE_INSTANTS = 2400  # update times of a drive with a reference by default: 4 min at 10 Hz
 OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
 OF_RUN = ("tum", "csv", "json")
-WRITTEN = ("html", "json", "tum")  # by default; robot.toml and fixes.toml always
+DEFAULT_OUTPUTS = ("html", "json", "tum")  # by default; robot.toml and fixes.toml always
 EXPORTS = {  # formats of other tools
     "mcap": "ROS 2 messages, with layouts for Foxglove and PlotJuggler",
     "log": "these and every message of the log",
@@ -213,7 +213,7 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
 
 def by_default(known: Sequence[str]) -> list[str]:
     """Return the kinds of output written by default; all kinds if `known` has no html."""
-    return [kind for kind in known if kind in WRITTEN or "html" not in known]
+    return [kind for kind in known if kind in DEFAULT_OUTPUTS or "html" not in known]
 
 
 def chosen(

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from locfuse.fusion.robot import Robot
     from locfuse.fusion.wheels.read import WheelReading
 
-NAMED = "named in the settings"
-ONLY = "the only topic of its type"
+WHY_NAMED = "named in the settings"
+WHY_ONLY = "the only topic of its type"
 
 
 class Note(NamedTuple):

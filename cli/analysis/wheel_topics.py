@@ -15,24 +15,25 @@ from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS
 from locfuse.fusion.wheels.steered import MOTOR, STEERING_WORD
 
 from .body_topics import choose_body, nothing_moves, with_steering
-from .topics import NAMED, ONLY, Choice, Note, checked, filled, several_fit
+from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, several_fit
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
-COUNTERS = re.compile("tick|enc|wheel|count|angle")  # in names of wheel counter topics ...
-COMMANDS = re.compile("cmd|command|speed|vel|power|pwm|current|effort|target|setpoint|rpm")  # ... without these
+# words in topic names
+COUNTER_NAME = re.compile("tick|enc|wheel|count|angle")
+COMMAND_NAME = re.compile("cmd|command|speed|vel|power|pwm|current|effort|target|setpoint|rpm")
 
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     """Choose the wheels' topic or topics. Raises LocfuseError if none or several fit."""
     settings = robot.wheels
     if settings.left_topic is not None or settings.right_topic is not None:
-        choice.take("wheels", _named_pair(log, robot), NAMED)
+        choice.take("wheels", _named_pair(log, robot), WHY_NAMED)
         return
     if settings.topic is not None:
-        choice.take("wheels", _named(log, robot, settings.topic), NAMED)
+        choice.take("wheels", _named(log, robot, settings.topic), WHY_NAMED)
         return
     counters, kind = counters_of(log, robot)
     missing = [key.replace("_", " ") for key in missing_of(log, robot, counters)]
@@ -167,7 +168,7 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
         if len(found) > 1:
             raise several_fit(log, "wheels", found)
         if found:
-            return found, ONLY
+            return found, WHY_ONLY
     if len(pairs) > 1:
         listed = "; ".join(f"{left} and {right}" for left, right in pairs)
         fixes = (f"wheels.left_topic={pairs[0][0]}", f"wheels.right_topic={pairs[0][1]}")
@@ -194,7 +195,7 @@ def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
 
 
 def _counts_by_name(topic: str) -> bool:
-    return bool(COUNTERS.search(topic.lower())) and not COMMANDS.search(topic.lower())
+    return bool(COUNTER_NAME.search(topic.lower())) and not COMMAND_NAME.search(topic.lower())
 
 
 def pair_topics(log: Log) -> list[tuple[str, str]]:

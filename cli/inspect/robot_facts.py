@@ -49,7 +49,7 @@ class RobotFacts(msgspec.Struct, frozen=True):
     described: WheelGeometry | None = None  # by /robot_description
     counters: tuple[str, ...] = ()  # topics of wheel turns: those in use, else those whose geometry is unknown
     fitted: Geometry | None = None  # by an odometry topic made from the same wheels
-    odometry: str = ""  # that topic
+    odometry: str = ""  # the odometry topic, or BY_SCANS
     ticks: float | None = None  # usual ticks per revolution of the message's type
     joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
     steered: Steered | None = None  # a tricycle, by its truth
@@ -114,7 +114,7 @@ def find_robot_facts(overview: Overview) -> RobotFacts:
 
 def _steered(both: Stream, loaded: Loaded) -> Steered | None:
     """Calibrate a tricycle by truth; None without truth or if the fit is bad."""
-    # SciPy comes with it
+    # imports SciPy
     from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle, nominal, of_truth
 
     if (truth := loaded.drive.truth) is None or not isinstance(both, MergedStream):

@@ -45,8 +45,8 @@ SMOOTHED_LIGHT_SHARE = 0.65  # brightness of a smoothed result's colour
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # quantiles of the band of consistent NIS
 JPEG_QUALITY = 80  # of panoramas and raw Image messages
-MEDIA = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
-NONE: Ints = np.zeros(0, np.int64)
+MEDIA_TYPES = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
+NO_ROWS: Ints = np.zeros(0, np.int64)
 
 
 def make_scene(
@@ -192,7 +192,7 @@ def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> I
                 continue
             t = float((stream.t_ns[row] - drive.epoch_ns) * 1e-9 + settings.time_offset)
             i = int(np.searchsorted(m.t, t - 1e-9))
-            found = np.arange(m.first[i], m.first[i + 1]) if i < len(m.t) and abs(m.t[i] - t) < 1e-6 else NONE
+            found = np.arange(m.first[i], m.first[i + 1]) if i < len(m.t) and abs(m.t[i] - t) < 1e-6 else NO_ROWS
             yield _picture(t, message, picture, finder.optics(picture.shape), (m.z[found, 0], verdicts[found]))
 
 
@@ -215,7 +215,7 @@ def _picture(t: float, message: Any, picture: Any, optics: Any, found: tuple[Arr
     ray = np.stack((np.sin(theta), np.cos(theta)), axis=-1)
     rays = np.array([optics.x_c, optics.y_c]) + np.array([optics.inner, optics.outer])[:, None] * ray[:, None]
     data = bytes(message[0]) if len(message) == 2 else b""
-    kind = MEDIA.get(data[:2])
+    kind = MEDIA_TYPES.get(data[:2])
     omni, kind = (_jpeg(picture), "image/jpeg") if kind is None else (data, kind)
     # flipped: row 0, the inner radius (floor), is shown at the bottom
     panorama = _jpeg(unwrap(picture, optics)[::-1])

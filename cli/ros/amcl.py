@@ -85,12 +85,12 @@ def _laser(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
 
 
 def _beams(model: BeamModel, kind: str, found: Found) -> Iterator[Setting]:
-    given = (found.robot.lines and "the given map") or "the map of this drive"
+    given = "the given map" if found.robot.lines else "the map of this drive"
     of = f"{model.beams} beams beside {given}"
     sigma = math.hypot(model.sigma, CELL_M / math.sqrt(6.0))
     yield Setting("laser_model_type", FIELD, "nav2's default", KEPT)
     yield Setting("sigma_hit", sigma, f"m: {model.sigma:.4f} ± {model.spread:.1g} and cells of {CELL_M:g} m; {of}")
-    total = 1.0 if kind == "beam" else model.hit + model.random + model.short  # the field knows no short ones
+    total = 1.0 if kind == "beam" else model.hit + model.random + model.short  # likelihood_field has no z_short
     random = model.random if kind == "beam" else model.random + model.short
     yield Setting("z_hit", model.hit / total, f"share that ends at a wall; {of}")
     yield Setting("z_rand", random / total, f"share that ends elsewhere; {of}")

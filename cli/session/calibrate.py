@@ -32,8 +32,8 @@ from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 from .found import Found, Row, refuse_doubtful
 
 T = TypeVar("T")
-USED = ("compass", "gyro", "lrf")  # sensors
-CALIBRATED = ("wheel scale", "radius", "track", "iron", "yaw")  # codes of findings that calibration fixes
+SENSORS = ("compass", "gyro", "lrf")  # sensors
+FIXED_CODES = ("wheel scale", "radius", "track", "iron", "yaw")  # codes of findings that calibration fixes
 GEOMETRY = ("radius", "ratio", "track")
 MIN_LN_RATIO = 3.0  # ln of a likelihood ratio (20 to 1): smaller ones are not reported
 IRON_COLUMNS = {f"{kind}_iron{of}": f"{kind}{of}" for kind in ("hard", "soft") for of in ("", "_sigma")}
@@ -214,7 +214,7 @@ def _plain(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:
 
 def calibrated(logs: Sequence[Parts], how: LogOptions, progress: Progress) -> Calibration:
     """Load logs by command-line words and calibrate what they show."""
-    loaded = [load(parts, how, progress, only=USED, aside=("lrf",)) for parts in logs]
+    loaded = [load(parts, how, progress, only=SENSORS, aside=("lrf",)) for parts in logs]
     progress("calibrating")
     return calibrate_logs(loaded, progress)
 
@@ -225,7 +225,7 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress) -> Calibration:
     if is_tricycle(loaded[0].stream("wheels")):
         return _tricycle(loaded, settings, progress)
     for one in loaded:
-        refuse_doubtful(one, "what is calibrated now", CALIBRATED)
+        refuse_doubtful(one, "what is calibrated now", FIXED_CODES)
     notes: list[str] = []
 
     def attempt(find: Callable[[], T]) -> T | None:

@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 
 PATHS = {"a": "rounded_rectangle", "b": "rounded_triangle"}
 WITHOUT, WITH, INTENDED, WALLS = "steered on odometry", "steered on the EKF", "path", "walls"
-INKS = {
+COLOURS = {
     WITHOUT: Colour("#cb7627", "#ec8c10"),
     WITH: Colour("#1a34b0", "#3a78de"),
     INTENDED: Colour("#0d0f12", "#f4f5f7"),
     WALLS: Colour("#9aa3af", "#667080"),
 }
-LOOKS = {WITHOUT: "dash", WITH: "over"}  # the planned path is visible in the gaps
+LINE_STYLES = {WITHOUT: "dash", WITH: "over"}  # the planned path is visible in the gaps
 SEED = 1
 LOG = "rounded_rectangle"
 PRESETS = {"ours": "default", "print": "paper"}  # column -> preset
@@ -172,8 +172,8 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
     traces = traces_of(found.compared["ours"].compared.estimates)
-    inks = {**palette.ROLES, **palette.colours(traces, colours()), **INKS}
-    looks = dict(LOOKS)
+    inks = {**palette.ROLES, **palette.colours(traces, colours()), **COLOURS}
+    looks = dict(LINE_STYLES)
     light = {name: colour.light for name, colour in inks.items()}
     for which in PRESETS:
         looks |= looks_of(traces_of(found.compared[which].compared.estimates))

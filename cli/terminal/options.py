@@ -23,7 +23,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 Declared = Callable[[Any], Any]  # what click.option returns
 SECONDS = "s since the first wheel reading"
 HELP_ALL = "locfuse.help_all"  # key in a context's meta: show every option
-FIRST = {  # group of --help -> its parameters, in a user's order; all others are shown by --help-all
+HELP_GROUPS = {  # group of --help -> its parameters, in a user's order; all others are shown by --help-all
     "Input": ("sensors", "robots", "sets", "truth", "given_map", "smooth"),
     "Many logs": ("jobs", "cluster", "each", "again", "robot_from", "sweep"),
     "Output": ("out", "write", "save", "connect", "web", "tab", "rerun", "open", "verbose"),
@@ -48,7 +48,7 @@ class Options(msgspec.Struct, frozen=True):
 
 PARTS = {part.name: part.type for part in msgspec.structs.fields(Options)}
 # parameters that set their fields
-CARRIED = {"truth", *(name for kind in PARTS.values() for name in kind.__struct_fields__)}
+CARRIED_OPTIONS = {"truth", *(name for kind in PARTS.values() for name in kind.__struct_fields__)}
 
 
 def carried(*declared: Declared) -> Callable[[F], F]:
@@ -57,7 +57,7 @@ def carried(*declared: Declared) -> Callable[[F], F]:
     def decorate(command: F) -> F:
         @functools.wraps(command)
         def wrapped(log: tuple[str, ...], **given: Any) -> Any:
-            own = {n: v for n, v in given.items() if n not in CARRIED}
+            own = {n: v for n, v in given.items() if n not in CARRIED_OPTIONS}
             return command(log, options=_options(given), **own)
 
         decorated: Any = wrapped
@@ -100,7 +100,7 @@ class Grouped(click.Command):
         records = {p.name: record for p in self.get_params(ctx) if (record := p.get_help_record(ctx))}
         own = self.get_help_option(ctx)
         help_itself = [records.pop(name) for name in (own and own.name, "help_all") if name in records]
-        groups = {title: [records.pop(n) for n in names if n in records] for title, names in FIRST.items()}
+        groups = {title: [records.pop(n) for n in names if n in records] for title, names in HELP_GROUPS.items()}
         groups |= {"More": list(records.values()) if ctx.meta.get(HELP_ALL) else [], "Help": help_itself}
         for title, rows in groups.items():
             if rows:

@@ -36,9 +36,7 @@ NAMES_MORE_SENSORS = re.compile(
     "|combined|global|rf2o|kiss|laser|scan|mavros"
 )
 NAMES_FILTER = re.compile("filter|ekf|ukf|fused|combined|global")  # of these: an IMU and GPS are fused
-NAMES_RECEIVER = re.compile(
-    "fix_vel|gps|gnss|navsat|ublox|novatel|septentrio"
-)  # of a topic with speeds north and east
+NAMES_RECEIVER = re.compile("fix_vel|gps|gnss|navsat|ublox|novatel|septentrio")  # speeds east and north
 NAMES_GPS = re.compile("gps|gnss|navsat")  # the odometry of navsat_transform has no heading
 ONLY_CORRECT = (FIX, IMU)  # message types that can only correct a motion
 NAMES_RAW = re.compile("unfiltered|raw|wheel|encoder|_enc")

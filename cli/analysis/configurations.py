@@ -76,8 +76,7 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
     """
     words = sensors if isinstance(sensors, str) else ",".join(sensors)
     present = tuple(s for s in REGISTRY if s in drive.measurements)
-    names = [w.strip() for w in words.replace("+", ",").split(",") if w.strip()]
-    names = list(dict.fromkeys(names))
+    names = list(dict.fromkeys(w.strip() for w in words.replace("+", ",").split(",") if w.strip()))
     if names == ["all"]:
         return plain(present, drive)
     if len(names) == 1 and names[0] in BASES:

@@ -356,10 +356,9 @@ def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
 def start_notes(robot: Robot, drive: Drive) -> list[str]:
     """Return a note if truth and wheels start at different places and [start] is not set."""
     places = _first_places(robot, drive)
-    if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
+    if places is None or (away := math.hypot(*(places[0] - places[1]))) < 0.05:
         return []
     (x, y), (own_x, own_y) = places
-    away = math.hypot(x - own_x, y - own_y)
     return [
         f"truth starts {away:.2f} m away from the robot's start ({own_x:z.2f}, {own_y:z.2f}), "
         f"at ({x:.2f}, {y:.2f}): set [start], or judge the shape only with --align origin"

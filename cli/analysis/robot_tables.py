@@ -26,14 +26,7 @@ from locfuse.fusion.sensors.registry import REGISTRY, SOURCES, of_points
 
 from .settings import ORDERS, PRESETS, Asked, LogOptions
 
-KEY_OPTIONS = (
-    "sensors",
-    "all_subsets",
-    "align",
-    "smooth",
-    "jitter",
-    "reference",
-)  # options in a result's key
+KEY_OPTIONS = ("sensors", "all_subsets", "align", "smooth", "jitter", "reference")  # in a result's key
 FILES = "files"  # key of the hashes of the files that settings name
 ATTACHMENT = "robot.toml"  # name of the log's attachment with settings
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {

@@ -39,9 +39,7 @@ class Choice(msgspec.Struct):
     more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # the others of a role that has several
     why: dict[str, str] = field(default_factory=dict)  # role -> how its topic was chosen
     absent: dict[str, str] = field(default_factory=dict)
-    fixes: dict[str, tuple[str, ...]] = field(
-        default_factory=dict
-    )  # absent role -> settings that may give it a topic
+    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may help
     foreign: set[str] = field(default_factory=set)  # sensors without any topic in the log
     notes: list[Note] = field(default_factory=list)
     unused_wheels: tuple[str, ...] = ()  # topics of wheel counters whose scale is unknown

@@ -67,9 +67,7 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
         pictures = _preview(overview, preview) if preview is not None else []
         tried: dict[str, Any] = {}
         if check and options.asked.advice and overview.loaded is not None:
-            from locfuse.cli.session.session import (
-                tried_by_fusing,
-            )  # imports the filter, which `info` alone does not need
+            from locfuse.cli.session.session import tried_by_fusing  # imports the filter
 
             tried = tried_by_fusing(log, how, progress)
     with ignore_closed_stdout():

@@ -28,7 +28,7 @@ Command = tuple[str, ...]
 
 
 class Cost(NamedTuple):
-    """One run of one command."""
+    """CPU time, wall time and peak memory of one run of a command."""
 
     cpu: float  # s, user and system, its children included
     wall: float  # s
@@ -36,7 +36,7 @@ class Cost(NamedTuple):
 
 
 def cost(command: Sequence[str]) -> Cost:
-    """Run a command and return what it took. Raises RuntimeError with its last words where it fails."""
+    """Run a command and return its cost. Raises RuntimeError with its last output if it fails."""
     begin = time.perf_counter()
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         assert process.stderr is not None
@@ -50,7 +50,7 @@ def cost(command: Sequence[str]) -> Cost:
 
 
 class Figure(NamedTuple):
-    """Two whole processes, ours and the yardstick, and the ratio of their CPU times that is the goal."""
+    """Two commands, locfuse's and one to compare with, and the goal for the ratio of their CPU times."""
 
     name: str
     goal: float
@@ -63,7 +63,7 @@ FROZEN = ("--set", "lrf.map=first-scan")
 
 
 def module(name: str, *words: str | Path) -> Command:
-    """Return the command that runs a module of this folder."""
+    """Return the command that runs a module of benchmarks/."""
     return (sys.executable, "-m", f"benchmarks.{name}", *map(str, words))
 
 
@@ -73,7 +73,7 @@ def locfuse(*words: str | Path) -> Command:
 
 
 def figures(logs: Sequence[Path], out: Path, minutes: float) -> list[Figure]:
-    """Return what is measured in whole processes, on a log with pictures, one of ten minutes and a long one."""
+    """Return the pairs of commands to measure, on a log with pictures, one of ten minutes and a long one."""
     minute, ten, hour = logs
     length = "1 h" if minutes == 60 else f"{minutes:g} min"
     advised = ("--write", "json", "--quiet", "--overwrite", "--no-smooth", "--out", out)
@@ -117,7 +117,7 @@ LONG = (
 
 
 def make_log(path: Path, minutes: float, camera: str = "camera.enabled=false") -> Path:
-    """Simulate laps of the rounded rectangle, on the true pose, where the log is not there yet."""
+    """Simulate laps of the rounded rectangle, steered on the true pose, unless the log exists."""
     sets = [word for key in (*LONG, camera, f"path.laps={60.0 * minutes / LAP_S}") for word in ("--set", key)]
     if not path.exists():
         command = locfuse("simulate", "rounded_rectangle", "--seed", "0", "-o", path, *sets)
@@ -126,7 +126,7 @@ def make_log(path: Path, minutes: float, camera: str = "camera.enabled=false") -
 
 
 def in_turns(commands: Iterable[Command], rounds: int) -> dict[Command, list[Cost]]:
-    """Run every command once per round, so that a slow minute of the machine hits all of them."""
+    """Run each command once per round, so that a slow phase of the machine affects all of them."""
     costs: dict[Command, list[Cost]] = {command: [] for command in commands}
     for i in range(rounds):
         for command, seen in costs.items():
@@ -136,7 +136,7 @@ def in_turns(commands: Iterable[Command], rounds: int) -> dict[Command, list[Cos
 
 
 def ratio_row(figure: Figure, ours: list[Cost], theirs: list[Cost]) -> Sequence[str]:
-    """Return the line of the table with CPU times, their ratio and its spread, and whether the goal is met."""
+    """Return the table's row with CPU times, their ratio and its spread, and whether the goal is met."""
     ratios = [a.cpu / b.cpu for a, b in zip(ours, theirs, strict=True)]
     ratio = statistics.median(ratios)
     wall = " / ".join(f"{statistics.median(c.wall for c in seen):.2f}" for seen in (ours, theirs))
@@ -146,7 +146,7 @@ def ratio_row(figure: Figure, ours: list[Cost], theirs: list[Cost]) -> Sequence[
 
 
 def memory_row(name: str, goal: float, seen: list[Cost]) -> Sequence[str]:
-    """Return the line of the table that says how much memory a command held at most, MB."""
+    """Return the table's row with the peak memory of a command [MB]."""
     peak = statistics.median(c.peak for c in seen)
     return (name, f"{peak:.0f} MB", "", "", f"≤ {goal:g} MB", "yes" if peak <= goal else "no", "")
 

@@ -50,12 +50,12 @@ def work(seed: int, robot_sets: tuple[str, ...] = (), no_camera: bool = False, s
 
 
 def figures(judged: Evaluation) -> Row:
-    """Return what the table needs of one run."""
+    """Return the figures of one run that the table needs."""
     return {key: judged.figures[key] for key in ("position_rmse_m", "heading_rmse_deg", "anees")}
 
 
 def over_drives(results: Sequence[Row]) -> dict[str, dict[str, float]]:
-    """Return for every mode and configuration the mean and spread over drives."""
+    """Return mean and spread over drives for each map mode and configuration."""
     found = {}
     for name in results[0]:
         metres, degrees, anees = np.array([list(r[name].values()) for r in results if name in r]).T

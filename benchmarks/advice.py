@@ -1,4 +1,4 @@
-"""Does obeying the advice help? Faults of settings and robots, alone and in pairs: who is named, what a fix does.
+"""Effect of following the advice: faults of settings and robots, alone and in pairs, and errors after all fixes.
 
     python -m benchmarks.advice --seeds 8 --jobs 2 -o advice.jsonl
     python -m benchmarks.advice --case none --seeds 15 -o clean.jsonl
@@ -55,7 +55,7 @@ Errors = dict[str, tuple[float, float]]  # configuration -> position error [m], 
 
 
 class Lap:
-    """One simulated lap: its log, the simulator's truth, and what was already found out."""
+    """One simulated lap: its log, the simulator's truth, and errors computed so far."""
 
     def __init__(self, seed: int, scenario: tuple[str, ...]) -> None:
         path = Path(tempfile.mkdtemp(dir=experiment.scratch())) / "lap.mcap"
@@ -65,11 +65,11 @@ class Lap:
         self._errors: dict[tuple[str, ...], Errors] = {}
 
     def report(self, sets: tuple[str, ...], truth: bool, advice: bool = True) -> dict[str, Any]:
-        """Return what `compare` says under settings, with the log's truth or without it."""
+        """Return the report of `compare` under settings, with the log's truth or without it."""
         return self.sessions[truth].with_settings(sets).compare(advice=advice, **QUICK).report
 
     def errors(self, sets: tuple[str, ...]) -> Errors:
-        """Return the error of every configuration by the simulator's truth, whatever the log's truth says."""
+        """Return each configuration's error against the simulator's truth (the log's truth may be wrong)."""
         if sets not in self._errors:
             session = self.sessions[True].with_settings(sets)
             found = session.compare(advice=False, **QUICK).estimates
@@ -88,7 +88,7 @@ lap = lru_cache(maxsize=3)(Lap)  # many cases share one
 
 
 def work(name: str, seed: int) -> Row:
-    """Return what is found in one case with truth and without, and the errors before and after all fixes."""
+    """Return the findings of one case with truth and without, and the errors before and after all fixes."""
     case = CASES[name]
     clean, drive = lap(seed, CASES["none"].scenario), lap(seed, case.scenario)
     found: Row = {}
@@ -111,12 +111,12 @@ def work(name: str, seed: int) -> Row:
 
 
 def printed(report: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the position errors that a report prints [m]; None where it withholds one."""
+    """Return the position errors [m] in a report; None for void ones."""
     return {name: values["position_rmse_m"] for name, values in report["configurations"].items()}
 
 
 def judged(name: str, row: Row) -> Row:
-    """Return one side of a case with what is to say of it: named, others, plaster, worse, closed, errors_m."""
+    """Return one side (with truth or without) of a case with its judgement: named, others, plaster ..."""
     # position errors [m]
     right, before, after = ({n: e for n, (e, _) in row[key].items()} for key in ("right", "before", "after"))
     if "printed" in row:
@@ -129,7 +129,7 @@ def judged(name: str, row: Row) -> Row:
 
 
 def named(case: Case, row: Row) -> Row:
-    """Return whether the right key is set or the right sensor named, and what else is said."""
+    """Return whether a fix sets the right key, or a finding names the right sensor, and what else is advised."""
     keys = {fix.partition("=")[0] for fix in row["fixes"]}
     roles = {role for role, _, _ in row["findings"]}
     plaster = [fix for fix in row["fixes"] if PLASTER.match(fix)]
@@ -146,7 +146,7 @@ def named(case: Case, row: Row) -> Row:
 
 
 def worse(right: Errors, before: Errors, after: Errors) -> list[str]:
-    """Return the configurations of which an error grew: `all` and the best one, before."""
+    """Return the configurations (`all` and the best one before) whose error grew."""
     found = []
     for name in dict.fromkeys(("all", min(before, key=lambda n: before[n][0]))):
         if name not in after or name not in right:
@@ -161,7 +161,7 @@ def worse(right: Errors, before: Errors, after: Errors) -> list[str]:
 
 
 def gap(right: Mapping[str, float], before: Mapping[str, float], after: Mapping[str, float]) -> Row:
-    """Return what a fault costs, and how much of it obeying gives back, where it costs most."""
+    """Return the error due to a fault, and the share of it that the fixes remove, where it is largest."""
     both = [n for n in before if n in after and n in right]
     gaps = {n: before[n] - right[n] for n in both if before[n] > right[n] * (1 + MIN_COST) + MIN_COST_M}
     if not gaps:
@@ -174,23 +174,23 @@ def gap(right: Mapping[str, float], before: Mapping[str, float], after: Mapping[
 
 
 def costly(rows: Iterable[Row]) -> list[Row]:
-    """Return the rows whose fault costs something."""
+    """Return the rows whose fault increases an error."""
     return [row for row in rows if row["errors_m"] is not None]
 
 
 def share(rows: Sequence[Row], key: str) -> str:
-    """Return "3 of 4" rows of which something is so."""
+    """Return "3 of 4": the number of rows in which `key` is true."""
     return f"{sum(bool(row[key]) for row in rows)} of {len(rows)}" if rows else "-"
 
 
 def closed(rows: Iterable[Row]) -> str:
-    """Return the median share of the gap that is closed; more than all of it counts as all."""
+    """Return the median share of the error that the fixes remove, at most 100 %."""
     values = [min(row["closed"], 1.0) for row in rows if CASES[row["case"]].closes]
     return f"{median(values):.0%}" if values else "-"
 
 
 def table(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield what all cases come to, then a line for each: with truth, then without; then what is needless."""
+    """Yield the totals of all cases, then a row per case (with truth, without), then needless findings."""
     sides = [[judged(row["task"][0], row[side]) for row in rows if side in row] for side in SIDES]
     faulty = [[row for row in side if row["case"] not in CLEAN] for side in sides]
     keyed = [[row for row in costly(side) if CASES[row["case"]].has_key] for side in faulty]

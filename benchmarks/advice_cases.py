@@ -1,4 +1,4 @@
-"""What is wrong in each case of benchmarks.advice: a setting, or the robot itself; alone and in pairs.
+"""Cases of benchmarks.advice: faults of a setting or of the robot, alone and in pairs.
 
 A drive is one lap of the paper's robot. Its settings are right, and nothing is wrong with the robot, but for what
 a fault says.
@@ -21,7 +21,7 @@ MIDDLE_S = 30.0  # of the lap, when what happens in its middle happens
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong, who should be named, and what sets it right."""
+    """A fault, the sensors that a finding may name, and the settings that fix it."""
 
     roles: tuple[str, ...]  # who may be named: no other
     keys: tuple[str, ...] = ()  # one of which a right fix sets; () = no key can, the finding alone is right
@@ -33,23 +33,23 @@ class Fault:
 
 
 def _wrong(*settings: str, also: tuple[str, ...] = (), right: tuple[str, ...] = ()) -> Fault:
-    """Return wrong settings of one sensor; `also` names other keys that set them right."""
+    """Return a fault of wrong settings of one sensor; `also` are other keys that may fix it."""
     keys = tuple(setting.partition("=")[0] for setting in settings)
     return Fault((keys[0].partition(".")[0],), (*keys, *also), settings, right=right)
 
 
 def _mount(setting: str) -> Fault:
-    """Return a wrong mount; one that is set by hand is a state from then on, so the right one is set as well."""
+    """Return a fault of a wrong mount; the right mount is set too, since a set mount becomes a state."""
     return _wrong(setting, also=("lrf.x", "lrf.y", "lrf.yaw_deg"), right=(f"{setting.partition('=')[0]}=0",))
 
 
 def _happens(roles: str, kind: str, values: str, *keys: str, right: tuple[str, ...] = ()) -> Fault:
-    """Return something that happens to the robot, by the simulator's kind of fault."""
+    """Return an event of the simulator (a kind of fault) that happens to the robot."""
     return Fault(tuple(roles.split()), keys, faults=(f'{{kind="{kind}", {values}}}',), right=right)
 
 
 def _robot(roles: str, *scenario: str, right: str = "") -> Fault:
-    """Return what is wrong with the robot itself, by settings of the simulator, and the one that sets it right."""
+    """Return a fault of the robot itself: simulator settings, and the setting that fixes it."""
     keys, rights = ((right.partition("=")[0],), (right,)) if right else ((), ())
     return Fault(tuple(roles.split()), keys, scenario=scenario, right=rights)
 
@@ -165,38 +165,38 @@ class Case:
 
     @property
     def scenario(self) -> tuple[str, ...]:
-        """The drive as --set of the simulator."""
+        """The drive's scenario settings, as --set of `locfuse simulate`."""
         faults = self._all("faults")
         return (*SCENARIO, *self._all("scenario"), *((f"faults=[{', '.join(faults)}]",) if faults else ()))
 
     @property
     def sets(self) -> tuple[str, ...]:
-        """The user's settings, wrong ones included."""
+        """The user's settings, including wrong ones."""
         return (*self.base, *self._all("sets"))
 
     @property
     def right(self) -> tuple[str, ...]:
-        """The settings that are right for this drive."""
+        """The right settings for this drive."""
         return (*self.base, *self._all("right"))
 
     @property
     def roles(self) -> set[str]:
-        """Whom a right verdict names."""
+        """The sensors that a right finding names."""
         return set(self._all("roles"))
 
     @property
     def has_key(self) -> bool:
-        """Whether settings can set everything right."""
+        """Whether settings can fix every fault."""
         return all(fault.keys for fault in self.faults)
 
     @property
     def closes(self) -> bool:
-        """Whether the right settings take the error away."""
+        """Whether the right settings remove the error."""
         return self.has_key and all(fault.closes for fault in self.faults)
 
     @property
     def of_truth(self) -> bool:
-        """Whether the truth itself is wrong: without it nothing is."""
+        """Whether the truth is wrong, so that nothing is wrong without it."""
         return any(fault.roles == ("truth",) for fault in self.faults)
 
 

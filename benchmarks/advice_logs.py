@@ -1,4 +1,4 @@
-"""Does obeying the advice help on real logs? Every printed fix is set, and the whole log is compared again.
+"""Effect of following the advice on real logs: each printed fix is set, and the whole log is compared again.
 
     LOCFUSE_DATA=folder python -m benchmarks.advice_logs -o advice_logs.jsonl
 
@@ -74,7 +74,7 @@ def figures(report: Mapping[str, Any]) -> dict[str, list[float | None]]:
 
 
 def shown(row: Row) -> list[str]:
-    """Return the configurations that are worth a line: the best ones before and after, odometry and `all`."""
+    """Return the configurations to print: the best ones before and after, odometry and `all`."""
     both = (row["before"], row["after"])
     by_truth = [{n: v[0] for n, v in found.items() if len(v) > 1 and v[0] is not None} for found in both]
     if not all(by_truth):
@@ -94,7 +94,7 @@ def grew(before: list[float | None], after: list[float | None]) -> bool:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield what obeying all fixes does to the figures of the whole log."""
+    """Yield the effect of all fixes on the figures of each whole log."""
     forms, lines = (length, "{:.2f}°".format, "{:.3g}".format), []
     for row in rows:
         fixes, again = (" ".join(f"`{fix}`" for fix in row[key]) or "nothing" for key in ("fixes", "again"))

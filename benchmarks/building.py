@@ -1,4 +1,4 @@
-"""How well does the laser hold a building, recorded or simulated? Means over drives, and the worst of them.
+"""Accuracy of the laser in buildings, recorded or simulated: means over drives, and the worst drive.
 
     LOCFUSE_DATA=... python -m benchmarks.building --log aces --drives 11 --smooth
     python -m benchmarks.building --log office --drives 20 --smooth
@@ -70,7 +70,7 @@ def work(name: str, number: int, smooth: bool, sets: tuple[str, ...], scenario_s
 
 @cache
 def scenario_of(name: str) -> str:
-    """Return what the simulator knows a building by: its name, or a file."""
+    """Return the scenario of a building: its name, or a file."""
     if name != "campus":
         return name
     path = experiment.scratch() / "campus.toml"
@@ -79,7 +79,7 @@ def scenario_of(name: str) -> str:
 
 
 def measured(name: str, number: int, sets: tuple[str, ...]) -> tuple[Drive, Robot]:
-    """Return a recorded log; as it is if `number` is 0, else measured anew."""
+    """Return a recorded log unchanged (`number` 0), or with new noise and missing scans."""
     path, known = folder() / FILES[name], set_words(KNOWN.get(name))
     if not number:
         loaded = load([path], LogOptions(sets=(*known, *sets), quiet=True))
@@ -93,13 +93,13 @@ def measured(name: str, number: int, sets: tuple[str, ...]) -> tuple[Drive, Robo
 
 
 def noisier(rng: np.random.Generator, scans: dict[str, Any], *rest: Any) -> Any:
-    """Extract the lines of scans whose ranges have more noise."""
+    """Extract lines from scans with noise added to their ranges."""
     more = EXTRA_RANGE * rng.normal(size=scans["ranges"].shape)
     return lines_in_base({**scans, "ranges": scans["ranges"] + more}, *rest)
 
 
 def without_some(m: Measurements, rng: np.random.Generator) -> Measurements:
-    """Return the scans with DROPPED of them empty: their lines are gone, their instants stay."""
+    """Return the scans with a share DROPPED of them emptied: without lines, at the same times."""
     counts = np.diff(m.first)
     gone = rng.random(len(counts)) < DROPPED
     rows = np.flatnonzero(~np.repeat(gone, counts))
@@ -109,7 +109,7 @@ def without_some(m: Measurements, rng: np.random.Generator) -> Measurements:
 
 
 def judged(name: str, run: Estimates, drive: Drive) -> Row:
-    """Return errors and consistency of one run, and for how long the robot was lost [s]."""
+    """Return errors and consistency of one run, and the time lost [s]."""
     found: Row = {"lost_s": sum(end - begin for begin, end in run.lost)}
     path = folder() / FILES[name] if name in FILES else None
     if path is not None and path.with_suffix(".relations").exists():
@@ -140,7 +140,7 @@ def at_laser(run: Estimates, drive: Drive) -> Array:
 
 @cache
 def smoothed_path(name: str) -> Array:
-    """Return the smoothed path (n, 2) [m] of a recorded log as it is."""
+    """Return the smoothed path (n, 2) [m] of the unchanged recorded log."""
     path: Array = fuse_and_smooth(*measured(name, 0, ()), ["lrf"])[1].pose[:, :2]
     return path
 

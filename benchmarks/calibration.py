@@ -1,4 +1,4 @@
-"""Does `calibrate` find the simulator's noise? The paper's experiment for delta, many times.
+"""Accuracy of `calibrate`: the paper's experiment for delta, repeated with the simulator.
 
     python -m benchmarks.calibration --seeds 20
 
@@ -33,7 +33,7 @@ def work(seed: int, sets: tuple[str, ...]) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield a line for each seed, and how often the noise that the simulator draws from lies in the interval."""
+    """Yield a row per seed, and how often the true noise lies in the 95 % interval."""
     lines, true = [], rows[0]["true"]
     inside = [row["k"][1] <= true <= row["k"][2] for row in rows]
     for row, holds in zip(rows, inside, strict=True):

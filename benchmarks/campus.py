@@ -64,7 +64,7 @@ def rooms(rng: random.Random) -> Iterator[Table]:
 
 
 def along(crossings: Sequence[float], free: float, rng: random.Random) -> Iterator[tuple[float, float]]:
-    """Yield (from, to) of the rooms along a corridor, but for `free` m beside the corridors that cross it."""
+    """Yield (from, to) of the rooms along a corridor, leaving `free` m beside crossing corridors."""
     for a, b in pairwise(crossings):
         begin, end = a + WIDTH + free, b - free
         while end - begin >= ROOMS[0]:
@@ -89,7 +89,7 @@ def room(area: list[float], side: str, wall: tuple[float, float], rng: random.Ra
 
 
 def piece(area: list[float], rng: random.Random) -> Table:
-    """Return a piece of furniture somewhere in a room."""
+    """Return a piece of furniture at a random place in a room."""
     kind = rng.choice(("box", "table", "chair"))
     place = [rng.uniform(area[0] + 0.8, area[2] - 0.8), rng.uniform(area[1] + 0.8, area[3] - 0.8)]
     size = {} if kind == "chair" else {"size": [rng.uniform(0.5, 1.8), rng.uniform(0.4, 1.0)]}

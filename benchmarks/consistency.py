@@ -1,4 +1,4 @@
-"""Does the covariance stay right where nothing observes the heading or the place? Simulated drives.
+"""Consistency of the covariance where nothing observes heading or position, in simulated drives.
 
     python -m benchmarks.consistency --drives 30
     python -m benchmarks.consistency --drives 10 --case "laser alone" --case "laser at 40 Hz"
@@ -60,7 +60,7 @@ Goals = dict[str, tuple[float | str, float]]
 
 
 class Case(msgspec.Struct, frozen=True):
-    """One row of the table: a scenario, what the filter is given beyond its robot.toml, and its sensors."""
+    """One row of the table: scenario, settings of the filter, and sensors."""
 
     name: str
     sensors: tuple[str, ...]
@@ -79,12 +79,12 @@ def dropout(sensor: str, start: float, end: float) -> str:
 
 
 def vague(degrees: float, metres: float) -> tuple[str, ...]:
-    """Return a moving drive whose start is stated with these sigmas, and is off by a draw from them."""
+    """Return the settings of a moving drive with an uncertain start (sigmas), which is off by a draw from them."""
     return (*MOVING, f"start.sigma_theta_deg={degrees}", f"start.sigma_xy={metres}")
 
 
 def up_to(anees: float, least: float = 0.0, **goals: float | tuple[float | str, float]) -> Goals:
-    """Return goals: of the ANEES, of the share inside 3 sigma (99 %), and more; a number is the least."""
+    """Return goals: ANEES at most `anees`, 99 % of errors within 3 sigma, and others (one number: a minimum)."""
     both = {name: goal if isinstance(goal, tuple) else (goal, math.inf) for name, goal in goals.items()}
     return {"anees": (least, anees), "inside": (0.99, 1.0), **both}
 
@@ -138,7 +138,7 @@ NAMED = {case.name: case for case in CASES}
 
 
 class Figures(NamedTuple):
-    """One drive, judged against the truth, or the mean over drives."""
+    """Figures of one drive against truth, or their means over drives."""
 
     anees: float  # of x, y and heading together, per degree of freedom: 1 is right
     position: float  # mm, rmse as estimated
@@ -148,7 +148,7 @@ class Figures(NamedTuple):
 
 
 def drive_of(case: Case, seed: int) -> tuple[Drive, Robot]:
-    """Simulate one drive and measure it; where the laser's clock is off, it is set to what the truth shows."""
+    """Simulate and measure one drive; a shifted laser clock is set as estimated by truth."""
     drive, robot = simulated(case.scenario, case.sets, seed).measured(case.given)
     if LATE_CLOCK not in case.sets:
         return drive, robot
@@ -159,7 +159,7 @@ def drive_of(case: Case, seed: int) -> tuple[Drive, Robot]:
 
 
 def judged(case: Case, seed: int) -> Figures:
-    """Fuse one drive and judge it, except where it says that it is lost, and where nothing can be known."""
+    """Fuse one drive and judge it, except while the filter is lost and in the unknowable span."""
     drive, robot = drive_of(case, seed)
     run = fuse_and_smooth(drive, robot, case.sensors)[1] if case.smooth else fuse(drive, robot, case.sensors)
     spans = (*run.lost, case.unknowable)
@@ -173,7 +173,7 @@ def judged(case: Case, seed: int) -> Figures:
 
 
 def without(estimates: Estimates, drive: Drive, spans: Sequence[Span]) -> Estimates:
-    """Return the estimates without what they say of the truth's stamps inside any of the spans [s]."""
+    """Return the estimates without their poses at the truth's stamps inside any of the spans [s]."""
     if drive.truth is None or estimates.truth_pose is None:
         return estimates
     t = drive.truth.t
@@ -182,7 +182,7 @@ def without(estimates: Estimates, drive: Drive, spans: Sequence[Span]) -> Estima
 
 
 def inside(judged: Evaluation) -> float:
-    """Return the share of the errors of x, y and heading within 3 sigma; where sigma is 0, nothing is judged."""
+    """Return the share of errors of x, y and heading within 3 sigma, where sigma is not 0."""
     assert judged.heading is not None
     errors = np.column_stack((judged.deviation, judged.heading))
     return float((np.abs(errors) <= 3 * judged.sigma)[judged.sigma > 0].mean())
@@ -196,7 +196,7 @@ def walls_kept(estimates: Estimates, drive: Drive) -> float:
 
 
 def work(name: str, seed: int) -> Row:
-    """Return the figures of one drive, and what no filter could do better where a goal asks for it."""
+    """Return the figures of one drive, and the lower bound of the error if a goal needs it."""
     case = NAMED[name]
     found: Row = {"figures": list(judged(case, seed)), BOUND: None}
     if case.goals.get("aligned", ("", 0.0))[0] == BOUND:
@@ -206,7 +206,7 @@ def work(name: str, seed: int) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield the figures and goals of every case, and below them what no filter could do better."""
+    """Yield figures and goals of each case, then the lower bounds."""
     drives = {name: np.array([row["figures"] for row in mine]) for name, mine in experiment.by_case(rows).items()}
     found = {name: Figures(*m.mean(axis=0).tolist())._replace(walls=m[:, 4].min()) for name, m in drives.items()}
     of_bound = {n: [row[BOUND] for row in mine if row[BOUND]] for n, mine in experiment.by_case(rows).items()}
@@ -246,7 +246,7 @@ MAX_SLOPE = 50.0  # m/m: beyond, a beam grazes a wall or passes its end by less 
 
 
 class Roll(NamedTuple):
-    """The drive as it was: the true poses, and how far either wheel had rolled."""
+    """The true drive: poses, and the distance rolled by each wheel."""
 
     t: Array  # (n,) s
     pose: Array  # (n, 3)
@@ -255,19 +255,19 @@ class Roll(NamedTuple):
 
     @classmethod
     def of(cls, outcome: Outcome) -> Roll:
-        """Return how a simulated robot rolled."""
+        """Return the true drive of a simulation."""
         steps = np.abs(np.diff(outcome.counts, axis=0, prepend=outcome.counts[:1]))
         rolled = np.cumsum(steps, axis=0) * outcome.rad_per_count * outcome.radius
         return cls(outcome.truth_t, outcome.truth, outcome.ticks_t, rolled)
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """Return the poses (m, 3) and the ways (m, 2) [m] at times t (m,)."""
+        """Return poses (m, 3) and rolled distances (m, 2) [m] at times t (m,)."""
         pose = np.stack([np.interp(t, self.t, column) for column in self.pose.T], axis=-1)
         return pose, np.stack([np.interp(t, self.rolled_t, column) for column in self.rolled.T], axis=-1)
 
 
 def bound(scenario: Scenario, seed: int, outcome: Outcome) -> tuple[float, float]:
-    """Return the least rms error of position [m]: at the truth's stamps, and at the end of every scan."""
+    """Return the lower bound of the rms position error [m]: at the truth's stamps, and at the end of scans."""
     roll, plan = Roll.of(outcome), Simulation(scenario, seed).scene.plan(scenario.lrf.z)
     lrf, wheels, end = scenario.lrf, scenario.wheels, float(roll.t[-1])
     scans = np.arange(lrf.phase, end - lrf.duration, 1.0 / lrf.rate)
@@ -290,7 +290,7 @@ def bound(scenario: Scenario, seed: int, outcome: Outcome) -> tuple[float, float
 
 
 def information(lrf: Lrf, roll: Roll, plan: Plan, begin: float) -> Array:
-    """Return what the beams of the scan that began then tell of the pose, (PIECES, 3, 3), piece by piece."""
+    """Return the information matrices of the pose (PIECES, 3, 3) from parts of the scan that starts at `begin`."""
     half = math.radians(lrf.field_of_view_deg) / 2.0
     angles, times = np.linspace(-half, half, lrf.beams), begin + np.linspace(0.0, lrf.duration, lrf.beams)
     pose, mount = roll.at(times)[0], np.array([lrf.x, lrf.y, math.radians(lrf.yaw_deg)])

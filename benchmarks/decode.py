@@ -45,7 +45,7 @@ def rosbags(path: Path) -> str:
 
 
 def ours(path: Path) -> str:
-    """Read the columns that the product reads of every topic that it can use."""
+    """Read the columns that locfuse reads, from every topic that it can use."""
     from locfuse.formats.logs.log import open_log
     from locfuse.fusion.sensors.registry import REGISTRY
     from locfuse.fusion.truth import TRUTH_READS

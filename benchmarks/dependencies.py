@@ -1,4 +1,4 @@
-"""What each dependency costs: its size on disk, its import, and what a run can do without it.
+"""Costs of each dependency: size on disk, import time, and features that need it.
 
     python -m benchmarks.dependencies           print the table of docs/install.md
 
@@ -42,7 +42,7 @@ RUNS = 5
 
 
 def needed(package: str) -> set[str]:
-    """Return the packages that a package names itself, extras left out; none of one that is not installed."""
+    """Return the packages that a package requires, without extras; none if it is not installed."""
     with contextlib.suppress(metadata.PackageNotFoundError):
         wanted = [Requirement(line) for line in metadata.requires(package) or []]
         return {plain(one.name) for one in wanted if one.marker is None or one.marker.evaluate({"extra": ""})}
@@ -50,7 +50,7 @@ def needed(package: str) -> set[str]:
 
 
 def with_their_own(packages: set[str]) -> set[str]:
-    """Return packages and everything that they need in turn."""
+    """Return packages with all packages that they require, directly or not."""
     found = set[str]()
     while packages:
         found |= packages
@@ -68,7 +68,7 @@ def megabytes(packages: set[str]) -> float:
 
 
 def seconds(code: str) -> float:
-    """Return the CPU time that a fresh interpreter takes for some code: the least of a few."""
+    """Return the CPU time [s] of a new interpreter for some code: the smallest of a few runs."""
     return min(cost((sys.executable, "-c", code)).cpu for _ in range(RUNS))
 
 

@@ -1,4 +1,4 @@
-"""How often `info` finds what is wrong, how exact its fixes are, and how often it complains without cause.
+"""Accuracy of `info`: how often it finds a wrong setting, the error of its fixes, and false alarms.
 
     python -m benchmarks.doctor --drives 20
 
@@ -41,13 +41,13 @@ WRONG: tuple[tuple[str, str, str, float, str], ...] = (
 
 
 def findings(log: Path, *sets: str) -> list[Finding]:
-    """Return what would spoil an estimate under these settings."""
+    """Return the severe findings under these settings."""
     overview = inspect_log([log], LogOptions(sets=sets, quiet=True))
     return [o for o in overview.findings if o.severe]
 
 
 def work(seed: int) -> Row:
-    """Return the complaints of a right tour; of each wrong setting how far a fix is off, and how many others."""
+    """Return false alarms of a right tour; for each wrong setting the error of its fix, and the other findings."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "tour.mcap"
         outcome = write_log(load("tour", ("camera.enabled=false", "control.estimator=truth")), seed, on_truth, log)
@@ -67,7 +67,7 @@ def work(seed: int) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield how often a right log is complained of, and a line for each wrong setting."""
+    """Yield the number of false alarms, and a row for each wrong setting."""
     yield f"nothing is wrong: {sum(row['complaints'] > 0 for row in rows)} of {len(rows)} drives complain\n"
     lines: list[tuple[Any, ...]] = []
     for i, (key, value, _, within, _) in enumerate(WRONG):

@@ -1,4 +1,4 @@
-"""Many drives into one table: cases x seeds -> rows -> table, resumable, several at a time.
+"""Experiments with many drives and one table: cases x seeds -> rows -> table, resumable, in parallel.
 
 A question of benchmarks/ is a function that makes the row of one task, and one that makes a table of all rows:
 
@@ -51,7 +51,7 @@ FAILED = "failed"
 
 
 class Simulated(NamedTuple):
-    """A simulated drive in memory, not measured yet."""
+    """A simulated drive in memory, before measuring."""
 
     streams: dict[str, ArrayStream]  # by role
     tables: dict[str, dict[str, Any]]  # of the robot.toml that its user would write
@@ -78,14 +78,14 @@ def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> Simulated:
 
 @cache
 def scratch() -> Path:
-    """Return a folder that this process removes, in memory where it can be: the fuzzer writes many files."""
+    """Return a temporary folder that this process removes at its end, in memory if possible."""
     folder = tempfile.mkdtemp(prefix="locfuse-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
     atexit.register(shutil.rmtree, folder)
     return Path(folder)
 
 
 class Done(NamedTuple):
-    """What a command left."""
+    """Exit code and output of a command."""
 
     exit_code: int
     stdout: str
@@ -93,7 +93,7 @@ class Done(NamedTuple):
 
 
 def locfuse(*words: Any) -> Done:
-    """Run the command line in this process, as the program does; an error that it does not catch is raised."""
+    """Run the command line in this process; an exception that it does not catch is raised."""
     out, err, code = io.StringIO(), io.StringIO(), 0
     handler = signal.getsignal(signal.SIGTERM)
     try:
@@ -107,7 +107,7 @@ def locfuse(*words: Any) -> Done:
 
 
 def in_processes(work: Callable[[Any], Any], units: Iterable[Any], jobs: int) -> Iterator[tuple[Any, Any]]:
-    """Yield each unit with what `work` made of it, in the order in which they end.
+    """Yield (unit, result of `work`) for each unit, in the order in which they finish.
 
     Each runs in a forked process of its own. One that dies takes no other along: its answer is a RuntimeError.
     """
@@ -145,7 +145,7 @@ def rows(
     jobs: int = 1,
     about: Mapping[str, Any] | None = None,
 ) -> list[Row]:
-    """Return the rows of all tasks, in their order: {"task": [...], ...} and what `work` returned.
+    """Return a row for each task, in order: {"task": [...], ...} with the result of `work`.
 
     Args:
         work: makes one row.
@@ -169,7 +169,7 @@ def rows(
 
 
 def _kept(out: Path | None) -> list[Row]:
-    """Return the rows of a file, and cut off a last line that was not written to its end."""
+    """Return the rows in a file, and remove an incomplete last line from it."""
     if out is None or not out.exists():
         return []
     lines = out.read_text(encoding="utf-8").splitlines(keepends=True)
@@ -179,7 +179,7 @@ def _kept(out: Path | None) -> list[Row]:
 
 
 def _in_turn(work: Work, tasks: Iterable[Task], jobs: int) -> Iterator[Row]:
-    """Yield the rows of tasks that run in processes of their own, as they come."""
+    """Yield the rows of tasks, each run in its own process, as they finish."""
     for task, found in in_processes(partial(_row, work), tasks, jobs):
         died = isinstance(found, RuntimeError)
         yield {"task": list(task), FAILED: f"the process died: {found}"} if died else found
@@ -194,12 +194,12 @@ def _row(work: Work, task: Task) -> Row:
 
 
 def well(found: Iterable[Row]) -> list[Row]:
-    """Return the rows that did not fail."""
+    """Return the rows of tasks that did not fail."""
     return [row for row in found if FAILED not in row]
 
 
 def failures(found: Iterable[Row]) -> list[str]:
-    """Return a line for each row that failed."""
+    """Return a line for each task that failed."""
     return [f"failed: {' '.join(map(str, row['task']))}: {row[FAILED]}" for row in found if FAILED in row]
 
 
@@ -212,7 +212,7 @@ def by_case(found: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def table(head: Sequence[str], lines: Iterable[Sequence[Any]], right: str = "") -> list[str]:
-    """Return a Markdown table; the columns whose index stands in `right`, such as "123", are aligned right."""
+    """Return a Markdown table; `right` has the indices of right-aligned columns, such as "123"."""
     rule = ("--:" if str(i) in right else "---" for i in range(len(head)))
     words = [" | ".join(map(str, cells)) for cells in (head, *lines)]
     return [f"| {words[0]} |", f"|{'|'.join(rule)}|", *(f"| {line} |" for line in words[1:])]

@@ -1,4 +1,4 @@
-"""What a fault costs: each kind of fault in simulated drives, against drives without the sensor or the fault.
+"""Effect of faults: each kind in simulated drives, compared with drives without the sensor or the fault.
 
     python -m benchmarks.faults --drives 10
 
@@ -30,7 +30,7 @@ ALL = ("compass", "lrf", "camera")
 
 
 class Case(NamedTuple):
-    """One fault, the sensor it hits, and how much worse `all` may become than its yardstick."""
+    """One fault, the sensor it affects, and the allowed ratio of the error of `all` to its reference."""
 
     fault: str  # inline TOML
     sensor: str  # the yardstick is `all` without it; "" = `all` without the fault
@@ -63,18 +63,18 @@ def rmse(e: Evaluation) -> float:
 
 
 def anees_outside(e: Evaluation) -> float:
-    """Return the mean NEES per degree of freedom outside the fault and the time to recover from it."""
+    """Return the mean NEES per degree of freedom outside the fault and the recovery time after it."""
     nees = e.nees[(e.t < START) | (e.t > END + RECOVERY)]
     return float(nees[np.isfinite(nees)].mean())
 
 
 def driven(fault: str, seed: int) -> Simulated:
-    """Return a drive of the shipped scenario, steered on truth, with a fault; "" has none."""
+    """Return a drive of the shipped scenario, steered on truth, with a fault ("": without)."""
     return experiment.simulated("rounded_rectangle", (f"faults=[{fault}]",) if fault else (), seed)
 
 
 def work(name: str, seed: int) -> Row:
-    """Return the error [m] with the fault and that of the yardstick, and the ANEES outside.
+    """Return the error [m] with the fault and that of the reference, and the ANEES outside the fault.
 
     A clock offset is set as it was reported: `off` [s] by the error of that.
     """
@@ -91,7 +91,7 @@ def work(name: str, seed: int) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield what each fault costs, and how far off the clock offset is reported."""
+    """Yield the effect of each fault, and the error of the estimated clock offset."""
     lines = []
     for name, mine in experiment.by_case(rows).items():
         error, yard, anees = (np.mean([row[key] for row in mine]) for key in ("error", "yard", "anees"))

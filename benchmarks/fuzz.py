@@ -45,7 +45,7 @@ LOSSES = ("lost", "void", "file:", "not used")  # words of a message that counts
 
 @cache
 def trajectory(name: str) -> bytes:
-    """Return what the product makes of a healthy log; b"" where it makes nothing."""
+    """Return locfuse's trajectory of a healthy log; b"" if there is none."""
     folder = scratch() / f"healthy {name}"
     locfuse(*bases()[name][0].write(folder))
     csv = folder / "out" / "trajectory.csv"
@@ -53,7 +53,7 @@ def trajectory(name: str) -> bytes:
 
 
 def problems(case: Case, folder: Path) -> Iterator[str]:
-    """Yield what is wrong with what a command makes of a case."""
+    """Yield problems of a command's result for a case."""
     line = case.write(folder)
     before = {path: path.read_bytes() for path in folder.iterdir()}
     code, out, err = locfuse(*line)
@@ -74,7 +74,7 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
 
 
 def of_files(case: Case, folder: Path, texts: dict[str, str]) -> Iterator[str]:
-    """Yield what is wrong with texts that people read, and which files are left behind."""
+    """Yield problems of texts for people, and of files left behind."""
     texts |= {p.name: p.read_text("utf-8", "surrogateescape") for p in folder.rglob("*") if p.suffix in TEXTS}
     for name, text in texts.items():
         if name not in case.beside and (found := UNSEEN.search(text.replace("\n", ""))):
@@ -87,7 +87,7 @@ def of_files(case: Case, folder: Path, texts: dict[str, str]) -> Iterator[str]:
 
 
 def of_messages(code: int, out: str, err: str, is_list: bool = False) -> Iterator[str]:
-    """Yield what is wrong with an exit code and messages: a refusal is one line, a loss has numbers."""
+    """Yield problems of an exit code and messages: an error must be one line, a loss must have numbers."""
     if "Traceback" in err or "Warning:" in err or "out of memory" in err or code not in {0, 1, 2, 3}:
         yield f"exit {code}: {err[-3000:]}"
     if not is_list and code in {1, 2} and (err.count("\n") != 1 or not err.startswith("locfuse: ")):
@@ -101,7 +101,7 @@ def of_messages(code: int, out: str, err: str, is_list: bool = False) -> Iterato
 
 
 def of_results(out: Path, lost: bool) -> Iterator[str]:
-    """Yield what is wrong with results: finite everywhere, P positive, a loss counted where there must be one."""
+    """Yield problems of results: values must be finite, P positive, and losses counted."""
     if not (out / "run.json").exists():
         yield "an exit code of success without a result"
         return
@@ -127,7 +127,7 @@ def of_results(out: Path, lost: bool) -> Iterator[str]:
 
 
 def judged(make: Callable[[int], Case], seed: int) -> tuple[str, float, str]:
-    """Return the title of a case, the CPU time it took [s], and what is wrong, in a process that this ends."""
+    """Return title, CPU time [s] and problems of a case, run in its own process."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     memory = pages * resource.getpagesize() + MAX_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
@@ -181,7 +181,7 @@ def main(parsers: float | None, jobs: int, keep: Path, **how: Any) -> None:
 
 
 def all_parsers(seconds: float, seed: int, keep: Path) -> int:
-    """Give every parser damaged input, print what was wrong, and return 1 if anything was."""
+    """Give damaged input to all parsers, print problems, and return 1 if there are any."""
     bad = 0
     for name in PARSERS:
         n, found = fuzz_parser(name, seed, seconds)

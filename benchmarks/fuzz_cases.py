@@ -1,4 +1,4 @@
-"""Cases of benchmarks.fuzz: a seed decides what is damaged in a whole log, or made wrong on purpose."""
+"""Cases of benchmarks.fuzz: a seed decides how a log is damaged, or made wrong on purpose."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LARGEST = 2_000_000  # bytes of a real log: a case must stay fast
 
 
 class Spoken(NamedTuple):
-    """One message with what it takes to write it again."""
+    """One message with everything needed to write it again."""
 
     schema: Schema
     channel: Channel
@@ -44,7 +44,7 @@ class Spoken(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """A log, the files beside it, and what is asked of them; `{here}` in a word stands for the folder."""
+    """A log, files beside it, and a command; `{here}` in a word is replaced by the folder."""
 
     title: str = ""
     log: bytes = b""
@@ -132,7 +132,7 @@ def short_drive() -> Short:
 
 @cache
 def bases() -> dict[str, tuple[Case, float]]:
-    """Return everything there is to damage, by name, with its weight; small real logs where there is a folder."""
+    """Return the logs to damage by name, with weights; also small real logs if their folder is set."""
     short, usual = short_drive(), {"compression": CompressionType.NONE, "chunk_size": 4000}
     kinds: tuple[tuple[str, float, bool, dict[str, Any]], ...] = (  # name, weight, has checksums, options
         ("zstd", 10, True, {"compression": CompressionType.ZSTD}),
@@ -200,7 +200,7 @@ KNOWN_OPTIONS = {"recover": 0, "info": 5, "init": 5, "view": 5, "calibrate": 5} 
 
 
 def directed_case(first: tuple[str, ...], seed: int) -> Case:
-    """Return the short drive changed in one to three ways, the first of them one of `first` if that names some."""
+    """Return a short drive with one to three changes; the first is one of `first` if not empty."""
     rng = Random(f"directed {seed}")
     short = short_drive()
     case = Case(command=tuple(rng.choice(COMMANDS).split()), spoken=short.spoken, robot=short.robot)
@@ -222,7 +222,7 @@ def a_topic(rng: Random, case: Case) -> tuple[str, Schema]:
 
 
 def another_definition(rng: Random, case: Case) -> Case:
-    """Let a field of a definition be of another kind than in the messages, or the whole be nonsense."""
+    """Change a field's type in a message definition, or replace the definition by nonsense."""
     topic, schema = a_topic(rng, case)
     lines = schema.data.decode("utf-8", "replace").split("\n")  # an earlier deed may have damaged it
     own = [i for i, line in enumerate(lines) if len(line.split()) == 2 and "=" not in line and "MSG" not in line]
@@ -237,7 +237,7 @@ def another_definition(rng: Random, case: Case) -> Case:
 
 
 def acting_names(rng: Random, case: Case) -> Case:
-    """Let a name of the log act on what shows it: topic, type, language, encoding, the log's own."""
+    """Put control characters or code into a name: topic, type, language, encoding, or log."""
     (topic, schema), odd = a_topic(rng, case), rng.choice(ACTING)
     where = rng.choice(("log", "topic", "message_encoding", "name", "encoding"))
     if where == "log":
@@ -249,7 +249,7 @@ def acting_names(rng: Random, case: Case) -> Case:
 
 
 def odd_values(rng: Random, case: Case) -> Case:
-    """Let numbers in messages be NaN, infinite, huge or absurd, texts act, arrays have other lengths."""
+    """Make numbers in messages NaN, infinite, huge or absurd, put code into texts, change array lengths."""
     (topic, schema), share, seed = a_topic(rng, case), rng.choice((1.0, 0.1)), rng.random()
 
     def change(one: Spoken) -> Spoken:
@@ -284,7 +284,7 @@ def make_odd(rng: Random, message: Any) -> None:
 
 
 def odd_bytes(rng: Random, case: Case) -> Case:
-    """Let whole numbers of a message, its stamp or lengths of its arrays, be absurd."""
+    """Make integers in a message absurd, such as its stamp or array lengths."""
     topic, words, value = a_topic(rng, case)[0], rng.sample(range(18), 2), rng.choice((*INTEGERS, 2**20, 70_000))
 
     def change(one: Spoken) -> Spoken:
@@ -297,7 +297,7 @@ def odd_bytes(rng: Random, case: Case) -> Case:
 
 
 def odd_times(rng: Random, case: Case) -> Case:
-    """Let recording times be absurd, equal, backwards or coarse; or drop, repeat, reverse or shuffle messages."""
+    """Make recording times absurd, equal, reversed or coarse; or drop, repeat, reverse, shuffle messages."""
     first, value, topic = case.spoken[0].message.log_time, rng.choice(INTEGERS), a_topic(rng, case)[0]
     when: Callable[[int], int] = rng.choice(
         (lambda t: value, lambda t: first, lambda t: 2 * first + 10**10 - t, lambda t: t // 10**8 * 10**8)
@@ -379,7 +379,7 @@ def files_beside(rng: Random, case: Case) -> Case:
 
 
 def sprinkled(rng: Random, text: str) -> bytes:
-    """Return a text some of whose numbers are odd; at times it is damaged as well."""
+    """Return a text with some numbers replaced by odd ones, sometimes also damaged."""
     share = rng.choice((0.0, 0.0, 0.01, 0.5))
     odd = re.sub(r"[-+.\d]+", lambda m: rng.choice(VALUES) if rng.random() < share else m[0], text)
     data = odd.encode("utf-8", "replace")

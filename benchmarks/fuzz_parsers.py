@@ -63,7 +63,7 @@ WORDS = (  # of the languages that parsers read
 def damaged(
     rng: Random, data: bytes, words: tuple[bytes, ...] = BINARY, near: list[int] | None = None
 ) -> tuple[bytes, str]:
-    """Return bytes with one change, and its name; half of the changes begin just behind a place of `near`."""
+    """Return (changed bytes, name of the change); half of the changes are just after a place in `near`."""
     data = data or b"\0"
     at = rng.randrange(len(data))
     end = min(len(data), at + 1 + int(len(data) ** rng.random()))
@@ -102,7 +102,7 @@ def written(name: str, data: bytes) -> Path:
 
 
 def definition(language: str, data: bytes) -> None:
-    """A message definition, and all that is asked of its tree."""
+    """Parse a message definition, and use its tree."""
     tree = parse("a/msg/A", language, data.decode("utf-8", "replace"), filler=language != "ros1msg")
     paths(tree), signature(tree)
 
@@ -114,7 +114,7 @@ def decoder(encoding: str, language: str, definition: bytes) -> Any:
 
 
 def decoded(encoding: str, language: str, definition: bytes, *messages: bytes) -> None:
-    """Decode messages by every field; the number of rows must be that of the good messages."""
+    """Decode messages field by field; the number of rows must equal that of good messages."""
     by, length = decoder(encoding, language, definition), np.array([len(m) for m in messages], np.int64)
     data = np.frombuffer(b"".join(messages), np.uint8)
     found = by.decode(data, np.cumsum(length) - length, length, tuple(paths(by.message)[:40]))
@@ -122,7 +122,7 @@ def decoded(encoding: str, language: str, definition: bytes, *messages: bytes) -
 
 
 def mcap_record(data: bytes) -> None:
-    """The content of every kind of record."""
+    """Parse the content of each kind of MCAP record."""
     read = mcap_records
     indexes = (read.chunk_index, read.message_index)
     for kind in (read.schema, read.channel, read.attachment, read.statistics, *indexes):
@@ -132,7 +132,7 @@ def mcap_record(data: bytes) -> None:
 
 
 def log_of(ending: str, data: bytes) -> None:
-    """A whole file: opened, and every topic decoded."""
+    """Open a whole file and decode every topic."""
     log = open_log([written(f"log{ending}", data)])
     for topic in [topic for topic, info in log.topics.items() if info.problem is None]:
         with contextlib.suppress(LocfuseError):
@@ -147,7 +147,7 @@ def metadata(data: bytes) -> None:
 
 
 def journal(data: bytes) -> None:
-    """A journal beside a database."""
+    """Read a database with this journal beside it."""
     database = scratch() / "a.db3"
     if not database.exists():
         with contextlib.closing(sqlite3.connect(database)) as made:
@@ -165,7 +165,7 @@ FIELDS = {
 
 
 def beside(ending: str, data: bytes) -> None:
-    """A trajectory or detections in a text file: whole times, and columns of one length."""
+    """Read a trajectory or detections from a text file; columns must have one length."""
     found = file_stream.read_file(str(written(f"beside{ending}", data)))
     columns = found.columns(*FIELDS[found.msgtype])
     assert found.t_ns.dtype == np.int64
@@ -208,7 +208,7 @@ def mutated(name: str, rng: Random) -> bytes:
 
 
 def wrong(parser: Callable[[bytes], object], data: bytes) -> str:
-    """Return what is wrong with what a parser makes of an input, "" for nothing."""
+    """Return the problem of a parser's result for an input, "" if there is none."""
     begin = time.process_time()
     try:
         parser(data)
@@ -222,7 +222,7 @@ def wrong(parser: Callable[[bytes], object], data: bytes) -> str:
 
 
 def fuzz_parser(name: str, seed: int, seconds: float) -> tuple[int, dict[str, bytes]]:
-    """Return how many inputs a parser was given, and what was wrong, each kind with its first input."""
+    """Return the number of inputs given to a parser, and each kind of problem with its first input."""
     rng, end, n, found = Random(f"{name} {seed}"), time.process_time() + seconds, 0, dict[str, bytes]()
     while time.process_time() < end:
         data, n = mutated(name, rng), n + 1

@@ -1,4 +1,4 @@
-"""Does a change leave every result as it was? Recorded on one state of the code, checked on another.
+"""Regression check of all results: recorded with one version of the code, compared with another.
 
     git worktree add ../before COMMIT
     (cd ../before; pip install -e .; python -m benchmarks.golden --write /tmp/golden)
@@ -52,24 +52,24 @@ Values = dict[str, Any]
 
 
 class Found(NamedTuple):
-    """What came of a case."""
+    """The result of a case: columns of its runs, and values of its report."""
 
     columns: Columns  # "run/what" -> array
     values: Values  # numbers and words, by their path in reports
 
     @property
     def runs(self) -> set[str]:
-        """The names of its runs."""
+        """The names of the case's runs."""
         return {name.partition("/")[0] for name in self.columns}
 
 
 def evenly(n: int) -> NDArray[np.intp]:
-    """Return at most MOST positions of n, the last one among them."""
+    """Return at most MOST indices of n, evenly spaced, including the last."""
     return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.intp)) if n else np.zeros(0, np.intp)
 
 
 def columns_of(e: Estimates) -> Columns:
-    """Return what a run estimated."""
+    """Return a run's estimates as columns."""
     at = evenly(len(e.t))
     found: Columns = {"instants": np.array([len(e.t)]), "t": e.t[at], "pose": e.pose[at]}
     found["covariance"] = e.P[at][:, *np.triu_indices(3)]
@@ -89,7 +89,7 @@ def columns_of(e: Estimates) -> Columns:
 
 
 def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the numbers and words of a report by their path."""
+    """Yield (path, value) of each number and text in a report."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             if key not in NOT_COMPARED:
@@ -103,7 +103,7 @@ def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def found_by(case: Case, logs: Path, spare: Path) -> Found:
-    """Run a case; `spare` is a folder for what is written on the way."""
+    """Run a case and return its result; `spare` is a folder for temporary files."""
     places = {LOGS: str(logs), HERE: os.environ.get(DATA, ""), "{spare}": str(spare)}
 
     def here(word: str) -> str:
@@ -136,7 +136,7 @@ def found_by(case: Case, logs: Path, spare: Path) -> Found:
 
 
 def heard(session: locfuse.Session) -> Found:
-    """Return what runs predict of the sensors that only listen to them."""
+    """Return the results of runs with predictions for the sensors that they do not use."""
     drive, found = session.drive, Found({}, {})
     for sensors in ([], *([s] for s in drive.measurements), list(drive.measurements)):
         name = "+".join(sensors) or "odometry"
@@ -146,7 +146,7 @@ def heard(session: locfuse.Session) -> Found:
 
 
 def printed(words: list[str]) -> Any:
-    """Return what a command prints, as values where it is JSON, and its exit code."""
+    """Return a command's exit code and output, parsed if it is JSON."""
     code, out, _ = run_command(*words)
     try:
         return {"exit": code, "printed": json.loads(out)}
@@ -155,12 +155,12 @@ def printed(words: list[str]) -> Any:
 
 
 def file_of(case: Case) -> str:
-    """Return the name of the file for what comes of a case."""
+    """Return the file name of a case's result."""
     return f"{re.sub(r'[^a-z0-9=.-]+', '_', case.name.lower())}.npz"
 
 
 def run(logs: Path, into: Path, case: Case) -> None:
-    """Run a case in this process and keep what came of it."""
+    """Run a case in this process and write its result."""
     began = time.process_time()
     try:
         with tempfile.TemporaryDirectory() as spare:
@@ -174,7 +174,7 @@ def run(logs: Path, into: Path, case: Case) -> None:
 
 
 def read(file: Path) -> Found:
-    """Return what is kept of a case; of a process that broke off, only that."""
+    """Return a case's recorded result; an error if its process ended early."""
     if not file.exists():
         return Found({}, {"error": "the process ended without a result"})
     with np.load(file) as kept:
@@ -214,7 +214,7 @@ def _equal(a: Any, b: Any, slack: float) -> bool:
 
 
 def _differs(name: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: float) -> str | None:
-    """Return by how much two columns differ, None where they are equal."""
+    """Return the difference of two columns in words, None if they are equal."""
     if a is None or b is None:
         return "new" if a is None else "missing"
     if a.shape != b.shape:

@@ -1,4 +1,4 @@
-"""What `benchmarks.golden` runs: simulated logs, sample logs, real ones, and what is asked of each."""
+"""Cases of benchmarks.golden: simulated logs, sample logs, real logs, each with its options."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Case(NamedTuple):
     slack: float = 1.0  # by which larger differences count as equal
 
     def simulated(self) -> list[str]:
-        """Return the simulated logs that it reads."""
+        """Return the names of the simulated logs that the case reads."""
         return [s for s in SIMULATED if s == self.log or f"{LOGS}/{s}.mcap" in self.words]
 
 
@@ -72,7 +72,7 @@ PLACES = {6: (0.5, 0.7), 7: (4.5, 1.0), 11: (4.0, 4.2), 20: (0.8, 3.9)}  # m, la
 
 
 class Others:
-    """What sensors that the simulator lacks say of the true pose: a gyro, a pose, a twist, detections."""
+    """Messages of sensors that the simulator lacks, from the true pose: gyro, pose, twist, detections."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -81,7 +81,7 @@ class Others:
         self.n = 0
 
     def of(self, m: RawMessage) -> Iterator[RawMessage]:
-        """Yield the messages that come with a message of the truth."""
+        """Yield the messages that belong to one message of the truth."""
         x, y = (m.fields[f"pose.position.{axis}"] for axis in "xy")
         theta = 2.0 * np.arctan2(m.fields["pose.orientation.z"], m.fields["pose.orientation.w"])
         t, last = m.stamp_ns * 1e-9, self.last
@@ -127,7 +127,7 @@ NO_HEADING = np.array([-1.0] + [0.0] * 8)
 
 
 def simulate(logs: Path, name: str) -> None:
-    """Write a simulated log, and beside it what its robot has as files; one that is there stays as it is."""
+    """Write a simulated log and the files of its robot, unless they exist."""
     if (path := logs / f"{name}.mcap").exists():
         return
     scenario, seed, sets = SIMULATED[name]
@@ -244,7 +244,7 @@ QUICK = {  # names of cases: some of every kind
 
 
 def cases() -> list[Case]:
-    """Return all cases; those of real logs only where their folder is."""
+    """Return all cases; those of real logs only if their folder is set."""
     return [*_samples(), *_simulated(), *_commands(), *(_real() if are_there() else ())]
 
 

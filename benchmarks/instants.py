@@ -1,4 +1,4 @@
-"""What an instant of the filter costs: python -m benchmarks.instants. A markdown table, with the goals beside it.
+"""CPU time of one update of the filter: python -m benchmarks.instants. A Markdown table with goals.
 
 Microseconds are medians of `Filter.advance` over all instants of a kind, with the kernels as they are installed.
 """
@@ -20,7 +20,7 @@ from locfuse.fusion.fuse import Filter, due_readings, steps_of
 
 
 class Kind(NamedTuple):
-    """Instants of one drive, under one set of sensors, at which just these readings are due."""
+    """Updates of one drive with certain sensors, at which exactly these readings are due."""
 
     name: str
     log: str
@@ -48,7 +48,7 @@ def loaded(log: Path) -> locfuse.Session:
 
 
 def microseconds(kind: Kind, folder: Path) -> float:
-    """Fuse the drive and return the median over all instants of this kind."""
+    """Fuse the drive and return the median time [us] of an update of this kind."""
     session = loaded(folder / f"{kind.log}.mcap")
     run, drive, steps, found = Filter(session.robot, kind.sensors), session.drive, steps_of(session.drive), []
     for k, due in enumerate(due_readings(drive, kind.sensors)):

@@ -1,4 +1,4 @@
-"""Is a kidnapped robot noticed, and never confident and wrong? Simulated drives, random places.
+"""Detection of kidnapping: simulated drives in which the robot is moved to a random place.
 
     python -m benchmarks.kidnapping --drives 20
     python -m benchmarks.kidnapping --drives 20 --seconds 0.1
@@ -30,7 +30,7 @@ SENSORS = (("lrf",), ("compass", "lrf"))
 
 
 def work(room: str, seed: int, seconds: float) -> Row:
-    """Return what the runs of one drive say of being kidnapped; nothing where that would end in a wall."""
+    """Return the results of one drive with kidnapping; nothing if the new place is in a wall."""
     rng = np.random.default_rng(seed)
     x, y, turn = rng.uniform(-2.5, -0.3), rng.uniform(0.2, 2.0), rng.uniform(-150.0, 150.0)
     fault = f'{{kind="kidnap", start={AT}, end={AT + seconds}, x={x:.3f}, y={y:.3f}, theta_deg={turn:.2f}}}'
@@ -43,7 +43,7 @@ def work(room: str, seed: int, seconds: float) -> Row:
 
 
 def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> dict[str, Any]:
-    """Return when the run marked it [s after AT, NaN never], and the largest errors [m] before it and unmarked."""
+    """Return when the run is first lost [s after AT], and its largest errors [m] before AT and when not lost."""
     estimates = fuse(drive, robot, sensors)
     e = evaluate(estimates, drive)
     error = np.hypot(*e.deviation.T)

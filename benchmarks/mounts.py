@@ -1,4 +1,4 @@
-"""Is the covariance consistent when the laser's place is not known exactly? The mount is drawn anew per drive.
+"""Consistency of the covariance if the laser's mount is uncertain; each drive draws another mount.
 
     python -m benchmarks.mounts --drives 20
 

@@ -1,4 +1,4 @@
-"""Change one operator, number or guard at a time: do the tests of its file notice? python -m benchmarks.mutants.
+"""Mutation test: change one operator, number or guard at a time, and see whether the file's tests fail.
 
 Only tests of the thing itself count (TESTS names them by file). Pages whose printed figures change tell that
 something changed and not that it is wrong, so they are not run. Kernels that are changed run interpreted, and
@@ -95,7 +95,7 @@ PATIENCE = 1800  # s for the tests of one mutant: one that hangs is noticed
 
 
 class Mutant(NamedTuple):
-    """One change of one line: another value of a field of a node."""
+    """One change of one line: a new value for a field of a syntax node."""
 
     file: str
     tree: ast.Module
@@ -104,7 +104,7 @@ class Mutant(NamedTuple):
     new: Any
 
     def sources(self) -> tuple[str, str, str]:
-        """Return the changed file, and the node before and after, as Python."""
+        """Return the changed file, and the node before and after, as Python code."""
         old, before = getattr(self.node, self.field), _words(self.node)
         setattr(self.node, self.field, self.new)
         found = ast.unparse(self.tree), before, _words(self.node)
@@ -117,7 +117,7 @@ def _words(node: ast.AST) -> str:
 
 
 def mutants(file: str) -> Iterator[Mutant]:
-    """Yield every change that the rules know of one file."""
+    """Yield all possible changes of one file."""
     tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
     swapped = SWAPPED | (BOUND if file.startswith("formats/") else OPPOSITE)
     for node in _looked_at(tree):
@@ -126,7 +126,7 @@ def mutants(file: str) -> Iterator[Mutant]:
 
 
 def _looked_at(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield a node and what is in it, but for messages, sizes and annotations."""
+    """Yield a node and its descendants, except messages, sizes and annotations."""
     is_size = isinstance(node, ast.Assign) and SIZES.match(text := ast.unparse(node)) and "." not in text
     if not is_size and not isinstance(node, ast.JoinedStr | ast.Raise):
         yield node
@@ -137,7 +137,7 @@ def _looked_at(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _changes(node: ast.AST, swapped: Swaps) -> Iterator[tuple[str, Any]]:
-    """Yield (field, value) of what may stand in place of a node's own."""
+    """Yield (field, new value) for a node."""
     match node:
         case ast.BinOp(op=operator) | ast.AugAssign(op=operator) | ast.BoolOp(operator) | ast.UnaryOp(operator):
             if type(operator) in swapped:
@@ -164,7 +164,7 @@ def _comparisons(node: ast.Compare, swapped: Swaps) -> Iterator[tuple[str, Any]]
 
 
 def laid_out(folder: Path, interpreted: bool) -> Path:
-    """Lay the package out as it is installed, with its own fusion/ and formats/."""
+    """Copy the package as it is installed, with its own fusion/ and formats/."""
     package = folder / "locfuse"
     package.mkdir()
     for path in (ROOT / "cli" / "facade").iterdir():
@@ -181,7 +181,7 @@ def laid_out(folder: Path, interpreted: bool) -> Path:
 
 
 def passes(package: Path, tests: tuple[str, ...]) -> bool:
-    """Return whether tests pass with this package in front of the installed one."""
+    """Return whether tests pass with this package instead of the installed one."""
     first = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
     env = {**os.environ, **first}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--no-header"]

@@ -1,4 +1,4 @@
-"""Do the verdicts on noise name the right sensor and the right fix? Wrong settings by the dozen, without truth.
+"""Accuracy of noise verdicts: many wrong settings, without truth; is the right sensor named with the right fix?
 
     python -m benchmarks.noise_verdicts --seeds 20
 
@@ -31,7 +31,7 @@ SENSORS = ("compass", "lrf", "camera")
 
 
 class Case(NamedTuple):
-    """Settings of one sensor that are wrong, and what should be said of it."""
+    """Wrong settings of one sensor, and the expected verdict."""
 
     sets: tuple[str, ...] = ()
     verdict: str = ""
@@ -39,7 +39,7 @@ class Case(NamedTuple):
 
     @property
     def key(self) -> str:
-        """The key that a fix sets; "" where nothing is wrong."""
+        """The key that a fix sets; "" if nothing is wrong."""
         return self.sets[0].partition("=")[0] if self.sets else ""
 
 
@@ -61,7 +61,7 @@ CASES = {
 
 
 def noisy(drive: Drive, sensor: str, noise: Array) -> Drive:
-    """Add noise to what a sensor measured."""
+    """Add noise to a sensor's measurements."""
     m = drive.measurements[sensor]
     return replace(drive, measurements={**drive.measurements, sensor: replace(m, z=wrap_all(m.z + noise))})
 
@@ -78,7 +78,7 @@ def slow_noise(t: Array, rng: np.random.Generator) -> Array:
 
 
 def is_right(case: Case, found: dict[str, Consistency]) -> bool:
-    """Whether the expected sensor is named, with its fault and a right value of its key, and no other."""
+    """Return whether exactly the expected sensor is named, with its verdict and a right value."""
     accused = {s for s, c in found.items() if c.verdict not in {"consistent", "unclear"}}
     sensor = case.key.partition(".")[0]
     if not sensor:
@@ -88,7 +88,7 @@ def is_right(case: Case, found: dict[str, Consistency]) -> bool:
 
 
 def work(name: str, seed: int) -> Row:
-    """Return whether the verdicts of one case were right, and what was said."""
+    """Return whether the verdicts of one case were right, and the verdicts."""
     case, rng = CASES[name], np.random.default_rng(seed)
     drive, robot = experiment.simulated("rounded_rectangle", SCENARIO, seed).measured(case.sets)
     drive = noisy(drive, "camera", CAMERA_NOISE * rng.normal(size=drive.measurements["camera"].z.shape))
@@ -101,7 +101,7 @@ def work(name: str, seed: int) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield how often the verdicts were right, then what was said where they were not."""
+    """Yield the share of right verdicts, then the wrong ones."""
     lines = [
         (name, f"{sum(row['right'] for row in mine)} of {len(mine)}", mine[0]["words"])
         for name, mine in experiment.by_case(rows).items()

@@ -1,4 +1,4 @@
-"""Notebooks in examples/ are run, cell by cell, and hold what their cells print today.
+"""Notebooks in examples/: run, and updated with today's outputs.
 
     python -m benchmarks.notebook           exit 1 where a notebook differs from what its cells print today
     python -m benchmarks.notebook --write   put today's outputs into the notebooks
@@ -72,7 +72,7 @@ def _run(source: str, namespace: dict[str, Any], count: int) -> Outputs:
 
 
 def _shown(value: Any) -> dict[str, Any]:
-    """Return a value as a notebook shows it: in text, and in HTML where it has some."""
+    """Return a value as a notebook's output: text, and HTML if it has any."""
     html = getattr(value, "_repr_html_", None)
     return {"text/plain": _lines(repr(value)), **({"text/html": _lines(html())} if html else {})}
 
@@ -91,7 +91,7 @@ def without_figures(notebook: dict[str, Any]) -> list[Any]:
 
 
 def today() -> Iterator[tuple[Path, str]]:
-    """Yield every notebook with today's outputs; as it is where only figures differ."""
+    """Yield each notebook with today's outputs; unchanged if only figures differ."""
     for path in sorted(EXAMPLES.glob("*.ipynb")):
         text = path.read_text(encoding="utf-8")
         with tempfile.TemporaryDirectory() as folder:

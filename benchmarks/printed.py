@@ -1,4 +1,4 @@
-"""The paper's filter as printed against the product's, over many drives; and what each misprint costs.
+"""The paper's filter as printed compared with locfuse's over many drives, and the effect of each misprint.
 
     python -m benchmarks.printed --drives 20
 
@@ -34,7 +34,7 @@ SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("camera",), ("
 
 
 def right_W(ds: Array, dtheta: Array, theta: Array, L: float) -> Array:
-    """Equation 8 with the terms that the print dropped (docs/paper.md)."""
+    """Equation 8 with the terms that are missing in print (docs/paper.md)."""
     m = theta + dtheta / 2
     half = 0.5 * np.stack((np.cos(m), np.sin(m), np.zeros_like(m)), axis=-1)
     printed: Array = PRINTED_W(ds, dtheta, theta, L)

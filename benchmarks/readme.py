@@ -1,4 +1,4 @@
-"""The commands and the Python that README.md and the docs show are run, and print what the page says.
+"""Commands and Python code of README.md and docs: run, and updated with today's output.
 
     python -m benchmarks.readme           exit 1 where a page differs from what its commands print today
     python -m benchmarks.readme --write   put today's output into the pages
@@ -64,7 +64,7 @@ def replayed(page: str, folder: Path) -> str:
 
 
 def replayed_python(page: str, folder: Path) -> str:
-    """Return the page with what its Python prints today, run in `folder`."""
+    """Return the page with today's output of its Python code, run in `folder`."""
     namespace: dict[str, object] = {}
 
     def replay(match: re.Match[str]) -> str:
@@ -86,7 +86,7 @@ def today() -> Iterator[tuple[Path, str]]:
 
 
 def kept(pages: Iterable[tuple[Path, str]], write: bool) -> None:
-    """Write pages if asked to; else print how the files differ from them, and exit with 1 where one does."""
+    """Write the pages if `write`; else print differences to the files, and exit with 1 if there are any."""
     differ = False
     for path, now in pages:
         before = path.read_text(encoding="utf-8") if path.exists() else ""

@@ -1,4 +1,4 @@
-"""Recorded logs below the folder that LOCFUSE_DATA names: where each lies, and what is known of its robot."""
+"""Recorded logs in the folder LOCFUSE_DATA: path of each, and settings of its robot."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ KNOWN: dict[str, dict[str, Any]] = {  # name -> settings
 
 
 def are_there() -> bool:
-    """Return whether there is a folder of real logs."""
+    """Return whether a folder of real logs is set."""
     return bool(os.environ.get(DATA))
 
 

@@ -1,4 +1,4 @@
-"""Pages that are made: the reference pages of docs/ from the code, AGENTS.md and llms.txt from the other pages.
+"""Generated pages: reference pages of docs/ from the code; AGENTS.md and llms.txt from other pages.
 
 python -m benchmarks.reference           exit 1 where a page differs from the code of today
 python -m benchmarks.reference --write   write the pages
@@ -42,7 +42,7 @@ Schema = dict[str, Any]
 
 
 def commands_page() -> str:
-    """Return the page of all commands, as --help prints them; options of several commands stand there once."""
+    """Return the page of all commands with the text of --help; shared options are listed once."""
     parts = [
         "# Commands",
         MADE,
@@ -119,14 +119,14 @@ def settings_page() -> str:
 
 
 def _first(schema: Schema) -> Iterator[str]:
-    """Yield the keys that most robots need, by table, in the order in which people need them."""
+    """Yield the keys that most robots need, by table, in the order of need."""
     for table, keys in FIRST_KEYS.items():
         assert set(keys.split()) <= schema["$defs"][table_types()[table].__name__]["properties"].keys(), table
         yield f"- [{table}](#{table}): {', '.join(f'`{key}`' for key in keys.split())}"
 
 
 def _of_sensor(name: str) -> Iterator[str]:
-    """Yield what a sensor measures and needs; nothing of the robot's own tables."""
+    """Yield lines on a sensor's measurement and required settings; none for other tables."""
     if name not in REGISTRY:
         return
     sensor = REGISTRY[name]
@@ -153,7 +153,7 @@ def report_page() -> str:
 
 
 def _table(definition: Schema) -> Iterator[str]:
-    """Yield a table of keys with their meaning, and a line of those whose name says it all."""
+    """Yield a table of keys with their meaning, and a line of keys without explanation."""
     yield from HEAD
     plain = []
     for key, part in definition["properties"].items():
@@ -168,7 +168,7 @@ def _table(definition: Schema) -> Iterator[str]:
 
 
 def _setting(key: str, part: Schema) -> str:
-    """Return the row of a setting with its default, as robot.toml has it; its choices stand with its meaning."""
+    """Return the row of a setting with default and choices."""
     default = f" = {json.dumps(part['default'])}" if part.get("default") is not None else ""
     choices = _type(part) if "enum" in part else ""
     return f"| `{key}{default}` | {'; '.join(filter(None, (choices, _meaning(part))))} |"
@@ -197,7 +197,7 @@ def _type(part: Schema) -> str:
 
 
 def agents_page() -> str:
-    """Return AGENTS.md: what a program that works on this repository, or with its tools, must know."""
+    """Return AGENTS.md: instructions for programs that work on this repository, or with its tools."""
     working, tools = (ROOT / "CONTRIBUTING.md").read_text(), (DOCS / "mcp.md").read_text()
     parts = ["# For agents\n", MADE, f"{_summary()}\n"]
     parts += [_section(working, name) for name in ("Set up", "The house", "Tests, benchmarks, pages", "Habits")]
@@ -219,7 +219,7 @@ def llms_page() -> str:
 
 
 def _summary() -> str:
-    """Return what the product is, as the README says it first."""
+    """Return the summary of the product from the README."""
     return " ".join((ROOT / "README.md").read_text().split("\n\n")[1].split())
 
 

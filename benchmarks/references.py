@@ -1,4 +1,4 @@
-"""Do verdicts by a reference agree with those by truth? Logs that have a truth, judged with it and without it.
+"""Agreement of verdicts by a reference with those by truth: logs with a truth, judged with it and without it.
 
     LOCFUSE_DATA=... python -m benchmarks.references
     python -m benchmarks.references --log rounded_triangle
@@ -54,7 +54,7 @@ def work(name: str) -> Row:
 
 
 def judged(sensor: str, by_truth: dict[str, Any], hidden: dict[str, Any]) -> Row:
-    """Return one sensor, judged both ways; `error` [m] is that of the sensor alone, by truth and by reference."""
+    """Return one sensor's verdicts by truth and by reference; `error` [m]: with this sensor alone, by both."""
     name = next(n for n, v in hidden["configurations"].items() if list(v["sensors"]) == [sensor])
     shared = (hidden["configurations"][name]["reference"] or {"shared": [sensor]})["shared"]
     return {

@@ -1,4 +1,4 @@
-"""Do figures without truth rank paths rightly? Revisit agreement and crispness beside the error by truth.
+"""Accuracy of figures without truth: do revisit agreement and crispness rank paths like their errors?
 
     LOCFUSE_DATA=... python -m benchmarks.revisits
 
@@ -38,7 +38,7 @@ MIN_RATIO = 1.2  # of cells
 
 
 def work(name: str) -> Row:
-    """Return error, agreement and cells of a log's paths, by how they were made."""
+    """Return error, revisit agreement and number of cells of a log's paths, by settings."""
     log = folder() / FILES[name] if name in REAL else name
     found: dict[str, list[float | None]] = {}
     for way, sets in WAYS.items():
@@ -52,7 +52,7 @@ def work(name: str) -> Row:
 
 
 def ranked(paths: dict[str, list[float | None]], figure: int) -> tuple[int, int]:
-    """Return how many pairs a figure (1: agreement, 2: cells) ranks as their errors do, and of how many."""
+    """Return (pairs of paths that a figure ranks like their errors, all pairs); figure 1: agreement, 2: cells."""
     right = asked = 0
     known = [(e, f) for path in paths.values() if (e := path[0]) is not None and (f := path[figure]) is not None]
     for (least, one), (most, other) in itertools.combinations(sorted(known), 2):
@@ -64,7 +64,7 @@ def ranked(paths: dict[str, list[float | None]], figure: int) -> tuple[int, int]
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield every path's figures, then how many pairs each of them ranks rightly."""
+    """Yield each path's figures, then how many pairs each figure ranks correctly."""
     lines = [
         (row["task"][0], way, *("-" if v is None else f"{v:{form}}" for v, form in zip(path, FORMS, strict=True)))
         for row in rows

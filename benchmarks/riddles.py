@@ -1,4 +1,4 @@
-"""Docstrings for a fresh reader to mark: python -m benchmarks.riddles --seed 7.
+"""A sample of docstrings for a new reader to mark: python -m benchmarks.riddles --seed 7.
 
 Prints first paragraphs drawn from the product. A riddle is one that a student who reads English as a second
 language must read twice. The reader's marks stand in benchmarks/riddles.md.

@@ -1,4 +1,4 @@
-"""Does tuning find the noise that was drawn? Simulated drives, configured with noise that is far off.
+"""Accuracy of `tune`: simulated drives, configured with noise that is far off.
 
     python -m benchmarks.tuning --drives 3
     python -m benchmarks.tuning --drives 1 --scenario straight_runs
@@ -27,7 +27,7 @@ WHITE = (
 
 
 def work(seed: int, scenario: str, sets: tuple[str, ...]) -> Row:
-    """Return what tuning makes of one simulated drive, and its CPU time [s]."""
+    """Return the tuned noise over the true noise for one simulated drive, and the CPU time [s]."""
     run = experiment.simulated(scenario, (*WHITE, *sets), seed)
     true, found = run.robot(), {}
     keys = [(sensor, key) for sensor in REGISTRY if sensor in run.tables for key in REGISTRY[sensor].noise_keys]
@@ -47,7 +47,7 @@ def work(seed: int, scenario: str, sets: tuple[str, ...]) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield what was found over what is true."""
+    """Yield the ratios of tuned to true noise."""
     lines: list[tuple[Any, ...]] = []
     for row in rows:
         for factor, found in row["found"].items():

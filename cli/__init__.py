@@ -1,1 +1,1 @@
-"""The command line: one file per command; the only place that prints, and turns errors into exit codes."""
+"""The command line: one file per command. Only this folder prints and returns exit codes."""

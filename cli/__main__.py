@@ -1,4 +1,4 @@
-"""`python -m locfuse.cli`."""
+"""Run the command line by `python -m locfuse.cli`."""
 
 from .main import main
 

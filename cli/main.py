@@ -1,4 +1,4 @@
-"""The entry point: commands are imported on use, and errors become exit codes in this one place.
+"""The entry point: imports a command when it is used, and converts errors to exit codes.
 
 `locfuse --help` must not import NumPy, OpenCV or Rerun (benchmarks: "--help"), so a command's module is imported
 when the command is used.
@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 import click
 
 from locfuse.cli.analysis.errors import expected, silence_overflows
-from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
+from locfuse.cli.terminal.screen import ignore_closed_stdout, say, settle_streams
 
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
@@ -38,7 +38,7 @@ COMMANDS = {
     "mcp": "Serve an agent: tools on the logs below some folders (Model Context Protocol).",
     "schema": "Print the JSON Schema of robot.toml, report.json or --json, for editors and programs.",
 }
-MODULES = {  # of commands that share a file of cli/commands; the others have one of their name
+MODULES = {  # command -> module in cli/commands, where their names differ
     **dict.fromkeys(("calibrate", "tune"), "estimate"),
     **dict.fromkeys(("explain", "completion", "schema"), "words"),
 }
@@ -46,10 +46,10 @@ INTERRUPTED, TERMINATED = 130, 143
 
 
 class LazyGroup(click.Group):
-    """A group whose commands live in modules that are imported on use."""
+    """A click group that imports the module of a command when it is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands in the order a user meets them."""
+        """Return the names of all commands in the order of --help."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -63,7 +63,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that was typed; for an unknown one, raise an error with the most similar name."""
+        """Find the typed command. An unknown name is an error that suggests a similar one."""
         from locfuse.formats.nearest import nearest
 
         if args and not args[0].startswith("-") and args[0] not in COMMANDS:
@@ -73,13 +73,13 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing them."""
+        """Write the list of commands without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
-    """Print the version, and whether the kernels are compiled: others are as exact, but slower."""
+def _print_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
+    """Print the version, and whether the kernels run without compilation."""
     if not asked or ctx.resilient_parsing:
         return
     from locfuse.formats.versions import own
@@ -89,7 +89,7 @@ def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> N
     ctx.exit()
 
 
-VERSION: dict[str, Any] = {"is_flag": True, "expose_value": False, "is_eager": True, "callback": _say_version}
+VERSION: dict[str, Any] = {"is_flag": True, "expose_value": False, "is_eager": True, "callback": _print_version}
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -108,13 +108,13 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     settle_streams()
     signal.signal(signal.SIGTERM, _stop)
     on_interrupt = signal.getsignal(signal.SIGINT)
-    if on_interrupt is signal.default_int_handler:  # not where `nohup` or `&` has it ignored
+    if on_interrupt is signal.default_int_handler:  # not if `nohup` or `&` ignores it
         signal.signal(signal.SIGINT, _stop)  # click would print an empty line first
     if arguments is None and not sys.warnoptions:
         silence_overflows()
     code: Any = 0
     try:
-        with reader_may_leave():
+        with ignore_closed_stdout():
             code = locfuse.main(args=arguments, prog_name="locfuse", standalone_mode=False)
     except BaseException as problem:
         code = _exit_code(problem)
@@ -124,35 +124,35 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 
 def _exit_code(problem: BaseException) -> int:
-    """Print in one line why a command ended, and return its exit code; bugs keep their traceback."""
-    # Python 3.11 makes a RuntimeError of a signal that arrives while a class is made, as in an import
+    """Print the reason why a command ended in one line, and return its exit code; raise bugs again."""
+    # Python 3.11 raises a RuntimeError if a signal arrives while a class is created, as in an import
     for stopped in (problem, problem.__cause__):
         if isinstance(stopped, _Stopped) and stopped.number == signal.SIGTERM:
-            return _say("terminated; nothing was left half-written", TERMINATED)
+            return _print_error("terminated; nothing was left half-written", TERMINATED)
         if isinstance(stopped, KeyboardInterrupt | click.Abort | _Stopped):
-            return _say("interrupted; nothing was left half-written", INTERRUPTED)
+            return _print_error("interrupted; nothing was left half-written", INTERRUPTED)
     if isinstance(problem, click.exceptions.Exit):
         return problem.exit_code
     if isinstance(problem, click.ClickException):
-        if isinstance(problem, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 shows it by itself
+        if isinstance(problem, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 prints the help
             problem.show()
             return 2
         context = getattr(problem, "ctx", None)
         command = "locfuse" if context is None else context.command_path
-        return _say(f"{problem.format_message().rstrip('.')}; see: {command} --help", 2)
+        return _print_error(f"{problem.format_message().rstrip('.')}; see: {command} --help", 2)
     known = expected(problem) if isinstance(problem, Exception) else None
     if known is None:
         raise problem
-    return _say(*known)
+    return _print_error(*known)
 
 
-def _say(text: str, code: int) -> int:
+def _print_error(text: str, code: int) -> int:
     say(f"locfuse: {' '.join(text.split())}", err=True)
     return code
 
 
 class _Stopped(BaseException):
-    """Raised when SIGINT or SIGTERM is received."""
+    """Raised on SIGINT or SIGTERM."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)

@@ -1,1 +1,1 @@
-"""The evaluator: from a measured and fused log to findings whose fixes were tried. No click, no print."""
+"""Advice: from a measured and fused log to findings with tried fixes. No click, no print."""

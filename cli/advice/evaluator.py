@@ -1,8 +1,8 @@
-"""The evaluator: one log -> findings, each with the fix that was tried and its effect.
+"""The evaluator: findings on one log, each with its tried fix and the effect of this fix.
 
-`run`, `compare`, `info --check`, the report and Rerun all show what this finds, and nothing else. The loop is
-`fusion.checks.tried`; here a log is fused for it. Long drives are tried by their beginning; what helps there is
-judged by the whole drive before it is offered.
+`run`, `compare`, `info --check`, the report and Rerun show exactly these findings. The loop is in
+`fusion.checks.tried`. On long drives fixes are tried on the beginning; those that help are then judged on the
+whole drive.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import partial
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.compare import Compared, ListenedReceiver, RunReceiver, compare_log
+from locfuse.cli.analysis.compare import Compared, PredictionReceiver, RunReceiver, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
@@ -37,22 +37,22 @@ from locfuse.fusion.judge.predictive import Score, scores_of
 from locfuse.fusion.robot import Robot
 
 from .evidence import Evidence
-from .judged import REFERENCE
+from .judged import SHARED_ROLES
 from .report import Advised
 from .trial import SMOOTHED, TRIED, WHOLE, Trial, marks_of, predicted
 
-MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
-MAX_AGREEMENT_LOSS = 0.1  # of the revisit agreement: it differs by less between two equally good paths
-MAX_WHOLE = 2  # findings that change little on the beginning, and are tried on the whole drive all the same
+MIN_DURATION_S = 5.0  # a shorter drive cannot judge settings
+MAX_AGREEMENT_LOSS = 0.1  # of the revisit agreement: two equally good paths differ by less
+MAX_WHOLE = 2  # severe findings without effect on the beginning that are also tried on the whole drive
 
 
 def standard(loaded: Loaded) -> list[Configuration]:
-    """Return the configurations by which every command judges a log, whichever it prints."""
+    """Return the configurations that judge a log in every command: odometry, each sensor alone, and all."""
     return for_comparison([], loaded.drive)
 
 
 class Evaluator:
-    """The evaluation of one log. It reuses the finished runs of a comparison."""
+    """The evaluation of one log, which uses finished runs of a comparison where possible."""
 
     def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
         self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
@@ -63,16 +63,16 @@ class Evaluator:
 
     @property
     def run_receivers(self) -> list[RunReceiver]:
-        """The function that receives each finished run of a comparison."""
+        """The function that receives each finished run of a comparison; [] if none is needed."""
         return [self._take] if self.may_judge else []
 
     @property
-    def listened_receivers(self) -> list[ListenedReceiver]:
-        """The functions that receive each run with sensors that only listen; none if the log cannot be judged."""
-        return [self._hear] if self.may_judge else []
+    def prediction_receivers(self) -> list[PredictionReceiver]:
+        """The function that receives each run with predictions for unused sensors; [] if none is needed."""
+        return [self._take_predicted] if self.may_judge else []
 
     def _take(self, e: Estimates, judged: Evaluation) -> None:
-        """Store a comparison's finished run; if trials use only the drive's beginning, store only its score."""
+        """Store a comparison's run; if only the drive's beginning is tried, store only its figures."""
         trial, whole = self.trial, self.trial.whole
         if e.rates or e.configuration not in trial.configurations:
             return
@@ -83,8 +83,8 @@ class Evaluator:
         elif whole.drive.truth is not None:
             trial.know(WHOLE, (), e, marks_of(e, judged, whole.drive))
 
-    def _hear(self, e: Estimates) -> None:
-        """Store the scores of a run with sensors that only listen; odometry's run must come first."""
+    def _take_predicted(self, e: Estimates) -> None:
+        """Store a run's prediction scores for unused sensors; the run with odometry alone comes first."""
         trial, drive = self.trial, self.trial.whole.drive
         if trial.loaded is trial.whole:
             self._odometry = self._odometry or e
@@ -93,8 +93,8 @@ class Evaluator:
         else:
             trial.know(WHOLE, (), e, predicted(drive, e))
 
-    def _first(self) -> Compared:
-        """Return the comparison under the present settings, built from received runs where these are enough."""
+    def _first_comparison(self) -> Compared:
+        """Return the comparison under the present settings, from received runs if all were received."""
         trial = self.trial
         if not set(trial.configurations) <= set(self._seen):
             return _compared((), trial.loaded, trial)
@@ -110,7 +110,7 @@ class Evaluator:
         )
 
     def advised(self) -> Advised:
-        """Return all findings with the fixes that were tried; received runs are used where they are enough."""
+        """Return all findings with their tried fixes."""
         if not self.may_judge:
             return Advised()
         trial = self.trial
@@ -120,25 +120,25 @@ class Evaluator:
             if loaded is None:
                 return None
             trial.keep(fixes)
-            compared = _compared(fixes, loaded, trial) if fixes else self._first()
+            compared = _compared(fixes, loaded, trial) if fixes else self._first_comparison()
             trial.seed(fixes, compared)
             return Evidence(compared, trial, fixes)
 
         found, kept = tried(look, trial, partial(number, trial.whole.robot))
         if trial.loaded is not trial.whole:
             found, kept = on_the_whole_drive(found, trial)
-        if kept and _worse_afterwards(found, (), kept, list(trial.configurations), trial):
+        if kept and _harm_to_path_or_map(found, (), kept, list(trial.configurations), trial):
             found, kept = on_the_whole_drive(found, trial, afterwards=True)
-        return Advised(tuple(changing(found, kept, trial.whole.robot)), trial.fusions)
+        return Advised(tuple(without_repeated(found, kept, trial.whole.robot)), trial.fusions)
 
 
-def _worse_afterwards(
+def _harm_to_path_or_map(
     found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
 ) -> str:
-    """Return in words how fixes harm the smoothed path or the map, although the filter improves; "" if not.
+    """Return how fixes that help the filter harm the smoothed path or the map, in words; "" if they do not.
 
-    With truth the error of its smoothed path; without, how well places seen twice fit: a fix by which the laser
-    predicts other sensors better may still break its map.
+    Judged by the smoothed path's error; without truth by the revisit agreement, since a fix that improves the
+    laser's predictions of other sensors may still damage the map.
     """
     if lost := smoothed_worse(found, before, after, names, trial):
         return f"makes the smoothed path worse ({change(*lost)})"
@@ -151,9 +151,9 @@ def _worse_afterwards(
 def smoothed_worse(
     found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
 ) -> tuple[float, float] | None:
-    """Return the errors before and after [m] of the first smoothed path that gets worse, None if none does.
+    """Return (error before, after) [m] of the first smoothed path that gets worse with fixes; None without one.
 
-    Where a fix of `found` was judged by the path's shape, the shape of the smoothed paths counts.
+    If a fix in `found` was judged after alignment, smoothed paths are judged after alignment too.
     """
     first = trial.smoothed(before, names)
     last = trial.smoothed(after, [*first]) if first else {}
@@ -167,11 +167,11 @@ def smoothed_worse(
 def on_the_whole_drive(
     found: Sequence[Advice], trial: Trial, afterwards: bool = False
 ) -> tuple[list[Advice], Fixes]:
-    """Judge advice again on the whole drive, by every configuration with its sensor; return advice and fixes.
+    """Judge advice again on the whole drive, by all configurations with its sensor; return advice and fixes.
 
-    A fix is none if one of them gets worse, or none of them better; with `afterwards` also where a path loses what
-    its filter does not show. What surely looks wrong and changes little on the beginning is tried too: slow
-    errors show later.
+    A fix is dropped if one of them gets worse, or none gets better; with `afterwards` also if the smoothed path or
+    the map gets worse. Severe findings whose fix had no effect on the beginning are tried again, since slow errors
+    appear later.
     """
     judged: list[Advice] = []
     kept: Fixes = ()
@@ -186,13 +186,13 @@ def on_the_whole_drive(
             judged.append(advice)
             continue
         role = advice.finding.role
-        names = [n for n, c in trial.configurations.items() if role in REFERENCE or role in c.sensors]
-        pairs = judged_pairs(_everywhere(advice, names), kept, fixes, trial.on_whole)
+        names = [n for n, c in trial.configurations.items() if role in SHARED_ROLES or role in c.sensors]
+        pairs = judged_pairs(_judged_by_all(advice, names), kept, fixes, trial.on_whole)
         worse = not pairs
         if worse or not (advice.proven or any(improves(*pair) for pair in pairs.values())):
             judged.append(replace(advice, fixes=(), before=None, after=None, tried=(fixes,), harmless=not worse))
             continue
-        lost = _worse_afterwards([advice], kept, together(kept, fixes), names, trial) if afterwards else ""
+        lost = _harm_to_path_or_map([advice], kept, together(kept, fixes), names, trial) if afterwards else ""
         if lost:
             what = f"{' and '.join(fixes)} helps while driving and {lost}"
             finding = replace(advice.finding, message=f"{advice.finding.brief}. {what}", source="", hint="")
@@ -201,15 +201,15 @@ def on_the_whole_drive(
         before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
         judged.append(replace(advice, fixes=fixes, before=before, after=after))
         kept = together(kept, fixes)
-    first: dict[str, Advice] = {}  # one finding without a fix for each sensor, as in the loop
+    first: dict[str, Advice] = {}  # at most one finding without a fix per sensor
     for advice in judged:
         if not advice.helps:
             first.setdefault(advice.finding.role, advice)
     return [*(a for a in judged if a.helps), *first.values()], kept
 
 
-def _everywhere(advice: Advice, names: Sequence[str]) -> Candidate:
-    """Return the advice as a candidate that all of `names` judge; those new to it count as `minor`."""
+def _judged_by_all(advice: Advice, names: Sequence[str]) -> Candidate:
+    """Return the advice for judgement by all of `names`; configurations new to it are `minor`."""
     one = advice.candidate or Candidate(advice.finding, (advice.fixes,), tuple(names))
     kept = [n for n in one.judges if n not in one.minor]
     minor = tuple(n for n in names if n not in kept)
@@ -217,7 +217,7 @@ def _everywhere(advice: Advice, names: Sequence[str]) -> Candidate:
 
 
 def may_judge(loaded: Loaded) -> bool:
-    """Return whether a log can be evaluated: not with a given map or the paper's filter."""
+    """Return whether a log can be evaluated: default filter, no given map, long enough, a sensor or a truth."""
     if loaded.robot.lines or loaded.robot.preset != "default":
         return False
     if not loaded.drive.measurements and loaded.drive.truth is None:
@@ -226,7 +226,7 @@ def may_judge(loaded: Loaded) -> bool:
 
 
 def looks_wrong(loaded: Loaded, one: Compared) -> bool:
-    """Return whether a single configuration's run gives a reason to evaluate the log."""
+    """Return whether one configuration's run shows anything suspicious, so that the log needs evaluation."""
     if loaded.robot.lines or loaded.robot.preset != "default":
         return False
     trial = Trial(loaded, {c.name: c for c in one.configurations}, "none", silent)
@@ -237,17 +237,17 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
     configurations = list(trial.configurations.values())
     trial.fusions += len(configurations)
 
-    def hear(e: Estimates) -> None:
+    def take(e: Estimates) -> None:
         trial.know(TRIED, fixes, e, predicted(loaded.drive, e))
 
     asked = Asked(align=trial.align, smooth=False, audits=False)
-    return compare_log(loaded, configurations, asked, trial.progress, listened_receivers=[hear])
+    return compare_log(loaded, configurations, asked, trial.progress, prediction_receivers=[take])
 
 
-def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
-    """Return advice; fixes that only repeat configured values are removed.
+def without_repeated(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
+    """Return the advice without fixes that set the configured value again.
 
-    A clock that was moved because another sensor's distances were wrong is moved back once these are right.
+    Example: a time offset changed because of a wrong distance scale is changed back after the scale is fixed.
     """
     same = {key for key, value in by_key(kept).items() if _is_configured(key, value, robot)}
     kept_fixes = [tuple(fix for fix in a.fixes if not keys((fix,)) & same) for a in found]
@@ -255,14 +255,14 @@ def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]
 
 
 def number(robot: Robot, key: str) -> float | None:
-    """Return the number at a key of robot.toml, None without one."""
+    """Return the number configured at a key of robot.toml; None if the value is not a number."""
     table, _, name = key.partition(".")
-    settings = getattr(robot, table, None) if table in REFERENCE else robot.settings(table)
+    settings = getattr(robot, table, None) if table in SHARED_ROLES else robot.settings(table)
     now = getattr(settings, name, None)
     return None if isinstance(now, bool) or not isinstance(now, int | float) else float(now)
 
 
 def _is_configured(key: str, value: str, robot: Robot) -> bool:
-    """Return whether a setting is configured with this value, compared as written digits."""
+    """Return whether the setting has this value already, within rounding."""
     now = number(robot, key)
     return now is not None and math.isclose(float(value), now, abs_tol=5e-5)

@@ -1,7 +1,7 @@
-"""Faults of a log under some settings, and settings that may correct them: candidates to try.
+"""Faults of a log under some settings, and candidate fixes for them.
 
-The order of evidence: as long as a clock, a mount, a scale or a direction may be wrong, nothing is said of offsets
-and noise, since each of these looks like one.
+A wrong clock, mount, scale or direction looks like an offset or noise. So offsets and noise are judged only after
+these are right.
 """
 
 from __future__ import annotations
@@ -45,30 +45,29 @@ from locfuse.fusion.judge.innovations import compare_readings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
-from .judged import FINE, LASER, Noise, Offer, as_fixes
+from .judged import LASER, UNREMARKABLE, Noise, Offer, as_fixes
 
-TRIED_SIGMAS = 2.5  # standard deviations: reason enough to fuse again
-MIN_AGAIN_S = 0.005  # s: from which size on a clock that was set is set again
-MIN_SPREAD_S = 0.003  # s: of a lag that is known better no other value is tried
-CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
+TRIED_SIGMAS = 2.5  # standard deviations of a time lag: a larger lag is tried
+MIN_AGAIN_S = 0.005  # least change of a time offset that a fix has set before
+MIN_SPREAD_S = 0.003  # sigma of a lag above which neighbouring values are tried too
+CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)
+SUSPICIOUS = Least(0.005, 2.5)  # least scale error that is suspicious without other findings
 
 
-SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
-
-# codes of findings whose value the truth itself, the field or straight walls show beyond chance
+# codes of findings with a measured value: by truth, magnetic field, stamps or straight walls
 MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
-MAX_SCAN_PERIOD_S = 0.4  # s: between two scans the laser's path is the wheels'
+MAX_SCAN_PERIOD_S = 0.4  # with a longer one the laser's path follows the wheels between scans
 Key = tuple[str, str]  # role and code of a finding
 KEYLESS = {OPEN_SCALE, CREEP, BUMP, SWAPPED, UNEVEN}  # findings that are named although no setting fixes them
-SIGNS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
+SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 
 
 class Evidence(Noise):
-    """One log compared under some settings, with its candidates for fixes."""
+    """One log compared under some settings, with its findings and candidate fixes."""
 
     def suspicious(self) -> bool:
         """Return whether anything looks wrong; if not, no fix is tried."""
-        noise = any(f.verdict not in FINE for f in self.consistency.values())
+        noise = any(f.verdict not in UNREMARKABLE for f in self.consistency.values())
         claims_too_much = bool(overconfident_by_truth(self.covariance_checks))
         lost = any(e.lost for e in self.compared.estimates)
         seen = (
@@ -92,7 +91,7 @@ class Evidence(Noise):
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return functions that find faults, by class; a class waits while an earlier class has an open fault."""
+        """Return lists of functions that find faults; a list is used only if the earlier ones find none."""
         return (
             (self.truth,),
             (self.start, self.clocks, self.other_clocks, self.geometry),
@@ -112,27 +111,27 @@ class Evidence(Noise):
         return any(s.high < 0.0 for s in self.compared.scores)
 
     def truth(self) -> list[Candidate]:
-        """Return findings on a truth that steps aside, is a mirror image or not in metres: no error counts."""
+        """Return findings on a truth that is shifted, mirrored or not in metres; then no error is valid."""
         return [self._candidate(f, ()) for f in self.doctor if f.code in {STEP, MIRROR, UNIT}]
 
     def start(self) -> list[Candidate]:
-        """Return the finding on a wrong start. It is fixed first: until then errors cannot rank settings."""
+        """Return the finding on a wrong start, which is fixed first since it affects every error."""
         found = [f for f in self.doctor if f.code == START]
         return self._candidates(found, (), [(f.role, f.code) for f in found], ())
 
     @cached_property
     def wrong(self) -> list[tuple[Clock, ...]]:
-        """Return which clocks look wrong, the best explanation first."""
+        """For each explanation of the time lags between sensors (best first) the clocks that it assumes wrong."""
         found = differences(self.loaded.drive, self.loaded.robot, self.compared.estimates)
         again = any(".time_offset=" in fix for fix in self.fixes)
         return wrong_clocks(found, TRIED_SIGMAS, MIN_AGAIN_S if again else MIN_LAG_S)
 
     def clocks(self) -> list[Candidate]:
-        """Return the clocks that look wrong: before they are fixed, other findings are not reliable."""
+        """Return candidate fixes of wrong clocks, by the best explanation of the time lags between sensors."""
         return [*self._late(self.wrong[:1]), *self._late_pictures()]
 
     def other_clocks(self) -> list[Candidate]:
-        """Return clocks that explain the same lags as the best explanation: of two clocks, either may be off."""
+        """Return candidate fixes of wrong clocks, by other explanations of the same time lags."""
         first = {clock.name for clocks in self.wrong[:1] for clock in clocks}
         return [one for one in self._late(self.wrong[1:]) if one.finding.role not in first]
 
@@ -143,7 +142,7 @@ class Evidence(Noise):
             return []  # they are compared with the laser's
         for clock in (clock for clocks in explanations for clock in clocks):
             if clock.name in found or not self.judges(clock.name):
-                continue  # a sensor that no run can use as it is has no judge
+                continue  # no run uses this sensor
             sure = abs(clock.offset) > SAID_SIGMAS * clock.sigma
             finding = Finding(clock.name, CLOCK, clock_words(clock), (), sure and abs(clock.offset) > SEVERE_LAG_S)
             steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
@@ -155,14 +154,14 @@ class Evidence(Noise):
         return [*found.values()]
 
     def _late_pictures(self) -> Iterator[Candidate]:
-        """Yield time offsets to try for an inconsistent camera, and a constant bearing error, which looks similar.
+        """Yield time offsets to try for an inconsistent camera, and the fix of a constant bearing error.
 
-        Bearings know no turning, so that these are guesses: not while measuring shows what is wrong.
+        Bearings do not show a lag directly, so these are guesses, made only without a severe camera finding.
         """
         verdict = self.consistency.get("camera")
         if any(f.role == "camera" and f.severe and f.fixes for f in self.doctor) or verdict is None:
             return
-        if verdict.verdict in {*FINE, "overstated"} or not self.judges("camera"):
+        if verdict.verdict in {*UNREMARKABLE, "overstated"} or not self.judges("camera"):
             return
         now = float(self.loaded.robot.settings("camera").time_offset)
         ways = tuple((f"camera.time_offset={now + step:z.3f}",) for step in CAMERA_LAGS_S)
@@ -171,8 +170,8 @@ class Evidence(Noise):
             yield self._candidate(Finding("camera", verdict.verdict, verdict.words), constant, True)
 
     def geometry(self) -> list[Candidate]:
-        """Return findings on mounts, scales and directions, by measuring and by a run with more states."""
-        # distances that differ look like a mount, and of a laser that was bumped no mount is right all the time
+        """Return candidate fixes of mounts, scales and directions, by comparing sensors or by extra states."""
+        # distances that differ look like a wrong mount; a laser that was bumped has no single mount
         no_mount = self._open_scale or self._distances or self._bumped
         probed = [] if no_mount else [*self._probed(), *self._scaled()]
         probed = [*self._points(), *probed]
@@ -180,24 +179,24 @@ class Evidence(Noise):
         mounts = [] if no_mount else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
         offers = [(f, (f.fixes,)) for f in found if f.fixes]
-        # a state's sigma is evidence only where the run is consistent, or less sure than it could be;
-        # without truth a mount takes up what else is wrong
+        # a state's sigma is valid only in a consistent or underconfident run;
+        # without truth, a mount state also absorbs other errors
         by_truth = self.loaded.drive.truth is not None
-        fine = {f.role for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
+        fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
         measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
         seen = [f for f in self.doctor if f.code not in {CLOCK, OPEN_CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
-        scales = [] if self._open_scale else [self._decided(f) for f in self._distances]
+        scales = [] if self._open_scale else [self._unless_open(f) for f in self._distances]
         open_ = [self._candidate(f, ()) for f in found if not f.fixes]
         return [*known, *open_, *(self._candidate(f, (f.fixes,) if f.fixes else ()) for f in scales)]
 
     def slips(self) -> list[Candidate]:
-        """Return the wheels' noise if their turning shows it, and their distances are not in doubt."""
+        """Return the candidate fix of wheels.noise, if turns show slip and the distance scale is certain."""
         return [] if self._open_scale or self._distances else super().slips()
 
     @cached_property
     def _distances(self) -> list[Finding]:
-        """Findings on the laser's range scale and the wheels', if their distances differ and there is no truth."""
+        """Findings that laser and wheels measure different path lengths, in a log without truth."""
         drive, robot = self.loaded.drive, self.loaded.robot
         if drive.truth is not None or drive.wheels.matched is not None:
             return []
@@ -210,29 +209,33 @@ class Evidence(Noise):
         by_measuring: Collection[Key],
         by_offers: Collection[Key],
     ) -> list[Candidate]:
-        """Return findings as candidates; a sensor whose readings are all rejected gets no judge.
+        """Return candidate fixes of the findings `seen`, and of `offers` (findings with values to try).
 
-        `by_measuring` names those of `seen` whose value the drive shows beyond chance, `by_offers` of `offers`.
+        `by_measuring` and `by_offers` are the keys of findings in `seen` and in `offers` with a measured value.
+        A sensor whose readings are all rejected gets no candidate.
         """
-        seen = [self._decided(f) for f in seen]
+        seen = [self._unless_open(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
         judged = [f for f in seen if (f.fixes or f.code in KEYLESS) and self.judges(f.role)]
         coarse = [
-            self._candidate(f, (*_ways(f), *self._aimed(f)), not (f.severe or f.code in MEASURED)) for f in judged
+            self._candidate(
+                f, (*_alternatives(f), *self._with_camera_offset(f)), not (f.severe or f.code in MEASURED)
+            )
+            for f in judged
         ]
-        # of what measuring shows too, the value itself: it is tried beside that
+        # an offer for a finding that is also in `seen` is tried only with its first value
         sharper = [
             self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
         ]
         return [
-            *(replace(c, measured=c.key in by_measuring, by_shape=c.key in SIGNS) for c in coarse),
+            *(replace(c, measured=c.key in by_measuring, by_shape=c.key in SIGN_FAULTS) for c in coarse),
             *(replace(c, measured=c.key in by_offers) for c in sharper),
         ]
 
-    def _aimed(self, finding: Finding) -> tuple[Fixes, ...]:
-        """Return the fix of a mirrored picture or of its circles, together with the camera's zero direction.
+    def _with_camera_offset(self, finding: Finding) -> tuple[Fixes, ...]:
+        """Return the fix of mirrored or displaced picture circles, combined with the camera's new zero direction.
 
-        The zero direction comes from a run of other sensors: the wheels alone turn too far if the track is wrong.
+        The zero direction is measured against a run of another sensor, since wheels with a wrong track turn wrong.
         """
         run = self._reference("camera") if finding.code in {"mirrored", RIMS} else None
         loaded = None if run is None else self.trial.under(together(self.fixes, finding.fixes))
@@ -251,22 +254,22 @@ class Evidence(Noise):
 
     @property
     def _open_scale(self) -> bool:
-        """Whether laser and wheels differ in distance and no reference decides: that also shifts mounts."""
-        return any(f.severe and not self._decided(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
+        """Whether laser and wheels differ in distance scale and no sensor shows which is wrong."""
+        return any(f.severe and not self._unless_open(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
 
-    def _decided(self, finding: Finding) -> Finding:
-        """Return a finding; remove its fix if nothing shows whether laser or wheels have the right distance scale.
+    def _unless_open(self, finding: Finding) -> Finding:
+        """Return a finding on laser and wheel scales, without its fix if no other sensor can decide.
 
-        The laser's own readings are predicted better if its distances are the wheels', whoever is wrong.
+        Prediction cannot decide: it prefers equal scales of laser and wheels, right or wrong.
         """
         known = self.loaded.drive.measurements
-        few = np.arange(2)  # readings: whether a sensor tells its turning does not depend on them
+        few = np.arange(2)  # readings: enough to see whether a sensor measures heading
         if finding.code != OPEN_SCALE or any(REGISTRY[s].heading(m.take(few)) is None for s, m in known.items()):
-            return finding  # what knows more than its own turning may tell
+            return finding  # a sensor that measures more than heading may decide
         return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
 
     def _points(self) -> Iterator[Finding]:
-        """Yield the truth's body point, found with the run of all sensors, which does not slip as wheels do."""
+        """Yield findings on the point of the robot that the truth tracks, by the run with all sensors."""
         truth = self.loaded.drive.truth
         for e in self.compared.estimates:
             if (
@@ -278,15 +281,15 @@ class Evidence(Noise):
                 yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
 
     def _probed(self) -> Iterator[Finding]:
-        """Yield findings on mounts and track from a run with `all` sensors, one sensor's mount at a time."""
+        """Yield findings on mounts and track from runs that estimate them, one sensor at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
             if sensor == LASER and drive.wheels.matched is not None:
-                continue  # its own scans are the motion, which is then the laser's wherever it sits
+                continue  # with motion by scan matching the mount is not observable
             probe = probe_of(robot, sensor)
             if not probe or not REGISTRY[sensor].placed:
                 continue
-            if not self._complained(sensor) and sensor not in self._beyond_prior:
+            if not self._looks_wrong(sensor) and sensor not in self._beyond_prior:
                 continue
             probed = self.trial.under((*self.fixes, *probe))
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
@@ -295,7 +298,7 @@ class Evidence(Noise):
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
-        """Findings on mounts that are states: the run of one sensor alone found another mount than configured."""
+        """Findings on mounts that the filter estimated and that differ from the configured ones."""
         return [
             finding
             for e in self.runs_alone()
@@ -304,19 +307,19 @@ class Evidence(Noise):
 
     @cached_property
     def _beyond_prior(self) -> set[str]:
-        """Sensors whose mount is a state already and is found further off than its prior allows."""
+        """Sensors whose estimated mount differs from the configured one by more than its prior sigma allows."""
         if self.loaded.drive.truth is not None:
-            return set()  # the truth judges what the state says
+            return set()  # errors to the truth judge the mount instead
         return {e.sensors[0] for e in self.runs_alone() if beyond_prior(self.loaded.robot, e.sensors[0], e)}
 
     def _scaled(self) -> Iterator[Finding]:
-        """Yield the laser's range scale, found by the length of the laser's own path; clocks must be right."""
+        """Yield the finding on the laser's range scale, by the length of the path with the laser alone."""
         for e in self.runs_alone(LASER):
-            if self._complained(LASER):
+            if self._looks_wrong(LASER):
                 yield from of_scale(self.loaded.robot, e, self.loaded.drive)
 
     def offsets(self) -> list[Candidate]:
-        """Return constant errors: offsets that are estimated or configured wrongly, a mirrored camera."""
+        """Return candidate fixes of constant errors: compass and camera offsets, or a mirrored camera."""
         found = [
             self._candidate(f, (f.fixes,), True)
             for e in self.compared.estimates
@@ -330,7 +333,7 @@ class Evidence(Noise):
         start = self._start_heading()
         found += start
         for sensor, verdict in self.consistency.items():
-            either = sensor == "compass" and any(not c.alternatives for c in start)  # it, or the start
+            either = sensor == "compass" and any(not c.alternatives for c in start)  # compass offset or start
             options = [] if either else list(self.constant(verdict))
             if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
                 options.append(
@@ -342,9 +345,9 @@ class Evidence(Noise):
         return found
 
     def _start_heading(self) -> list[Candidate]:
-        """Return a finding if the start and a compass with a configured offset show different headings.
+        """Return a finding if configured start heading and configured compass offset disagree.
 
-        A sensor that locates the robot in the map tells which is wrong; without one the two look the same.
+        A fix needs a sensor that locates the robot in the map; without one either may be wrong.
         """
         verdict, robot = self.consistency.get("compass"), self.loaded.robot
         offset = robot.settings("compass").offset_deg
@@ -365,7 +368,7 @@ class Evidence(Noise):
 
     @cached_property
     def _biases_again(self) -> dict[str, Consistency]:
-        """Verdicts on offsets that a fix has set: they are measured again, since a later fix may change them."""
+        """Verdicts on offsets that an earlier fix has set; they may change after a later fix."""
         keys = [fix.partition("=")[0] for fix in self.fixes]
         fixed = [
             s for s in self.consistency if (b := REGISTRY[s].bias) is not None and f"{s}.{b.key}" in keys[:-1]
@@ -379,17 +382,17 @@ class Evidence(Noise):
         return {s: verdict for s, verdict in found.items() if verdict is not None}
 
     def unexplained(self) -> list[Candidate]:
-        """Return findings on unusual residuals for which no fixing setting is known."""
+        """Return findings on unusual residuals that no setting is known to fix."""
         unusual = [
             Finding(sensor, verdict.verdict, verdict.words)
             for sensor, verdict in self.consistency.items()
-            if verdict.verdict not in FINE and not verdict.fix_values
+            if verdict.verdict not in UNREMARKABLE and not verdict.fix_values
         ]
         return [self._candidate(finding, ()) for finding in (*self._spins, *unusual)]
 
     @cached_property
     def _spins(self) -> list[Finding]:
-        """Return findings on times at which both wheels slipped, by truth, else by the laser's own run."""
+        """Findings on times at which both wheels slipped, by truth or else by the laser's path."""
         drive = self.loaded.drive
         if drive.truth is not None and drive.truth.theta is not None:
             return of_spins(drive, drive.truth.t, body_poses(drive.truth, drive.truth.t), "truth")
@@ -403,8 +406,8 @@ class Evidence(Noise):
         ]
 
 
-def _ways(finding: Finding) -> tuple[Fixes, ...]:
-    """Return the alternative fixes of a measured finding; for radius and track also the radius alone."""
+def _alternatives(finding: Finding) -> tuple[Fixes, ...]:
+    """Return the alternative fixes of a finding; for wheel radius and track also the radius alone."""
     if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
         return finding.fixes, finding.fixes[:1]
     return (finding.fixes,) if finding.fixes else ()

@@ -1,4 +1,4 @@
-"""The evaluation's part of a report: findings, fixes, and the headline."""
+"""Advice in a report: findings, fixes, validity, and the headline."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import msgspec
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.refused_motion import STANDS
+from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import MAX_ANEES, length, options, void_reasons
 from locfuse.formats.robot import robot_toml
@@ -19,21 +20,20 @@ from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import BASES, result_name
-from locfuse.fusion.judge.evaluate import ERROR_KEYS
 from locfuse.fusion.judge.own_scans import is_better
 from locfuse.fusion.mount import OTHER_MOUNT
 from locfuse.fusion.sensors.registry import REGISTRY
 
 
 class Advised(msgspec.Struct, frozen=True):
-    """The result of a log's evaluation."""
+    """The findings of a log's evaluation, and its cost."""
 
-    advice: tuple[Advice, ...] = ()  # what helps first, in the order in which it was found to help
-    fusions: int = 0  # runs of the filter that it cost
+    advice: tuple[Advice, ...] = ()  # advice that helps comes first, in the order of trying
+    fusions: int = 0  # runs of the filter
 
     @property
     def fixes(self) -> Fixes:
-        """All helpful fixes together."""
+        """All fixes that help, combined."""
         kept: Fixes = ()
         for advice in self.advice:
             kept = together(kept, advice.fixes)
@@ -42,11 +42,11 @@ class Advised(msgspec.Struct, frozen=True):
 
 FIXES_FILE = "fixes.toml"
 FIXES_HEAD = "# fixes that locfuse tried and found to help"
-MAX_REFINED_SHARE = 0.2  # of a value: a larger change between two fixes is not the same measured better
+MAX_REFINED_SHARE = 0.2  # of a value: a smaller change is a refinement of the same fix
 
 
 def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
-    """Add `findings`, and `fixes`: all helpful ones together; null if the log was not evaluated."""
+    """Add `findings` and `fixes` (all fixes that help) to the report; both are null without evaluation."""
     if advised is None:
         report["findings"] = report["fixes"] = None
         return
@@ -58,7 +58,7 @@ def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
 
 
 def fixes_file(report: Mapping[str, Any], name: str = FIXES_FILE) -> dict[str, str]:
-    """Return fixes.toml by its name, empty if no fix helps: --robot robot.toml --robot fixes.toml."""
+    """Return {name: text of fixes.toml}, {} if no fix helps. Usage: --robot robot.toml --robot fixes.toml."""
     fixes = report.get("fixes")
     if not fixes:
         return {}
@@ -67,7 +67,7 @@ def fixes_file(report: Mapping[str, Any], name: str = FIXES_FILE) -> dict[str, s
 
 
 def forget_fixes(written: Collection[Path]) -> None:
-    """Remove the fixes that an earlier result left beside the files that were `written` now."""
+    """Delete fixes*.toml of earlier results in the folders of the `written` files."""
     for folder in {path.parent for path in written}:
         for path in folder.glob("fixes*.toml"):
             if path not in written and path.read_text(errors="replace").startswith(FIXES_HEAD):
@@ -75,18 +75,17 @@ def forget_fixes(written: Collection[Path]) -> None:
 
 
 def _joined(found: Sequence[Advice]) -> Advice:
-    """Return the findings of one sensor, step by step, as one finding with one fix."""
+    """Return all findings on one sensor as one finding with all their fixes."""
     first, *later = found
-    before_it = first.finding.brief  # what was found before this kind of fault was measured again
+    earlier = first.finding.brief  # the message before the first repetition of a code
     for advice in later:
-        if advice.finding.code != first.finding.code:
-            before_it = first.finding.brief
-        message = f"{before_it}; after this fix: {advice.finding.brief}"
         if advice.finding.code == first.finding.code:
-            moved = _moved(first.fixes, advice.fixes)  # else the same once more, measured better
-            message = f"{before_it}, then {advice.finding.brief}" if moved else first.finding.brief
-        elif advice.finding.code != first.finding.code and keys(first.fixes) <= keys(advice.fixes):
-            message = advice.finding.brief  # the first one's fix is not what was set in the end
+            moved = _differ(first.fixes, advice.fixes)  # else a refinement of the same value
+            message = f"{earlier}, then {advice.finding.brief}" if moved else first.finding.brief
+        else:
+            earlier = first.finding.brief
+            replaced = keys(first.fixes) <= keys(advice.fixes)
+            message = advice.finding.brief if replaced else f"{earlier}; after this fix: {advice.finding.brief}"
         before = {**(advice.before or {}), **(first.before or {})}
         after = {**(first.after or {}), **(advice.after or {})}
         fixes = together(first.fixes, advice.fixes)
@@ -95,13 +94,13 @@ def _joined(found: Sequence[Advice]) -> Advice:
     return first
 
 
-def _moved(before: Iterable[str], after: Iterable[str]) -> bool:
-    """Return whether a value of two sets of settings differs by more than a repeated measurement does."""
+def _differ(before: Iterable[str], after: Iterable[str]) -> bool:
+    """Return whether fixes changed a value by more than the repetition of a measurement does."""
     first, last = by_key(before), by_key(after)
-    return any(_apart(value, last[key]) for key, value in first.items() if key in last)
+    return any(_values_differ(value, last[key]) for key, value in first.items() if key in last)
 
 
-def _apart(one: str, other: str) -> bool:
+def _values_differ(one: str, other: str) -> bool:
     try:
         a, b = float(one), float(other)
     except ValueError:
@@ -129,7 +128,7 @@ def _finding(advice: Advice) -> dict[str, Any]:
 
 
 def score(score: Marks) -> dict[str, float | None]:
-    """Return the figures of a configuration for a report."""
+    """Return a configuration's figures as plain values for the report."""
     return {
         "position_rmse_m": score.position,
         "aligned": score.aligned,
@@ -140,16 +139,15 @@ def score(score: Marks) -> dict[str, float | None]:
     }
 
 
-MAX_LOST_SHARE = 0.1  # of the drive for which a filter may be lost before its figures mean nothing
-MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where no start is configured
-EVERY = ("wheels", "truth")  # roles that every configuration depends on
-JUDGED = (*ERROR_KEYS, "anees")
+MAX_LOST_SHARE = 0.1  # of the drive: a filter that is lost for longer has void figures
+MAX_START_ERROR_M = 0.5  # between the truth's first position and a start that is not configured
+BASE_ROLES = ("wheels", "truth")  # roles that every configuration depends on
 
 
 def add_validity(
     report: dict[str, Any], advised: Advised | None, start_error_m: float | None, truth: Finding | None = None
 ) -> None:
-    """Add `validity`; move void figures out of their configurations to `void`, where they stay readable."""
+    """Add `validity` (void and doubtful configurations); void figures are moved to `void`."""
     found = []
     known_faults = [truth] if truth is not None else []
     known_faults += [
@@ -161,38 +159,32 @@ def add_validity(
         if reason is None:
             continue
         code, message = reason
-        known = {key: values[key] for key in JUDGED if values.get(key) is not None}
-        values["void"] = {"reason": message, "figures": known}
-        values.update(dict.fromkeys(known))
-        found.append({"configuration": name, "code": code, "message": message, "since_s": _since(values, code)})
-    void = {entry["code"] for entry in found}  # what is void is not doubtful as well
+        void_figures(values, message)
+        since = float(values["lost"][0][0]) if code == "lost" else 0.0
+        found.append({"configuration": name, "code": code, "message": message, "since_s": since})
+    void = {entry["code"] for entry in found}  # reported once: as void, not as doubtful
     doubts = [d for d in _doubts(report, advised) if d["code"] not in void]
-    report["validity"] = [*_once(found), *doubts]
+    report["validity"] = [*_by_message(found), *doubts]
     if found and all("void" in values for values in report["configurations"].values()):
         report["credit"] = None
-        _withdraw_verdicts(report, "All errors of this log are void.")
+        withdraw_verdicts(report, "All errors of this log are void.")
     elif doubts:
-        report["credit"] = None  # a factor is a verdict too
-        _withdraw_verdicts(report, "Not judged while a warning is open.")
-
-
-def _withdraw_verdicts(report: dict[str, Any], words: str) -> None:
-    """Withdraw verdicts that rest on void or doubtful figures."""
-    for verdict in report.get("verdicts", {}).values():
-        verdict.update(verdict="no verdict", words=words)
+        report["credit"] = None  # its factors depend on the doubtful errors
+        withdraw_verdicts(report, "Not judged while a warning is open.")
 
 
 def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
-    """Return certain faults of the settings; the effects of their fixes are in the findings.
+    """Return warnings on severe faults of settings or sensors, except those whose fix has no effect.
 
-    Where the fix was tried and changes little, the figures do not depend on it.
+    The effects of the fixes are in `findings`.
     """
     doubts = []
     for advice in advised.advice if advised is not None else ():
         found = advice.finding
-        using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
+        using = [n for n, v in report["configurations"].items() if found.role in {*BASE_ROLES, *v["sensors"]}]
         if found.severe and using and found.code != "start" and not advice.harmless:
-            message = f"{found.role}: {_first_sentence(found.brief)}"
+            first_sentence = re.sub(r" \(correlation [^()]*\)", "", found.brief.partition(". ")[0])
+            message = f"{found.role}: {first_sentence}"
             if advice.fixes:
                 message += f". All figures are without this fix: {options(advice.fixes)}"
             entry = {"code": found.code, "message": message, "since_s": 0.0, "configurations": using}
@@ -200,16 +192,11 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
     return doubts
 
 
-def _first_sentence(words: str) -> str:
-    """Return the first sentence of a finding: the fault, without how it was measured."""
-    return re.sub(r" \(correlation [^()]*\)", "", words.partition(". ")[0])
-
-
 def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
     share = values.get("lost_share") or 0.0
     if share <= MAX_LOST_SHARE:
         return None
-    name = values["configuration"]  # of its smoothed result too: that is lost where its filter is
+    name = values["configuration"]  # also of a smoothed result, which is lost where its filter is
     return "lost", f"{name}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
 
 
@@ -222,12 +209,8 @@ def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str]
     )
 
 
-def _since(values: dict[str, Any], code: str) -> float:
-    return float(values["lost"][0][0]) if code == "lost" else 0.0
-
-
-def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return one entry for each message, with all configurations it applies to."""
+def _by_message(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one entry per message, with all configurations that have it."""
     by_message: dict[str, dict[str, Any]] = {}
     for entry in found:
         name = entry.pop("configuration")
@@ -237,24 +220,24 @@ def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return list(by_message.values())
 
 
-NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
-MIN_HINT = 0.1  # more of the points that agree; less is no difference worth a word
+SENSOR_WORDS = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
+MIN_HINT = 0.1  # of the agreeing share of points: a smaller gain is not reported
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 MAX_CONSISTENT_ANEES = 3.0  # above: the covariance is too small
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
 def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return one or two sentences; `sets` are the sensors of every configuration that the report may name.
+    """Return the report's headline; `sets` are the sensors of each configuration to compare.
 
-    The laser is named beside its table once: "the laser (lrf)".
+    The first "the laser" becomes "the laser (lrf)", with the name of its settings.
     """
     words = " ".join(filter(None, (report.get("doubt"), _verdict(report, sets))))
     return re.sub(r"\bthe laser\b(?!')", "the laser (lrf)", words, count=1)
 
 
 def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return the advice on the sensors."""
+    """Return the advice on which sensors to keep, by truth, by a reference, or without either."""
     errors = {n: e for n in sets if (e := report["configurations"][n].get("position_rmse_m")) is not None}
     void = void_reasons(report)
     if void and not any(sets[name] for name in errors):
@@ -266,7 +249,7 @@ def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> st
 
 
 def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], errors: Mapping[str, float]) -> str:
-    """Return which sensors to keep by the position errors of the configurations that have one."""
+    """Return which sensors to keep, by the position errors to truth."""
     if len(errors) == 1:
         ((name, error),) = errors.items()
         return f"{_with(name, sets[name])}: position error {length(error)}.{_with_fixes(report, sets, error)}"
@@ -298,7 +281,7 @@ def _as_configured(
     best: str,
     first: str,
 ) -> str:
-    """Return which sensors to keep under the present settings, and the effect of the others."""
+    """Return which sensors to keep under the present settings, and the effect of the other sensors."""
     every = max(sets, key=lambda n: len(sets[n]))
     ties = _ties(errors)
     others = [s for s in sets[every] if s not in sets[best]]
@@ -315,20 +298,20 @@ def _as_configured(
     all_of_them = f"{first} With all sensors it is {length(errors[every])}: "
     if suspect := [s for s in others if any(f["role"] == s for f in report.get("findings") or ())]:
         return f"{all_of_them}see the findings on {_names(suspect)}."
-    if not bad:  # one drive does not settle which
+    if not bad:  # no single sensor is proven to hurt
         return f"{all_of_them}leave {_names(others)} out."
     return f"{all_of_them}{'' if len(bad) == 1 else 'one of '}{_names(bad)} hurts."
 
 
 def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return a warning if the covariance of all sensors is too small and no finding explains it, else ""."""
+    """Return a warning if the covariance of all sensors is too small after the fixes, else ""."""
     name = max(sets, key=lambda n: len(sets[n]), default="")
     anees = report["configurations"][name].get("anees") if name else None
     found = report.get("findings") or ()
     fixed = [f["tried"] for f in found if f["fixes"] and f["tried"]]
     shown = [t["after"].get("anees") for t in fixed if t["configuration"] == name]
     if fixed and not any(shown):
-        return ""  # what is left once the fixes are set is not known
+        return ""  # the covariance after the fixes is unknown
     anees = next((value for value in reversed(shown) if value), anees)
     if anees is None or anees <= MAX_CONSISTENT_ANEES or any(not v["void"] for v in report.get("validity") or ()):
         return ""
@@ -344,20 +327,20 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
 
 
 def _ties(errors: Mapping[str, float]) -> list[str]:
-    """Return the configurations whose errors are equal to the least."""
+    """Return the configurations whose errors equal the smallest within 10 % and 0.5 mm."""
     least = min(errors.values())
     return [n for n, e in errors.items() if e <= least * (1.0 + TIE) + TIE_M]
 
 
 def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
-    """Return a sentence with the error after all fixes, if no error without the fixes [m] is as small, else ""."""
+    """Return a sentence with the error after all fixes if it is smaller than `least` [m], else ""."""
     tried = [f["tried"] for f in report.get("findings") or () if f["fixes"] and f["tried"]]
     after = {
         t["configuration"]: t["after"]["position_rmse_m"]
         for t in tried
         if t["configuration"] in sets
         and t["after"]["position_rmse_m"] is not None
-        and not t["after"].get("aligned")  # of the path's shape: another figure
+        and not t["after"].get("aligned")  # aligned errors are not comparable
     }
     name = min(after, key=lambda n: after[n], default=None)
     if name is None or after[name] * (1.0 + TIE) + TIE_M >= least:
@@ -367,25 +350,25 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
-    """Return odometry and sensors in the order of their errors against a reference, which is no truth."""
+    """Return a sentence on errors against a reference: of odometry, and the sensors that help or hurt."""
     verdicts = report.get("verdicts", {})
     words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
     parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]
     for which, one, several in ((HELPS, "helps", "help"), (HURTS, "hurts", "hurt")):
         if words[which]:
             parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
-    if verdicts and not any(words.values()):  # odometry alone has none
+    if verdicts and not any(words.values()):  # no sensor helps or hurts
         unjudged = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
         judge = f"{_names([*verdicts])} itself cannot be checked"
         parts.append(judge if unjudged else "of the sensors nothing is sure")
     rows = (report["configurations"][name].get("reference") or {} for name in errors)
-    shared = any(row.get("shared") for row in rows)  # its own sensors are in what judges it
+    shared = any(row.get("shared") for row in rows)  # the reference uses sensors of the result
     agreement = " Figures with a * show agreement, not error." if shared else ""
     return f"Measured against a reference, not truth: {'; '.join(parts)}.{agreement}"
 
 
 def _without_truth(report: Mapping[str, Any], places: str) -> str:
-    """Return the headline without truth: which sensors help to predict the others, and how revisits agree."""
+    """Return the headline for a log without truth and reference: sensors that help to predict the others."""
     verdicts = report.get("verdicts", {})
     good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
     bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]
@@ -401,7 +384,7 @@ def _without_truth(report: Mapping[str, Any], places: str) -> str:
 
 
 def _by_places(report: Mapping[str, Any]) -> str:
-    """Return a sentence on how well scans agree at places seen twice, filtered and smoothed; "" if unknown."""
+    """Return a sentence on the revisit agreement of filtered and smoothed path; "" if it is unknown."""
     rows = report["configurations"]
     for name, values in rows.items():
         row = result_name(name, smoothed=True)
@@ -419,8 +402,8 @@ def _with(name: str, sensors: Sequence[str]) -> str:
 
 
 def _names(sensors: Sequence[str]) -> str:
-    """Return "the laser, the compass and the camera"."""
-    words = [f"the {NAMES.get(s, s)}" for s in REGISTRY if s in sensors]
+    """Return sensors in words: "the laser, the compass and the camera"."""
+    words = [f"the {SENSOR_WORDS.get(s, s)}" for s in REGISTRY if s in sensors]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
@@ -432,14 +415,14 @@ def complete(
     stands: bool = False,
     truth: Finding | None = None,
 ) -> None:
-    """Add findings, validity and headline to a finished report; None: the log was not evaluated.
+    """Add findings, validity and headline to a finished report.
 
-    `start_error_m` is how far the truth starts from where the drive does, None where somebody stated the start;
-    `truth` is why no error by it means anything.
-    Rows that are `foreign` estimates say nothing of which sensors to keep; of a robot that `stands` nothing does.
+    `advised` is None if the log was not evaluated. `start_error_m` is the distance between the starts of truth and
+    drive, None if [start] is set. `truth` is the fault that makes errors to the truth void. Rows of `foreign`
+    estimates are ignored, and a robot that `stands` gets no advice.
     """
     add_findings(report, advised)
-    _leave_out_what_findings_say(report)
+    _remove_mount_notes(report)
     add_validity(report, advised, start_error_m, truth)
     sets = {
         name: tuple(values["sensors"])
@@ -451,8 +434,8 @@ def complete(
     report.update(json_report.plain(report))
 
 
-def _leave_out_what_findings_say(report: dict[str, Any]) -> None:
-    """Remove the notes on a mount that a finding gives as a fix, to avoid two different numbers."""
+def _remove_mount_notes(report: dict[str, Any]) -> None:
+    """Remove notes on a mount for which a finding has a fix, so that there is one value."""
     mounts = {f["role"] for f in report["findings"] or () if f["code"] == MOUNT and f["fixes"]}
     for values in report["configurations"].values():
         values["notes"] = [

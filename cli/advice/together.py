@@ -1,4 +1,4 @@
-"""Several logs of one robot: what each shows, its figures under common settings, and the result for a report."""
+"""Several logs of one robot: values that they share, and settings tried on all of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import msgspec
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.visible import writable
-from locfuse.fusion.checks.together import Common, Look, Shown, Step, asked, shown
+from locfuse.fusion.checks.together import Look, Shown, Step, asked, shown
 from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.judge.evaluate import Align, evaluate
@@ -20,13 +20,13 @@ from .evaluator import may_judge, standard
 from .report import FIXES_FILE, fixes_file, score
 from .trial import Trial, marks_of
 
-MAX_TRIED_LOGS = 12  # of one robot, spread evenly over its logs
-# names of logs, settings -> by log, then by settings
+MAX_TRIED_LOGS = 12  # logs of one robot, evenly spread
+# function (names of logs, settings) -> {log: {settings: figures}}
 LooksOf = Callable[[Sequence[str], Sequence[Fixes]], Mapping[str, Mapping[Fixes, Look]]]
 
 
 def looks(loaded: Loaded, sets: Sequence[Fixes], align: str, progress: Progress) -> dict[Fixes, Look]:
-    """Fuse a log's whole drive under each of several settings; settings that do not fit it are left out."""
+    """Fuse a log's whole drive under each of several settings; settings that cannot be applied are left out."""
     if not may_judge(loaded):
         return {}
     trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
@@ -48,7 +48,7 @@ def looks(loaded: Loaded, sets: Sequence[Fixes], align: str, progress: Progress)
 
 
 def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any] | None:
-    """Return the numbers of robot.toml that a log shows, for its report; None if it cannot be judged."""
+    """Return the values of settings that a log shows, as plain values; None if it cannot be judged."""
     if loaded.motion_faults or loaded.drive.wheels.stands or not may_judge(loaded):
         return None
     found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
@@ -56,7 +56,7 @@ def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any]
 
 
 def ask(logs: Mapping[str, Mapping[str, Any]], look: LooksOf) -> dict[str, Any]:
-    """Return the values that logs of one robot share and the settings that help all, for a summary.
+    """Return the values that logs of one robot share, and the settings that help all, as plain values.
 
     Settings are tried on at most MAX_TRIED_LOGS logs.
     """
@@ -65,14 +65,14 @@ def ask(logs: Mapping[str, Mapping[str, Any]], look: LooksOf) -> dict[str, Any]:
     found = asked({log: msgspec.convert(values, Shown) for log, values in logs.items()}, partial(look, chosen))
     return {
         "logs": list(logs),
-        "values": [_value(one) for one in found.common],
+        "values": [{**msgspec.to_builtins(c), "off": c.off, "words": c.words} for c in found.common],
         "fixes": [] if found.fix is None else list(found.fix.fixes),
         "tried": [_tried(step) for step in (*filter(None, (found.fix,)), *found.refused)],
     }
 
 
 def fixes_files(robots: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return fixes.toml, or fixes-ROBOT.toml of each named robot, none where nothing helps."""
+    """Return {name: text} of fixes.toml, or of fixes-ROBOT.toml for named robots, if a fix helps."""
     return {
         name: text
         for robot in robots
@@ -82,13 +82,9 @@ def fixes_files(robots: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     }
 
 
-def here(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:
-    """Return a function that fuses these logs in this process, under the settings that it is called with."""
+def in_this_process(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:
+    """Return a function that fuses these logs in this process under given settings."""
     return lambda names, sets: {name: looks(logs[name], sets, align, progress) for name in names}
-
-
-def _value(one: Common) -> dict[str, Any]:
-    return {**msgspec.to_builtins(one), "off": one.off, "words": one.words}
 
 
 def _tried(step: Step) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""A log fused again under other settings: the cost of advice, with its limits.
+"""Trials of fixes: one log fused again under other settings, with a limit on the number of runs.
 
-Only sensors whose own settings change are measured again. A drive of more than MAX_INSTANTS is tried by its
-beginning; what was tried is said with the figures.
+Only sensors whose settings change are measured again. A drive of more than MAX_INSTANTS update times is tried by
+its beginning.
 """
 
 from __future__ import annotations
@@ -16,11 +16,7 @@ from locfuse.cli.analysis.compare import PLAIN_FRAME, Compared
 from locfuse.cli.analysis.configurations import Configuration
 from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.settings import Asked, Progress
-from locfuse.fusion.checks.tried import (
-    Fixes,
-    Marks,
-    keys,
-)
+from locfuse.fusion.checks.tried import Fixes, Marks, keys
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.evaluate import Align, covariance_check, evaluate, shape_error
 from locfuse.fusion.judge.own_scans import LASER, OwnScans
@@ -28,62 +24,67 @@ from locfuse.fusion.judge.predictive import listeners, mean_density
 from locfuse.fusion.measure import windowed
 from locfuse.fusion.paper.preset import fuser
 
-MAX_INSTANTS = 2400  # of the drive: four minutes of a 10 Hz laser
-SEEN_AFTERWARDS = {"truth.x", "truth.y", "truth.sigma", "truth.sigma_theta_deg"}  # keys that move no estimate
+MAX_INSTANTS = 2400  # update times: 4 min of a 10 Hz laser
+SEEN_AFTERWARDS = {
+    "truth.x",
+    "truth.y",
+    "truth.sigma",
+    "truth.sigma_theta_deg",
+}  # keys that do not change estimates
 TRIED, WHOLE, SMOOTHED = "trying", "trying on the whole drive", "smoothing"  # kinds of figures
-MAX_FUSIONS = 60  # runs of the filter that one log's advice may cost
+MAX_FUSIONS = 60  # runs of the filter for one log's advice
 
 
 @dataclass
 class Trial:
-    """Fuses one log under other settings as often as advice needs it, and keeps the results."""
+    """Fuses one log under other settings, and stores the figures."""
 
     whole: Loaded
     configurations: Mapping[str, Configuration]
     align: str
     progress: Progress
     fusions: int = 0
-    loaded: Loaded = field(init=False)  # what is tried of the log: all of it, or its beginning
-    _end: float | None = field(init=False)  # s, of what is tried; None: of the drive
-    _kept: tuple[Fixes, Loaded] = field(init=False)  # the fixes that were found, and the whole log under them
-    _last: tuple[Fixes, Loaded | None] = ((), None)  # the whole log under the fixes that were asked for last
+    loaded: Loaded = field(init=False)  # the log for trials: whole, or its beginning
+    _end: float | None = field(init=False)  # s, end of the beginning; None: whole
+    _kept: tuple[Fixes, Loaded] = field(init=False)  # kept fixes, and the whole log under them
+    _last: tuple[Fixes, Loaded | None] = ((), None)  # fixes of the last call, and the whole log under them
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _marks: dict[tuple[str, Fixes, str], Marks] = field(default_factory=dict)  # by TRIED, WHOLE or SMOOTHED
-    _runs: dict[tuple[Fixes, str], Estimates] = field(default_factory=dict)  # of the fixes that were found
+    _runs: dict[tuple[Fixes, str], Estimates] = field(default_factory=dict)  # under the kept fixes
 
     def __post_init__(self) -> None:
-        """Cut the log if fusing all of it many times would take too long."""
+        """Limit trials on a long drive to its first MAX_INSTANTS update times."""
         t = self.whole.drive.t
         self._end = None if len(t) <= MAX_INSTANTS else float(t[MAX_INSTANTS])
         self.loaded = self._shortened(self.whole)
         self._kept = (), self.whole
 
     def keep(self, fixes: Fixes) -> None:
-        """Make the log under these fixes the base of further fixes, so that it is not measured again."""
+        """Use the log under these fixes as the base of further fixes, so that fewer sensors are measured again."""
         loaded = self.whole_under(fixes)
         if loaded is not None:
             self._kept = fixes, loaded
             self._runs = {}
 
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return the figures of these configurations under more settings; {} if these cannot be applied."""
+        """Return the figures of these configurations with settings added; {} if they cannot be applied."""
         return self._of(TRIED, fixes, names)
 
     def on_whole(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return the figures of these configurations on the whole drive, even if trials use only its beginning."""
+        """Return the figures of these configurations on the whole drive, {} if the settings cannot be applied."""
         return self._of(TRIED if self.loaded is self.whole else WHOLE, fixes, names)
 
     def smoothed(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return position and heading errors of the smoothed paths that a comparison shows; {} without truth."""
+        """Return the errors of the smoothed paths that a comparison would show; {} without truth."""
         if self.whole.drive.truth is None:
             return {}
         shown = [n for n in names if self.configurations[n].is_smoothed(Asked(), self.whole.robot)]
         return self._of(SMOOTHED, fixes, shown)
 
     def agreement(self, fixes: Fixes) -> float | None:
-        """Return the revisit agreement of the run with the laser alone.
+        """Return the share of scan points that agree at revisited places, in the run with the laser alone.
 
-        None if the log has a truth, which judges better, or if there is no such run.
+        None if the log has a truth (errors judge better), or no such run.
         """
         name = next((n for n, c in self.configurations.items() if c.sensors == (LASER,)), None)
         if self.whole.drive.truth is not None or name is None:
@@ -121,7 +122,7 @@ class Trial:
             self._marks[kind, fixes, e.configuration] = marks
 
     def seed(self, fixes: Fixes, compared: Compared) -> None:
-        """Store the figures of a comparison's runs; without truth they are stored one by one by `know`."""
+        """Store the figures of a comparison's runs with truth; without truth, `know` has stored them."""
         if compared.loaded.drive.truth is None:
             return
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
@@ -129,7 +130,7 @@ class Trial:
             self.know(TRIED, fixes, e, marks_of(e, judged, compared.loaded.drive))
 
     def under(self, fixes: Fixes) -> Loaded | None:
-        """Return the log under more settings; None if they fit neither the log nor each other."""
+        """Return the log (or its beginning) with settings added; None if they cannot be applied."""
         if not fixes:
             return self.loaded
         if fixes not in self._logs:
@@ -138,11 +139,11 @@ class Trial:
         return self._logs[fixes]
 
     def whole_under(self, fixes: Fixes) -> Loaded | None:
-        """Return the whole log under more settings, also where only its beginning is tried."""
+        """Return the whole log with settings added; None if they cannot be applied."""
         if not fixes:
             return self.whole
         if fixes != self._last[0]:
-            self._last = (), None  # an hour under every setting that is tried would be hundreds of megabytes
+            self._last = (), None  # only one: an hour's log takes hundreds of megabytes
             kept, loaded = self._kept
             if not keys(kept) <= keys(fixes):
                 kept, loaded = (), self.whole
@@ -160,7 +161,7 @@ class Trial:
         return replace(loaded, drive=drive, robot=robot, how=replace(loaded.how, end=self._end))
 
     def fused(self, loaded: Loaded, name: str, smooth: bool = False) -> Estimates | None:
-        """Return one configuration's run, None if the log lacks a sensor under these settings."""
+        """Run one configuration; None if the log lacks a sensor under these settings."""
         self.fusions += 1
         try:
             return self.configurations[name].fuse(loaded.drive, loaded.robot, smooth)[-1]
@@ -168,7 +169,7 @@ class Trial:
             return None
 
     def _predicted(self, loaded: Loaded, c: Configuration) -> Marks | None:
-        """Score a configuration by its predictions of the sensors that only listen."""
+        """Run a configuration, and score its predictions of the sensors that it does not use."""
         self.fusions += 1
         drive = loaded.drive
         if any(s not in drive.measurements for s in c.sensors):
@@ -179,15 +180,15 @@ class Trial:
 
 
 def predicted(drive: Drive, e: Estimates) -> Marks:
-    """Return how well a run predicts the sensors that only listened to it.
+    """Return a run's figures by prediction: its score for the sensors that it does not use.
 
-    That it is lost with half of its readings taken away says nothing of a drive that has them all.
+    Without the share of time lost, since part of its readings may be held back to be predicted.
     """
     return Marks(prediction=mean_density(drive, e, listeners(drive, e.sensors)))
 
 
 def marks_of(e: Estimates, judged: Evaluation, drive: Drive) -> Marks:
-    """Return a run's figures against truth."""
+    """Return a run's figures against truth: errors, ANEES, share of the time lost."""
     found = covariance_check(judged) if judged.align == PLAIN_FRAME else None
     return Marks(
         judged.figures.get("position_rmse_m"),

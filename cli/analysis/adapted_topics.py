@@ -1,4 +1,4 @@
-"""Topics read as another type (scans from clouds, PX4, tags in /tf ...), and types that are not read at all."""
+"""Topics converted to a usual type (a LaserScan from a point cloud), and message types that are not read."""
 
 from __future__ import annotations
 
@@ -38,61 +38,59 @@ if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 LIVOX = "points in Livox' own format; record PointCloud2 instead (xfer_format = 0 in its launch file)"
-PACKETS = "packets of the sensor as they came; record the PointCloud2 that its driver makes of them"
+RAW_PACKETS = "packets of the sensor as they came; record the PointCloud2 that its driver makes of them"
 VESC = (
     "revolutions of the motor (erpm): --set wheels.topic={topic} --set wheels.erpm_per_mps=<erpm> "
     "(speed_to_erpm_gain of vesc.yaml) uses them, or record the /odom of vesc_to_odom"
 )
-FIXES = "words of the receiver; record the NavSatFix that its driver makes of them (/fix)"
-STEER = "an angle alone; beside it a speed is needed (VelocityReport)"
-LEGS = "the state of the legs; record the odometry that the robot makes of it"
+RECEIVER_WORDS = "words of the receiver; record the NavSatFix that its driver makes of them (/fix)"
+STEERING_ANGLE = "an angle alone; beside it a speed is needed (VelocityReport)"
+LEG_STATE = "the state of the legs; record the odometry that the robot makes of it"
 # role -> message type -> what it holds, and what to record instead
 NOT_READ: dict[str, dict[str, str]] = {
     "lrf": {
         "livox_ros_driver/msg/CustomMsg": LIVOX,
         "livox_ros_driver2/msg/CustomMsg": LIVOX,
         "livox_interfaces/msg/CustomMsg": LIVOX,
-        "velodyne_msgs/msg/VelodyneScan": PACKETS,
-        "ouster_ros/msg/PacketMsg": PACKETS,
-        "ouster_sensor_msgs/msg/PacketMsg": PACKETS,
-        "pandar_msgs/msg/PandarScan": PACKETS,
-        "rslidar_msg/msg/RslidarPacket": PACKETS,
+        "velodyne_msgs/msg/VelodyneScan": RAW_PACKETS,
+        "ouster_ros/msg/PacketMsg": RAW_PACKETS,
+        "ouster_sensor_msgs/msg/PacketMsg": RAW_PACKETS,
+        "pandar_msgs/msg/PandarScan": RAW_PACKETS,
+        "rslidar_msg/msg/RslidarPacket": RAW_PACKETS,
     },
-    "gps": {
-        **dict.fromkeys(("ublox_msgs/msg/NavPVT", "nmea_msgs/msg/Sentence"), FIXES),
-    },
+    "gps": {"ublox_msgs/msg/NavPVT": RECEIVER_WORDS, "nmea_msgs/msg/Sentence": RECEIVER_WORDS},
     "wheels": {
         "vesc_msgs/msg/VescStateStamped": VESC,
         "vesc_msgs/msg/VescState": VESC,
-        "autoware_vehicle_msgs/msg/SteeringReport": STEER,
-        "autoware_auto_vehicle_msgs/msg/SteeringReport": STEER,
-        "unitree_go/msg/LowState": LEGS,
-        "unitree_legged_msgs/msg/HighState": LEGS,
+        "autoware_vehicle_msgs/msg/SteeringReport": STEERING_ANGLE,
+        "autoware_auto_vehicle_msgs/msg/SteeringReport": STEERING_ANGLE,
+        "unitree_go/msg/LowState": LEG_STATE,
+        "unitree_legged_msgs/msg/HighState": LEG_STATE,
     },
 }
-LASERS = re.compile("velodyne|lidar|ouster|hesai|rslidar|laser|points_raw|livox|scan")  # in names of topics
-STILL_FRAMES = ("map", "odom", "world", "earth", "camera_init")  # clouds in them are maps, or were moved there
-MIN_CLOUDS = 5  # of a topic: fewer are maps
-MIN_TAGS = 2  # frames of tags: one may be anything
-CAMERAS = re.compile("camera|cam_|_cam|optical|webcam|realsense|kinect|oak|zed|rgb")  # in names of frames
-ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera that hangs there is not on the robot
+LASER_NAME = re.compile("velodyne|lidar|ouster|hesai|rslidar|laser|points_raw|livox|scan")  # in topic names
+FIXED_FRAMES = ("map", "odom", "world", "earth", "camera_init")  # a cloud in them is a map, no sensor reading
+MIN_CLOUDS = 5  # messages of a cloud topic: fewer are a map
+MIN_TAGS = 2  # frames named like tags below one camera: a single one may be no tag
+CAMERA_NAME = re.compile("camera|cam_|_cam|optical|webcam|realsense|kinect|oak|zed|rgb")  # in frame names
+ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera mounted there is not on the robot
 
 
 def not_read(log: Log, role: str) -> str:
-    """Return a sentence with a role's topics whose message types are not read; "" without any."""
+    """Return a sentence on the first topic of a role with an unsupported message type; "" without one."""
     kinds = NOT_READ.get(role, {})
-    found = [
-        f"{topic} ({info.msgtype.replace('/msg/', '/')}) holds {kinds[info.msgtype].format(topic=topic)}"
-        for topic, info in sorted(log.topics.items())
-        if info.msgtype in kinds and info.count
-    ]
-    return found[0] if found else ""
+    for topic, info in sorted(log.topics.items()):
+        if info.msgtype in kinds and info.count:
+            return (
+                f"{topic} ({info.msgtype.replace('/msg/', '/')}) holds {kinds[info.msgtype].format(topic=topic)}"
+            )
+    return ""
 
 
 def offer_presented(log: Log) -> None:
-    """Add topics of usual types if the log lacks them, named after their source: "/points:scan".
+    """Add topics converted to the usual type of a role that has none: "/points:scan" from the cloud /points.
 
-    Of a laser's scans of Foxglove's kind and of its echoes all are offered, of clouds the likeliest one.
+    All Foxglove and multi-echo scans are added, but only the likeliest of several point clouds.
     """
     found: list[str] = []
     if not filled(log, SCAN):
@@ -110,19 +108,18 @@ def offer_presented(log: Log) -> None:
 
 
 def _clouds(log: Log) -> list[str]:
-    """Return topics of clouds that a sensor sees, those of lasers first, then the busiest."""
+    """Return point cloud topics in sensor frames: names of lasers first, then by falling message count."""
     clouds = [t for t in filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
-    clouds = [t for t in clouds if log.stream(t).frame_id.rpartition("/")[2] not in STILL_FRAMES]
-    return sorted(clouds, key=lambda t: (not LASERS.search(t.lower()), -log.topics[t].count, t))
+    clouds = [t for t in clouds if log.stream(t).frame_id.rpartition("/")[2] not in FIXED_FRAMES]
+    return sorted(clouds, key=lambda t: (not LASER_NAME.search(t.lower()), -log.topics[t].count, t))
 
 
 def offer_tags(log: Log, robot: Robot) -> None:
-    """Add a topic of the tags seen by each camera of the robot, "/tf:camera_optical:tags", if /tf has any.
+    """Add for each camera of the robot a topic with the tags that it sees by /tf: "/tf:camera_optical:tags".
 
-    A frame is a tag where its name has a word for tags and ends in a number, its parent is a camera of the robot,
-    it moves there, and there are several. Where a detector publishes poses too, or the settings name a topic,
-    nothing is made.
-    Reading /tf takes time: for callers who need landmarks. Raises LocfuseError where its frames form a loop.
+    A frame is a tag if its name has a word for tags and ends in a number, and if it moves in the frame of a camera
+    on the robot, beside other tags. Nothing is added if the log has a topic of poses, or the settings name one.
+    Raises LocfuseError if the frames form a loop.
     """
     settings = robot.settings("landmarks")
     if settings.topic or settings.file or filled(log, *POSES):
@@ -133,7 +130,7 @@ def offer_tags(log: Log, robot: Robot) -> None:
 
 
 def _cameras(log: Log, topic: str) -> list[str]:
-    """Return the frames of the robot's cameras that see several tags, by name."""
+    """Return the frames of cameras on the robot that have several tags in /tf, sorted by name."""
     edges = log.frames(topic)
     parents = sorted({parent for parent, child in edges if named_as_tag(child)})
     several = [p for p in parents if sum(named_as_tag(edge.child) for edge in tags_of(edges, p)) >= MIN_TAGS]
@@ -144,14 +141,14 @@ def _cameras(log: Log, topic: str) -> list[str]:
 
 
 def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
-    """Return whether a frame may be on the robot: none of its parents is a frame of the room."""
+    """Return whether a frame may be on the robot: below a base frame, or below no map, world, earth or odom."""
     above = [last_word(parent) for parent, _ in ancestors(transforms, frame)]
     return any(parent in BASE_FRAMES for parent in above) or not any(parent in ROOM_FRAMES for parent in above)
 
 
 def _is_camera(log: Log, frame: str) -> bool:
-    """Return whether a frame has a camera's name, or is the frame of pictures."""
-    if CAMERAS.search(frame.lower()):
+    """Return whether a frame is named like a camera, or is the frame of a topic with pictures."""
+    if CAMERA_NAME.search(frame.lower()):
         return True
     pictures = filled(log, *REGISTRY["camera"].reads, CAMERA_INFO)
     return any(log.stream(t).frame_id.lstrip("/") == frame for t in pictures)

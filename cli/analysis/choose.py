@@ -1,4 +1,4 @@
-"""Choosing topics: one for the wheels, one for each sensor, one for the truth.
+"""Choice of topics: one for the wheels, one for each sensor, one for the truth.
 
 Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estimate must not judge another.
 """
@@ -18,7 +18,7 @@ from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .adapted_topics import not_read, offer_presented, offer_tags
 from .body_topics import by_fixes
-from .topics import NAMED, ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
+from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
 NO_TRUTH = "none"  # truth.topic: the log's truth is left out
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 
 def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
-    """Choose topics. Raises LocfuseError if several fit, none gives the wheels, or a named one does not fit.
+    """Choose topics. Raises LocfuseError if several fit, none gives the motion, or a named one does not fit.
 
     A robot.toml serves many logs, so a sensor or truth topic that it names may be missing; one named by --set
     (`insisted`) may not.
     """
     choice = Choice()
     offer_presented(log)
-    with suppress(LocfuseError):  # frames of /tf in a loop: said where somebody names them
+    with suppress(LocfuseError):  # a loop of frames in /tf is reported where they are used
         offer_tags(log, robot)
     choose_truth(log, robot, "truth" in insisted, choice)
     choose_wheels(log, robot, choice)
@@ -67,14 +67,14 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         return
     if named:
         _refuse_twice(named, sensor, choice)
-        choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
+        choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], WHY_NAMED)
     elif not candidates:
         other = not_read(log, name)
         if other:
             choice.absent[name] = other
         elif not sensor.extra:  # sensors beyond the paper's are not expected
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        if not other and not hasattr(settings, "file"):  # a file that is not configured is not missed
+        if not other and not hasattr(settings, "file"):  # of a sensor that reads a file, no topic is expected
             choice.foreign.add(name)
         return
     else:
@@ -89,7 +89,7 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
 
 
 def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> None:
-    """Add a note that these topics fit a sensor that is used only on request."""
+    """Add a note on topics that fit a sensor that is used only if configured."""
     others = (lambda t: commanded(t, log.topics[t].msgtype), looks_like_truth, by_fixes)
     candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:
@@ -99,7 +99,7 @@ def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> No
 
 
 def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:
-    """Raise LocfuseError if an independent sensor would read the topic of the wheels or of the truth."""
+    """Raise LocfuseError if a topic named for a sensor is already read as wheels or truth."""
     reasons = {"wheels": "what counts twice makes the filter overconfident", "truth": "it would judge itself"}
     for role, why in reasons.items() if sensor.asked_only else ():
         for topic in choice.of(role):
@@ -108,7 +108,7 @@ def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> Non
 
 
 def _names(settings: Any) -> tuple[str, ...]:
-    """Return the topics that a sensor's table names."""
+    """Return the topics that a sensor's table in robot.toml names."""
     several = tuple(getattr(settings, "topics", None) or ())
     fields = getattr(settings, "fields", None) or filter(None, [getattr(settings, "field", None)])
     suffix = "".join(f"{mark}{field}" for mark, field in zip(":,", fields, strict=False))
@@ -117,22 +117,24 @@ def _names(settings: Any) -> tuple[str, ...]:
 
 
 def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
-    """Return the topics that fit a sensor and that only other sensors read, those with messages first."""
+    """Return topics of a sensor's message types, except those of wheels and truth; with messages if possible."""
     sensor = REGISTRY[name]
-    wheels = [t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS]  # without wheels: scans serve both
+    wheels = [
+        t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS
+    ]  # scans may be both motion and laser
     taken = {*choice.of("truth"), *wheels}
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
-    # of the name that a bare number's topic must have; other types: None
+    # a topic of plain numbers must have one of these words in its name; None: any name
     words = {t: sensor.named.get(log.topics[t].msgtype) for t in found}
     found = [t for t in found if (w := words[t]) is None or any(word in t.lower() for word in w)]
     found = [t for t in found if log.topics[t].count != 0] or found
-    if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # to ask costs reading the topics
+    if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # `carries` reads the topics
         found = [t for t in found if sensor.carries(log.stream(t))] or [likeliest(found, sensor.unlikely or ())]
     return best_of(log, sensor, found)
 
 
 def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
-    """Return a sensor's topics, without second-best message types if there are others."""
+    """Return a sensor's topics, without those of second-best message types if there are others."""
     return [t for t in topics if log.topics[t].msgtype not in sensor.second_best] or topics
 
 
@@ -141,10 +143,10 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     sensor = REGISTRY[name]
     if len(candidates) == 1:
         same = filled(log, log.topics[candidates[0]].msgtype)
-        choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
+        choice.take(name, candidates, WHY_ONLY if len(same) < 2 else "the only one of its type that fits")
     elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
         choice.take(name, shared[:1], "another sensor reads it too")
-    elif sensor.several or (sensor.several_frames and _of_frames(log, candidates)):
+    elif sensor.several or (sensor.several_frames and _differ_in_frame(log, candidates)):
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
     elif sensor.unlikely is not None:
         best = likeliest(candidates, sensor.unlikely, choice.topics.get("wheels", ""))
@@ -153,19 +155,19 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
         choice.notes.append(Note(name, words, (f"{name}.topic={best}",)))
     elif not sensor.extra:
         raise several_fit(log, name, candidates)
-    else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
+    else:  # a sensor beyond the paper's: no guess, and no error that would stop the others
         why = several_fit(log, name, candidates)
         choice.leave(name, why.sentence, why.fixes)
 
 
-def _of_frames(log: Log, topics: Sequence[str]) -> bool:
-    """Return whether topics have one type and one frame each: several sensors at different places."""
+def _differ_in_frame(log: Log, topics: Sequence[str]) -> bool:
+    """Return whether topics have equal types and different frames: several sensors, mounted apart."""
     frames = {log.stream(t).frame_id for t in topics}
     return len({log.topics[t].msgtype for t in topics}) == 1 and len(frames - {""}) == len(topics)
 
 
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:
-    """Choose the truth's topic, by its name only."""
+    """Choose the ground truth's topic: the configured one, else by its name or type."""
     named = robot.truth.topic
     if named == NO_TRUTH:
         return
@@ -176,4 +178,4 @@ def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None
     topic = one(log, "truth", named, candidates, TRUTH_READS)
     if topic is not None:
         why = "by its type" if topic in known else "by its name"
-        choice.take("truth", [topic], NAMED if named else why)
+        choice.take("truth", [topic], WHY_NAMED if named else why)

@@ -1,4 +1,4 @@
-"""Several configurations on one measured log, judged by truth, else by a reference and by prediction."""
+"""Comparison of configurations on one measured log, judged by truth, else by a reference and by prediction."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ from .verdicts import (
 if TYPE_CHECKING:
     from locfuse.fusion.whole_drive.reference import References
 
-OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # a first pose this far from the truth's: another frame
+OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # between first poses: more is another frame
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
 RunReceiver = Callable[[Estimates, Evaluation], None]
-ListenedReceiver = Callable[[Estimates], None]
+PredictionReceiver = Callable[[Estimates], None]
 
 
 class Compared(msgspec.Struct, frozen=True):
@@ -58,17 +58,19 @@ class Compared(msgspec.Struct, frozen=True):
 
     loaded: Loaded
     configurations: Sequence[Configuration]
-    estimates: Sequence[Estimates]  # without audits, unless they were to be kept
+    estimates: Sequence[Estimates]  # without audits, unless `Asked.audits`
     evaluations: Sequence[Evaluation]
-    runs: Sequence[Run]  # evidence of the sensors' noise
-    credit: Credit | None = None  # where there is truth
-    scores: Sequence[Score] = ()  # where there is none
-    reference: Referenced | None = None  # where there is none, and a reference takes its place
-    smoothed: Mapping[str, Estimates] = {}  # by the name of what they smooth, shown or for the reference alone
+    runs: Sequence[Run]  # residuals that show the sensors' noise
+    credit: Credit | None = None  # with truth
+    scores: Sequence[Score] = ()  # without truth
+    reference: Referenced | None = None  # without truth, if asked for
+    smoothed: Mapping[
+        str, Estimates
+    ] = {}  # by the name of the filtered estimates, also if only a reference uses them
 
     @property
     def sets(self) -> dict[str, tuple[str, ...]]:
-        """The sensors by configuration, without configurations at a lower rate."""
+        """The sensors of each configuration at the log's rates, by configuration name."""
         return {c.name: c.sensors for c in self.configurations if not c.rates}
 
     @property
@@ -78,24 +80,24 @@ class Compared(msgspec.Struct, frozen=True):
 
 
 class Referenced(msgspec.Struct, frozen=True):
-    """The references of errors, without truth."""
+    """References (smoothed solutions) that replace a missing truth, and the errors against them."""
 
     references: References
-    judges: Mapping[str, Reference]  # result -> the one that judged it
+    judges: Mapping[str, Reference]  # by result
     effects: Mapping[str, ByReference]  # by sensor
 
 
 class JudgedRun(NamedTuple):
-    """One configuration's result, and its evidence on the sensors' noise."""
+    """One configuration's estimates and evaluation, with the residuals that show its sensors' noise."""
 
     estimates: Estimates
     evaluation: Evaluation
     align: Align
-    evidence: Sequence[Run] = ()  # none of smoothed and foreign estimates
+    evidence: Sequence[Run] = ()  # () for smoothed and foreign estimates
 
 
 def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
-    """Run and judge one configuration. Its smoothed estimate, if there is one, is the last of the estimates."""
+    """Run and judge one configuration: the filtered estimates, then the smoothed ones if it is smoothed."""
     first, *after = _judged(c, loaded, asked)
     estimates, evaluations = zip(*(j[:2] for j in (first, *after)), strict=True)
     smoothed = dict(zip([first.estimates.name], (j.estimates for j in after), strict=False))
@@ -109,19 +111,19 @@ def compare_log(
     progress: Progress,
     receivers: Sequence[RunReceiver] = (),
     foreign: Sequence[Estimates] = (),
-    listened_receivers: Sequence[ListenedReceiver] = (),
+    prediction_receivers: Sequence[PredictionReceiver] = (),
 ) -> Compared:
-    """Run and judge every configuration; smoothed ones come last.
+    """Run and judge every configuration; smoothed ones come last, then `foreign` ones.
 
-    `foreign` are other people's estimates, judged beside ours. With `asked.reference` the whole drive is solved,
-    and its solution takes the place of a truth that the log lacks; `receivers` are given evaluations without it.
+    `foreign` are estimates of other programs. With `asked.reference` smoothed solutions replace the missing truth;
+    the evaluations given to `receivers` do not use them.
 
-    Audits are most of what a run holds. Unless `asked.audits` are kept they end as soon as the run is judged:
-    `receivers` get each run before that, and `listened_receivers` each run that other sensors only listen to.
+    Audits take most of a run's memory. Unless `asked.audits`, they are freed as soon as the run is judged:
+    `receivers` get each run before that, `prediction_receivers` each run in which unused sensors are predicted.
     """
     align = cast("Align", one_of(asked.align, get_args(Align), "align"))
     drive, robot, reference = loaded.drive, loaded.robot, bool(asked.reference)
-    if asked.smooth:  # refused before any work: a filter whose gain is not optimal
+    if asked.smooth:  # raise early: smoothing needs the optimal gain
         from locfuse.fusion.whole_drive.smooth import check_smoothing
 
         for c in configurations:
@@ -132,8 +134,8 @@ def compare_log(
 
         solves = {frozenset(sensors) for sensors in sets(drive)}
     filtered, smoothed = [], []
-    plain: dict[frozenset[str], JudgedRun] = {}  # of sensors at the rates of the log
-    wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of what they smooth
+    plain: dict[frozenset[str], JudgedRun] = {}  # by sensors, all at the log's rates
+    wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of the filtered ones
     for c in configurations:
         progress(f"fusing {c.name}")
         solve = frozenset(c.sensors) in solves and not c.rates
@@ -146,7 +148,7 @@ def compare_log(
     present = [s for s in REGISTRY if s in drive.measurements]
     judged = {sensors: j.evaluation for sensors, j in plain.items()}
     found = credit(judged, present) if drive.truth is not None else None
-    predicted = [] if found is not None else predict(drive, robot, configurations, progress, listened_receivers)
+    predicted = [] if found is not None else predict(drive, robot, configurations, progress, prediction_receivers)
     progress("solving the whole drive" if reference else "judging")
     runs = [run for j in filtered for run in j.evidence]
     references = None
@@ -180,7 +182,7 @@ def compare_log(
 
 
 def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]) -> ByReference | None:
-    """Return errors without and with a sensor, by a reference that does not use it; None if they were not run."""
+    """Return the errors without and with a sensor by a reference without it; None if a run is missing."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
@@ -188,7 +190,7 @@ def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], 
     runs = {s: plain[s] for s in (before, after)}
     judged = {s: reference.judge(j.evaluation, j.estimates, j.align) for s, j in runs.items()}
     errors = [e.figures["position_rmse_m"] or 0.0 for e in judged.values()]
-    some = min(errors) > 0.0  # no error is a share of none
+    some = min(errors) > 0.0  # a ratio of errors needs both above 0
     found = credit(judged, [sensor]) if some and reference.can_judge(max(errors)) else None
     alone = None if found is None else found.sensors[sensor].alone
     effect = None if alone is None else reference.widened(alone, errors[0], errors[1])
@@ -198,7 +200,7 @@ def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], 
 def _judged(
     c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, receivers: Sequence[RunReceiver] = ()
 ) -> list[JudgedRun]:
-    """Fuse and judge one configuration; smooth it for display, or to `solve` a reference."""
+    """Fuse and judge one configuration; smooth it if its smoothed path is shown, or to `solve` a reference."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
     shown = c.is_smoothed(asked, robot)
     how = cast("Align", asked.align)
@@ -212,7 +214,7 @@ def _judged(
 
 
 def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
-    """Return the distance [m] between the starts of a foreign estimate and the truth, if too large; or None."""
+    """Return the distance [m] between the first poses of a foreign estimate and the truth; None if near."""
     if drive.truth is None or estimates.truth_pose is None:
         return None
     rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
@@ -227,7 +229,7 @@ def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
 
 
 def _in_frame_of(e: Estimates, drive: Drive, references: References | None, align: str) -> tuple[Estimates, Align]:
-    """Return a foreign estimate and its alignment; if it starts in another frame, its first pose is aligned."""
+    """Return a foreign estimate and its alignment: "origin" if it starts in another frame than the truth."""
     whole = None if references is None else references.whole
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
     away = _other_frame(seen, judge) if align == "none" else None
@@ -242,9 +244,9 @@ def predict(
     robot: Robot,
     configurations: Sequence[Configuration],
     progress: Progress,
-    listened_receivers: Sequence[ListenedReceiver] = (),
+    prediction_receivers: Sequence[PredictionReceiver] = (),
 ) -> list[Score]:
-    """Return how well each configuration predicts the readings of sensors that it does not use."""
+    """Return the innovation scores of each configuration for the sensors that it does not use."""
     if not drive.measurements:
         return []
     sets = [
@@ -256,7 +258,7 @@ def predict(
         for sensors, name in sets:
             progress(f"trying how {name} predicts the rest")
             e = fuser(robot.preset)(drive, robot, sensors, name, listeners(drive, sensors))
-            for take in listened_receivers:
+            for take in prediction_receivers:
                 take(e)
             yield e
             del e
@@ -265,7 +267,7 @@ def predict(
 
 
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
-    """Return the report as plain values: report.json. `asked` adds the key and the command to repeat it."""
+    """Return report.json as plain values; with `asked` including the result's key and the command to repeat it."""
     report = results.build(compared.loaded, compared.evaluations)
     tables = compared.loaded.given
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
@@ -289,9 +291,9 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
 def add_own_scans(
     report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
 ) -> None:
-    """Add pose corrections to each result; if a path was smoothed, also figures by the laser's scans."""
+    """Add pose corrections to each result, and, if a path was smoothed, its agreement with the laser's scans."""
     report["doubt"] = None
-    for e in estimates:  # corrections of the pose that are no motion
+    for e in estimates:  # slips, relocalisations, loop closures
         report["configurations"][e.name]["events"] = [
             {"t_s": t, "kind": kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(turn)}
             for t, kind, (x, y, turn) in e.jumps
@@ -321,7 +323,7 @@ def add_own_scans(
 
 
 def add_reference(report: dict[str, Any], compared: Compared) -> None:
-    """Add `reference` to the report and to every result, with its verdicts on the sensors it can judge."""
+    """Add `reference` to the report and to each result, and verdicts on the sensors that it can judge."""
     found = compared.reference
     report["reference"] = None
     if found is None:
@@ -339,7 +341,7 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
 
 
 def report_of_run(compared: Compared) -> dict[str, Any]:
-    """Return the report of one configuration, filtered and perhaps smoothed, as plain values: run.json."""
+    """Return run.json, the report of one configuration, as plain values."""
     report = results.build(compared.loaded, compared.evaluations)
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     drive = compared.configurations[0].drive(compared.loaded.drive)

@@ -1,4 +1,4 @@
-"""The sets of sensors of a command: the words of --sensors, or the paper's five, or every subset."""
+"""Configurations (sets of sensors) to run: those of --sensors, else the paper's five, or every subset."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Configuration(msgspec.Struct, frozen=True):
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz
 
     def drive(self, drive: Drive) -> Drive:
-        """Return the drive with the readings of this configuration."""
+        """Return the drive with this configuration's readings: fewer for sensors at a lower rate."""
         return thinned(drive, self.rates) if self.rates else drive
 
     def is_smoothed(self, asked: Asked, robot: Robot) -> bool:
-        """Return whether its smoothed path is shown: if asked for; by default with a laser if possible."""
+        """Return whether the smoothed path is shown: as asked, else with a laser if it can be smoothed."""
         if asked.smooth is not None:
             return asked.smooth and bool(self.sensors)
         if asked.jitter or self.rates or LASER not in self.sensors:
@@ -51,9 +51,9 @@ class Configuration(msgspec.Struct, frozen=True):
         return has_scipy() and why_not_smoothed(robot, self.sensors) is None
 
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
-        """Run the filter, and perhaps the smoother: (filtered,) or (filtered, smoothed).
+        """Run the filter, and with `smooth` the smoother. Returns (filtered,) or (filtered, smoothed).
 
-        Raises UsageError where a filter does not weigh optimally that is to be smoothed.
+        Raises UsageError if the filter to smooth does not use the optimal gain.
         """
         found: tuple[Estimates, ...]
         if smooth:
@@ -76,8 +76,7 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
     """
     words = sensors if isinstance(sensors, str) else ",".join(sensors)
     present = tuple(s for s in REGISTRY if s in drive.measurements)
-    names = [w.strip() for w in words.replace("+", ",").split(",") if w.strip()]
-    names = list(dict.fromkeys(names))
+    names = list(dict.fromkeys(w.strip() for w in words.replace("+", ",").split(",") if w.strip()))
     if names == ["all"]:
         return plain(present, drive)
     if len(names) == 1 and names[0] in BASES:
@@ -104,7 +103,7 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
 
 
 def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
-    """Raise UsageError if a sensor's required sensor is not in the set."""
+    """Raise UsageError if a sensor needs another sensor that is not in the set."""
     for other, why in REGISTRY[sensor].needs.items():
         if other not in written:
             enough = ",".join((other, *written.values()))
@@ -112,12 +111,12 @@ def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
 
 
 def configuration_words(sensors: Sensors | Iterable[Sensors] | None) -> tuple[str, ...]:
-    """Return one or several configurations as the words of --sensors, one word each; none for None."""
+    """Return configurations as the words of --sensors, one word for each; () for None."""
     words = () if sensors is None else (sensors,) if isinstance(sensors, str) else sensors
     return tuple(word if isinstance(word, str) else ",".join(word) for word in words)
 
 
-ALIASES = {  # what people call a sensor -> its name here
+ALIASES = {  # a sensor's other names -> its name in --sensors
     "laser": "lrf",
     "lidar": "lrf",
     "scan": "lrf",
@@ -139,7 +138,7 @@ def unknown_sensor(name: str) -> UsageError:
 
 
 def refuse_beside_others(words: str, names: Sequence[str]) -> None:
-    """Raise UsageError if `all` or `odometry` is given together with other words."""
+    """Raise UsageError if `all` or `odometry` is combined with other sensor names."""
     meaning = {"all": "every sensor of the log", "odometry": "the wheels and no sensor"}
     for word, what in meaning.items():
         others = [name for name in names if name != word]
@@ -151,7 +150,7 @@ def refuse_beside_others(words: str, names: Sequence[str]) -> None:
 
 
 def _rate(name: str, text: str) -> float:
-    """Return the rate [Hz] of a word such as "2Hz". Raises UsageError unless it is a positive number."""
+    """Return the rate [Hz] of a text such as "2Hz". Raises UsageError unless it is a positive number."""
     found = RATE_PATTERN.fullmatch(text.strip())
     if found is None or float(found[1]) <= 0.0:
         raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")
@@ -164,10 +163,9 @@ def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
 
 
 def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> list[Configuration]:
-    """Return the configurations to compare.
+    """Return the configurations to compare; named ones replace the default ones.
 
-    Those named; else odometry, each sensor alone (or with the one whose map it reads), and all; `every`: all
-    subsets, and those named beside them.
+    Default: odometry, each sensor alone (or with the sensor that it needs), and all. `every`: also all subsets.
     """
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     named = [parse(w, drive) for w in words]

@@ -1,4 +1,4 @@
-"""Errors that are no bug, as one line and an exit code: our own, and those of the system. NumPy warnings."""
+"""Expected errors (locfuse's own and the system's) as a line and an exit code; NumPy's overflow warnings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import errno
 import os
 import warnings
 
-EXIT_LOSS = 3  # exit code where something of a log was lost, or figures are void
+EXIT_LOSS = 3  # exit code if parts of a log were lost, or figures are void
 PACKAGES = {  # module -> what to install, where their names differ
     "cv2": "opencv-python-headless",
     "distributed": "locfuse[cluster]",
@@ -14,14 +14,11 @@ PACKAGES = {  # module -> what to install, where their names differ
     "obstore": "locfuse[remote]",
     "rerun": "rerun-sdk",
 }
-OUT_OF_MEMORY_WORDS = (
-    "failed to map segment",
-    "annot allocate memory",
-)  # messages of the loader when memory is short
+OUT_OF_MEMORY_WORDS = ("failed to map segment", "annot allocate memory")  # in messages of the dynamic loader
 
 
 def has_scipy() -> bool:
-    """Return whether SciPy is installed; without it, features that need it and were not asked for are skipped."""
+    """Return whether SciPy is installed; without it, features used by default are skipped if they need it."""
     try:
         import scipy  # noqa: F401
     except ImportError:
@@ -30,7 +27,7 @@ def has_scipy() -> bool:
 
 
 def expected(e: Exception) -> tuple[str, int] | None:
-    """Return the line to print for an error and the exit code; None for a bug."""
+    """Return (line to print, exit code) of an expected error; None if the exception is a bug."""
     from locfuse.fusion.data import LocfuseError
 
     if isinstance(e, LocfuseError):
@@ -52,15 +49,15 @@ def expected(e: Exception) -> tuple[str, int] | None:
 
 
 def _package_of(e: ModuleNotFoundError) -> str | None:
-    """Return the package to install for a missing module; None for one of ours, which is a bug."""
+    """Return the package to install for a missing module; None for a module of locfuse (a bug)."""
     module = (e.name or "").partition(".")[0]
     return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
 
 
 def silence_overflows() -> None:
-    """Ignore RuntimeWarning from here on, in this process; `import locfuse` alone ignores none.
+    """Ignore RuntimeWarning in this process from now on. Only the command line calls this.
 
-    Absurd readings (1e300 m, NaN) overflow on their way to the gate that counts and reports them. NumPy's
-    warning about it names a line of our source and no reading, so it does not help at a terminal.
+    Absurd readings (1e300 m, NaN) overflow before a gate counts and reports them. NumPy's warning names a line of
+    source code and no reading, so it does not help the user.
     """
     warnings.simplefilter("ignore", RuntimeWarning)

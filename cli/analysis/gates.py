@@ -1,8 +1,8 @@
-"""Gates for CI: `--fail-if` and `--baseline`. A gate that fails, or whose figure does not exist, is exit code 4.
+"""Gates for CI: `--fail-if` and `--baseline`. A gate that fails, or whose figure is missing, gives exit code 4.
 
-On one log a gate is `<configuration>.<key> <op> number`, keys as in report.json, deeper ones with dots:
-all.sensors.lrf.nis. On many logs it is `fleet.<configuration>.<key>.<statistic> > 0.05`, with mean, median, p90 or
-worst; `fleet.failed` counts logs without a result.
+A gate on one log is `<configuration>.<key> <op> <number>` with a key of report.json; a dot leads into a table:
+all.sensors.lrf.nis. A gate on many logs is `fleet.<configuration>.<key>.<statistic> > 0.05`, with the statistic
+mean, median, p90 or worst; `fleet.failed` counts logs without a result.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 EXIT_GATE_FAILED = 4
-OF_REFERENCE = "reference."  # before a figure: that of a log without truth, against its reference
-OF_FLEET = "fleet."  # before a figure: that of all logs together
+OF_REFERENCE = "reference."  # prefix of figures against a reference, of a log without truth
+OF_FLEET = "fleet."  # prefix of figures over all logs
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,
     "<=": operator.le,
@@ -47,12 +47,12 @@ TOLERANCE_UNITS = {
     "deg": ("degrees", 1.0),
     "°": ("degrees", 1.0),
 }
-TOLERANCE_PATTERN = re.compile(r"(\S*?)\s*(%|mm|cm|m|deg|°|)")  # of a tolerance: a number and its unit
+TOLERANCE_PATTERN = re.compile(r"(\S*?)\s*(%|mm|cm|m|deg|°|)")  # a number and its unit
 GATE_PATTERN = re.compile(r"\s*(?P<figure>[^\s<>=](?:[^<>=]*[^\s<>=])?)\s*(?P<op>>=|<=|>|<)\s*(?P<limit>\S+)\s*")
 
 
 class Gate(msgspec.Struct, frozen=True):
-    """Fail if `figure op limit`."""
+    """A limit on a figure of the report; the gate fails if `figure op limit` is true."""
 
     text: str
     figure: str  # "<configuration>.<key>"
@@ -60,14 +60,14 @@ class Gate(msgspec.Struct, frozen=True):
     limit: float
 
     def line(self, value: float | None, missing: str) -> str | None:
-        """Return a line if a figure violates the gate; `missing` is the reason if there is no figure."""
+        """Return the line on a failed gate, else None; `missing` is the reason why `value` is None."""
         if value is None:
             return f"{self.text}: {missing}"
         return f"{self.text}: it is {value:.6g}" if OPERATORS[self.op](value, self.limit) else None
 
 
 class Tolerance(msgspec.Struct, frozen=True):
-    """How much worse a figure may be: a share of the baseline's, or a length or an angle if that is more."""
+    """Allowed growth of an error figure over the baseline: a share, or a length or angle if that is larger."""
 
     text: str
     share: float = 0.0
@@ -75,13 +75,13 @@ class Tolerance(msgspec.Struct, frozen=True):
     degrees: float = 0.0
 
     def limit(self, key: str, old: float) -> float:
-        """Return the largest value with which a gate passes; the gate's key ends with the unit."""
+        """Return the largest value that passes; `key` ends in the figure's unit (_m, _deg)."""
         floor = self.metres if key.endswith("_m") else self.degrees if key.endswith("_deg") else 0.0
         return old + max(self.share * old, floor)
 
 
 class Baseline(msgspec.Struct, frozen=True):
-    """Earlier results as limits: a report of the same log, or a summary of the same logs."""
+    """An earlier report of the same log, or summary of the same logs, whose error figures are limits."""
 
     path: Path
     values: Mapping[str, Any]
@@ -90,7 +90,7 @@ class Baseline(msgspec.Struct, frozen=True):
     of_fleet: bool = False
 
     def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
-        """Return a line per error figure that grew beyond the tolerance; one line if no figure is common."""
+        """Return a line per error figure that grew beyond the tolerance; one line if no figure is in both."""
         old, new = self.figures, _error_figures(later["configurations"], self.of_fleet)
         common = [at for at in old if at in new]
         if not common:
@@ -104,15 +104,15 @@ class Baseline(msgspec.Struct, frozen=True):
 
 
 class Gates(msgspec.Struct, frozen=True):
-    """Gates on one log, or on each log of a fleet and on all of them together."""
+    """Gates on one log, or on each log of a fleet and on the whole fleet."""
 
-    limits: Sequence[Gate]  # of each log
+    limits: Sequence[Gate]  # on each log
     baseline: Baseline | None = None
-    together: Sequence[Gate] = ()  # of all logs
+    together: Sequence[Gate] = ()  # on the whole fleet
 
     @classmethod
     def read(cls, typed: GateOptions, of_fleet: bool = False) -> Gates:
-        """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for an invalid one."""
+        """Return the gates of --fail-if, --baseline and --tolerance. Raises LocfuseError for an invalid gate."""
         limits = [parse_gate(text) for text in typed.fail_if]
         together = [gate for gate in limits if of_fleet and gate.figure.startswith(OF_FLEET)]
         each = [known_figure(gate) for gate in limits if gate not in together]
@@ -120,7 +120,7 @@ class Gates(msgspec.Struct, frozen=True):
         return cls(each, earlier, together)
 
     def failures(self, report: Mapping[str, Any]) -> list[str]:
-        """Return one line per gate on one log that failed or whose figure does not exist."""
+        """Return one line per gate on one log that fails or whose figure is missing."""
         lines = []
         for gate in self.limits:
             path = gate.figure.removeprefix(OF_REFERENCE)
@@ -131,7 +131,7 @@ class Gates(msgspec.Struct, frozen=True):
         return [line for line in lines if line] + worse
 
     def failures_together(self, summary: Mapping[str, Any]) -> list[str]:
-        """Return one line per gate on all logs together that failed or whose figure does not exist."""
+        """Return one line per gate on the whole fleet that fails or whose figure is missing."""
         lines = [line for gate in self.together if (line := _violated_together(summary, gate))]
         if self.baseline is None:
             return lines
@@ -140,7 +140,7 @@ class Gates(msgspec.Struct, frozen=True):
 
 
 def parse_gate(text: str) -> Gate:
-    """Return the gate of one `--fail-if`. Raises UsageError with an example."""
+    """Return the gate of one `--fail-if`. Raises UsageError, with an example, for another form."""
     found = GATE_PATTERN.fullmatch(text)
     limit = _number(found["limit"]) if found else None
     if found is None or limit is None or "." not in found["figure"]:
@@ -149,7 +149,7 @@ def parse_gate(text: str) -> Gate:
 
 
 def known_figure(gate: Gate) -> Gate:
-    """Return a gate unchanged. Raises UsageError, before a log is opened, if no report has its figure."""
+    """Return the gate. Raises UsageError if no report can have its figure."""
     from locfuse.formats.report.structure import Result
 
     configuration, *keys = gate.figure.removeprefix(OF_REFERENCE).split(".")
@@ -161,7 +161,7 @@ def known_figure(gate: Gate) -> Gate:
 
 
 def parse_tolerance(text: str) -> Tolerance:
-    """Return "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError, also for 5, which would be 500 %."""
+    """Return the tolerance of "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError for others."""
     found: dict[str, float] = {}
     for part in text.split(","):
         read = TOLERANCE_PATTERN.fullmatch(part.strip())
@@ -176,7 +176,7 @@ def parse_tolerance(text: str) -> Tolerance:
 
 
 def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baseline:
-    """Return an earlier report.json, or a fleet's summary.json. Raises LocfuseError where the file is none."""
+    """Return an earlier report.json, or a fleet's summary.json. Raises LocfuseError for any other file."""
     try:
         values = json.loads(read_small(path, MAX_REPORT))
         if of_fleet:
@@ -197,7 +197,7 @@ def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baselin
 
 
 def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
-    """Raise LocfuseError if the baseline is of another log: then a worse figure may be due to the drive."""
+    """Raise LocfuseError if the baseline is of another log, where errors may differ for other reasons."""
     then = {} if baseline is None else baseline.values.get("input", {})
     if baseline is None or then.get("identity") in {None, log.identity.digest}:
         return
@@ -210,7 +210,7 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
-    """Return why a gate cannot be applied: one error is against truth, the other one against a reference."""
+    """Return why a gate is not applied: one error is against truth, the other against a reference; else None."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
@@ -222,7 +222,7 @@ def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
 
 
 def figure(configurations: Mapping[str, Any], path: str) -> tuple[str | None, float | None]:
-    """Return the configuration in a path (its name may hold dots) and its figure; None if there is none."""
+    """Return (configuration, figure) of a path such as "all.position_rmse_m"; None for what is missing."""
     fitting = [name for name in configurations if path.startswith(f"{name}.")]
     if not fitting:
         return None, None
@@ -249,7 +249,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
-    """Return error figures of both reports that grew by more than the tolerance."""
+    """Return lines on error figures that grew beyond the tolerance, or one on why they cannot be compared."""
     from locfuse.formats.report.changes import judged_by
 
     then, now = judged_by(baseline.values), judged_by(report)
@@ -259,7 +259,7 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
 
 
 def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tuple[str, ...], float]:
-    """Return the error figures of a report, or the statistics of a summary, by path, key, and what judged them."""
+    """Return the error figures of a report or summary by (path, key, sensors of the reference if any)."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     found: dict[tuple[str, ...], float] = {}
@@ -292,7 +292,7 @@ def _violated_together(summary: Mapping[str, Any], gate: Gate) -> str | None:
 
 
 def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
-    """Return a line if the two summaries are of different logs: then the drives may be the reason."""
+    """Return a line if the summary and the baseline are of different logs, else None."""
     before, now = _contents(baseline.values), _contents(summary)
     missing = [name for content, name in before.items() if content not in now]
     new = [name for content, name in now.items() if content not in before]
@@ -302,7 +302,7 @@ def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
 
 
 def _contents(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Return the name of each log that has a result, by the identity of the log's content."""
+    """Return the names of the logs with a result, by the hash of the log's content."""
     logs = summary["logs"].items()
     return {str(v.get("identity")): n for n, v in logs if v.get("state", "done") == "done"}
 

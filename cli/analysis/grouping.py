@@ -1,6 +1,6 @@
-"""Several words on a command line: finished results, the parts of one log, or several logs.
+"""Paths on a command line as finished results, parts of one log, or several logs.
 
-Many logs are named by lists of them in a file, by patterns, and by folders with logs somewhere below.
+Many logs are given by a list in a file, by a pattern, or by a folder with logs at any depth.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from locfuse.formats.container.url import Place, Url, is_url, place
+from locfuse.formats.container.url import Url, is_url, place
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import ENDINGS, REPORTS, log_name
 from locfuse.formats.visible import writable
@@ -23,16 +23,16 @@ from locfuse.fusion.data import LocfuseError, UsageError
 from .load import find_log
 
 PART_NAME_PATTERN = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
-OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
+OVERLAP_NS = 1_000_000_000  # parts of one recording may overlap by less
 METADATA_FILE = "metadata.yaml"
 MAX_LIST_BYTES = 64 * 1024 * 1024  # of a list of logs: half a million paths
 
 
 def expanded(words: Sequence[str], each: Sequence[str] = ()) -> list[str]:
-    """Return one word per log or part of a log: @FILE stands for its lines, a pattern for all matching files.
+    """Return one path per log or part of a log: lines of a list @FILE, files of a pattern, logs in `each` folder.
 
-    Of the folders in `each` every log below is named; a rosbag2 folder is one. Raises UsageError for a pattern
-    that nothing fits and for a folder without logs, LocfuseError for a list that cannot be read.
+    A rosbag2 folder is one log. Raises UsageError for a pattern without a match and a folder without logs,
+    LocfuseError for an unreadable list.
     """
     found = [path for word in words for path in _expanded(word)]
     for folder in each:
@@ -57,7 +57,7 @@ def _expanded(word: str) -> list[str]:
 
 
 def _fitting(pattern: Url) -> list[str]:
-    """Return the objects that match a pattern: ** is any number of folders, * and ? stay within one."""
+    """Return the remote objects that match a pattern: ** is any number of folders, * and ? stay in one."""
     from locfuse.formats.container.remote_objects import below
 
     fixed = re.split(r"[*?\[]", pattern.key)[0].rpartition("/")[0]
@@ -69,7 +69,7 @@ def _fitting(pattern: Url) -> list[str]:
 
 
 def _regex(pattern: str) -> str:
-    """Return a pattern of the shell as a regular expression."""
+    """Return a shell pattern as a regular expression."""
     whole = {"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"}
     parts = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]*\])", pattern)
     some = {p: fnmatch.translate(p).removeprefix("(?s:")[:-3] for p in parts if p.startswith("[")}  # "[!a-c]"
@@ -77,7 +77,7 @@ def _regex(pattern: str) -> str:
 
 
 def _objects(folder: Url) -> Iterator[str]:
-    """Yield every log below a folder of a store, by key; the parts of a recording one by one."""
+    """Yield every log below a remote folder in the order of keys; each part of a recording is one."""
     from locfuse.formats.container.remote_objects import below
 
     for found in below(folder):
@@ -86,7 +86,7 @@ def _objects(folder: Url) -> Iterator[str]:
 
 
 def _lines(file: Path) -> list[str]:
-    """Return the lines of a list without empty lines; # begins a comment line."""
+    """Return the lines of a list of logs, without empty lines and comment lines (#)."""
     try:
         lines = read_small(file, MAX_LIST_BYTES).decode().splitlines()
     except UnicodeDecodeError:
@@ -100,13 +100,13 @@ def _lines(file: Path) -> list[str]:
 
 
 def _below(folder: Path) -> Iterator[str]:
-    """Yield every log below a folder in the order of paths, without results of locfuse."""
+    """Yield every log below a folder in the order of paths; folders with results of locfuse are skipped."""
     for here, folders, names in os.walk(folder):
         folders.sort()
-        if set(RESULTS) & set(names):  # what it exported lies there, and a folder for each log
+        if set(RESULTS) & set(names):  # exported logs of a result, or results of a fleet
             folders.clear()
             continue
-        if "metadata.yaml" in names:
+        if METADATA_FILE in names:
             yield here
             folders.clear()
             continue
@@ -116,7 +116,7 @@ def _below(folder: Path) -> Iterator[str]:
 
 
 def result_file(word: str) -> Path | None:
-    """Return the report of a finished result at a path (its folder or the file itself), else None."""
+    """Return the report of a finished result (its folder or the report itself), None if the path is not one."""
     if is_url(word):
         return None
     path = Path(word)
@@ -126,9 +126,9 @@ def result_file(word: str) -> Path | None:
 
 
 def results_of(words: Sequence[str]) -> list[Path] | None:
-    """Return the reports if every word is the path of a finished result, else None.
+    """Return the reports if every path is a finished result, else None.
 
-    A single word is never a comparison of results. Raises UsageError for logs and results mixed.
+    None for a single path: one result cannot be compared. Raises UsageError for a mix of logs and results.
     """
     found = [result_file(word) for word in words]
     reports = [file for file in found if file is not None]
@@ -141,21 +141,24 @@ def results_of(words: Sequence[str]) -> list[Path] | None:
 
 
 def logs_of(words: Sequence[str]) -> list[list[str]]:
-    """Return the logs of the command line, each as its parts: NAME_0.mcap, NAME_1.mcap of one folder are one log.
+    """Return the logs of the command line as lists of parts: NAME_0.mcap, NAME_1.mcap of one folder are one log.
 
-    Parts follow each other in time; recordings that overlap are logs of their own, whatever their names. What is
-    named twice counts once: two logs of one drive would be sure of everything.
+    Parts follow each other in time; recordings that overlap are separate logs. A file given twice counts once: two
+    copies of a drive are not two samples.
     """
     groups: dict[object, list[str]] = {}
     for word in _once(words):
-        part = PART_NAME_PATTERN.fullmatch(place(word).name)
-        key = (_folder(word), part["name"]) if part and (is_url(word) or Path(word).is_file()) else word
+        at = place(word)
+        key: object = word
+        part = PART_NAME_PATTERN.fullmatch(at.name)
+        if part and (isinstance(at, Url) or at.is_file()):
+            key = at.parent if isinstance(at, Url) else at.resolve().parent, part["name"]
         groups.setdefault(key, []).append(word)
     return [log for parts in groups.values() for log in _split(parts)]
 
 
 def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return the logs by the names of their result folders; repeated names are numbered."""
+    """Return the logs by the names of their result folders; equal names are numbered."""
     found: dict[str, Sequence[str]] = {}
     numbers: dict[str, int] = {}
     for parts in logs:
@@ -170,17 +173,12 @@ def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
 def _name(parts: Sequence[str]) -> str:
     try:
         return log_name(find_log(parts))
-    except UsageError:  # no such file: opening it raises this again
+    except UsageError:  # raised again when the log is opened
         return writable(Path(parts[0]).stem) or "log"
 
 
-def _folder(word: str) -> Place:
-    found = place(word)
-    return found.parent if isinstance(found, Url) else found.resolve().parent
-
-
 def _once(words: Sequence[str]) -> list[str]:
-    """Leave out repeated paths of a file, and a metadata.yaml beside files of its folder, as with `bag/*`."""
+    """Remove repeated files, and a metadata.yaml given with files of its folder (as in `bag/*`)."""
     first: dict[object, str] = {}
     for word in words:
         here = not is_url(word) and Path(word).exists()
@@ -192,14 +190,14 @@ def _once(words: Sequence[str]) -> list[str]:
 
 
 def _split(parts: list[str]) -> list[list[str]]:
-    """Return the parts as one log, or as several where they overlap in time."""
+    """Return the parts as one log, or as separate logs if they overlap in time."""
     if len(parts) < 2:
         return [parts]
     from locfuse.formats.logs.log import open_log
 
     try:
         spans = sorted(span for part in parts if (span := open_log([place(part)]).time_span_ns) is not None)
-    except LocfuseError:  # the one that cannot be opened fails by itself
+    except LocfuseError:  # raised again when that log is opened
         return [[part] for part in parts]
     apart = all(b[0] > a[1] - OVERLAP_NS for a, b in pairwise(spans))
     return [parts] if apart else [[part] for part in parts]

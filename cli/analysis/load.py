@@ -1,4 +1,4 @@
-"""From the command line to a measured drive: log, robot, topics, streams, Drive."""
+"""Loading: from the words of the command line to a measured drive (log, robot, topics, streams, Drive)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from .choose import choose
 from .motion_evidence import path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
-from .refused_motion import find_motion_faults, standing_notes
+from .refused_motion import STANDS, find_motion_faults
 from .robot_tables import (
     flat,
     given_tables,
@@ -53,56 +53,54 @@ from .topics import Choice, Note
 if TYPE_CHECKING:
     from locfuse.fusion.wheels.motion_by_scans import MatchedScans
 
-# matching scans with each other does not show where the laser sits: any mount fits as well
+# scan-to-scan matching cannot observe the laser's mount
 EXACT_LASER = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
-TWICE = (
+SAME_SCANS = (
     "wheels: the motion and the laser are of the same scans, which count twice: with the laser the covariance is "
     "too small where the scans share an error"
 )
-MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
-Parts = Sequence[str | Place]  # of one log: words of the command line, or places
+MAX_LISTED = 1000  # entries of a folder compared with a mistyped name
+Parts = Sequence[str | Place]  # the parts of one log, as typed or as places
 
 
 class Loaded(msgspec.Struct, frozen=True, dict=True):
-    """A measured log with its sources: the log, the settings and where they come from."""
+    """A measured log, with its settings and their sources."""
 
     log: Log
     robot: Robot
     choice: Choice
     drive: Drive
-    tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
-    sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> what set it, of keys that are set
-    given: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
-    how: LogOptions = LogOptions()  # how it was read
-    matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
-    reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
-    motion_faults: tuple[Note, ...] = ()  # why the motion is not the robot's: no figure means anything then
+    tables: Mapping[str, Any] = field(default_factory=dict)  # merged settings, without mounts from /tf_static
+    sources: Mapping[str, str] = field(default_factory=dict)  # key -> its source: "lrf.x" -> "--set"
+    given: Mapping[str, Any] | None = None  # settings from the user; None: the result has no key
+    how: LogOptions = LogOptions()
+    matched: MatchedScans | None = None  # scan matching, if it gives the motion
+    reading: WheelReading | None = None  # the motion of the whole log; None: read it again
+    motion_faults: tuple[Note, ...] = ()  # why the motion is not the robot's; with any, all figures are void
 
     def stream(self, role: str) -> Stream:
-        """Return the raw readings of a role, of all its topics."""
+        """Return the raw readings of a role ("wheels", a sensor, "truth") from all its topics."""
         return merged([self.log.stream(topic, self.robot.order) for topic in self.choice.of(role)])
 
     @cached_property
     def labels(self) -> tuple[Event, ...]:
-        """Fault labels in the log, read when a figure needs them."""
+        """Fault labels in the log, read at first use."""
         return tuple(labels(self.log, self.drive, self.robot.order))
 
     @property
     def window(self) -> tuple[float | None, float | None]:
-        """The part of the drive that is used [s]; None: no bound."""
+        """Begin and end of the used part of the drive [s]; None: no bound."""
         return self.how.begin, self.how.end
 
 
 def find_log(words: Parts) -> list[Place]:
-    """Return the paths of the logs on the command line; a file takes precedence over a sample log's name."""
+    """Return the places of a log's parts; a file takes precedence over a sample log's name."""
     return [_find(str(word)) for word in words]
 
 
 def _find(word: str) -> Place:
     path = place(word)
-    if isinstance(path, Url):
-        return path
-    if path.exists():
+    if isinstance(path, Url) or path.exists():
         return path
     from locfuse import sample_logs
 
@@ -114,7 +112,7 @@ def _find(word: str) -> Place:
 
 
 def _beside(path: Path) -> list[str]:
-    """Return what the parent folder of a missing path holds, as paths of the same form."""
+    """Return the paths of the files and folders next to a missing path, for suggestions."""
     try:
         return [str(path.parent / entry.name) for entry in itertools.islice(path.parent.iterdir(), MAX_LISTED)]
     except OSError:
@@ -128,30 +126,30 @@ def load(
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
 ) -> Loaded:
-    """Open a log, read its settings, choose topics, and measure all sensors, or `only` some; skip those `aside`.
+    """Open a log, choose topics, and measure all sensors, or `only` some; the roles `aside` are not measured.
 
-    Raises LocfuseError with one line on what is wrong.
+    Raises LocfuseError if a step fails.
     """
     places = find_log(log)
     progress("opening")
-    given = given_tables(how)  # before anything is read: what changes meanwhile has another key
+    given = given_tables(how)  # before any file is read: a later change of a file changes the key
     opened = open_log(places)
     tables, sources = merged_tables(opened, how)
     choice = choose(opened, make_robot(tables), named_by_hand(how.sets))
     found = measured(opened, tables, choice, progress, only, aside)
-    return _within(replace(found, sources=sources, given=given, how=how))
+    return _in_window(replace(found, sources=sources, given=given, how=how))
 
 
-def _within(loaded: Loaded) -> Loaded:
-    """Return the part of a drive within its window."""
+def _in_window(loaded: Loaded) -> Loaded:
+    """Return the log with its drive cut to the window of --from and --to."""
     if loaded.window == (None, None):
         return loaded
     drive, robot = windowed(loaded.drive, loaded.robot, *loaded.window)
     return replace(loaded, drive=drive, robot=robot)
 
 
-def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
-    """Load a log whose columns can be freed after measuring, unless it is `read_again`."""
+def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool) -> Loaded:
+    """Load a log and free its columns after measuring, unless it is `read_again`."""
     loaded = load(log, how, progress)
     if not read_again:
         loaded.log.forget()
@@ -168,12 +166,12 @@ def measured(
     known: Mapping[str, Measurements] | None = None,
     before: Loaded | None = None,
 ) -> Loaded:
-    """Measure the chosen topics of a log under the tables of robot.toml, except those of roles in `aside`.
+    """Measure the chosen topics of a log with the settings `tables`, except the roles in `aside`.
 
-    Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
-    What the same log showed `before`, under other settings, may spare a second look at its readings and scans.
+    `known` measurements are kept: settings of these sensors and of the wheels must be equal. `before` is the same
+    log under other settings, whose readings and matched scans are used again if possible.
     """
-    for sensor in REGISTRY:  # not asked for, or lacking in the paper's filter
+    for sensor in REGISTRY:
         if only is not None and sensor not in only:
             choice.topics.pop(sensor, None)
         is_lacking = tables["preset"] == "paper" and sensor not in filters.PAPER_SENSORS
@@ -184,9 +182,7 @@ def measured(
     _refuse_lost_wheels(log, choice, streams)
     sensed = {s: parts_of(streams[s]) for s in REGISTRY if s in streams}
     if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
-        sensed.setdefault(
-            "lrf", parts_of(streams["wheels"])
-        )  # where it sits matters, whether or not it is a sensor
+        sensed.setdefault("lrf", parts_of(streams["wheels"]))  # scan matching needs the mount too
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     transforms = transforms_of(log, frames)
     placed = EXACT_LASER if by_scans else {}
@@ -221,9 +217,9 @@ def measured(
         *chosen,
         *_clock_notes(streams),
         *start_notes(robot, drive),
-        *standing_notes(drive.wheels),
-        *_laser_notes(streams),
-        *((TWICE,) if by_scans and "lrf" in drive.measurements else ()),
+        *((f"wheels: {STANDS}",) if drive.wheels.stands else ()),
+        *(finding.line for finding in (of_angles(streams["lrf"]) if "lrf" in streams else ())),
+        *((SAME_SCANS,) if by_scans and "lrf" in drive.measurements else ()),
         *drive.notes,
     )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
@@ -231,13 +227,8 @@ def measured(
     return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, motion_faults=faults)
 
 
-def _laser_notes(streams: Mapping[str, Any]) -> list[str]:
-    """Return the note on scan angles that contradict each other."""
-    return [f.line for f in of_angles(streams["lrf"])] if "lrf" in streams else []
-
-
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:
-    """Return the time [s] of the laser's first scan within the drive, None without one."""
+    """Return the time [s] of the laser's first scan in the drive, if [start] is given at it; else None."""
     roles = [role for role in ("lrf", "wheels") if role in streams and streams[role].msgtype == SCANS]
     if robot.start.at != "scan" or not roles:
         return None
@@ -249,7 +240,7 @@ def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:
-    """Raise LocfuseError if no row of a truth file lies within the drive: another clock, or another drive."""
+    """Raise LocfuseError if no row of a truth file lies in the time of the drive."""
     truth = drive.truth
     if truth is None or not log.is_file(truth.topic) or ((truth.t >= 0.0) & (truth.t <= drive.t[-1])).any():
         return
@@ -263,7 +254,7 @@ def _refuse_other_clock(log: Log, drive: Drive) -> None:
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
-    """Raise LocfuseError if all messages of the wheels are lost: the file is damaged, not the settings."""
+    """Raise LocfuseError if damage of the file leaves no message of the wheels."""
     promised = sum(log.topics[topic].count for topic in choice.of("wheels"))
     if "wheels" not in streams or not promised or len(streams["wheels"].t_ns):
         return
@@ -274,9 +265,9 @@ def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) ->
 
 
 def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
-    """Return the same log under other settings: a sensor is processed again only if a setting of it changed.
+    """Return the log under other settings; only sensors whose settings changed are measured again.
 
-    Raises UsageError for settings that choose what is read, which needs a new `load`.
+    Raises UsageError for settings that need a new `load`: topics, order, preset.
     """
     sets = set_tables(words)
     reading = [key for key in flat(sets) if key in {"order", "preset"} or key.endswith((".topic", ".topics"))]
@@ -287,24 +278,24 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     tables = robot_toml.layered(loaded.tables, sets)
     same = {table for table in tables if _measured_by(tables, table) == _measured_by(loaded.tables, table)}
     by_scans = loaded.drive.wheels.matched is not None
-    moving = ("wheels", "lrf") if by_scans else ("wheels",)  # what the motion comes from
+    moving = ("wheels", "lrf") if by_scans else ("wheels",)  # tables that the motion depends on
     wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
-    if make_robot(tables).wheels.noise != loaded.robot.wheels.noise:  # so much is uncertain of a deskewed scan
+    if make_robot(tables).wheels.noise != loaded.robot.wheels.noise:  # deskewed scans share this noise
         unchanged = {s: m for s, m in unchanged.items() if "shared" not in m.extra}
     if "gyro" in tables and "gyro" not in same:
-        unchanged.pop("compass", None)  # its field is levelled by the IMU, as that is mounted
+        unchanged.pop("compass", None)  # the IMU's mount levels the magnetic field
     given = None if loaded.given is None else with_files(robot_toml.layered(loaded.given, sets))
     choice = deepcopy(loaded.choice)
     before = loaded if wheels else replace(loaded, reading=None)
     found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
     sources = {**loaded.sources, **dict.fromkeys(flat(sets), "--set")}
     how = replace(loaded.how, sets=(*loaded.how.sets, *words))
-    return _within(replace(found, sources=sources, given=given, how=how))
+    return _in_window(replace(found, sources=sources, given=given, how=how))
 
 
 def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
-    """Return the keys of a table that measuring depends on: not gates, states or the wheels' noise."""
+    """Return those keys of a settings table that measuring depends on (not gates, states, wheel noise)."""
     keys = tables.get(table, {})
     if not isinstance(keys, Mapping):
         return keys
@@ -313,18 +304,18 @@ def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
 
 
 def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
-    """Return the stream of every role, small columns read in one pass; shared topics are read once."""
+    """Return the stream of every role; small columns of all topics are read in one pass over the log."""
     wants: dict[str, tuple[str, ...]] = {}
     for role in choice.topics:
         for topic in choice.of(role):
-            fields = _light(role, log.topics[topic].msgtype)
+            fields = _common_fields(role, log.topics[topic].msgtype)
             wants[topic] = tuple(dict.fromkeys((*wants.get(topic, ()), *fields)))
     streams = log.streams(wants, order=order)
     return {role: merged([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
 
 
-def _light(role: str, msgtype: str) -> tuple[str, ...]:
-    """Return the fields to read in the common pass: none for a sensor that reads in blocks."""
+def _common_fields(role: str, msgtype: str) -> tuple[str, ...]:
+    """Return a role's message fields to read in one pass over all topics; () if it is read in blocks."""
     from locfuse.fusion.truth import TRUTH_READS
     from locfuse.fusion.wheels.read import WHEEL_READS
 
@@ -335,8 +326,8 @@ def _light(role: str, msgtype: str) -> tuple[str, ...]:
 
 
 def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
-    """Return notes on streams whose times are not plain header stamps, and on unusual times, role by role."""
-    notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
+    """Return notes on streams whose times are not the header stamps, or are unusual."""
+    notes: dict[str, None] = {}  # an ordered set: topics of one role may have equal notes
     for role, stream in streams.items():
         for part in parts_of(stream):
             words = [] if part.clock.as_stamped else [part.clock.words]
@@ -345,16 +336,16 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
 
 
 def start_error(robot: Robot, drive: Drive) -> float | None:
-    """Return the distance [m] between truth and wheels where the truth begins; None if it is not known.
+    """Return the distance [m] between truth and wheels at the truth's start; None if [start] is set or no truth.
 
-    The wheels count from the configured start: a truth that begins metres later has not begun elsewhere.
+    The wheels' position is taken at the truth's first stamp, which may be later than the start.
     """
     places = _first_places(robot, drive)
     return None if places is None else math.hypot(*(places[0] - places[1]))
 
 
 def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
-    """Return the first place of the truth, and its body point by the wheels at that time, (2,) m each."""
+    """Return the truth's first position and the wheels' at that time, (2,) m each; None if [start] is set."""
     truth = drive.truth
     if truth is None or robot.start_given or not len(truth.t):
         return None
@@ -363,12 +354,11 @@ def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
 
 
 def start_notes(robot: Robot, drive: Drive) -> list[str]:
-    """Return a note if truth and wheels begin at different places and [start] is not set."""
+    """Return a note if truth and wheels start at different places and [start] is not set."""
     places = _first_places(robot, drive)
-    if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
+    if places is None or (away := math.hypot(*(places[0] - places[1]))) < 0.05:
         return []
     (x, y), (own_x, own_y) = places
-    away = math.hypot(x - own_x, y - own_y)
     return [
         f"truth starts {away:.2f} m away from the robot's start ({own_x:z.2f}, {own_y:z.2f}), "
         f"at ({x:.2f}, {y:.2f}): set [start], or judge the shape only with --align origin"

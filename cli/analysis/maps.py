@@ -1,7 +1,7 @@
-"""Maps between runs: saved by --save-map, given by --map; landmarks as a .csv.
+"""Maps of walls given to a run: by --map (lines, or an occupancy grid), or by a topic of the log.
 
-A given map may also be an occupancy grid, as an image with its YAML or as a topic of the log: its walls become the
-lines of the map. Where the drive begins in it is searched for, unless [start] is set.
+The walls of an occupancy grid become the lines of the map. The start pose in it is searched for, unless [start] is
+set.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from locfuse.fusion.robot import Robot
 
 from .load import Loaded, start_notes
 
-UNKNOWN_START_M = 1.0  # a start whose standard deviation is more is none
-FOUND_XY, FOUND_THETA_RAD = 0.15, math.radians(3.0)  # m, rad: standard deviations of a start that was found
+UNKNOWN_START_M = 1.0  # standard deviation from which on a configured start counts as unknown
+FOUND_XY, FOUND_THETA_RAD = 0.15, math.radians(3.0)  # m, rad: standard deviations of a start found in the map
 GRID = "nav_msgs/msg/OccupancyGrid"
 ORIGIN = tuple(f"info.origin.{part}" for part in ("position.x", "position.y", "orientation.z", "orientation.w"))
 
 
 def give(loaded: Loaded, file: Path) -> Loaded:
-    """Return the log with a robot that localises in a map file: lines as JSON, or the .yaml of an image.
+    """Return the log with the map of a file for localisation: lines in JSON, or the .yaml of an occupancy grid.
 
-    Raises LocfuseError for a bad file and where the map is of another building, UsageError for the printed filter:
-    its map is the first scan's.
+    Raises LocfuseError for a bad file and a map of another building, UsageError for the paper's filter, whose map
+    is the first scan.
     """
     if loaded.robot.preset == "paper":
         raise UsageError("--map: the paper's filter knows its first scan's walls only; leave --preset paper out")
@@ -39,14 +39,14 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
-        return replace(loaded, given=None, robot=_within(loaded.robot, line_map.read(file), str(file)))
+        return replace(loaded, given=None, robot=_with_map(loaded.robot, line_map.read(file), str(file)))
     return _give_grid(replace(loaded, given=None), Grid(*map_image.read(file)), str(file))
 
 
 def give_topic(loaded: Loaded) -> Loaded:
-    """Return the log with a robot that localises in the map of `[lrf] map_topic`; unchanged without that key.
+    """Return the log with the map of the topic `[lrf] map_topic`; unchanged without that setting.
 
-    Raises LocfuseError where the topic is missing, holds no map, or one of another building.
+    Raises LocfuseError if the topic is missing, or has no map, or the map of another building.
     """
     topic = loaded.robot.settings("lrf").map_topic
     if topic is None or loaded.robot.preset == "paper":
@@ -84,15 +84,15 @@ def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
         raise LocfuseError(f"{name}: {problem.message}", role="map") from None
     if not lines:
         raise LocfuseError(f"{name} has no wall of 0.3 m or more: nothing can be localised in it")
-    found = replace(loaded, robot=_within(loaded.robot, lines, name))
+    found = replace(loaded, robot=_with_map(loaded.robot, lines, name))
     start = found.robot.start
     if found.robot.start_given and start.sigma_xy < UNKNOWN_START_M:
         return found
-    return _begun(found, grid, name)
+    return _with_start(found, grid, name)
 
 
-def _begun(loaded: Loaded, grid: Grid, name: str) -> Loaded:
-    """Return the log with the start found by matching the first scans with the map."""
+def _with_start(loaded: Loaded, grid: Grid, name: str) -> Loaded:
+    """Return the log with the start pose found by matching the first scans with the map."""
     from locfuse.fusion.map.given_search import at_start, find_start
 
     drive, robot = loaded.drive, loaded.robot
@@ -109,13 +109,13 @@ def _begun(loaded: Loaded, grid: Grid, name: str) -> Loaded:
         f"all of the map by the scans up to {found.until:.1f} s ({found.share:.0%} of the beams end at walls)"
     )
     placed = robot.begun_at(pose, FOUND_XY, FOUND_THETA_RAD)
-    stale = start_notes(robot, drive)  # about the start that is no longer
+    stale = start_notes(robot, drive)  # notes on the old start
     notes = (*(note for note in drive.notes if note not in stale), words, *start_notes(placed, drive))
     return replace(loaded, robot=placed, drive=replace(drive, notes=notes))
 
 
-def _within(robot: Robot, lines: list[MapLine], name: str) -> Robot:
-    """Return the robot with a given map. Raises LocfuseError if the map has too many walls for a filter."""
+def _with_map(robot: Robot, lines: list[MapLine], name: str) -> Robot:
+    """Return the robot with the lines of a given map. Raises LocfuseError if there are more than MAX_WALLS."""
     if len(lines) > MAX_WALLS:
         many = names_its_cap(name, len(lines), MAX_WALLS, "walls")
         raise LocfuseError(f"{many}; keep only the part that the drive is in", role="map")

@@ -1,4 +1,4 @@
-"""Mounts: sensors on the base by /tf_static (or /tf), as tables of robot.toml, with tilt."""
+"""Mounts of sensors on the base by /tf_static or /tf, with tilt, as tables of robot.toml."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from .topics import filled
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
-TURNS = ("roll_deg", "pitch_deg")
-MAX_TILT = 0.7  # of the z axis, along the vertical: more is a frame whose z axis is up, no optical one
+TILT_KEYS = ("roll_deg", "pitch_deg")
+MAX_VERTICAL = 0.7  # vertical part of the z axis (unit vector): more is not an optical frame
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 ODOMETRY_WORD = "odom"
@@ -32,11 +32,10 @@ ROOM_FRAMES = ("map", "world", "earth", "utm")  # last word of frames that are f
 
 
 def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
-    """Return the transforms of /tf_static; if frames are missing, with those of /tf that never change.
+    """Return the transforms of /tf_static; if a frame is missing, also those of /tf that are constant.
 
-    ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing. It also
-    says which frame is the body where that is not called like one: the frame that moves in a frame odom, else in a
-    frame map or world.
+    ROS 1 publishes mounts on /tf. Reading /tf takes time, so it is read only if needed. It also shows which frame
+    is the base if none has a usual name: the frame that moves in odom, else in map or world.
     """
     static = log.static_transforms()
     if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
@@ -45,50 +44,50 @@ def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
 
 
 def _bodies(log: Log) -> list[str]:
-    """Return the frames of /tf that move in the frame of an odometry, else in that of a room."""
+    """Return the frames of /tf that move in an odometry frame; without one, those that move in a map frame."""
     edges = [edge for topic in log.transform_topics for edge in log.frames(topic).values() if edge.moves]
     bodies = [e for e in edges if not is_fixed(e.child)]
     return [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
 
 
 def is_base(frame: str) -> bool:
-    """Return whether a frame has a body's name, with or without the robot's name before it."""
+    """Return whether a frame is named like a robot's base: base_link or robot1/base_link."""
     return last_word(frame) in BASE_FRAMES
 
 
 def is_odometry(frame: str) -> bool:
-    """Return whether a frame has the name of an odometry's frame: odom, odom_combined."""
+    """Return whether a frame is named like an odometry frame: odom, odom_combined."""
     word = last_word(frame)
     return word.startswith(ODOMETRY_WORD) or word.endswith(ODOMETRY_WORD)
 
 
 def is_room(frame: str) -> bool:
-    """Return whether a frame has the name of one that is fixed in the room."""
+    """Return whether a frame is named like a frame fixed in the world: map, world, earth, utm."""
     return last_word(frame) in ROOM_FRAMES
 
 
 def is_fixed(frame: str) -> bool:
-    """Return whether a frame has the name of one in which the robot moves."""
+    """Return whether a frame is named like an odometry frame or a map frame."""
     return is_odometry(frame) or is_room(frame)
 
 
 def last_word(frame: str) -> str:
-    """Return a frame's name without its robot's name: "/robot1/base_link" is base_link."""
+    """Return a frame's name in lower case without the robot's name: "/robot1/base_link" is base_link."""
     return frame.rpartition("/")[2].lower()
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return tables with the sensors' mounts by /tf_static, limited to the keys that each sensor has."""
+    """Return the sensors' mounts by their frames as tables of robot.toml, with the keys that a sensor has."""
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
         mounts = {part.topic: m for part in parts if (m := mount_of(transforms, part.frame_id)) is not None}
         if "mounts" in keys and (len(parts) > 1 or "x" not in keys):
-            looks = {t: _looks(m) if "fx" in keys else {} for t, m in mounts.items()}
+            looks = {t: _view(m) if "fx" in keys else {} for t, m in mounts.items()}
             tables[sensor] = {"mounts": {t: _placed(m, looks[t]) for t, m in mounts.items()}}
         elif parts[0].topic in mounts:
             mount = mounts[parts[0].topic]
-            looks = _looks(mount) if "fx" in keys else {}
+            looks = _view(mount) if "fx" in keys else {}
             tables[sensor] = {k: v for k, v in (_table(mount) | looks).items() if k in keys}
     return tables
 
@@ -99,10 +98,10 @@ def _placed(mount: Mount, looks: Mapping[str, Any]) -> list[float]:
     return [mount.x, mount.y, looks["yaw_deg"], looks["pitch_deg"]]
 
 
-def _looks(mount: Mount) -> dict[str, Any]:
-    """Return the view direction of an optical frame (REP 103: z ahead); none for a frame whose z axis is up."""
+def _view(mount: Mount) -> dict[str, Any]:
+    """Return yaw and pitch [deg] of an optical frame's view (REP 103: z ahead); {} if its z axis is vertical."""
     ahead = rotation(*(math.degrees(angle) for angle in (mount.roll, mount.pitch, mount.yaw)))[:, 2]
-    if abs(ahead[2]) > MAX_TILT:
+    if abs(ahead[2]) > MAX_VERTICAL:
         return {}
     return {
         "yaw_deg": math.degrees(math.atan2(ahead[1], ahead[0])),
@@ -113,7 +112,7 @@ def _looks(mount: Mount) -> dict[str, Any]:
 def on_moving_parts(
     transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]
 ) -> dict[str, str]:
-    """Return the sensors whose mount on the base changes, in words, except those with a configured mount."""
+    """Return sensors on moving parts with the reason to leave them out; a configured mount is accepted."""
     found = {}
     for sensor, parts in streams.items():
         keys = {"x", "y", "yaw_deg"} & set(REGISTRY[sensor].Settings.__struct_fields__)
@@ -127,9 +126,9 @@ def on_moving_parts(
 
 
 def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return focal length and middle of the picture [px] by the log's CameraInfo, for sensors with these keys.
+    """Return focal length fx and image centre cx [px] by CameraInfo for sensors that have these settings.
 
-    The CameraInfo is the one of the sensor's frame, else the only one.
+    Used is the CameraInfo in the sensor's frame, else the only one.
     """
     infos = filled(log, CAMERA_INFO)
     found: dict[str, Any] = {}
@@ -147,7 +146,7 @@ def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Map
 
 
 def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
-    """Return focal length and middle of the picture [px] of a frame by its CameraInfo, zeros without one."""
+    """Return focal length and image centre (fx, cx) [px] of a frame by its CameraInfo; (0, 0) without one."""
     same = [t for t in infos if log.stream(t).frame_id == frame]
     for topic in same[:1] or (infos if len(infos) == 1 else []):
         matrix = np.asarray(log.stream(topic).columns(CAMERA_MATRIX)[CAMERA_MATRIX], np.float64).reshape(-1, 9)
@@ -157,42 +156,42 @@ def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
 
 
 def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return roll and pitch that are configured for one sensor and apply to another of the same topic or frame.
+    """Return configured roll and pitch of one sensor for another one on the same topic or frame.
 
-    An IMU is compass and gyro: it is bolted to the robot once.
+    An IMU is both compass and gyro, and has one mount.
     """
     found: dict[str, Any] = {}
-    turned = [s for s in streams if {*TURNS} <= set(REGISTRY[s].Settings.__struct_fields__)]
+    turned = [s for s in streams if {*TILT_KEYS} <= set(REGISTRY[s].Settings.__struct_fields__)]
     for given, other in permutations(turned, 2):
         a, b = streams[given][0], streams[other][0]
         if a.topic != b.topic and not (a.frame_id and a.frame_id == b.frame_id):
             continue
-        if not any(key in tables.get(other, {}) for key in TURNS):
-            keys = {key: tables[given][key] for key in TURNS if key in tables.get(given, {})}
+        if not any(key in tables.get(other, {}) for key in TILT_KEYS):
+            keys = {key: tables[given][key] for key in TILT_KEYS if key in tables.get(given, {})}
             found |= {other: keys} if keys else {}
     return found
 
 
 def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
-    """Return a frame's mount on the base, None if it is not known."""
+    """Return a frame's mount on the base; None if no transform leads to the base."""
     return planar_mount(transforms, _bases_in(transforms), frame) if frame else None
 
 
 def moved_by(transforms: StaticTransforms, frame: str) -> str:
-    """Return the moving joint between body and frame, such as "pan_link in base_link"; "" without one."""
+    """Return the moving joint between base and frame, such as "pan_link in base_link"; "" without one."""
     if not frame or mount_of(transforms, frame) is not None:
         return ""
     parent = {edge.child: edge.parent for edge in (*transforms.edges, *transforms.moving)}
     moving, bodies = {edge.child for edge in transforms.moving}, set(_bases_in(transforms))
     way = [frame.lstrip("/")]
-    while way[-1] in parent and way[-1] not in bodies and len(way) <= len(parent):  # a loop ends too
+    while way[-1] in parent and way[-1] not in bodies and len(way) <= len(parent):  # the length ends a loop
         way.append(parent[way[-1]])
     found = [f"{child} in {parent[child]}" for child in way[:-1] if child in moving]
     return found[0] if found and way[-1] in bodies else ""
 
 
 def _bases_in(transforms: StaticTransforms) -> list[str]:
-    """Return possible base frames: the usual names, these after a robot's name, and frames that move."""
+    """Return possible base frames: usual names, with and without a robot's name, and frames that move in odom."""
     frames = dict.fromkeys(name for edge in transforms.edges for name in (edge.parent, edge.child))
     named = [frame for base in BASE_FRAMES for frame in frames if last_word(frame) == base]
     return [*BASE_FRAMES, *named, *transforms.bases]
@@ -212,32 +211,32 @@ def _table(mount: Mount) -> dict[str, Any]:
 def level_compass(
     log: Log, streams: Mapping[str, Any], robot: Robot, transforms: StaticTransforms
 ) -> dict[str, Any]:
-    """Return the streams, a magnetometer's with the robot's tilt if an IMU measured it.
+    """Return the streams; that of a magnetometer with the robot's tilt if an IMU measured it.
 
-    The IMU is the one of its frame, or the only one.
+    Used is the IMU in the magnetometer's frame, or the only one.
     """
     field = streams.get("compass")
     if field is None or field.msgtype != FIELD or not robot.settings("compass").level:
         return dict(streams)
     imu = _imu(log, robot, field)
-    tilt = tilt_of(imu, _turn(imu, field, streams, robot, transforms)) if imu is not None else None
+    tilt = tilt_of(imu, _imu_rotation(imu, field, streams, robot, transforms)) if imu is not None else None
     return dict(streams) if tilt is None else {**streams, "compass": LevelledField(field, tilt)}
 
 
 def _imu(log: Log, robot: Robot, field: Stream) -> Stream | None:
-    """Return the IMU in the magnetometer's frame, else the only one; None if that is ambiguous."""
+    """Return the IMU in the magnetometer's frame, else the only IMU; None without one or if several fit."""
     try:
         found = [log.stream(t, robot.order) for t in filled(log, IMU)]
         beside = [imu for imu in found if field.frame_id and imu.frame_id == field.frame_id]
-    except LocfuseError:  # a topic that cannot be read has its own finding
+    except LocfuseError:  # an unreadable topic is reported elsewhere
         return None
     return beside[0] if beside else found[0] if len(found) == 1 else None
 
 
-def _turn(
+def _imu_rotation(
     imu: Stream, field: Stream, streams: Mapping[str, Any], robot: Robot, transforms: StaticTransforms
 ) -> Array:
-    """Return the rotation (3, 3) from the IMU's axes to the base's: as configured, else by /tf_static."""
+    """Return the rotation (3, 3) from IMU axes to base axes: as configured, else by /tf_static."""
     gyro = streams.get("gyro")
     mount = mount_of(transforms, imu.frame_id)
     roll, pitch, yaw = (

@@ -1,6 +1,6 @@
-"""The files of a result: by kind, and in the formats of other tools (--export).
+"""Files of a result by kind, and trajectories in the formats of other tools (--export).
 
-Each kind imports what it needs: `--write json` needs no plotting.
+Imports are inside the functions: `--write json` needs no plotting.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
     from .load import Loaded
 
 MCAP = "estimates.mcap"
-OTHER_CLOCK_S = 1.0  # s between stamps and recording: more is another clock, in which players live
+OTHER_CLOCK_S = 1.0  # stamp - recording time: more is another clock; players use the recording's
 
 
 class Drawn:
-    """Parts of the audits for figures, kept as each configuration is judged."""
+    """Parts of the audits that figures need, collected as each configuration is judged."""
 
     def __init__(self) -> None:
         self.nis: dict[tuple[str, str], RunningNis] = {}  # (configuration, sensor)
-        self.best: Estimates | None = None  # with most sensors: its audit is drawn reading by reading
+        self.best: Estimates | None = None  # of the run with the most sensors
 
     def take(self, e: Estimates, _evaluation: Evaluation) -> None:
-        """Keep the parts of one run for figures."""
+        """Keep the running NIS of one run, and its estimates if it has the most sensors."""
         self.nis |= {(e.name, s): running_nis(audit, e.t) for s, audit in e.audits.items()}
         if self.best is None or len(e.sensors) > len(self.best.sensors):
             self.best = e
@@ -53,7 +53,7 @@ class Drawn:
 def files(
     compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
-    """Return the content of every file of these kinds by its name; `drawn` holds the audits for .html."""
+    """Return file name -> content for these kinds of output; `drawn` has the audits that .html shows."""
     from locfuse.formats.report import json_report, markdown, tables
     from locfuse.formats.results import trajectory as to
 
@@ -75,7 +75,7 @@ def files(
 def files_of_run(
     loaded: Loaded, named: Mapping[str, Estimates], report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
-    """Return the content of every file of one configuration; `named` are its trajectories by file name."""
+    """Return file name -> content for one configuration; `named` has its trajectories by file name."""
     from locfuse.formats.report import json_report
     from locfuse.formats.results import trajectory as to
 
@@ -99,7 +99,7 @@ def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
 
 
 def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
-    """Return every figure as SVG and PDF by its file's name."""
+    """Return file name -> content for every figure as SVG and PDF."""
     from locfuse.formats.figures.for_paper import paper_figures
     from locfuse.formats.figures.palette import traces_of
     from locfuse.formats.figures.sections import sections
@@ -108,7 +108,7 @@ def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
 
 
 def scene(compared: Compared, drawn: Drawn) -> Scene:
-    """Return the content of the figures: estimates, evaluations, and consistency with its chi-square bounds."""
+    """Return all data that figures show: drive, estimates, evaluations, and NIS with chi-square bounds."""
     from locfuse.formats.figures.scene import Scene
 
     drive = compared.loaded.drive
@@ -128,7 +128,7 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
 
 
 def _landmarks(compared: Compared) -> list[tuple[float, float]]:
-    """Return the places [m, map] of landmarks and anchors, given or estimated."""
+    """Return positions [m, map frame] of landmarks and anchors, given or estimated."""
     robot, found = compared.loaded.robot, []
     for sensor in compared.loaded.drive.measurements:
         settings = robot.settings(sensor)
@@ -141,7 +141,7 @@ def _landmarks(compared: Compared) -> list[tuple[float, float]]:
 
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
-    """Return events with their times: the log's labels, those of the drive, and of some runs with audits."""
+    """Return timed events: fault labels of the log, events of the drive and of runs with audits."""
     found = [*loaded.labels, *events_of_drive(loaded.drive)]
     for e in runs:
         found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)
@@ -149,7 +149,7 @@ def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
 
 
 def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
-    """Return the files in formats of other tools; `found` gives each trajectory its file name."""
+    """Return file name -> content in the formats of other tools; `found` has the trajectories by file name."""
     from locfuse.formats.results import trajectory as to
 
     out: dict[str, Content] = {}
@@ -167,14 +167,14 @@ def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, E
 
 
 def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dict[str, Content]:
-    """Return the file of messages, and the layouts that show it."""
+    """Return the MCAP file with the estimates as ROS 2 messages, and layouts to show it."""
     from locfuse.formats.results.layouts import layouts
     from locfuse.formats.results.mcap_export import Export
     from locfuse.formats.robot import robot_toml
 
     tables = results.settings_tables(loaded.robot)
     for table, key, text in list(files_of(tables)):
-        if not loaded.log.recorded(text):  # a file of this machine: it does not go with the copy
+        if not loaded.log.recorded(text):  # a file that is not part of the exported copy
             tables[table].pop(key, None)
     drive = loaded.drive
     delay_s = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
@@ -190,7 +190,7 @@ def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dic
 
 
 def _twist(drive: Drive) -> Array:
-    """Return the mean body twist (n, 3) by the wheels over the interval that ends at each instant."""
+    """Return the mean body twist (n, 3) [m/s, m/s, rad/s] by the wheels over the interval that ends at each t."""
     dt = np.diff(drive.t, prepend=drive.t[0])
     twist: Array = se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]
     return twist

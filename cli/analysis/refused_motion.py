@@ -1,6 +1,6 @@
-"""Motions that are not the robot's: commands, poses of other bodies, impossible steps, no motion.
+"""Motion topics that are not the robot's motion: commands, poses of other bodies, jumps, a constant pose.
 
-Such a log is fused, so that its files can be looked at, and every figure is void (exit code 3).
+Such a log is fused, so that the files can be inspected, but every figure is void (exit code 3).
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.truth import FIX, looks_like_truth
-from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
@@ -25,12 +24,12 @@ if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 STANDS = "the robot does not move in this log, so no sensor can be judged"
-MIN_WAY_M = 1.0  # m by another topic: more is one
-MIN_FIX_SPREAD_M = 15.0  # m: a standing receiver's fixes wander by some metres
+MIN_WAY_M = 1.0  # path length by another topic that counts as motion
+MIN_FIX_SPREAD_M = 15.0  # fixes of a standing receiver drift by some metres
 
 
 def find_motion_faults(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
-    """Return why the chosen motion is not the robot's; () without a reason."""
+    """Return the reasons why the chosen motion is not the robot's; () without one."""
     found = [note for note in choice.notes if note.is_fault]
     topics = " and ".join(choice.of("wheels"))
     if motion.doubt:
@@ -39,7 +38,7 @@ def find_motion_faults(log: Log, robot: Robot, choice: Choice, motion: WheelRead
 
 
 def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> Iterator[Note]:
-    """Yield the finding that the wheels' topic is constant while another topic moves."""
+    """Yield a note if the chosen motion is constant while another topic moves."""
     if not motion.wheels.stands:
         return
     own = " and ".join(choice.of("wheels"))
@@ -58,13 +57,8 @@ def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> I
             return
 
 
-def standing_notes(wheels: Wheels) -> tuple[str, ...]:
-    """Return the note that the robot does not move; none if it does."""
-    return (f"wheels: {STANDS}",) if wheels.stands else ()
-
-
 def _moved(log: Log, topic: str) -> float:
-    """Return the body's distance by a topic [m], 0 if it cannot be read."""
+    """Return the path length [m] by a topic; 0 if it cannot be read."""
     with suppress(LocfuseError):
         wheels = read_wheels(log.stream(topic), WheelSettings()).wheels
         return float(np.hypot(*np.diff(wheels.pose[:, :2], axis=0).T).sum())
@@ -72,7 +66,7 @@ def _moved(log: Log, topic: str) -> float:
 
 
 def _spread(fixes: Measurements | None) -> float:
-    """Return the largest extent of fixes along east or north [m], without outliers."""
+    """Return the larger extent [m] of the fixes, east or north, between their 5 % and 95 % quantiles."""
     if fixes is None:
         return 0.0
     return float(np.ptp(np.percentile(fixes.z, (5.0, 95.0), axis=0), axis=0).max())

@@ -1,4 +1,4 @@
-"""From a measured log to the report, the settings file, the losses, and warnings on the motion."""
+"""Results of a measured log: the report, its settings file, losses, and warnings on the motion."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from .settings import Asked
 from .topics import Note
 from .wheel_topics import steers, unused_words
 
-MIN_COVERED_SHARE = 0.8  # of the log's time: a motion that covers less is said to
-VOID = (*ERROR_KEYS, "anees")  # figures that mean nothing where the motion is not the robot's
+MIN_COVERED_SHARE = 0.8  # of the log's duration: less is reported
+VOIDABLE = (*ERROR_KEYS, "anees")  # figures that depend on errors
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
 # exact repeats, readings before or after the wheels, messages of an arm on the wheels' topic
 NOT_A_LOSS = ("repeat", "outside_wheels", "other_joints", "other_bodies", "not_in_map", "ignored")
 
 
 def settings_tables(robot: Robot) -> dict[str, Any]:
-    """Return the effective settings as robot.toml tables, keys without a value left out."""
+    """Return the effective settings as tables of robot.toml, without keys that have no value."""
     structs = {"wheels": robot.wheels, "start": robot.start, "truth": robot.truth, **robot.sensors}
     tables: dict[str, Any] = {"order": robot.order, "preset": robot.preset}
     for name, struct in structs.items():
@@ -52,9 +52,9 @@ def robot_file(robot: Robot) -> str:
 
 
 def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
-    """Return the settings that differ from their defaults: "lrf.x" -> value, unit, and source.
+    """Return the settings that differ from their defaults, by key ("lrf.x"): value, unit, and source.
 
-    Those of sensors that the log lacks are left out. Found in the log are mounts (/tf_static) and the like.
+    Sensors that the log lacks are left out. The source "found in the log" is /tf_static or a CameraInfo.
     """
     plain = flat(settings_tables(make_robot({})))
     found: dict[str, dict[str, Any]] = {}
@@ -69,8 +69,8 @@ def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
 def repeat(loaded: Loaded, asked: Asked) -> str:
     """Return the command that reproduces this result from the folder of results, with the log beside it.
 
-    All settings are in the folder's robot.toml. It holds no date, no path and no -o: equal for equal results,
-    whether they were asked for on the command line or in Python.
+    All settings are in the folder's robot.toml. The command has no date, no path and no -o, so it is the same for
+    equal results, from the command line or from Python.
     """
     words = ["locfuse", "compare", *log_words(loaded.log), "--robot", "robot.toml"]
     words += [word for sensors in asked.sensors for word in ("--sensors", sensors)]
@@ -85,7 +85,7 @@ def repeat(loaded: Loaded, asked: Asked) -> str:
 
 
 def log_words(log: Log, as_given: bool = False) -> list[str]:
-    """Return the log as named in its folder, or as the user named it; a sample log by its own name."""
+    """Return a log as words of a command: file names, or with `as_given` the user's paths."""
     if log.name in sample_logs.names() and log.paths[0] == sample_logs.path(log.name):
         return [log.name]
     if as_given:
@@ -96,14 +96,14 @@ def log_words(log: Log, as_given: bool = False) -> list[str]:
 
 
 def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
-    """Return the report as plain values."""
+    """Return the report of these evaluations as plain values, without verdicts."""
     report = json_report.report(loaded.drive, evaluations, source(loaded), settings_tables(loaded.robot), own())
     report["made_with"] |= {s: SOURCES[s] for s in loaded.robot.sensors if s in SOURCES}
     return report
 
 
 def source(loaded: Loaded) -> dict[str, Any]:
-    """Return the description of the input: names, hash, topics by role, counts, losses."""
+    """Return the report's `input`: name, files, hash, topics by role, message counts, losses."""
     log = loaded.log
     return {
         "name": log.name,
@@ -111,7 +111,7 @@ def source(loaded: Loaded) -> dict[str, Any]:
         "size": log.identity.size,
         "identity": log.identity.digest,
         "sha256": log.sha256 if loaded.how.hash_all or log.all_read else None,
-        **({"etag": ", ".join(log.etags)} if log.etags else {}),  # of a log that is elsewhere
+        **({"etag": ", ".join(log.etags)} if log.etags else {}),  # of a remote log
         "start": _date(loaded.drive.epoch_ns),
         "topics": dict(loaded.choice.topics),
         "messages": {topic: info.count for topic, info in log.topics.items()},
@@ -121,7 +121,7 @@ def source(loaded: Loaded) -> dict[str, Any]:
 
 
 def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
-    """Return (unused readings, all readings) of each stream that has unused ones."""
+    """Return for each stream with refused readings their number and that of all readings."""
     found = {
         stream: {
             "readings": sum(_losses(reasons).values()),
@@ -133,7 +133,7 @@ def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
 
 
 def _date(epoch_ns: int) -> str | None:
-    """Return the time of the first wheel reading in UTC, by the log's own clock; None if it is no valid date."""
+    """Return the time of the first wheel reading (ns since 1970) in UTC; None if it is no valid date."""
     try:
         return datetime.fromtimestamp(epoch_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     except (ValueError, OverflowError, OSError):
@@ -146,12 +146,12 @@ def default_folder(name: str) -> Path:
 
 
 def loss_lines(loaded: Loaded, used: Sequence[str], strict: bool) -> list[str]:
-    """Return losses in words: bytes of the file, or too large a share of a used stream's readings."""
+    """Return losses in words: bytes of the file, and used streams with too many refused readings."""
     return [*loaded.log.losses.lines(), *_refused_lines(_refusals(loaded), loaded.drive.dropped, used, strict)]
 
 
 def lost_in(report: Mapping[str, Any], strict: bool) -> list[str]:
-    """Return losses of a finished report in words, as `loss_lines` for a log."""
+    """Return losses of a finished report in words, with the rules of `loss_lines`."""
     source = report["input"]
     bytes_lost = [f"{reason} ({lost['bytes']} bytes)" for reason, lost in source.get("losses", {}).items()]
     used = sorted({s for values in report["configurations"].values() for s in values["sensors"]})
@@ -176,19 +176,19 @@ def _losses(reasons: Mapping[str, int]) -> dict[str, int]:
     return {reason: count for reason, count in reasons.items() if reason not in NOT_A_LOSS}
 
 
-# --- The motion: what makes figures void, and wheels that could not be used
+# --- Warnings on the motion: void figures, unused wheels
 
 
-def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> None:
-    """Add warnings on the motion to a report, to be read before any figure.
+def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool) -> None:
+    """Add warnings on the motion to a report; they come before its headline.
 
-    Where it is `judged`, encoders are compared with the matching of the scans beside them.
+    With `judged`, wheel counters are also compared with scan matching.
     """
     _void_all(report, loaded.motion_faults)
     if judged and (words := _behind_scans(loaded)):
         report["notes"].append(f"wheels: {words}")
     first = [note.words for note in loaded.choice.notes if note.first]
-    for words in filter(None, (*first, _part(loaded))):
+    for words in filter(None, (*first, _partial_motion(loaded))):
         report["headline"] = f"{words[0].upper()}{words[1:]}. {report['headline']}"
     if words := unused_words(loaded.choice):
         typed = (f"{key}={flat(loaded.tables)[key]}" for key, who in loaded.sources.items() if who == "--set")
@@ -200,7 +200,7 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> 
 
 
 def _behind_scans(loaded: Loaded) -> str:
-    """Return a warning if scan matching fits the laser better than the encoders do; "" if it does not."""
+    """Return a warning if scan matching fits the laser better than the wheel counters do; else ""."""
     topics, lasers = loaded.choice.of("wheels"), loaded.choice.of("lrf")
     encoders = loaded.log.topics[topics[0]].msgtype not in BODY_READS
     if not encoders or len(lasers) != 1 or loaded.reading is None or not has_scipy():
@@ -208,8 +208,8 @@ def _behind_scans(loaded: Loaded) -> str:
     return Evidence(loaded.log, loaded.robot, lasers[0], {}).behind(topics, loaded.reading)
 
 
-def _part(loaded: Loaded) -> str:
-    """Return a warning if the motion covers only a part of the log; "" if it covers most of it."""
+def _partial_motion(loaded: Loaded) -> str:
+    """Return a warning if the motion covers only part of the log; else ""."""
     span, t = loaded.log.time_span_ns, loaded.drive.wheels.t
     if span is None or loaded.window != (None, None):
         return ""
@@ -220,17 +220,27 @@ def _part(loaded: Loaded) -> str:
     return f"The motion by {topics} covers {covered:.1f} s of the {whole:.1f} s of this log"
 
 
-def _void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
-    """Void all figures and verdicts of a report whose motion is not the robot's."""
-    if not spoils:
-        return
-    message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in spoils)
-    for values in report["configurations"].values():
-        known = {key: values[key] for key in VOID if values.get(key) is not None}
-        values["void"] = {"reason": message, "figures": {**values.get("void", {}).get("figures", {}), **known}}
-        values.update(dict.fromkeys(known))
+def void_figures(values: dict[str, Any], reason: str) -> None:
+    """Move the figures of a configuration that depend on errors to `void`, and set them to None."""
+    known = {key: values[key] for key in VOIDABLE if values.get(key) is not None}
+    values["void"] = {"reason": reason, "figures": {**values.get("void", {}).get("figures", {}), **known}}
+    values.update(dict.fromkeys(known))
+
+
+def withdraw_verdicts(report: dict[str, Any], words: str) -> None:
+    """Replace all verdicts by "no verdict", since their figures are void or doubtful."""
     for verdict in (report.get("verdicts") or {}).values():
-        verdict.update(verdict="no verdict", words="What is used as the motion is not the robot's.")
+        verdict.update(verdict="no verdict", words=words)
+
+
+def _void_all(report: dict[str, Any], faults: Sequence[Note]) -> None:
+    """Set all figures and verdicts of a report to void if its motion is not the robot's."""
+    if not faults:
+        return
+    message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in faults)
+    for values in report["configurations"].values():
+        void_figures(values, message)
+    withdraw_verdicts(report, "What is used as the motion is not the robot's.")
     report.update(dict.fromkeys(key for key in ("credit", "prediction") if report.get(key) is not None))
     entry = {"code": "motion", "message": message, "since_s": 0.0, "void": True}
     report["validity"] = [{**entry, "configurations": [*report["configurations"]]}, *report.get("validity", ())]

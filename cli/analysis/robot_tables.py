@@ -1,4 +1,4 @@
-"""Settings: robot.toml merged from the preset, the log, --robot and --set, also as typed values."""
+"""Settings: robot.toml merged from the preset, the log, --robot and --set, as tables and as typed values."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from locfuse.fusion.sensors.registry import REGISTRY, SOURCES, of_points
 
 from .settings import ORDERS, PRESETS, Asked, LogOptions
 
-KEYED = ("sensors", "all_subsets", "align", "smooth", "jitter", "reference")  # options that figures depend on
-FILES = "files"  # beside the settings: the files that they name -> the hash of their content
-ATTACHMENT = "robot.toml"  # of a log
+KEY_OPTIONS = ("sensors", "all_subsets", "align", "smooth", "jitter", "reference")  # in a result's key
+FILES = "files"  # key of the hashes of the files that settings name
+ATTACHMENT = "robot.toml"  # name of the log's attachment with settings
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
     "start": StartSettings,
@@ -37,17 +37,18 @@ BASE_TABLES: dict[str, type[msgspec.Struct]] = {
 
 
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings with the hash of every text file in them: a truth, detections, a map.
+    """Return settings with the hash of every file that they name (truth, detections, a map).
 
-    Take it before the files are read: one that changes in between then has another hash at the next run.
+    Call this before the files are read: a file that changes later then has another hash at the next run.
     """
     settings = {name: value for name, value in tables.items() if name != FILES}
-    found = {text: digest for text in texts_of(settings) if (digest := _digest(text)) is not None}
+    files = {text: path for text in texts_of(settings) if (path := file_named(text)) is not None}
+    found = {text: hashlib.sha256(read_small(path, MAX_TEXT_FILE)).hexdigest() for text, path in files.items()}
     return {**settings, FILES: found} if found else settings
 
 
 def files_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield table, key and text of every setting that is a text file: detections, a map, a topic "x.tum"."""
+    """Yield (table, key, path) of every setting that names a data file: detections, a map, a topic "x.tum"."""
     for table, keys in tables.items():
         for key, value in keys.items() if isinstance(keys, Mapping) else ():
             for text in texts_of(value):
@@ -57,7 +58,7 @@ def files_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def texts_of(value: Any) -> Iterator[str]:
-    """Yield every text of a setting, or of tables of settings."""
+    """Yield every string in a setting, or in tables of settings."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
@@ -68,23 +69,21 @@ def texts_of(value: Any) -> Iterator[str]:
             yield from texts_of(inner)
 
 
-def _digest(text: str) -> str | None:
-    """Return the hash of a setting's file, None for a setting without one."""
+def file_named(text: str) -> Path | None:
+    """Return the path of the existing file that a text names, else None."""
     try:
         path = Path(text).expanduser()
-        if not path.is_file():
-            return None
-    except (OSError, ValueError, RuntimeError):  # too long, or a NUL in it: no path
+        return path if path.is_file() else None
+    except (OSError, ValueError, RuntimeError):  # too long, or with a NUL: not a path
         return None
-    return hashlib.sha256(read_small(path, MAX_TEXT_FILE)).hexdigest()
 
 
 def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
-    """Return the key of a comparison: 64 hexadecimal digits."""
+    """Return the key of a comparison (SHA-256 over log, settings and options), 64 hexadecimal digits."""
     parts = {
         "content": content._asdict(),
         "settings": tables,
-        "asked": {name: getattr(asked, name) for name in KEYED},
+        "asked": {name: getattr(asked, name) for name in KEY_OPTIONS},
         "locfuse": own(),
         "schema_version": SCHEMA_VERSION,
         "made_with": {**made_with(), **SOURCES},
@@ -93,9 +92,9 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
 
 
 def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return robot.toml as tables, and what set each key: "lrf.x" -> "--robot".
+    """Return the merged settings as tables, and the source of each key: "lrf.x" -> "--robot".
 
-    The preset's tables come first, then the log's attachment, --robot, and --set, key by key.
+    For each key the last of these wins: preset, attachment of the log, --robot, --set.
     """
     layers = _layers(log, how)
     tables = robot_toml.layered(*layers.values())
@@ -105,9 +104,9 @@ def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, 
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return the tables of --robot and --set; --set wins. `more` are further words of --set.
+    """Return the tables of --robot and of --set, by option; `more` are additional words of --set.
 
-    Raises LocfuseError for settings that fit no log at all.
+    --set overrides --robot. Raises LocfuseError for invalid settings.
     """
     files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robots]
     sets = set_tables((*how.sets, *more))
@@ -116,16 +115,16 @@ def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[st
 
 
 def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the settings given by the user, without the log's own: a result's key depends on them.
+    """Return the user's settings without those of the log; a result's key depends on them.
 
-    The content of files that they name is among them, as a hash.
+    They include the hash of every file that they name.
     """
     window = {name: bound for name, bound in (("from", how.begin), ("to", how.end)) if bound is not None}
     return with_files(robot_toml.layered(*given_layers(how, more).values(), window))
 
 
 def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
-    """Return the tables that are set, by their source; later ones win."""
+    """Return the tables of each source; later ones override earlier ones."""
     layers = given_layers(how)
     if ATTACHMENT in log.attachments:
         attached = _checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}")
@@ -134,10 +133,10 @@ def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
 
 
 def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return the log's own tables, with file names relative to the log's folder.
+    """Return the settings attached to the log, with file names relative to the log's folder.
 
-    The log may be a stranger's: it names no other file of the reader. Raises LocfuseError where it does, unless
-    a layer above sets the same key.
+    A log from elsewhere must not read other files of the user: raises LocfuseError for a file outside the log's
+    folder, unless --robot or --set gives the same key.
     """
     given = {key for others in above.values() for key in flat(others)}
     for table, key, text in list(files_of(tables)):
@@ -158,7 +157,7 @@ def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]
 
 
 def _is_below(folder: Path, text: str) -> bool:
-    """Return whether a path is relative and leads into a folder, links followed."""
+    """Return whether a path is relative and leads into the folder, also after following links."""
     path = Path(text)
     if path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text:
         return False
@@ -166,7 +165,7 @@ def _is_below(folder: Path, text: str) -> bool:
 
 
 def flat(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return {"wheels": {"radius": 1}} as {"wheels.radius": 1}; keys above all tables by their own names."""
+    """Return {"wheels": {"radius": 1}} as {"wheels.radius": 1}; top-level keys keep their names."""
     found: dict[str, Any] = {}
     for name, table in tables.items():
         found |= {f"{name}.{k}": v for k, v in table.items()} if isinstance(table, Mapping) else {name: table}
@@ -193,13 +192,13 @@ def set_tables(words: Sequence[str]) -> dict[str, Any]:
 
 
 def named_by_hand(sets: Sequence[str]) -> set[str]:
-    """Return the tables whose topic is given on the command line."""
+    """Return the tables whose topic is set by --set."""
     tables = robot_toml.apply_sets(sets).items()
     return {table for table, keys in tables if isinstance(keys, dict) and ("topic" in keys or "topics" in keys)}
 
 
 def _checked(data: bytes, source: str) -> dict[str, Any]:
-    """Parse one robot.toml and check its keys, so that errors have its name."""
+    """Parse a robot.toml and check its keys; errors start with its name."""
     tables = robot_toml.parse(data, source)
     try:
         make_robot(tables)
@@ -209,7 +208,7 @@ def _checked(data: bytes, source: str) -> dict[str, Any]:
 
 
 def table_types() -> dict[str, type[msgspec.Struct]]:
-    """Return the tables of robot.toml with their keys: the robot's, then every sensor's."""
+    """Return the type of each table of robot.toml: wheels, start, truth, then every sensor."""
     return {**BASE_TABLES, **{name: sensor.Settings for name, sensor in REGISTRY.items()}}
 
 
@@ -238,7 +237,7 @@ def make_robot(tables: Mapping[str, Any]) -> Robot:
 
 
 def with_point_maps(robot: Robot) -> Robot:
-    """Return the robot with the maps of points (landmarks, anchors) read from the settings' files."""
+    """Return the robot with the maps of landmarks and anchors read from the files in its settings."""
     read = {}
     for name, settings in robot.sensors.items():
         if not isinstance(settings, PointsSettings) or not isinstance(settings.map, str) or settings.grows:

@@ -1,6 +1,6 @@
-"""Options from the command line or Python: how to read a log, what to compute, what to write.
+"""Options, from the command line or Python: how to read a log, what to compute, what to write.
 
-Every command imports this for its options, so NumPy is imported inside the functions that need what needs it.
+Every command imports this module, so modules that import NumPy are imported inside functions.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from msgspec.structs import replace
 PathLike = str | os.PathLike[str]
 Sets = Mapping[str, Any] | Iterable[str]  # {"lrf.topic": "/scan"}, or as typed: ["lrf.topic=/scan"]
 Progress = Callable[[str], None]  # is given the name of the current step
-MAX_REFERENCE_INSTANTS = 2400  # of a drive whose reference is solved unasked: four minutes of a 10 Hz laser
+MAX_REFERENCE_INSTANTS = 2400  # update times of a drive with a reference by default: 4 min at 10 Hz
 OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
 OF_RUN = ("tum", "csv", "json")
-WRITTEN = ("html", "json", "tum")  # beside a page, unless others are asked for; robot.toml and fixes.toml always
+DEFAULT_OUTPUTS = ("html", "json", "tum")  # by default; robot.toml and fixes.toml always
 EXPORTS = {  # formats of other tools
     "mcap": "ROS 2 messages, with layouts for Foxglove and PlotJuggler",
     "log": "these and every message of the log",
@@ -34,17 +34,17 @@ EXPORTS = {  # formats of other tools
 }
 PRESETS = ("default", "paper")
 ORDERS = ("auto", "stamp", "recorded")
-MAX_CELLS = 1000  # of a sweep
+MAX_CELLS = 1000  # combinations of a sweep
 BETWEEN_VALUES = re.compile(r",(?![^\[{]*[\]}])")  # a comma that is not inside a list or a table
-UNFIT_FOR_FOLDER = re.compile(r"[\s/\\]")  # cannot stand in the name of a folder
+UNFIT_FOR_FOLDER = re.compile(r"[\s/\\]")  # in the name of a folder
 
 
 def silent(step: str) -> None:
-    """Show no progress."""
+    """Ignore a progress step."""
 
 
 class LogOptions(msgspec.Struct, frozen=True):
-    """How to read a log."""
+    """Options for reading a log."""
 
     robots: tuple[Path, ...] = ()  # robot.toml files, later ones over earlier ones
     sets: tuple[str, ...] = ()
@@ -52,20 +52,20 @@ class LogOptions(msgspec.Struct, frozen=True):
     strict: bool = False
     quiet: bool = False
     preset: str | None = None
-    begin: float | None = None  # s since the first wheel reading: only what comes later is used
-    end: float | None = None  # s: only what comes earlier
+    begin: float | None = None  # s since the first wheel reading: earlier readings are not used
+    end: float | None = None  # s: later readings are not used
     hash_all: bool = False  # hash every byte of the log for the report
-    given_map: Path | None = None  # the laser localises in it
+    given_map: Path | None = None  # a map in which the laser localises
 
     @property
     def words(self) -> list[str]:
-        """The options that describe the robot, as they were typed."""
+        """The words of --robot and --set, as typed."""
         robot = [word for file in self.robots for word in ("--robot", str(file))]
         return [*robot, *(word for setting in self.sets for word in ("--set", setting))]
 
 
 class Choices(TypedDict, total=False):
-    """The keywords of `Session.compare`: the fields of `Asked`."""
+    """Keyword arguments of `Session.compare`, with the types of the fields of `Asked`."""
 
     all_subsets: bool
     align: str
@@ -80,20 +80,20 @@ class Choices(TypedDict, total=False):
 class Asked(msgspec.Struct, frozen=True):
     """Options of a comparison: configurations, how they are judged, and extra outputs."""
 
-    sensors: tuple[str, ...] = ()  # a configuration each, as --sensors names them; none: the default ones
+    sensors: tuple[str, ...] = ()  # one --sensors per configuration; (): the default ones
     all_subsets: bool = False
     align: str = "none"
     smooth: bool | None = None  # None: configurations with the laser that can be smoothed
     jitter: int = 0  # runs
-    reference: bool | None = None  # one takes the place of truth; None: where the drive is short enough
+    reference: bool | None = None  # a reference replaces a missing truth; None: if the drive is short enough
     advice: bool = True  # fixes are tried
-    estimates: Mapping[str, str] = field(default_factory=dict)  # of other people: name -> topic or file
-    audits: bool = True  # every measurement's verdict is kept
+    estimates: Mapping[str, str] = field(default_factory=dict)  # of other programs: name -> topic or file
+    audits: bool = True  # innovation and gate decision of every measurement are kept
 
     def of_each(self) -> Asked:
-        """Return the options for each of many logs: they are compared; advice is only for a single log.
+        """Return the options for each of many logs: without advice and references, smoothed only if asked.
 
-        Raises UsageError for what only one drive can give.
+        Raises UsageError for options that need a single drive.
         """
         from locfuse.fusion.data import UsageError
 
@@ -109,7 +109,7 @@ class Asked(msgspec.Struct, frozen=True):
 
 
 class GateOptions(msgspec.Struct, frozen=True):
-    """Options of gates, as typed."""
+    """Options of gates (--fail-if, --baseline, --tolerance), as typed."""
 
     fail_if: tuple[str, ...] = ()
     baseline: Path | None = None
@@ -117,7 +117,7 @@ class GateOptions(msgspec.Struct, frozen=True):
 
 
 class FleetOptions(msgspec.Struct, frozen=True):
-    """Options for many logs, beyond those for a single one."""
+    """Options for many logs, in addition to those for a single log."""
 
     jobs: int = 1  # at once
     max_failures: int | None = None
@@ -129,12 +129,12 @@ class FleetOptions(msgspec.Struct, frozen=True):
 
     @property
     def asked(self) -> bool:
-        """Whether a single log is also treated as a fleet."""
+        """Whether these options make a single log a fleet."""
         return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)
 
 
 class Outputs(msgspec.Struct, frozen=True):
-    """Options of output: what is written, and where."""
+    """Options for output: kinds of files, formats, folders, and display."""
 
     out: Path | None = None  # folder; None: locfuse-out/<log name>
     overwrite: bool = False
@@ -151,12 +151,12 @@ class Outputs(msgspec.Struct, frozen=True):
 
     @property
     def recorded(self) -> bool:
-        """Whether the drive is recorded for Rerun; if not, Rerun is not imported."""
+        """Whether the drive is recorded for Rerun (else Rerun is not imported)."""
         return self.rerun or self.rerun_save is not None
 
 
 def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, preset: str | None) -> LogOptions:
-    """Return the options of a log from Python values. Raises UsageError for invalid ones."""
+    """Return the options for reading a log from Python values. Raises UsageError for invalid ones."""
     from locfuse.fusion.data import UsageError
 
     for what, word, known in (("order", order, ORDERS), ("preset", preset, PRESETS)):
@@ -178,7 +178,7 @@ def set_words(sets: Sets | None) -> tuple[str, ...]:
 
 
 def _words(key: str, value: Any) -> list[str]:
-    """Return one setting, or those of a table."""
+    """Return the words of --set for one key, or for each key of a table."""
     from locfuse.formats.robot.robot_toml import as_set
 
     if isinstance(value, Mapping):
@@ -187,12 +187,12 @@ def _words(key: str, value: Any) -> list[str]:
 
 
 def path_of(path: PathLike) -> Path:
-    """Return a path with ~ as the user's home, which the shell replaces on a command line."""
+    """Return a path with ~ replaced by the user's home (on a command line the shell does this)."""
     return Path(path).expanduser()
 
 
 def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
-    """Return one log, or the parts of one, as command-line words. Raises UsageError for none."""
+    """Return the paths of one log or of its parts as command-line words. Raises UsageError for an empty list."""
     from locfuse.formats.container.url import is_url
     from locfuse.fusion.data import UsageError
 
@@ -203,7 +203,7 @@ def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
 
 
 def one_of(word: str, known: Sequence[str], what: str) -> str:
-    """Return a word unchanged. Raises UsageError for an unknown one."""
+    """Return a word if it is known. Raises UsageError for an unknown one."""
     from locfuse.fusion.data import UsageError
 
     if word not in known:
@@ -212,14 +212,14 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
 
 
 def by_default(known: Sequence[str]) -> list[str]:
-    """Return the kinds of output written by default; all kinds if the command has no report.html."""
-    return [kind for kind in known if kind in WRITTEN or "html" not in known]
+    """Return the kinds of output written by default; all kinds if `known` has no html."""
+    return [kind for kind in known if kind in DEFAULT_OUTPUTS or "html" not in known]
 
 
 def chosen(
     kinds: str | Iterable[str] | None, known: Sequence[str], what: str = "--write: unknown output"
 ) -> set[str]:
-    """Return kinds of output ("json,tum", "all", or a list), None for those of `by_default`.
+    """Return kinds of output from "json,tum", "all" or a list; the default ones for None.
 
     Raises UsageError for an unknown one.
     """
@@ -236,7 +236,7 @@ def chosen(
 
 
 def swept(words: Sequence[str]) -> dict[str, list[str]]:
-    """Return the --sweep words of each key: "lrf.x=0.1,0.2" gives {"lrf.x": ["lrf.x=0.1", "lrf.x=0.2"]}."""
+    """Return the values of --sweep by key, as words of --set: "a.x=1,2" gives {"a.x": ["a.x=1", "a.x=2"]}."""
     from locfuse.fusion.data import UsageError
 
     found: dict[str, list[str]] = {}
@@ -252,7 +252,7 @@ def swept(words: Sequence[str]) -> dict[str, list[str]]:
 
 
 def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return the --set words of every combination of swept values, by the combination's name.
+    """Return the words of --set for every combination of swept values, by the combination's name.
 
     Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
     """

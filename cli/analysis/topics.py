@@ -1,4 +1,4 @@
-"""Topics by role, and the rules of every role: by name, by type, or the only candidate."""
+"""Topics of each role, and the rules to choose one: by name, by type, or the only candidate."""
 
 from __future__ import annotations
 
@@ -18,61 +18,61 @@ if TYPE_CHECKING:
     from locfuse.fusion.robot import Robot
     from locfuse.fusion.wheels.read import WheelReading
 
-NAMED = "named in the settings"
-ONLY = "the only topic of its type"
+WHY_NAMED = "named in the settings"
+WHY_ONLY = "the only topic of its type"
 
 
 class Note(NamedTuple):
-    """A choice of a topic that the user should know about."""
+    """A note for the user on the choice of a topic."""
 
     role: str
     words: str
-    fixes: tuple[str, ...] = ()  # settings that say the same for good
-    is_fault: bool = False  # every figure of this log means nothing
-    first: bool = False  # to be read before any figure
+    fixes: tuple[str, ...] = ()  # settings that make the same choice
+    is_fault: bool = False  # all figures of this log are void
+    first: bool = False  # shown before all figures
 
 
 class Choice(msgspec.Struct):
-    """Topics by role ("wheels", a sensor, "truth"), and why a sensor has none."""
+    """Chosen topics by role ("wheels", a sensor, "truth"), and the reasons for missing ones."""
 
     topics: dict[str, str] = field(default_factory=dict)  # the first of each role
     more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # the others of a role that has several
     why: dict[str, str] = field(default_factory=dict)  # role -> how its topic was chosen
     absent: dict[str, str] = field(default_factory=dict)
-    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may bring it in
-    foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
+    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may help
+    foreign: set[str] = field(default_factory=set)  # sensors without any topic in the log
     notes: list[Note] = field(default_factory=list)
-    unused_wheels: tuple[str, ...] = ()  # topics of wheels that turn and whose size is unknown
-    lacks: str = ""  # what is not known of them, in words
-    read: dict[tuple[str, ...], WheelReading] = field(default_factory=dict)  # motions that choosing looked at
+    unused_wheels: tuple[str, ...] = ()  # topics of wheel counters whose scale is unknown
+    lacks: str = ""  # their unknown settings, in words
+    read: dict[tuple[str, ...], WheelReading] = field(default_factory=dict)  # motions read during the choice
 
     def of(self, role: str) -> tuple[str, ...]:
         """Return all topics of a role."""
         return (self.topics[role], *self.more.get(role, ())) if role in self.topics else ()
 
     def take(self, role: str, topics: Sequence[str], why: str) -> None:
-        """Assign topics to a role."""
+        """Assign topics to a role, with the reason."""
         self.topics[role], self.why[role] = topics[0], why
         if len(topics) > 1:
             self.more[role] = tuple(topics[1:])
 
     def leave(self, role: str, why: str, fixes: Sequence[str] = ()) -> None:
-        """Leave a role without a topic; `fixes` are settings that may give it one."""
+        """Record why a role has no topic; `fixes` are settings that may give it one."""
         self.absent[role], self.fixes[role] = why, tuple(fixes)
 
 
 def of_type(log: Log, reads: Iterable[str]) -> list[str]:
-    """Return the readable topics of these types."""
+    """Return the readable topics of these message types."""
     return [t for t, info in sorted(log.topics.items()) if info.msgtype in reads and info.problem is None]
 
 
 def filled(log: Log, *msgtypes: str) -> list[str]:
-    """Return the readable topics of these types that have messages."""
+    """Return the readable topics of these message types that have messages."""
     return [t for t in of_type(log, msgtypes) if log.topics[t].count]
 
 
 def one(log: Log, role: str, named: str | None, candidates: list[str], reads: Iterable[str]) -> str | None:
-    """Return the named topic if it fits, else the only candidate with messages, else None."""
+    """Return the named topic, else the only candidate with messages, else None. Several: LocfuseError."""
     if named is not None:
         return checked(log, role, named, reads)
     with_messages = [t for t in candidates if log.topics[t].count != 0]
@@ -83,24 +83,24 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
 
 
 def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
-    """Return the likeliest topic: one of the same robot as `beside`, then one whose name has none of the words."""
+    """Return the likeliest topic: of the robot of `beside` if any, without an unlikely word in its name if any."""
     words, robot = tuple(unlikely), _robot(beside)
     return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
 
 
 def of_sensor(log: Log, robot: Robot, sensor: str, kinds: Iterable[str]) -> str | None:
-    """Return the topic of these types for a sensor, among those with messages; None without one."""
+    """Return a sensor's topic of these message types: as configured, else the likeliest; None without one."""
     found, named = filled(log, *kinds), robot.settings(sensor).topic
     return named if named in found else likeliest(found, REGISTRY[sensor].unlikely or ()) if found else None
 
 
 def _robot(topic: str) -> str:
-    """Return the first part of a topic's name, which may be a robot's: "robot1" of "/robot1/scan"."""
+    """Return the first part of a topic's name, often the robot's name: "robot1" of "/robot1/scan"."""
     return topic.lstrip("/").partition("/")[0] if topic.count("/") > 1 else ""
 
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
-    """Return the error with the candidates and how to choose."""
+    """Return the error for several candidates, with the setting that chooses the first one."""
     fix = f"{role}.topic={topics[0]}"
     return LocfuseError(
         f"{log.name} has {len(topics)} topics that fit: {', '.join(topics)}.",
@@ -111,11 +111,11 @@ def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
 
 
 def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
-    """Return a topic that was named. Raises LocfuseError if it is missing or cannot be read."""
+    """Return a configured topic. Raises LocfuseError if it is missing, of another type, or unreadable."""
     info = log.find(topic)
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
-        near = did_you_mean(topic, of_type(log, reads))  # /tf_static is like /joint_states, and holds no wheels
+        near = did_you_mean(topic, of_type(log, reads))  # only topics of a fitting type are suggested
         raise LocfuseError(
             f"{log.name} has no topic {topic}; {f'{near} It' if near else 'it'} has {have}.", role=role
         )
@@ -130,6 +130,6 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
 
 
 def types(reads: Iterable[str]) -> str:
-    """Return message types in readable form, those of ROS if there are any."""
+    """Return message types as text: ROS types if there are any, else all."""
     kinds = list(reads)
     return " or ".join(t.replace("/msg/", "/") for t in [k for k in kinds if "foxglove" not in k] or kinds)

@@ -1,4 +1,4 @@
-"""Verdicts in words, with their numbers as plain values for report.json: on sensors, noise and covariance."""
+"""Verdicts on sensors, noise and covariance: in words, and as plain values for report.json."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ TRUST_SENSORS = (
 TRUST_STRETCHES = (
     "Self-check: the only sensor was switched off every other five seconds, and its readings there were predicted."
 )
-MIN_UNPROVEN_NATS = 0.1  # nats per number: less that is not proven is chance
+MIN_UNPROVEN_NATS = 0.1  # nats per number: an unproven smaller gain is not reported
 MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is not reported
 
 
 def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
-    """Return a run's evidence on its sensors' noise; empty if it is smoothed or has no noise setting.
+    """Return a run's residuals for judging sensor noise; [] for a smoothed run and the paper's filter.
 
-    The noise of the paper's filter is fixed by the paper, whatever is set in robot.toml.
+    The paper's filter has fixed noise, which robot.toml does not change.
     """
     return [] if estimates.smoothed or robot.preset == "paper" else [Run.of(drive, estimates)]
 
@@ -54,19 +54,19 @@ def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
 def sensors_consistency(
     runs: Sequence[Run], robot: Robot, by_truth: Mapping[str, CovarianceCheck | None]
 ) -> dict[str, dict[str, Consistency]]:
-    """Return the verdicts of runs on every sensor's noise, by configuration and sensor; {} for no runs."""
+    """Return verdicts on the noise of each sensor by configuration and sensor; {} without runs."""
     return judge(runs, robot, overconfident_by_truth(by_truth)) if runs else {}
 
 
 def overconfident_by_truth(check: Mapping[str, CovarianceCheck | None]) -> set[str]:
-    """Return the configurations that truth shows to be overconfident."""
+    """Return the names of configurations whose errors to the truth exceed their covariance."""
     return {name for name, h in check.items() if h is not None and h.overconfident}
 
 
 def add_consistency(
     report: dict[str, Any], runs: Sequence[Run], evaluations: Sequence[Evaluation], robot: Robot
 ) -> None:
-    """Add `consistency` to every sensor of every configuration, to configurations with truth, and to the whole."""
+    """Add `consistency` to the report: by sensor, by sensor and configuration, and by configuration with truth."""
     rows = report["configurations"]
     by_truth = {judged.name: covariance_check(judged) for judged in evaluations}
     for name, check in by_truth.items():
@@ -86,9 +86,9 @@ def add_consistency(
 
 
 def unless_overconfident(sensor: str, found: Consistency, using: Sequence[CovarianceCheck | None]) -> Consistency:
-    """Withdraw the advice to trust a sensor more if by truth every run with it is overconfident.
+    """Withdraw the advice to reduce a sensor's sigma if truth shows that all runs with it are overconfident.
 
-    Its readings repeat well and are wrong together: a mount, a scale or a clock, which no noise figure fixes.
+    Its readings then share an error of mount, scale or clock, which a noise setting cannot fix.
     """
     wrong = [check for check in using if check is not None]
     all_wrong = bool(wrong) and all(check.overconfident for check in wrong)
@@ -104,13 +104,13 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Covari
 
 
 def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
-    """Return the factor by which each sensor's sigma is too small by its residuals, at least 1."""
+    """Return for sensors whose sigma is too small the factor to multiply it by, at least 1."""
     found = {s: c for sensors in sensors_consistency(runs, robot, {}).values() for s, c in sensors.items()}
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 
 def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
-    """Return the reference of all sensors and of the motion `base` as plain values, with a name in words."""
+    """Return the reference of all sensors as plain values, with a sentence that names it; `base`: the motion."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
     words = REFERENCE.format(base=base, sensors=sensors, sigma=length(whole.sigma))
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
@@ -125,7 +125,7 @@ def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]],
 
 
 def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
-    """Return the record of the reference that judged a result; `shared` are the sensors that both of them use."""
+    """Return the reference of a result as plain values; `shared` are the sensors that both use."""
     return {
         "sensors": list(reference.sensors),
         "left_out": list(reference.left_out),
@@ -136,12 +136,12 @@ def judge_values(reference: Reference, whole: Reference, used: Collection[str]) 
 
 
 class ByReference(NamedTuple):
-    """The verdict on a sensor by a reference that does not use it."""
+    """Position errors without and with a sensor, by a reference that does not use it."""
 
-    before: float  # m, error without it
-    after: float  # m, error with it
-    sure: bool  # the reference is exact enough for `after` too; else that is an upper bound
-    effect: Effect | None  # None where it is exact enough for neither
+    before: float  # m, without the sensor
+    after: float  # m, with the sensor
+    sure: bool  # the reference is exact enough to judge `after`; else `after` is an upper bound
+    effect: Effect | None  # None if the reference is not exact enough for either
 
 
 def verdicts(
@@ -151,9 +151,9 @@ def verdicts(
     over: str = "drives",
     base: str = ODOMETRY,
 ) -> dict[str, dict[str, Any]]:
-    """Return for every sensor its verdict and the reason in words; the credit is `over` drives or robots.
+    """Return verdict and reason for each sensor; a credit is `over` several drives or robots.
 
-    `base` is the configuration without a sensor, with which they are compared.
+    Effects are relative to `base`, the configuration without a sensor.
     """
     if credit is not None:
         return {
@@ -164,7 +164,7 @@ def verdicts(
 
 
 def credit_values(credit: Credit) -> dict[str, Any]:
-    """Return the credit of all sensors as plain values; effects are factors on the position error."""
+    """Return the credit of all sensors as plain values; effects are ratios of position errors."""
     return {
         "figure": "position_rmse_m",
         "complete": credit.complete,
@@ -209,9 +209,10 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
     if main is None:
         return "No two configurations differ by it alone. Run all subsets: --all-subsets"
     several = len(credit.sensors) > 1
-    by_last = c.verdict == "hurts" and main is not c.last and main.high >= 0.0  # the others are better without it
-    # what hurts beside the others may help on average: only what the grade rests on is said
-    parts = [] if by_last else [_main_words(c, main, several, _few(credit.logs, over), base)]
+    by_last = c.verdict == "hurts" and main is not c.last and main.high >= 0.0  # best left out of the full set
+    # a sensor may help on average but hurt the full set: only the effect that decides the verdict is shown
+    few = f"Not proven by {'this drive' if credit.logs == 1 else f'{credit.logs} {over}'}. Record more."
+    parts = [] if by_last else [_main_words(c, main, several, few, base)]
     if c.last is not None and several and (by_last or c.credit is not None):
         parts.append(_last_words(c.last))
     if c.anees is not None and overconfident(c.anees):
@@ -223,7 +224,7 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
 
 
 def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: str) -> str:
-    """Return the effect in numbers, its interval, and what would make it certain."""
+    """Return the effect in numbers, with its interval, and whether it is proven."""
     if c.credit is not None and several:
         how = "On average over all sensor combinations"
     elif c.beside:
@@ -242,12 +243,6 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
     return what if sure else f"{what} {few}"
 
 
-def _few(samples: int, over: str) -> str:
-    """Return the sentence for an effect that is not proven, since its interval includes no effect."""
-    by = "this drive" if samples == 1 else f"{samples} {over}"
-    return f"Not proven by {by}. Record more."
-
-
 def _last_words(last: Effect) -> str:
     if abs(last.value) < MIN_EFFECT:
         return "Beside all others it changes nothing."
@@ -258,14 +253,14 @@ def _last_words(last: Effect) -> str:
 
 
 def times(ln: float) -> str:
-    """Return a factor on an error in words: "2.3x better", or "1.2x worse"."""
+    """Return a ratio of errors in words from its logarithm: "2.3x better" or "1.2x worse"."""
     return f"{short(math.exp(abs(ln)))}x {'better' if ln >= 0 else 'worse'}"
 
 
 def interval(effect: Effect) -> str:
-    """Return the 95 % interval as two factors, each with its direction: "1.6x worse to 12x better".
+    """Return the 95 % interval of an effect in words: "1.6x worse to 12x better".
 
-    Where both have one direction it stands once: "14x to 562x better".
+    Two bounds of one direction share the word: "14x to 562x better".
     """
     if effect.low > 0.0:
         return f"{short(math.exp(effect.low))}x to {times(effect.high)}"
@@ -275,12 +270,12 @@ def interval(effect: Effect) -> str:
 
 
 def short(value: float) -> str:
-    """Return a factor with its significant digits."""
+    """Return a factor as text with two or three significant digits."""
     return f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 1.5 else f"{value:.2f}"
 
 
 def prediction_values(found: Sequence[Score], names: Sequence[str], base: str = ODOMETRY) -> dict[str, Any]:
-    """Return ranking and scores as plain values, with their uncertainty."""
+    """Return ranking and scores by prediction as plain values, with their intervals."""
     ranked = ranking(found, names)
     stretches = any(r.stretches and r.gain is not None for r in ranked)
     return {
@@ -312,10 +307,10 @@ def add_pairs(
     errors: Mapping[str, float | None],
     by_truth: bool,
 ) -> None:
-    """Add to verdicts the effect of a lower rate, and the sensors beside which a sensor does most harm.
+    """Add to each verdict the effect of a lower rate, and the sensors with which this sensor harms most.
 
-    `sets` are the sensors by configuration, those of a lower rate apart: `slower`. `errors` are in m. References
-    of two sets differ, so only errors `by_truth` show harm.
+    `sets`: configuration -> sensors; `slower`: those at a lower rate; `errors`: position errors [m]. Harm is shown
+    only by truth, since two configurations may have different references.
     """
     names = {frozenset(sensors): name for name, sensors in sets.items()}
     known = {name: error for name, error in errors.items() if error}
@@ -378,7 +373,7 @@ def by_reference(
     found: ByReference | None,
     contradiction: tuple[str, str] | None,
 ) -> dict[str, Any]:
-    """Return a sensor's verdict without truth, by a reference that does not use it, else by `own` readings."""
+    """Return a sensor's verdict without truth: by a reference that does not use it, else its `own` one."""
     own = own or {"verdict": "no verdict", "words": ""}
     if reference is None:
         words = "Without it nothing in this log says where the robot is, so no reference can judge it."
@@ -409,7 +404,7 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 
 def _by_itself(score: Score, base: str) -> dict[str, Any]:
-    """Judge the only sensor of a log by its own readings: they can show a fault, but not that it is right."""
+    """Return the verdict on a log's only sensor by its own readings: these show faults, but not correctness."""
     if score.high < 0.0:
         words = (
             f"Self-check failed: it predicts its readings worse than {base} ({score.gain:+.2f}; 0.1 is much). "

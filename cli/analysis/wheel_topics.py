@@ -1,4 +1,4 @@
-"""The topics of the wheels: angles, ticks or speeds of wheels, else a topic of the body's motion."""
+"""Wheel topics: counters of wheel angles, ticks or speeds, else a topic with the body's motion."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS
 from locfuse.fusion.wheels.steered import MOTOR, STEERING_WORD
 
 from .body_topics import choose_body, nothing_moves, with_steering
-from .topics import NAMED, ONLY, Choice, Note, checked, filled, several_fit
+from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, several_fit
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
-COUNTERS = re.compile("tick|enc|wheel|count|angle")  # in the names of wheels' own topics ...
-COMMANDS = re.compile("cmd|command|speed|vel|power|pwm|current|effort|target|setpoint|rpm")  # ... without these
+# words in topic names
+COUNTER_NAME = re.compile("tick|enc|wheel|count|angle")
+COMMAND_NAME = re.compile("cmd|command|speed|vel|power|pwm|current|effort|target|setpoint|rpm")
 
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     """Choose the wheels' topic or topics. Raises LocfuseError if none or several fit."""
     settings = robot.wheels
     if settings.left_topic is not None or settings.right_topic is not None:
-        choice.take("wheels", _named_pair(log, robot), NAMED)
+        choice.take("wheels", _named_pair(log, robot), WHY_NAMED)
         return
     if settings.topic is not None:
-        choice.take("wheels", _named(log, robot, settings.topic), NAMED)
+        choice.take("wheels", _named(log, robot, settings.topic), WHY_NAMED)
         return
     counters, kind = counters_of(log, robot)
     missing = [key.replace("_", " ") for key in missing_of(log, robot, counters)]
@@ -41,7 +42,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         choice.take("wheels", counters, kind)
         return
     wheeled = bool(counters) and are_wheels(log, counters[0], robot)
-    asked = wheeled and _size_is_near(log, robot)
+    asked = wheeled and _size_can_be_found(log, robot)
     body = choose_body(log, robot, choice, scans=not asked, stand_in=not wheeled)
     if body is None:
         if not counters:
@@ -56,13 +57,13 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
 
 
 def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -> None:
-    """Note why wheel ticks are not used; `lacks` names unknown figures, "" if no joint is named like a wheel."""
+    """Add a note why wheel counters are not used; `lacks` are unknown settings, "" if no joint is a wheel's."""
     used = choice.topics["wheels"]
     if not lacks:
         words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
         words = f"{words}; wheels.left and wheels.right name them"
     elif log.topics[used].msgtype == SCANS or (steers(counters) and choice.of("truth")):
-        choice.unused_wheels, choice.lacks = tuple(counters), lacks  # scans or a truth tell their size
+        choice.unused_wheels, choice.lacks = tuple(counters), lacks  # calibration is possible: by scans or truth
         words = f"{unused_words(choice)}. {used} is used"
     else:
         words = f"{used} is used, since {_of_wheels(counters, lacks)}"
@@ -70,7 +71,7 @@ def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -
 
 
 def unused_words(choice: Choice) -> str:
-    """Return a sentence on wheels that are not used and their missing settings; "" if all wheels are used."""
+    """Return a sentence on unused wheel counters and their missing settings; "" if there are none."""
     if not choice.unused_wheels:
         return ""
     words = _of_wheels(choice.unused_wheels, choice.lacks)
@@ -84,7 +85,7 @@ def _of_wheels(counters: Sequence[str], lacks: str) -> str:
 
 
 def _named(log: Log, robot: Robot, name: str) -> list[str]:
-    """Return the configured topic, with that of the steering if it needs one."""
+    """Return the configured wheel topic, and that of the steering if it needs one."""
     topic = checked(log, "wheels", name, WHEEL_READS)
     kind = log.topics[topic].msgtype
     if kind in MOTOR:
@@ -103,7 +104,7 @@ def _named(log: Log, robot: Robot, name: str) -> list[str]:
 
 
 def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
-    """Return the topic with the steering ticks of a tricycle's wheel: as configured, else by its name."""
+    """Return the topic with a tricycle's steering ticks: the configured one, else by its name."""
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, NUMBERS)
@@ -112,15 +113,15 @@ def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
 
 
 def _tricycle(log: Log, robot: Robot) -> list[str]:
-    """Return a counter named traction or drive and its steering; none without such a pair."""
+    """Return a tricycle's topics of traction ticks and steering ticks, by their names; [] without both."""
     numbers = [t for t in filled(log, *NUMBERS) if _counts_by_name(t)]
     rolls = [t for t in numbers if any(word in t.lower() for word in ("traction", "drive"))]
     steering = steering_ticks(log, robot, rolls[0]) if len(rolls) == 1 else None
     return [] if steering is None else [rolls[0], steering]
 
 
-def _size_is_near(log: Log, robot: Robot) -> bool:
-    """Return whether one of the wheels' sizes is known from settings or a robot description."""
+def _size_can_be_found(log: Log, robot: Robot) -> bool:
+    """Return whether radius or track is configured, or the log has a robot description."""
     described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
     return described or robot.wheels.radius is not None or robot.wheels.track is not None
 
@@ -134,7 +135,7 @@ def missing_of(log: Log, robot: Robot, counters: Sequence[str]) -> list[str]:
 
 
 def _named_pair(log: Log, robot: Robot) -> list[str]:
-    """Return the configured topics, left first."""
+    """Return the configured topics of left and right wheel."""
     pair = []
     for side in ("left", "right"):
         topic = getattr(robot.wheels, f"{side}_topic")
@@ -149,12 +150,12 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
 
 
 def steers(counters: Sequence[str]) -> bool:
-    """Return whether the second of two counters is that of a tricycle's steering."""
+    """Return whether the second topic has a tricycle's steering ticks."""
     return len(counters) > 1 and STEERING_WORD in counters[1].lower()
 
 
 def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
-    """Return the counters of wheel turns, best kind first, and why; none without any."""
+    """Return the topics with wheel counters, best kind first, and the reason; [] without any."""
     tricycle, of_tricycle = _tricycle(log, robot), "the ticks of a steered wheel and of its steering"
     if tricycle and not missing_of(log, robot, tricycle):
         return tricycle, of_tricycle
@@ -167,7 +168,7 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
         if len(found) > 1:
             raise several_fit(log, "wheels", found)
         if found:
-            return found, ONLY
+            return found, WHY_ONLY
     if len(pairs) > 1:
         listed = "; ".join(f"{left} and {right}" for left, right in pairs)
         fixes = (f"wheels.left_topic={pairs[0][0]}", f"wheels.right_topic={pairs[0][1]}")
@@ -183,7 +184,7 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
 
 
 def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
-    """Return whether counters are those of wheels: joints of an arm share the type."""
+    """Return whether a topic of counters has wheel joints (an arm's joints have the same type)."""
     if log.topics[topic].msgtype != JOINTS:
         return True
     names = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
@@ -194,18 +195,18 @@ def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
 
 
 def _counts_by_name(topic: str) -> bool:
-    return bool(COUNTERS.search(topic.lower())) and not COMMANDS.search(topic.lower())
+    return bool(COUNTER_NAME.search(topic.lower())) and not COMMAND_NAME.search(topic.lower())
 
 
 def pair_topics(log: Log) -> list[tuple[str, str]]:
-    """Return pairs of topics with one number each, with equal names but for left and right, that fit wheels."""
+    """Return (left, right) topics of one number each, by names such as /left_ticks and /right_ticks."""
     numbers = filled(log, *NUMBERS)
     named = ((t, other_side(t)) for t in numbers if _counts_by_name(t))
     return [(left, right) for left, right in named if right in numbers]
 
 
 def other_side(topic: str) -> str | None:
-    """Return the right wheel's topic for the left one's: /left_ticks -> /right_ticks, /lwheel -> /rwheel."""
+    """Return the right wheel's topic of a left one: /left_ticks -> /right_ticks, /lwheel -> /rwheel; else None."""
     words = re.split(r"([/_])", topic)
     for i, word in enumerate(words):
         if word.lower() in OTHER_SIDE:

@@ -16,7 +16,7 @@ from locfuse.cli.terminal import completion
 from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, say
 
-ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options that finished results can follow
+ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options for finished results
 
 
 @click.command(cls=o.Grouped)
@@ -78,7 +78,7 @@ def compare(log: tuple[str, ...], options: o.Options) -> int:
 
 
 def one(log: Sequence[str], options: o.Options) -> int:
-    """Compare one log, write and print it; return the exit code."""
+    """Compare the configurations of one log, write and print the result; return the exit code."""
     from locfuse.cli.analysis.errors import EXIT_LOSS
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED, Gates, refuse_another_log
     from locfuse.cli.analysis.results import default_folder
@@ -106,13 +106,13 @@ def one(log: Sequence[str], options: o.Options) -> int:
 
 
 def changes(files: Sequence[Path], outputs: Outputs) -> int:
-    """Compare finished results with the first of them, and print the changes."""
+    """Compare finished results with the first one, and print the differences."""
     from locfuse.cli.terminal import show
     from locfuse.formats.report import changes as sides
     from locfuse.formats.report import json_report
     from locfuse.formats.whole_files import write_results
 
-    _refuse_what_needs_a_log()
+    _refuse_log_options()
     reports = [_read(file) for file in files]
     first, *others = zip(files, reports, strict=True)
     found = {str(file.parent): sides.changes(first[1], report) for file, report in others}
@@ -142,8 +142,8 @@ def _named(words: Sequence[str]) -> dict[str, str]:
     return named_sources(words) if words else {}
 
 
-def _refuse_what_needs_a_log() -> None:
-    """Raise UsageError for an option that finished results do not support: a gate is never skipped silently."""
+def _refuse_log_options() -> None:
+    """Raise UsageError for an option that finished results do not support, such as a gate."""
     from locfuse.fusion.data import UsageError
 
     context = click.get_current_context()

@@ -1,4 +1,4 @@
-"""`locfuse calibrate` and `locfuse tune`: settings estimated from logs, as tables, as JSON and as a robot.toml."""
+"""`locfuse calibrate` and `locfuse tune`: settings estimated from logs, as tables, JSON and robot.toml."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import click
 
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import put, reader_may_leave, say
+from locfuse.cli.terminal.screen import ignore_closed_stdout, put, say
 
 if TYPE_CHECKING:
     from locfuse.cli.session.found import Found
 
-Table = tuple[Sequence[str], Iterable[Sequence[str]], str]  # titles, rows, the line below that explains them
+Table = tuple[Sequence[str], Iterable[Sequence[str]], str]  # titles, rows, explanation below
 BELOW_CALIBRATED = "95 % interval: where the value lies by these logs. was: as configured."
 BELOW_NOISE = " before: as configured. 95 % interval: where the value lies by these logs."
 BELOW_JUDGED = " ln likelihood: more is better; by 0.69: readings are twice as likely. NIS: 1 is right."
@@ -87,7 +87,7 @@ def tune(log: tuple[str, ...], options: o.Options, hold_out: tuple[str, ...], dr
 
 
 def _finish(found: Found, tables: Iterable[Table], options: o.Options, held: str = "") -> int:
-    """Write and print estimated settings; return the exit code. `held` describes a file without estimates."""
+    """Write and print estimated settings; return the exit code. `held`: description of a file without them."""
     from locfuse.cli.terminal import show
     from locfuse.formats.report import json_report
     from locfuse.formats.report.table import of_words, texts
@@ -95,7 +95,7 @@ def _finish(found: Found, tables: Iterable[Table], options: o.Options, held: str
     out, as_json = options.outputs.out, options.outputs.as_json
     if out is not None:
         found.write(out, options.outputs.overwrite)
-    with reader_may_leave():
+    with ignore_closed_stdout():
         for titles, rows, below in () if as_json else tables:
             shown = of_words(texts(*titles), rows)
             show.table(shown)

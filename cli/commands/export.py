@@ -1,4 +1,4 @@
-"""`locfuse export`: what was found about a robot in the parameter files of its own programs."""
+"""`locfuse export`: estimated settings of a robot as parameter files of its ROS nodes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import click
 
 from locfuse.cli.terminal import options as o
 
-TARGETS = ("diff_drive", "ekf", "amcl", "fusioncore")  # cli/ros/export.py: its own needs NumPy
+TARGETS = ("diff_drive", "ekf", "amcl", "fusioncore")  # as in cli/ros/export.py, which imports NumPy
 
 
 @click.command()
@@ -54,7 +54,7 @@ def export(
     from locfuse.cli.ros.export import edited, fresh, refuse_read_only, targets_in, write
     from locfuse.cli.ros.found import gather
     from locfuse.cli.terminal import show
-    from locfuse.cli.terminal.screen import put, reader_may_leave, say
+    from locfuse.cli.terminal.screen import ignore_closed_stdout, put, say
     from locfuse.formats.robot.ros_yaml import read
     from locfuse.formats.whole_files import may_replace, write_text
 
@@ -62,7 +62,7 @@ def export(
     chosen = tuple(TARGETS) if "all" in targets else tuple(dict.fromkeys(targets))
     may_replace(out, options.outputs.overwrite, log)
     if into is not None and out is not None and out.exists() and out.samefile(into):
-        out = None  # the file itself is changed: its mode stays, and a link to it
+        out = None  # change the file itself, which keeps its mode and its links
     file = None if into is None else read(into)
     if file is not None:
         chosen = targets_in(file, chosen, node, "all" in targets)
@@ -78,7 +78,7 @@ def export(
         write_text(out, made.text)
     elif into is not None and changed:
         write(into, made.text)
-    with reader_may_leave():
+    with ignore_closed_stdout():
         if place is None:
             put(made.text)
         for line in (*made.diff, *made.reasons):

@@ -1,4 +1,4 @@
-"""`locfuse fleet`: a job for each of many logs, then the tables over all of them."""
+"""`locfuse fleet`: compares each of many logs, then writes tables and a page over all."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from locfuse.cli.analysis.settings import Progress
 from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import put, reader_may_leave
+from locfuse.cli.terminal.screen import ignore_closed_stdout, put
 from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
     from locfuse.cli.fleet.jobs import FleetPlan, FleetRows, Job, JobOutcome
     from locfuse.cli.fleet.queue import Ended, QueueState, Watch
 
-LINE_INTERVAL_S = 60.0  # s between lines of progress where stderr is no terminal
-MAX_LINES_PRINTED = 20  # about losses and gates on stderr; all of them are in the tables
+LINE_INTERVAL_S = 60.0  # between lines of progress if stderr is not a terminal
+MAX_LINES_PRINTED = 20  # of losses or gates on stderr; the tables have all
 
 
 @click.command(cls=o.Grouped)
@@ -76,7 +76,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
 
     how, outputs, fleet = options.how, options.outputs, options.fleet
     folder = outputs.out or default_folder(SUMMARY)
-    every = _every(options, folder)
+    every = _job_options(options, folder)
     gates = Gates.read(options.gates, of_fleet=True)
     may_write(folder, outputs.overwrite, options.inputs)
     todo = plan(words, every, fleet.robot_from, fleet.sweep)
@@ -97,7 +97,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
         written = write_summary(folder, summary, found.entries, outputs.write, keys)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
-        show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
+        show.say(f"{folder}: {_counts(found)}; the same command goes on with the rest")
         raise ended.by
     _print(summary, written, outputs.as_json)
     _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
@@ -108,8 +108,8 @@ def many(words: Sequence[str], options: o.Options) -> int:
     return _code(found, gates.failures_together(summary), ended)
 
 
-def _every(options: o.Options, folder: Path) -> Job:
-    """Return the options for each log as a job without a log. Raises UsageError for options of a single drive."""
+def _job_options(options: o.Options, folder: Path) -> Job:
+    """Return a job without log, with the options of all jobs. Raises UsageError for options of a single drive."""
     from locfuse.cli.fleet.jobs import Job
     from locfuse.cli.session.summary import of_each
 
@@ -132,7 +132,7 @@ def _every(options: o.Options, folder: Path) -> Job:
 
 
 def _mark(folder: Path, todo: FleetPlan) -> None:
-    """Mark the folder as results, in case the run is killed before it has a summary."""
+    """Write a marker file, so that a killed run leaves a folder that is known to hold results."""
     from locfuse.formats.report import json_report
     from locfuse.formats.whole_files import UNFINISHED, write_results
 
@@ -141,7 +141,7 @@ def _mark(folder: Path, todo: FleetPlan) -> None:
 
 
 def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> Ended:
-    """Run jobs on this machine, or on a cluster."""
+    """Run jobs in processes of this machine, or on a cluster."""
     from locfuse.cli.fleet.queue import executor, run_all
 
     quiet = options.how.quiet
@@ -150,7 +150,7 @@ def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> E
 
 
 def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
-    """Return what the logs of each robot show together; common settings are tried on each of its logs."""
+    """Return for each robot the values that its logs share, and settings that help all its logs."""
     from locfuse.cli.fleet.jobs import robots
 
     def run(jobs: Sequence[Job]) -> Mapping[str, JobOutcome]:
@@ -183,13 +183,13 @@ def _say_failed(outcome: JobOutcome) -> None:
 
 
 def _refuse_misuse(found: FleetRows, ended: Ended, todo: FleetPlan) -> None:
-    """Raise UsageError if every log failed by the same wrong option, as a single log would."""
+    """Raise UsageError if all logs failed because of an invalid option."""
     outcomes = [*ended.outcomes.values(), *todo.refused.values()]
     if outcomes and len(outcomes) == len(found.entries) and all(o.misused for o in outcomes):
         raise UsageError(outcomes[0].reason)
 
 
-def _standing(found: FleetRows) -> str:
+def _counts(found: FleetRows) -> str:
     states = [e.state for e in found.entries]
     return ", ".join(f"{states.count(s)} {s}" for s in ("done", "failed", "not run") if s in states)
 
@@ -200,7 +200,7 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
     from locfuse.formats.report import json_report
     from locfuse.formats.report import summary as over
 
-    with reader_may_leave():
+    with ignore_closed_stdout():
         if as_json:
             put(json_report.encode(summary))
             return
@@ -213,7 +213,7 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
-    """Print void figures, losses and failed gates, and return the exit code."""
+    """Print void figures, losses and failed gates; return the exit code."""
     from locfuse.cli.analysis.errors import EXIT_LOSS
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED
 

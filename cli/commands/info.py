@@ -1,4 +1,4 @@
-"""`locfuse info`: what is in a log, what reads what and why, what is missing, and every finding with its fix."""
+"""`locfuse info`: topics of a log, sensors that read them, missing settings, and findings with fixes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import put, reader_may_leave
+from locfuse.cli.terminal.screen import ignore_closed_stdout, put
 
 if TYPE_CHECKING:
     from locfuse.cli.inspect.robot_facts import Overview
@@ -67,10 +67,10 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
         pictures = _preview(overview, preview) if preview is not None else []
         tried: dict[str, Any] = {}
         if check and options.asked.advice and overview.loaded is not None:
-            from locfuse.cli.session.session import tried_by_fusing  # `info` alone does without its imports
+            from locfuse.cli.session.session import tried_by_fusing  # imports the filter
 
             tried = tried_by_fusing(log, how, progress)
-    with reader_may_leave():
+    with ignore_closed_stdout():
         if as_json:
             put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
         else:
@@ -88,8 +88,8 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
 
 
 def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool, preview: Path | None) -> int:
-    """Print what several logs of one robot show together, and the findings that they share, each once."""
-    from locfuse.cli.advice.together import ask, here, numbers_of
+    """Print the values that several logs of one robot share, and their findings, each once."""
+    from locfuse.cli.advice.together import ask, in_this_process, numbers_of
     from locfuse.cli.analysis.load import load
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
@@ -104,9 +104,9 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
         overviews = {name: inspect_log(parts, how, progress) for name, parts in logs.items()}
         shown = {n: found for n, o in overviews.items() if o.loaded and (found := numbers_of(o.loaded))}
         trying = {n: load(logs[n], how, progress) for n in shown if check and asked.advice}
-        look = here(trying, asked.align, progress) if trying else lambda names, sets: {}
+        look = in_this_process(trying, asked.align, progress) if trying else lambda names, sets: {}
         together = {"robot": None, **ask(shown, look)}
-    with reader_may_leave():
+    with ignore_closed_stdout():
         if options.outputs.as_json:
             each = {name: values.values(overview) for name, overview in overviews.items()}
             put(json_report.encode({"logs": each, "together": together}))
@@ -117,7 +117,7 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
 
 
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
-    """Print the topics in a log's summary: of a remote log only the summary is read."""
+    """Print the topics of a log from its index; nothing else of a remote log is read."""
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect import values
     from locfuse.cli.terminal import info_text, show
@@ -125,7 +125,7 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
     from locfuse.formats.report import json_report
 
     log = open_log(find_log(words))
-    with reader_may_leave():
+    with ignore_closed_stdout():
         if as_json:
             put(json_report.encode({"topics": values.listed(log)}))
         else:
@@ -135,7 +135,7 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
 
 
 def _preview(overview: Overview, folder: Path) -> list[str]:
-    """Write preview pictures; return what to print of them."""
+    """Write preview pictures, and return the lines to print about them."""
     from locfuse.formats.whole_files import write_results
     from locfuse.fusion.checks.preview import preview as pictures_of
 
@@ -151,7 +151,7 @@ def _preview(overview: Overview, folder: Path) -> list[str]:
 
 
 def _topic_of_pictures(overview: Overview) -> str:
-    """Return the camera's topic: without a landmark it is not chosen, but its pictures help to find one."""
+    """Return the topic to preview: the configured one, or the only one with pictures."""
     from locfuse.cli.inspect.inspect_log import pictures_of
     from locfuse.fusion.data import LocfuseError
 

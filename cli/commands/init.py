@@ -1,4 +1,4 @@
-"""`locfuse init`: a commented robot.toml for a log, as a first version to correct."""
+"""`locfuse init`: a commented draft of robot.toml for a log."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import put, reader_may_leave, say
+from locfuse.cli.terminal.screen import ignore_closed_stdout, put, say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from locfuse.cli.inspect.template import Draft
 
-SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
+SCHEMA = "robot.schema.json"  # next to robot.toml, so that the path is valid on every machine
 LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
 
 
@@ -79,7 +79,7 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
         write_text(place, text)
         say(f"{place}: use it with --robot {name}")
     else:
-        with reader_may_leave():
+        with ignore_closed_stdout():
             put(text)
     code = show.ended((), made.overview.log.losses.lines(), how.quiet)
     for note in notes:
@@ -90,7 +90,7 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
 
 
 def _translated(log: Sequence[str], ekf: Path) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
-    """Return the tables of an ekf.yaml for a log, by the file's name, and its parts without counterpart."""
+    """Return the settings of an ekf.yaml as tables (by file name), and notes on parameters without counterpart."""
     from locfuse.cli.analysis.load import find_log
     from locfuse.formats.logs.log import open_log
     from locfuse.formats.robot import robot_localization
@@ -100,9 +100,9 @@ def _translated(log: Sequence[str], ekf: Path) -> tuple[dict[str, dict[str, Any]
 
 
 def _asked(made: Draft) -> tuple[str, ...]:
-    """Return the missing values that the user types at the terminal, as "table.key=value".
+    """Ask the user for missing values at the terminal; return the answers as "table.key=value".
 
-    Nothing is asked where stdin or stderr is a file or a pipe: scripts and CI run as before.
+    () if stdin or stderr is a file or a pipe, as in scripts and CI.
     """
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return ()
@@ -113,7 +113,7 @@ def _asked(made: Draft) -> tuple[str, ...]:
 
 
 def _answer(key: str, words: str) -> str:
-    """Ask for the value of a key until it fits or is empty; `words` are "unit: how to find its value"."""
+    """Ask for a key's value until it is valid or empty; `words` are "unit: how to find the value"."""
     from locfuse.cli.analysis.robot_tables import make_robot
     from locfuse.formats.robot import robot_toml
     from locfuse.fusion.data import LocfuseError
@@ -133,7 +133,7 @@ def _answer(key: str, words: str) -> str:
 
 
 def _updated(made: Draft, file: Path) -> str:
-    """Return the text of a robot.toml with the keys added that it lacks and the log shows."""
+    """Return the text of a robot.toml with keys added that the log shows and the file lacks."""
     from locfuse.formats.robot import commented_toml, robot_toml
 
     text = commented_toml.text_of(file)
@@ -160,7 +160,7 @@ def _head(made: Draft, words: str, name: str) -> str:
 
 
 def _foot(made: Draft) -> str:
-    """Return a comment on sensors without a topic, with the reason if it is not obvious."""
+    """Return a comment on sensors without a topic, with reasons."""
     written = {section.name for section in made.sections if section.lines}
     absent = {name: why for name, why in made.overview.choice.absent.items() if name not in written - {"wheels"}}
     plain = [name for name in absent if name in made.overview.choice.foreign]
@@ -169,7 +169,7 @@ def _foot(made: Draft) -> str:
 
 
 def _notes(made: Draft, words: str, name: str) -> list[str]:
-    """Return comments on guessed values and on the next steps."""
+    """Return notes on guessed values and on the next command."""
     from locfuse.cli.analysis.refused_motion import STANDS
 
     loaded = made.overview.loaded
@@ -189,6 +189,6 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
 
 
 def _tunes(made: Draft) -> bool:
-    """Return whether `tune` finds a sensor beside the wheels."""
+    """Return whether `tune` can be used: the log has a sensor and the robot's motion."""
     loaded = made.overview.loaded
     return loaded is not None and bool(loaded.drive.measurements) and not loaded.motion_faults

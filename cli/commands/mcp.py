@@ -1,7 +1,7 @@
-"""`locfuse mcp`: tools for an agent, by the Model Context Protocol over standard input and output.
+"""`locfuse mcp`: tools for an AI agent, by the Model Context Protocol over standard input and output.
 
-Nothing outside the folders of the command is read: links are followed before a path is compared, and settings that
-name files are held to the same rule. Arrays and whole reports are not part of an answer, it names their files.
+Only files inside the command's folders are read: links are resolved before the check, and files named in settings
+are checked too. Answers contain no arrays and no whole reports, only the names of their files.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from locfuse.cli.analysis.errors import expected
-from locfuse.cli.analysis.robot_tables import files_of, texts_of
+from locfuse.cli.analysis.robot_tables import file_named, files_of, texts_of
 from locfuse.cli.analysis.settings import Asked, LogOptions, set_words, silent
 from locfuse.cli.session import tune
 from locfuse.cli.session.calibrate import calibrated
@@ -65,7 +65,7 @@ def mcp(folders: tuple[Path, ...], out: Path) -> None:
 
 
 def served(tools: Tools) -> MCPServer:
-    """Return the server of these tools. Raises ModuleNotFoundError if the SDK is not installed."""
+    """Return an MCP server with these tools. Raises ModuleNotFoundError if the SDK is not installed."""
     from mcp.server.mcpserver import MCPServer
     from mcp.server.mcpserver.exceptions import ToolError
 
@@ -73,18 +73,18 @@ def served(tools: Tools) -> MCPServer:
     lock = Lock()
 
     def one_at_a_time(tool: Any) -> Any:
-        """Return a tool that handles one call at a time, with errors of one line."""
+        """Return the tool with a lock against parallel calls, and with one-line errors."""
 
         @wraps(tool)
         def call(*args: Any, **keywords: Any) -> Any:
             try:
                 with lock:
-                    return _spoken(tool(*args, **keywords))
+                    return _in_tool_words(tool(*args, **keywords))
             except Exception as problem:
                 known = expected(problem)
                 if known is None:
                     raise
-                raise ToolError(_spoken(known[0])) from None
+                raise ToolError(_in_tool_words(known[0])) from None
 
         return call
 
@@ -114,7 +114,7 @@ class Answer:
 
 
 class Tools:
-    """The tools, for logs below `folders`; results are written below `out`."""
+    """The tools of the server, for logs below `folders`; results are written below `out`."""
 
     def __init__(self, folders: Sequence[Path], out: Path) -> None:
         self._folders = [folder.resolve() for folder in folders]
@@ -221,7 +221,7 @@ class Tools:
         return found
 
     def _how(self, settings: Settings | None) -> LogOptions:
-        """Return the options to read a log under these settings. Raises UsageError for a file outside."""
+        """Return the options for reading a log with these settings. Raises UsageError for a file outside."""
         words = list(set_words(settings or {}))
         tables = robot_toml.apply_sets(words)
         for table, key, text in list(files_of(tables)):
@@ -230,19 +230,19 @@ class Tools:
             tables[table][key] = now
             words.append(robot_toml.as_set(f"{table}.{key}", now))
         for text in texts_of(tables):
-            if _is_file(text) and not self._inside(Path(text).expanduser()):
+            if (path := file_named(text)) is not None and not self._inside(path):
                 raise UsageError(f"{text!r} is a file outside the folders that this server may read")
         return LogOptions(sets=tuple(words), quiet=True)
 
     def _write(self, name: str, values: Mapping[str, Any]) -> str:
-        """Write values beside the folder of `compare`; return the file."""
+        """Write values as JSON in the output folder; return the file's path."""
         self._out.mkdir(parents=True, exist_ok=True)
         write_text(self._out / name, json_report.encode(values))
         return str(self._out / name)
 
 
 def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
-    """Return findings in short form, each once: the trial of a fix is in its sentence."""
+    """Return findings in short form, without duplicates; the effect of a tried fix is in the message."""
     unique = {
         (f["role"], f["code"], f["message"]): AgentFinding(
             f["role"], f["code"], sentence(f) if "tried" in f else str(f["message"]), list(f["fixes"])
@@ -252,26 +252,19 @@ def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
     return list(unique.values())
 
 
-def _spoken(part: Any) -> Any:
-    """Return an answer, or a part of it, with the command-line options in it renamed to the tools' arguments."""
+def _in_tool_words(part: Any) -> Any:
+    """Return an answer, or part of it, with command-line options replaced by the tools' arguments."""
     if isinstance(part, Answer):
-        words = {name: _spoken(getattr(part, name)) for name in ("headline", "findings", "values")}
+        words = {name: _in_tool_words(getattr(part, name)) for name in ("headline", "findings", "values")}
         return replace(part, **words)
     if isinstance(part, AgentFinding):
         return replace(part, message=in_tools(part.message))
     if isinstance(part, dict):
-        return {key: _spoken(value) for key, value in part.items()}
+        return {key: _in_tool_words(value) for key, value in part.items()}
     if isinstance(part, list):
-        return [_spoken(value) for value in part]
+        return [_in_tool_words(value) for value in part]
     return in_tools(part) if isinstance(part, str) else part
 
 
 def _logs(logs: Sequence[object]) -> str:
     return f"{len(logs)} log" + "s" * (len(logs) != 1)
-
-
-def _is_file(text: str) -> bool:
-    try:
-        return Path(text).expanduser().is_file()
-    except (OSError, ValueError, RuntimeError):  # too long, or a NUL in it: no path
-        return False

@@ -1,4 +1,4 @@
-"""`locfuse paper`: the paper's table and figures, with our filter and with the equations as printed."""
+"""`locfuse paper`: the paper's table and figures, with locfuse's filter and with the equations as printed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import put, reader_may_leave
+from locfuse.cli.terminal.screen import ignore_closed_stdout, put
 
 
 @click.command()
@@ -45,7 +45,7 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
         values = json_report.plain(found.values())
         files = job.files(found, values)
     write_results(out, files, overwrite)
-    with reader_may_leave():
+    with ignore_closed_stdout():
         if as_json:
             put(json_report.encode(values))
         else:

@@ -1,4 +1,4 @@
-"""`locfuse run`: one configuration over one log."""
+"""`locfuse run`: one configuration on one log."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
 
 
 def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> None:
-    """Raise UsageError if a map is given to, or saved of, a run without a laser."""
+    """Raise UsageError for --map or --save-map if the laser is not among the sensors."""
     from locfuse.fusion.data import UsageError
     from locfuse.fusion.sensors.registry import of_points
 

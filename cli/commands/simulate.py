@@ -1,4 +1,4 @@
-"""`locfuse simulate`: a drive with known truth, as a log."""
+"""`locfuse simulate`: a simulated drive with known truth, recorded as a log."""
 
 from __future__ import annotations
 

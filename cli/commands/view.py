@@ -1,4 +1,4 @@
-"""`locfuse view`: look at a log, a result or a recording in Rerun."""
+"""`locfuse view`: a log, a result or a recording in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def view(
 
 
 def _every(value: str | None) -> int | None:
-    """Return N of `every=N`, 0 for `none`. Raises click.BadParameter for anything else."""
+    """Return N of `every=N`, 0 of `none`, None for None. Raises click.BadParameter for others."""
     if value is None or value == "none":
         return None if value is None else 0
     word = value.strip().removeprefix("every=")
@@ -112,7 +112,7 @@ def _every(value: str | None) -> int | None:
 
 
 def _address(value: str | None) -> str | None:
-    """Return a viewer's address unchanged. Raises click.BadParameter for an invalid one."""
+    """Return a viewer's address. Raises click.BadParameter for an invalid one."""
     from locfuse.cli.rerun.viewer import ADDRESS, LOCAL_VIEWER
 
     if value is not None and ADDRESS.fullmatch(value) is None:
@@ -121,9 +121,9 @@ def _address(value: str | None) -> str | None:
 
 
 def ready(what: Sequence[str]) -> Path | None:
-    """Return the named recording, or an up-to-date one in the results' folder; None if one must be made.
+    """Return an existing recording: the named .rrd, or an up-to-date one of a result; None without one.
 
-    Raises LocfuseError for a recording that was cut short.
+    Raises LocfuseError for an incomplete recording.
     """
     from locfuse.cli.analysis.grouping import result_file
     from locfuse.formats.rerun.recording import check
@@ -145,7 +145,7 @@ def ready(what: Sequence[str]) -> Path | None:
 def _scene(
     what: Sequence[str], options: o.Options, images: int | None, full: bool, progress: Progress
 ) -> RerunScene:
-    """Return the scene of a folder of results, or of a log that is measured and fused now."""
+    """Return the content of the recording, of finished results or of a log that is fused now."""
     from locfuse.cli.analysis.grouping import result_file
     from locfuse.cli.rerun.folder import scene_of
     from locfuse.cli.rerun.scene import make_scene

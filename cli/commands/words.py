@@ -1,13 +1,13 @@
-"""`locfuse explain`, `schema` and `completion`: words for people, for programs, and for a shell."""
+"""`locfuse explain`, `schema` and `completion`: meanings of terms, JSON Schemas, and shell completion."""
 
 from __future__ import annotations
 
 import click
 from click.shell_completion import get_completion_class
 
-from locfuse.cli.terminal.screen import put, reader_may_leave
+from locfuse.cli.terminal.screen import ignore_closed_stdout, put
 
-COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # the variable by which the shell asks
+COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # environment variable set by the shell's completion
 
 
 @click.command()
@@ -22,13 +22,13 @@ def explain(term: str | None) -> int:
     from locfuse.formats.report.glossary import GLOSSARY
 
     lines = [f"{name}: {text}" for name, text in GLOSSARY.items()] if term is None else [meaning(term)]
-    with reader_may_leave():
+    with ignore_closed_stdout():
         put("".join(f"{line}\n" for line in lines))
     return 0
 
 
 def meaning(term: str) -> str:
-    """Return the meaning of a term or sensor in any case. Raises UsageError for any other word."""
+    """Return the meaning of a term or sensor, in upper or lower case. Raises UsageError for an unknown word."""
     from locfuse.formats.report.glossary import explained, similar
     from locfuse.fusion.data import UsageError
     from locfuse.fusion.sensors.registry import REGISTRY
@@ -59,7 +59,7 @@ def schema(what: str) -> int:
 
     from locfuse.cli.inspect.json_schema import SCHEMAS
 
-    with reader_may_leave():
+    with ignore_closed_stdout():
         put(json.dumps(SCHEMAS[what](), indent=2) + "\n")
     return 0
 

@@ -77,7 +77,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on use. Raises AttributeError for an unknown one."""
+    """Import a public name when it is used. Raises AttributeError for an unknown name."""
     if name == "__version__":
         from locfuse.formats.versions import own
 
@@ -91,5 +91,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the public names, imported or not yet."""
+    """Return all public names, imported or not."""
     return sorted({*__all__, "__doc__", "__name__", "__file__", "__path__"})

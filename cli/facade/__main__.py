@@ -1,4 +1,4 @@
-"""`python -m locfuse`."""
+"""Run the command line by `python -m locfuse`."""
 
 from locfuse.cli.main import main
 

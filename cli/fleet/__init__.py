@@ -1,1 +1,1 @@
-"""Many logs: one job each in its own process, finished ones are not repeated, one table over all."""
+"""Fleets: many logs, each a job in its own process; finished jobs are skipped; tables over all logs."""

@@ -1,8 +1,7 @@
-"""A fleet's jobs: from a command line to jobs, and from the jobs' folders to rows.
+"""Jobs of a fleet: from the command line to jobs, and from their folders to rows of the summary.
 
-A job is one log, its options, and its outcome: plain values, so that another machine can run it. Results that a
-job would only repeat are left as they are. They are there when every report.json has the key that this run would
-give it, all its files lie beside it, and no file of the log was changed after it was written.
+A job consists of plain values, so another machine can run it. A job is skipped if its results are complete: each
+report.json has the key that this run would write, all its files exist, and the log is older.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from locfuse.fusion.checks.together import Look
 from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import LocfuseError, UsageError
 
-ROBOT_PLACEHOLDER = "{robot}"  # in --robot: where the name of the robot goes
+ROBOT_PLACEHOLDER = "{robot}"  # in --robot: replaced by the robot's name
 REPORT_IS_GONE = "its report.json is gone or cannot be read; run it again with --again"
 REPORT = "report.json"
 OTHER_FILES = ("robot.toml", "estimates.mcap")  # files of a result beside the kinds of output
@@ -42,19 +41,19 @@ OF_KIND = {kind: f"report.{kind}" for kind in OF_COMPARISON if kind != "tum"}
 
 
 class SweepCell(msgspec.Struct, frozen=True):
-    """One combination of swept settings, on top of the job's own. Without a sweep: one cell with an empty name."""
+    """One combination of swept settings, added to the job's settings; without a sweep one unnamed cell."""
 
     name: str = ""  # "lrf.sigma_range=0.03 compass.sigma_deg=2"
     sets: tuple[str, ...] = ()
 
     @property
     def folder(self) -> str:
-        """The name of its folder."""
+        """The name of the cell's folder."""
         return self.name.replace(" ", ",")
 
 
 class Job(msgspec.Struct, frozen=True):
-    """One log to be compared into a folder of its own."""
+    """The comparison of one log, with its options and its folder of results."""
 
     name: str
     log: tuple[str, ...]  # its parts
@@ -62,14 +61,14 @@ class Job(msgspec.Struct, frozen=True):
     how: LogOptions
     asked: Asked
     outputs: Outputs
-    robot: str | None = None  # the one that the log is of
+    robot: str | None = None  # the log's robot
     cells: tuple[SweepCell, ...] = (SweepCell(),)
     recordings: Path | None = None  # folder of the drives' recordings
-    again: bool = False  # run it even where its results are there
-    tries: tuple[Fixes, ...] = ()  # settings to fuse it under, instead of being compared
+    again: bool = False  # run it even if its results are complete
+    tries: tuple[Fixes, ...] = ()  # settings to fuse the log under, instead of a comparison
 
     def recording_of(self, cell: SweepCell) -> str:
-        """Return the name of the Rerun recording of a cell."""
+        """Return the name of a cell's Rerun recording."""
         return f"{self.name},{cell.folder}" if cell.name else self.name
 
     def place(self, cell: SweepCell) -> Path:
@@ -78,21 +77,21 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class JobOutcome(msgspec.Struct, frozen=True):
-    """How a job ended. Its results are in its folder."""
+    """The outcome of a job; its results are in its folder."""
 
     name: str
     state: Literal["done", "failed"]
     reason: str = ""  # why it failed, in one line
-    misused: bool = False  # it failed by what was asked for, not by the log
-    resumed: bool = False  # its results were there already
-    warnings: tuple[str, ...] = ()  # what did not work beside its results
-    looks: Mapping[Fixes, Look] = field(default_factory=dict)  # what it shows under each of what it tries
+    misused: bool = False  # failed because of an option, not the log
+    resumed: bool = False  # skipped, since its results were complete
+    warnings: tuple[str, ...] = ()  # for example on its recording
+    looks: Mapping[Fixes, Look] = field(default_factory=dict)  # figures under the settings in `tries`
 
 
 def is_finished(job: Job) -> bool:
     """Return whether a job's results are complete. Raises LocfuseError if its log or settings cannot be read."""
     if job.again or job.tries or job.outputs.export or job.outputs.figures is not None:
-        return False  # exports and figures are not looked for
+        return False  # exports and figures are not checked
     reports = {cell: report for cell in job.cells if (report := read_report(job.place(cell))) is not None}
     if len(reports) < len(job.cells):
         return False
@@ -101,13 +100,13 @@ def is_finished(job: Job) -> bool:
     changed_ns = max((file.stat().st_mtime_ns for file in files if isinstance(file, Path)), default=0)
     return all(
         report.get("key") == key(content, given_tables(job.how, cell.sets), job.asked)
-        and _is_there(job, cell, report, changed_ns)
+        and _is_complete(job, cell, report, changed_ns)
         for cell, report in reports.items()
     )
 
 
-def _is_there(job: Job, cell: SweepCell, report: Mapping[str, Any], changed_ns: int) -> bool:
-    """Return whether all files of a result exist: none older than its log, no recording older than the report."""
+def _is_complete(job: Job, cell: SweepCell, report: Mapping[str, Any], changed_ns: int) -> bool:
+    """Return whether a result's files exist, are newer than the log, and its recording newer than the report."""
     folder = job.place(cell)
     written_ns = (folder / REPORT).stat().st_mtime_ns
     names = [OF_KIND[kind] for kind in job.outputs.write if kind in OF_KIND]
@@ -119,9 +118,9 @@ def _is_there(job: Job, cell: SweepCell, report: Mapping[str, Any], changed_ns: 
 
 
 def is_replaceable(folder: Path) -> bool:
-    """Return whether a folder holds only files of a result, or only a sweep's cells with theirs.
+    """Return whether a folder has only files of a result, or only cells of a sweep.
 
-    Such a folder has no report of its own where its writing was ended by force, or where a sweep wrote it.
+    It may have no report, if its run was killed or it is the folder of a sweep.
     """
     known = {*OF_KIND.values(), *OTHER_FILES}
     return not folder.is_dir() or all(
@@ -133,7 +132,7 @@ def is_replaceable(folder: Path) -> bool:
 
 
 def read_report(folder: Path) -> dict[str, Any] | None:
-    """Return the report of a folder, None if it is missing or incomplete."""
+    """Return the report in a folder; None if it is missing or incomplete."""
     try:
         report = json.loads(read_small(folder / REPORT, MAX_REPORT))
         return report if isinstance(report["configurations"], dict) and isinstance(report["input"], dict) else None
@@ -142,7 +141,7 @@ def read_report(folder: Path) -> dict[str, Any] | None:
 
 
 class FleetPlan(msgspec.Struct, frozen=True):
-    """Jobs to run, and logs that cannot be opened; all in the order of the command line."""
+    """Jobs to run, and logs that cannot be opened, in the order of the command line."""
 
     robots: dict[str, str | None]  # of each log
     jobs: dict[str, Job]
@@ -150,9 +149,9 @@ class FleetPlan(msgspec.Struct, frozen=True):
 
 
 def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> FleetPlan:
-    """Return a job for each log in the words, with the options of `every` and a folder of its own.
+    """Return a job for each log in `words`, with the options of the job `every` and its own folder.
 
-    Raises UsageError for settings, a pattern or a sweep that fit no log at all.
+    Raises UsageError for invalid settings, an invalid pattern or an invalid sweep.
     """
     pattern = _pattern(robot_from, every.how.robots)
     fixed = tuple(file for file in every.how.robots if ROBOT_PLACEHOLDER not in str(file))
@@ -186,7 +185,7 @@ def _with_robots(job: Job, files: Sequence[Path]) -> Job:
 
 
 def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
-    """Return the pattern of --robot-from. Raises UsageError if it is invalid, or missing but needed by --robot."""
+    """Return the pattern of --robot-from. Raises UsageError if it is invalid, or missing but needed."""
     if text is None:
         if unnamed := [file for file in files if ROBOT_PLACEHOLDER in str(file)]:
             raise UsageError(f"--robot {unnamed[0]}: say how a log's path names its robot with --robot-from REGEX")
@@ -203,7 +202,7 @@ def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
 
 
 def robot_of(pattern: re.Pattern[str], log: Sequence[str]) -> str | None:
-    """Return a log's robot by its path, as given or in full; None if the pattern does not match."""
+    """Return a log's robot by its path (as typed, then absolute); None if the pattern does not match."""
     for path in (log[0], Path(log[0]).resolve().as_posix()):
         if found := pattern.search(path):
             return found["robot"] if "robot" in pattern.groupindex else found[1]
@@ -211,7 +210,7 @@ def robot_of(pattern: re.Pattern[str], log: Sequence[str]) -> str | None:
 
 
 def _file_of(file: Path, robot: str | None) -> Path:
-    """Return a robot.toml with the robot's name in its path. Raises UsageError if there is none."""
+    """Return a robot.toml with the robot's name in its path. Raises UsageError if it does not exist."""
     if ROBOT_PLACEHOLDER not in str(file):
         return file
     if robot is None or "/" in robot or robot.startswith("."):
@@ -223,7 +222,7 @@ def _file_of(file: Path, robot: str | None) -> Path:
 
 
 class FleetRows(msgspec.Struct, frozen=True):
-    """A fleet as rows, and the lines to print about it."""
+    """The rows of a fleet's summary, and lines on gates and losses."""
 
     entries: list[Entry] = field(default_factory=list)
     gates: list[str] = field(default_factory=list)  # a line per gate that a log fails
@@ -231,16 +230,16 @@ class FleetRows(msgspec.Struct, frozen=True):
 
     @property
     def void(self) -> list[str]:
-        """A line per reason why figures of a log are void."""
+        """Lines on void figures, one per reason and log."""
         return [f"{e.name}: {line}" for e in self.entries for line in e.void]
 
 
 def gather(
     plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: Gates, strict: bool
 ) -> FleetRows:
-    """Read the report of every finished job; the reason for the others is what `stopped` them.
+    """Read the report of each finished job; `stopped` is the reason why other jobs have not run.
 
-    Results are read from the jobs' folders: the same whether they ran now or long ago.
+    Results are read from the jobs' folders, also those of skipped jobs.
     """
     found = FleetRows()
     for name, robot in plan.robots.items():
@@ -255,7 +254,7 @@ def gather(
 
 
 def _entry(job: Job, found: FleetRows, gates: Gates, strict: bool) -> Entry:
-    """Return the short form of one log; its full report is freed."""
+    """Return the summary's row of one log, and add its failed gates and losses to `found`."""
     reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
     whole = {cell: report for cell, report in reports.items() if report is not None}
     if len(whole) < len(reports):
@@ -272,7 +271,7 @@ def _entry(job: Job, found: FleetRows, gates: Gates, strict: bool) -> Entry:
 def robots(
     entries: Sequence[Entry], jobs: Mapping[str, Job], run: Callable[[Sequence[Job]], Mapping[str, JobOutcome]]
 ) -> list[dict[str, Any]]:
-    """Return what logs show together, for each robot with several logs; unnamed robots count as one robot."""
+    """Return for each robot with several logs the values that they share, and settings that help all."""
     of: dict[str | None, dict[str, Mapping[str, Any]]] = {}
     for e in entries:
         if e.report.get("measured"):

@@ -1,7 +1,7 @@
-"""One job in its own process: even if it crashes, the fleet gets a row.
+"""One job in its own process, so that a crash is a failed row of the fleet's table.
 
-The process is `python -m locfuse.cli.fleet.process`: it reads the job on stdin and answers on stdout. It ends when
-its stdin does, so that nothing goes on running for a command that was killed.
+The process is `python -m locfuse.cli.fleet.process`. It reads the job from stdin and writes the outcome to stdout.
+It ends when stdin is closed, so that no process continues after the command was killed.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from locfuse.formats.versions import own
 from .jobs import Job, JobOutcome, SweepCell, is_replaceable
 
 COMMAND = (sys.executable, "-m", "locfuse.cli.fleet.process")
-EXIT_ORPHANED = 1  # exit code where the command that started it is gone
+EXIT_ORPHANED = 1  # exit code if the parent process has ended
 RUNNING: set[subprocess.Popen[bytes]] = set()
 
 
 def run(job: Job, folder: str, version: str) -> JobOutcome:
-    """Run a job in a process: in the shared `folder`, by the locfuse of this `version`."""
+    """Run a job in a new process; `folder` and `version` are those of the command, and must be equal here."""
     machine = socket.gethostname()
     if (ours := own()) != version:
         return JobOutcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {version}")
@@ -55,13 +55,13 @@ def _in_a_process(job: Job, folder: str) -> JobOutcome:
             stderr=words,
             env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
             cwd=folder,
-            start_new_session=True,  # Ctrl-C is for the command, which ends its processes itself
+            start_new_session=True,  # on Ctrl-C the command ends its processes itself
         ) as process,
     ):
         assert process.stdin is not None
         assert process.stdout is not None
         RUNNING.add(process)
-        with suppress(BrokenPipeError):  # it died at once: its exit code has the reason
+        with suppress(BrokenPipeError):  # ended at once: see its exit code
             process.stdin.write(pickle.dumps(job))
             process.stdin.flush()
         answer = process.stdout.read()
@@ -85,28 +85,28 @@ def _ended(code: int, words: bytes) -> str:
 
 
 def stop() -> None:
-    """End the processes of all running jobs, and remove their temporary files."""
+    """Terminate the processes of all running jobs."""
     for process in tuple(RUNNING):
         with suppress(OSError):
             process.terminate()
 
 
 def main() -> None:
-    """Run the job on stdin."""
+    """Read a job from stdin, run it, and write its outcome to stdout."""
     with os.fdopen(os.dup(1), "wb") as answer:
-        os.dup2(2, 1)  # what a library prints is no answer
+        os.dup2(2, 1)  # output of libraries goes to stderr
         job: Job = pickle.load(sys.stdin.buffer)
         threading.Thread(target=_end_with_parent, daemon=True).start()
         answer.write(pickle.dumps(outcome(job)))
 
 
 def _end_with_parent() -> None:
-    os.read(0, 1)  # past the buffer of sys.stdin, whose lock the end of the interpreter needs
+    os.read(0, 1)  # not sys.stdin, whose lock would block the interpreter's exit
     os._exit(EXIT_ORPHANED)
 
 
 def outcome(job: Job) -> JobOutcome:
-    """Run a job in this process and return its outcome, with one line if it failed."""
+    """Run a job in this process, and return its outcome."""
     try:
         if job.tries:
             loaded = load(job.log, job.how)
@@ -121,7 +121,7 @@ def outcome(job: Job) -> JobOutcome:
 
 
 def compare(job: Job) -> tuple[str, ...]:
-    """Measure a job's log once and write the results of every cell; return warnings about the rest."""
+    """Measure a job's log once, and write the results of each cell; return warnings."""
     again = job.cells != (SweepCell(),) or job.recordings is not None
     measured = load_to_fuse(job.log, job.how, silent, read_again=again)
     outputs, warnings = job.outputs, []

@@ -1,4 +1,4 @@
-"""The queue: sends jobs to an executor and collects outcomes, until all are done or it is stopped."""
+"""The queue of a fleet: runs jobs on an executor and collects outcomes, until all are done or it is stopped."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from . import process
 from .jobs import Job, JobOutcome, is_finished
 
 NOT_RUN = "stopped before it was run"
-POLL_S = 0.5  # s between looks at the clock while jobs run
-STOP_S = 0.1  # s between attempts to end the processes that run
-REASONS_LOST = {  # by the name of the exception: why an executor gives no outcome of a job
+POLL_S = 0.5  # between updates of the progress
+STOP_S = 0.1  # between attempts to end running processes
+REASONS_LOST = {  # exception of an executor -> why a job has no outcome
     "KilledWorker": "every worker that ran it died; often too little memory",
     "CancelledError": "the connection to the scheduler was lost",
     "ModuleNotFoundError": "a worker cannot import what it needs: {problem}",
@@ -32,7 +32,7 @@ REASONS_LOST = {  # by the name of the exception: why an executor gives no outco
 
 @dataclass
 class QueueState:
-    """The progress of the queue."""
+    """Numbers of jobs done, failed, skipped and left."""
 
     total: int
     done: int = 0
@@ -53,7 +53,7 @@ class QueueState:
 
     @property
     def seconds_left(self) -> float | None:
-        """The expected time for the rest at the pace so far; None before any job has run."""
+        """Expected time [s] for the remaining jobs at the pace so far; None before the first."""
         ran = self.done + self.failed - self.resumed
         return (time.monotonic() - self.began) / ran * self.left if ran else None
 
@@ -65,7 +65,7 @@ class QueueState:
 
 
 def duration(seconds: float) -> str:
-    """Return "40 s", "12 min" or "3.5 h"."""
+    """Return a duration [s] as text: "40 s", "12 min" or "3.5 h"."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
@@ -76,34 +76,34 @@ Watch = Callable[[QueueState, JobOutcome | None], None]
 
 @dataclass(frozen=True)
 class Ended:
-    """The outcomes by log name, and what stopped the queue before its end."""
+    """The outcomes by log name, and the reason if the queue was stopped early."""
 
     outcomes: Mapping[str, JobOutcome]
-    stopped: str = ""  # in words; empty where every job has an outcome
-    by: BaseException | None = None  # Ctrl-C or a signal, to be raised once the results are safe
+    stopped: str = ""  # the reason; "" if every job has an outcome
+    by: BaseException | None = None  # Ctrl-C or a signal, to be raised after writing the results
 
 
 def executor(fleet: FleetOptions) -> AbstractContextManager[Executor]:
-    """Return what runs the jobs: threads that each wait for a process, or the workers of a cluster."""
+    """Return the executor of jobs: threads of this machine (one process per job), or a cluster."""
     return ThreadPoolExecutor(fleet.jobs) if fleet.cluster is None else cluster(fleet.cluster)
 
 
 def run_all(jobs: Sequence[Job], pool: Executor, max_failures: int | None, watch: Watch) -> Ended:
-    """Run jobs on an executor; jobs with finished results are not sent."""
+    """Run jobs on an executor, except those with complete results, and return their outcomes."""
     found: dict[str, JobOutcome] = {}
-    standing = QueueState(len(jobs))
+    state = QueueState(len(jobs))
     running: dict[Future[JobOutcome], Job] = {}
     try:
         for outcome in _outcomes(jobs, pool, running):
             if outcome is not None:
                 found[outcome.name] = outcome
-                standing.count(outcome)
-            watch(standing, outcome)
-            if max_failures is not None and standing.failed > max_failures and standing.left:
+                state.count(outcome)
+            watch(state, outcome)
+            if max_failures is not None and state.failed > max_failures and state.left:
                 return Ended(found, f"more than {max_failures} logs failed (--max-failures)")
     except Exception:
         raise
-    except BaseException as stopped:  # Ctrl-C, SIGTERM: what is done stays done
+    except BaseException as stopped:  # Ctrl-C, SIGTERM: outcomes so far are kept
         return Ended(found, "interrupted", stopped)
     finally:
         _cancel(running)
@@ -113,7 +113,7 @@ def run_all(jobs: Sequence[Job], pool: Executor, max_failures: int | None, watch
 def _outcomes(
     jobs: Sequence[Job], pool: Executor, running: dict[Future[JobOutcome], Job]
 ) -> Iterator[JobOutcome | None]:
-    """Yield the outcome of each job when it is known, and None every POLL_S seconds."""
+    """Yield each job's outcome when it is known, and None every POLL_S seconds."""
     for job in jobs:
         if (outcome := already(job)) is not None:
             yield outcome
@@ -126,7 +126,7 @@ def _outcomes(
 
 
 def already(job: Job) -> JobOutcome | None:
-    """Return the outcome of a job that need not run: it is finished, or its log cannot be opened."""
+    """Return the outcome of a job that need not run (complete results, or an unreadable log), else None."""
     try:
         return JobOutcome(job.name, "done", resumed=True) if is_finished(job) else None
     except LocfuseError as problem:
@@ -134,7 +134,7 @@ def already(job: Job) -> JobOutcome | None:
 
 
 def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
-    """Return a job's outcome; if the executor itself failed, its error is the reason."""
+    """Return a job's outcome; if the executor failed, a failed outcome with its error."""
     try:
         return future.result()
     except Exception as problem:
@@ -144,7 +144,7 @@ def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
 
 
 def _cancel(running: Mapping[Future[JobOutcome], Job]) -> None:
-    """Cancel jobs that have not begun and end those that run."""
+    """Cancel jobs that have not started, and end those that run."""
     for future in running:
         future.cancel()
     while not all(future.done() for future in running):
@@ -152,27 +152,27 @@ def _cancel(running: Mapping[Future[JobOutcome], Job]) -> None:
         time.sleep(STOP_S)
 
 
-# --- A Dask cluster as an executor: jobs go to its workers, which run each in a process of its own. Logs, settings
-# and the folder of the results are on disks that all machines share, or logs are at addresses.
+# --- A Dask cluster as executor: its workers run each job in a new process. All machines share the disk with logs,
+# settings and results; logs may also be remote.
 
 INSTALL_COMMAND = "pip install 'locfuse[cluster]'"
 CONNECT_TIMEOUT_S = 20.0  # for a scheduler to answer, and for its first worker
-MAX_RETRIES = 2  # of a job whose worker raised what no job raises
+MAX_RETRIES = 2  # of a job whose worker failed
 
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """Connect to a scheduler, such as "tcp://127.0.0.1:8786", and yield its executor.
+    """Connect to a Dask scheduler, such as "tcp://127.0.0.1:8786", and yield its executor.
 
-    Raises LocfuseError where none answers, where it has no workers, or where a worker has another locfuse.
+    Raises LocfuseError if none answers, it has no workers, or a worker has another version of locfuse.
     """
     try:
         import distributed
     except ImportError:
         raise LocfuseError(f"--cluster {address}: it needs another package: {INSTALL_COMMAND}") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is in the outcomes
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors are in the outcomes
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # other versions of Dask: what does not fit fails in words
+        warnings.simplefilter("ignore")  # on other versions of Dask; real problems raise errors
         connect: Any = distributed.Client
         try:
             client = connect(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)

@@ -1,1 +1,1 @@
-"""The contents of a log for `info` and `init`: topics, mounts, clocks, findings, a first robot.toml."""
+"""Inspection of a log for `info` and `init`: topics, mounts, clocks, findings, a draft of robot.toml."""

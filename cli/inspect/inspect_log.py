@@ -1,6 +1,6 @@
 """Inspection of a log for `info` and `init`: topics, roles, mounts, missing settings, findings and fixes.
 
-Whatever is wrong becomes a finding and the rest is looked at all the same: this is for logs that do not run yet.
+An error becomes a finding and the inspection continues, since this is for logs that cannot be fused yet.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from msgspec.structs import replace
 
@@ -20,6 +20,7 @@ from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
+from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.cli.analysis.topics import Choice, filled, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.logs.log import Log, open_log
@@ -37,11 +38,8 @@ from .mounts import conflicts, unplaced
 from .robot_facts import Overview, find_robot_facts, possible_truth, wheel_size
 from .topics import derived_facts, of_publishers, of_stamps, topic_facts
 
-if TYPE_CHECKING:
-    from locfuse.cli.analysis.settings import LogOptions
 
-
-def inspect_log(words: Parts, how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Overview:
+def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> Overview:
     """Inspect a log. Raises LocfuseError only if it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
     log = open_log(find_log(words))
@@ -55,32 +53,35 @@ def inspect_log(words: Parts, how: LogOptions, progress: Callable[[str], None] =
     overview = Overview(log, tables, choice, facts, *_placed(log, tables, choice, found))
     overview.robot_facts = find_robot_facts(overview)
     overview.findings = [
-        *_of_files(log),
+        *_of_file_losses(log),
         *found,
         *wheel_size(overview),
         *possible_truth(overview),
         *of_stamps(facts, choice, overview.robot),
         *of_publishers(log, choice),
-        *_said("lrf", choice.of("lrf"), lambda stream, _: driver(stream), overview),
-        *_said("camera", pictures_of(log, choice), _pictures, overview),
+        *_of_messages("lrf", choice.of("lrf"), lambda stream, _: driver(stream), overview),
+        *_of_messages("camera", pictures_of(log, choice), _pictures, overview),
         *_maps(overview),
     ]
     _measure(overview, progress)
     if choice.unused_wheels and overview.loaded is not None:
         overview.robot_facts = find_robot_facts(overview)
-        gone = {"geometry", *((POINT, START) if overview.robot_facts.steered else ())}  # by another motion
+        gone = {
+            "geometry",
+            *((POINT, START) if overview.robot_facts.steered else ()),
+        }  # judged with a motion that is replaced
         overview.findings = [*(f for f in overview.findings if f.code not in gone), *wheel_size(overview)]
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview
 
 
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
-    """Choose the topics of every role separately: a failure becomes a finding."""
+    """Choose the topics of each role; an error for one role becomes a finding."""
     choice = Choice()
     offer_presented(log)
     try:
         offer_tags(log, robot)
-    except LocfuseError as e:  # its frames form a loop
+    except LocfuseError as e:  # a loop of frames
         topic, _, words = str(e).partition(": ")
         found.append(Finding(topic, "tf", words))
     steps: dict[str, Callable[[], None]] = {
@@ -92,7 +93,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
         try:
             step()
         except LocfuseError as e:
-            finding = of_error(e, role, "choice")  # severe: run and compare refuse too
+            finding = of_error(e, role, "choice")  # severe: `run` and `compare` fail too
             if isinstance(e, NoWheelsError):
                 finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
             choice.leave(role, finding.sentence, finding.fixes)
@@ -104,11 +105,11 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
 def _placed(
     log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
 ) -> tuple[StaticTransforms, dict[str, Any], Robot]:
-    """Return /tf_static, the mounts by it, and the robot with them: known before measuring."""
+    """Return the log's static transforms, the sensors' mounts by them, and the robot with these mounts."""
     streams: dict[str, list[Stream]] = {}
     for name in REGISTRY:
         for topic in choice.of(name):
-            with suppress(LocfuseError):  # a topic that cannot be read has its own finding
+            with suppress(LocfuseError):  # an unreadable topic has its own finding
                 stream = log.stream(topic)
                 streams.setdefault(name, []).append(stream)
     transforms = StaticTransforms()
@@ -120,8 +121,8 @@ def _placed(
     return transforms, mounts, make_robot(robot_toml.merge(mounts, turns, tables))
 
 
-def _of_files(log: Log) -> list[Finding]:
-    """Return the losses of the log's files, and whether changed bytes would be detected."""
+def _of_file_losses(log: Log) -> list[Finding]:
+    """Return findings on lost bytes, and on files without checksums."""
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
@@ -129,15 +130,17 @@ def _of_files(log: Log) -> list[Finding]:
     return found
 
 
-def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
-    """Measure all readable sensors, and add the findings of the checks."""
+def _measure(overview: Overview, progress: Progress) -> None:
+    """Measure all sensors that need little time, and add the findings of the checks."""
     if "wheels" not in overview.choice.topics:
         return
     try:
         costly = [name for name, sensor in REGISTRY.items() if sensor.costly]
         loaded = measured(overview.log, overview.tables, overview.choice, progress, aside=costly)
     except LocfuseError as e:
-        overview.findings += _not_measured(overview, e)
+        role = e.role if e.role in {"wheels", "truth", *REGISTRY} else "log"
+        if not any(f.role == role and f.severe for f in overview.findings):
+            overview.findings.append(of_error(e, role, "unusable"))
         return
     progress("looking for findings")
     overview.loaded, overview.robot = loaded, loaded.robot
@@ -149,15 +152,8 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     overview.findings += _unusable(overview, loaded)
 
 
-def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
-    """Return why nothing could be measured, unless a finding says so already."""
-    role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
-    known = any(f.role == role and f.severe for f in overview.findings)
-    return [] if known else [of_error(error, role, "unusable")]
-
-
 def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
-    """Return a finding per sensor of the log that cannot be used, unless it has one already."""
+    """Return a finding for each sensor that has a topic but cannot be used, unless it has a severe finding."""
     known = {f.role for f in overview.findings if f.severe}
     drive = loaded.drive
     return [
@@ -168,7 +164,7 @@ def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
 
 
 def _maps(overview: Overview) -> list[Finding]:
-    """Report the log's maps as options for its laser; only the user knows whether its scans made them."""
+    """Return a finding on occupancy grids in the log, in which the laser can be localised."""
     robot, topics = overview.robot, [t for t in filled(overview.log, GRID) if "costmap" not in t.lower()]
     topics.sort(key=lambda t: t != "/map")
     if not topics or not overview.choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
@@ -181,15 +177,15 @@ def _maps(overview: Overview) -> list[Finding]:
 
 
 def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
-    """Return the topics of pictures: the camera's, or all without one."""
+    """Return the topics of pictures with messages: those of the camera role, or all if it has none."""
     found = choice.of("camera") or tuple(of_type(log, REGISTRY["camera"].reads))
     return tuple(topic for topic in found if log.topics[topic].count)
 
 
-def _said(
+def _of_messages(
     role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], overview: Overview
 ) -> list[Finding]:
-    """Return the findings on the raw messages of a role with exactly one topic."""
+    """Return the findings on the raw messages of a role, [] unless it has exactly one topic."""
     if len(topics) != 1:
         return []
     try:

@@ -1,7 +1,7 @@
 """JSON Schemas of robot.toml, report.json and --json output, made from their types.
 
-Draft 7 (json-schema.org): the newest that TOML editors understand (taplo, Even Better TOML), which take a tuple of
-draft 2020-12 for one that may hold nothing.
+JSON Schema draft 7, the newest that TOML editors support (taplo, Even Better TOML): they read a tuple of draft
+2020-12 as an empty one.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ DRAFT_7 = "http://json-schema.org/draft-07/schema#"
 REF_TEMPLATE = "#/$defs/{name}"
 OF_ORDER = "Which times to trust: header stamps, recording order, or whichever fits (auto)."
 OF_PRESET = "The filter: locfuse's own (default), or the paper's equations as printed (paper)."
-FIELD_PATTERN = re.compile(r"\s+(\w+)\s*:")  # at the beginning of a line of a class
+FIELD_PATTERN = re.compile(r"\s+(\w+)\s*:")  # the start of a field's line
 Schema = dict[str, Any]
 
 
 def robot_schema() -> Schema:
-    """Return the schema of robot.toml: every table and key, unknown ones refused."""
+    """Return the JSON schema of robot.toml: every table and key; unknown keys are errors."""
     types = table_types()
     refs, definitions = msgspec.json.schema_components(list(types.values()), ref_template=REF_TEMPLATE)
     for name, kind in types.items():
@@ -54,7 +54,7 @@ def robot_schema() -> Schema:
 
 
 def output_schema(title: str, *kinds: type[msgspec.Struct]) -> Schema:
-    """Return the schema of a command's output, any of `kinds`: keys that stay; more may be added."""
+    """Return the JSON schema of a command's output, one of the types `kinds`; more keys may be added later."""
     refs, definitions = msgspec.json.schema_components(kinds, ref_template=REF_TEMPLATE)
     for kind in dict.fromkeys(inner for outer in kinds for inner in _structs(outer)):
         _describe(definitions[kind.__name__], field_words(kind))
@@ -69,7 +69,7 @@ def _describe(definition: Schema, words: Mapping[str, str]) -> None:
 
 
 def _leave_out_null(definition: Schema) -> None:
-    """Remove null from a table's keys: TOML has no null, a key without a value is left out."""
+    """Remove null from the types of a table's keys, since TOML has no null."""
     for schema in definition["properties"].values():
         kinds = [kind for kind in schema.pop("anyOf", []) if kind != {"type": "null"}]
         if len(kinds) == 1:
@@ -81,7 +81,7 @@ def _leave_out_null(definition: Schema) -> None:
 
 
 def _in_draft_7(schema: Any) -> Any:
-    """Return the same schema with tuples in the form of draft 7."""
+    """Return the schema with tuples in the form of JSON Schema draft 7."""
     if isinstance(schema, list):
         return [_in_draft_7(part) for part in schema]
     if not isinstance(schema, dict):
@@ -94,7 +94,7 @@ def _in_draft_7(schema: Any) -> Any:
 
 
 def _structs(kind: Any) -> Iterator[type[msgspec.Struct]]:
-    """Yield a struct and every struct among the types of its fields, each once."""
+    """Yield a struct type and all struct types among its fields, each once."""
     waiting, seen = [kind], set[Any]()
     while waiting:
         one = waiting.pop()
@@ -106,9 +106,9 @@ def _structs(kind: Any) -> Iterator[type[msgspec.Struct]]:
 
 
 def field_words(kind: type[Any]) -> dict[str, str]:
-    """Return the comment beside each field of a class, with its unit and meaning.
+    """Return the comment of each field of a class (meaning and unit) by field name.
 
-    Those of the classes that it extends too; {} for a class without source.
+    Base classes are included; {} for a class without source code.
     """
     words: dict[str, str] = {}
     for part in reversed(kind.__mro__):
@@ -118,7 +118,7 @@ def field_words(kind: type[Any]) -> dict[str, str]:
 
 
 def _commented(kind: type[Any]) -> Iterator[tuple[str, str]]:
-    """Yield (field, comment) of every annotated line of a class that ends in a comment."""
+    """Yield (field, comment) of each annotated line of a class that ends with a comment."""
     try:
         source = inspect.getsource(kind)
     except (OSError, TypeError):  # shipped without its source

@@ -1,6 +1,6 @@
-"""Robots that `init` recognises by their logs, with figures that no log holds.
+"""Known robot models that `init` recognises, with values of settings that no log contains.
 
-A figure of a known robot is used only where neither the log nor the user gives it.
+A value of a known robot is used only if neither the log nor the user gives one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .robot_facts import Overview
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
-# Name -> what only its logs hold, any of: a package of message types, a word of a topic's name, a set of frames.
+# Name -> signs, each sufficient: a package of message types, a word in a topic's name, or a set of frames.
 SIGNS_OF_ROBOTS: dict[str, tuple[str | frozenset[str], ...]] = {
     "turtlebot4": ("turtlebot4_msgs", frozenset({"rplidar_link", "shell_link"})),
     "create3": ("irobot_create_msgs",),
@@ -42,14 +42,14 @@ COUNTER_KEYS = ("radius", "track", "ticks_per_revolution")  # an odometry needs 
 
 
 class Recognised(NamedTuple):
-    """A known robot."""
+    """A known robot model, recognised in a log."""
 
     name: str
-    sign: str  # what it was recognised by, in the log
+    sign: str  # how it was recognised, in words
 
 
 def recognise(overview: Overview) -> Recognised | None:
-    """Return the first known robot whose topics or names are in the log."""
+    """Return the first known robot model whose message types, topic names or frames are in the log."""
     packages = {topic.msgtype.partition("/")[0] for topic in overview.log.topics.values()}
     words = {word for topic in overview.log.topics for word in re.split(r"[/_]", topic.lower())}
     frames = {edge.child for edge in overview.transforms.edges}
@@ -66,7 +66,7 @@ def recognise(overview: Overview) -> Recognised | None:
 
 
 def open_figures(known: Recognised, overview: Overview, given: Collection[str]) -> dict[str, tuple[str, str]]:
-    """Return figures of a known robot for settings that this log needs: key -> ("key=value", words).
+    """Return a known robot's values for settings that this log needs: key -> ("key=value", source in words).
 
     `given` are the keys that have a value already.
     """
@@ -79,7 +79,7 @@ def open_figures(known: Recognised, overview: Overview, given: Collection[str]) 
 
 
 def _needed(overview: Overview, table: str, name: str, value: object, given: Collection[str]) -> bool:
-    if table in REGISTRY:  # a mount is taken as a whole
+    if table in REGISTRY:  # a mount is used completely or not at all
         return bool(overview.choice.of(table)) and f"{table}.x" not in given
     kind = _wheels_kind(overview)
     if name in {"left", "right"}:
@@ -90,20 +90,20 @@ def _needed(overview: Overview, table: str, name: str, value: object, given: Col
 
 
 def _wheels_kind(overview: Overview) -> str:
-    """Return the message type of the wheels' turns; "" if an odometry is read, or there are none."""
+    """Return the message type of the wheel counters; "" for an odometry, or without counters."""
     topics = overview.choice.of("wheels")
     kind = overview.log.topics[topics[0]].msgtype if topics else SCANS
-    if kind != SCANS:  # scans stand in for wheels of unknown size too
+    if kind != SCANS:  # scan matching also replaces wheels of unknown size
         return "" if kind in BODY_READS else kind
     kinds = (overview.log.topics[t].msgtype for t in of_type(overview.log, (JOINTS, *TICKS, *NUMBERS)))
     return next(kinds, "")
 
 
 def _joints(log: Log) -> set[str]:
-    """Return the joint names on all topics of joints."""
+    """Return the names of all joints in the log."""
     names: set[str] = set()
     for topic in of_type(log, (JOINTS,)):
-        with suppress(LocfuseError):  # a topic that cannot be read has its own finding
+        with suppress(LocfuseError):  # an unreadable topic has its own finding
             rows = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
             names |= {joint for row in set(rows) for joint in row}
     return names

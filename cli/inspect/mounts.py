@@ -1,4 +1,4 @@
-"""Mounts of a log's sensors and their sources; sensors without a mount, and contradictions."""
+"""Findings on sensor mounts: their sources, sensors without a mount, and contradicting transforms."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 
 
 def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
-    """Return each sensor's mount and its source."""
+    """Return each sensor's mount settings, with their source under "by"."""
     found: dict[str, dict[str, Any]] = {}
     for name in overview.choice.topics:
         if name not in REGISTRY:
             continue
         settings = overview.robot.settings(name)
         values = {k: getattr(settings, k) for k in MOUNT_KEYS if hasattr(settings, k)}
-        if "mounts" in values and "x" in values:  # several, or one
+        if "mounts" in values and "x" in values:  # mounts of several sensors, or x, y ... of one
             several = len(overview.choice.of(name)) > 1
             values = {k: v for k, v in values.items() if (k == "mounts") == several}
         if values:
@@ -32,7 +32,7 @@ def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
 
 
 def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
-    """Return the source of a sensor's mount: the settings, its frame, /tf_static, or "nobody"."""
+    """Return the source of a sensor's mount: "settings", "its frame ...", "/tf_static", "/tf" or "nobody"."""
     if any(key in overview.tables.get(name, {}) for key in keys):
         return "settings"
     frames = overview.frames_of(name)
@@ -43,12 +43,12 @@ def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
 
 
 def placed_by(overview: Overview, frame: str) -> str:
-    """Return the source of a frame's mount: /tf_static, else transforms of /tf that never change."""
+    """Return the source of a frame's mount: "/tf_static", else "/tf" (constant transforms)."""
     return "/tf_static" if mount_of(overview.log.static_transforms(), frame) is not None else "/tf"
 
 
 def unplaced(overview: Overview) -> list[Finding]:
-    """Return a finding per sensor without a mount that needs one."""
+    """Return a finding for each sensor that needs a mount and has none."""
     found = []
     for name, mount in extrinsics(overview).items():
         moves = any(moved_by(overview.transforms, frame) for frame in overview.frames_of(name))
@@ -60,7 +60,7 @@ def unplaced(overview: Overview) -> list[Finding]:
 
 
 def conflicts(overview: Overview) -> list[Finding]:
-    """Return a finding for each used frame with two mounts, and one finding for all unused frames."""
+    """Return a finding for each used frame with two transforms, and one for all unused frames."""
     roles = {frame: role for role in overview.choice.topics for frame in overview.frames_of(role)}
     mounts = extrinsics(overview)
     found, others = [], []

@@ -1,4 +1,4 @@
-"""Facts about the robot in its log: a robot description, an odometry of the same wheels, joint names."""
+"""Facts about the robot in its log: robot description, wheel counters, and their geometry by another motion."""
 
 from __future__ import annotations
 
@@ -32,31 +32,31 @@ if TYPE_CHECKING:
     from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration
 
 ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
-MAX_STEERED_MISFIT = 0.02  # m per m of the way: a tricycle that leaves more is not understood
-MIN_MOVEMENT = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel
+MAX_STEERED_MISFIT = 0.02  # rms per distance: more is a bad fit
+MIN_MOVEMENT = 0.05  # of a joint in the log, in its unit: less is no wheel
 
 
 class Steered(NamedTuple):
-    """The size and the steering of a tricycle, as its truth shows them."""
+    """Geometry and steering of a tricycle, calibrated by truth."""
 
     found: TricycleCalibration
     known: WheelSettings  # as configured, else as assumed for the fit
 
 
 class RobotFacts(msgspec.Struct, frozen=True):
-    """Facts about the robot that its log shows, in addition to robot.toml."""
+    """Facts about the robot that its log shows and robot.toml may lack."""
 
     described: WheelGeometry | None = None  # by /robot_description
     counters: tuple[str, ...] = ()  # topics of wheel turns: those in use, else those whose geometry is unknown
     fitted: Geometry | None = None  # by an odometry topic made from the same wheels
-    odometry: str = ""  # that topic
+    odometry: str = ""  # the odometry topic, or BY_SCANS
     ticks: float | None = None  # usual ticks per revolution of the message's type
     joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
     steered: Steered | None = None  # a tricycle, by its truth
 
 
 class Overview(msgspec.Struct):
-    """An inspected log: topics, roles, mounts, clocks, findings."""
+    """The result of inspecting a log: topics, roles, mounts, clocks, findings."""
 
     log: Log
     tables: dict[str, Any]  # robot.toml as merged, before mounts
@@ -70,23 +70,23 @@ class Overview(msgspec.Struct):
     findings: list[Finding] = field(default_factory=list)
 
     def frames_of(self, role: str) -> list[str]:
-        """Return the frames of a role's topics, "" where one has none."""
+        """Return the frames of a role's topics; "" for a topic without frame."""
         known = {f.topic: f.frame_id for f in self.facts}
         return [known[topic] for topic in self.choice.of(role) if topic in known]
 
     @property
     def motion_faults(self) -> tuple[Note, ...]:
-        """Reasons why the motion topic does not describe how the robot moved, such as setpoints; () if none."""
+        """Reasons why the motion topic is not the robot's motion, such as commands; () if it is."""
         return () if self.loaded is None else self.loaded.motion_faults
 
     @property
     def severe(self) -> bool:
-        """Whether the finding would make an estimate wrong, or bytes are lost."""
+        """Whether a finding would make an estimate wrong, or bytes are lost."""
         return any(f.severe for f in self.findings)
 
 
 def find_robot_facts(overview: Overview) -> RobotFacts:
-    """Search for wheel geometry in the log; if it was measured, also by truth or by matched scans."""
+    """Return the wheel geometry that the log shows: by description, odometry, truth or scan matching."""
     log, robot, loaded = overview.log, overview.robot, overview.loaded
     described = _described(log)
     counters = _counters(log, robot, overview.choice)
@@ -107,19 +107,19 @@ def find_robot_facts(overview: Overview) -> RobotFacts:
         fitted = by_odometry(both, log.stream(source), settings)
     elif loaded is not None and loaded.matched is not None and loaded.reading is not None:
         source = BY_SCANS
-        with suppress(LocfuseError):  # said where the counters are used
+        with suppress(LocfuseError):  # reported where the counters are used
             fitted = by_motion(both, loaded.reading, settings)
     return RobotFacts(described, counters, fitted, source, ticks, joints)
 
 
 def _steered(both: Stream, loaded: Loaded) -> Steered | None:
-    """Return what the truth shows of a tricycle; None where it shows too little."""
-    # SciPy comes with it
+    """Calibrate a tricycle by truth; None without truth or if the fit is bad."""
+    # imports SciPy
     from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle, nominal, of_truth
 
     if (truth := loaded.drive.truth) is None or not isinstance(both, MergedStream):
         return None
-    with suppress(LocfuseError):  # said where the encoders are used
+    with suppress(LocfuseError):  # reported where the encoders are used
         shift = (int(both.parts[0].t_ns[0]) - loaded.drive.epoch_ns) * 1e-9 + loaded.robot.wheels.time_offset
         known = nominal(both, loaded.robot.wheels, of_truth(truth), shift)
         found = calibrate_tricycle(read_encoders(both, known), known, of_truth(truth), shift)
@@ -129,7 +129,7 @@ def _steered(both: Stream, loaded: Loaded) -> Steered | None:
 
 
 def wheel_size(overview: Overview) -> list[Finding]:
-    """Return a finding on missing wheel settings, with the values found."""
+    """Return a finding on missing wheel settings, with the values that the log shows as fixes."""
     log, robot, found, topics = overview.log, overview.robot, overview.robot_facts, overview.robot_facts.counters
     if not topics:
         return []
@@ -149,7 +149,7 @@ def wheel_size(overview: Overview) -> list[Finding]:
     if found.joints is not None and not named and not are_wheels(log, topics[0], robot):
         words.append("the joints of the wheels")
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
-    other = overview.choice.of("wheels") not in ((), topics)  # what is read in their place says what they lack
+    other = overview.choice.of("wheels") not in ((), topics)  # the note on the used topic names what is missing
     if not words or (other and not fixes):
         return []
     counts = "count" if len(topics) > 1 else "counts"
@@ -159,7 +159,7 @@ def wheel_size(overview: Overview) -> list[Finding]:
 
 
 def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
-    """Return radius and track, if known, and their source."""
+    """Return (values of radius, track ..., source in words) that the log shows; {} without any."""
     if found.described is not None and found.described.radius is not None:
         values = {"radius": found.described.radius, "track": found.described.track}
         return values, "/robot_description has these"
@@ -182,19 +182,19 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
 
 
 def _counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
-    """Return the topics of wheel turns (RobotFacts.counters), () without any."""
+    """Return the topics with wheel counters, used or not; () without any."""
     topics = choice.of("wheels")
     if topics and log.topics[topics[0]].msgtype not in BODY_READS:
         return topics
     taken = {t for role in choice.topics for t in choice.of(role)}
-    with suppress(LocfuseError):  # several that fit: said where one is chosen
+    with suppress(LocfuseError):  # several candidates: reported by the choice
         found, _ = counters_of(log, robot)
         return () if taken & {*found} else tuple(found)
     return ()
 
 
 def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
-    """Return the wheel joints: by name, else the only two that keep turning."""
+    """Return the names of left and right wheel joint: by name, else the only two that turn; None without two."""
     columns = log.stream(topic).columns("name", "position")
     names = cast("list[tuple[str, ...]]", columns["name"])
     with suppress(LocfuseError):
@@ -208,7 +208,7 @@ def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
 
 
 def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
-    """Return the total movement of every joint, in the joint's unit."""
+    """Return the total movement of each joint, in the unit of its positions."""
     at: dict[str, list[float]] = {}
     for i, row in enumerate(names):
         values = positions[i]
@@ -222,13 +222,13 @@ def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
 
 
 def _sorted_sides(a: str, b: str) -> tuple[str, str]:
-    """Return the left joint first, by an l or r in the names; else in the given order."""
+    """Return (left, right) of two joints by their names; unchanged if the names do not show it."""
     words = {j: set(j.lower().replace("-", "_").split("_")) for j in (a, b)}
     return (b, a) if words[a] & {"r", "right", "rw"} or words[b] & {"l", "left", "lw"} else (a, b)
 
 
 def _described(log: Log) -> WheelGeometry | None:
-    """Return the wheels of the robot description in the log."""
+    """Return the wheel geometry in the log's robot description; None without one."""
     for topic in filled(log, "std_msgs/msg/String"):
         if topic.rpartition("/")[2] == "robot_description":
             try:
@@ -241,7 +241,7 @@ def _described(log: Log) -> WheelGeometry | None:
 
 
 def possible_truth(overview: Overview) -> list[Finding]:
-    """Return a finding per topic that may be the truth; the user decides, since it may be an estimate."""
+    """Return a finding on pose topics that may be ground truth; the user decides."""
     log = overview.log
     if "truth" in overview.choice.topics:
         return []

@@ -1,11 +1,11 @@
-"""The robot.toml of `init`: what `inspect_log` found, as lines with comments.
+"""The draft of robot.toml by `init`: settings found by `inspect_log`, as lines with comments.
 
-Known keys are active; the others have a comment on how to find the value.
+Lines with known values are active; the others have a comment on how to find the value.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import msgspec
@@ -15,7 +15,7 @@ from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.load import Parts
 from locfuse.cli.analysis.mounts import is_base
 from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
-from locfuse.cli.analysis.settings import LogOptions, set_words
+from locfuse.cli.analysis.settings import LogOptions, Progress, set_words
 from locfuse.cli.analysis.topics import filled
 from locfuse.cli.analysis.wheel_topics import steers
 from locfuse.formats.robot import robot_toml
@@ -39,10 +39,10 @@ from .robot_facts import Overview
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
 TOP_KEYS = ("order", "preset")
 STEERED_KEYS = ("radius", "ticks_per_revolution", "servo_gain", "wheelbase", "noise")  # of a tricycle's encoders
-MOUNT_KEYS = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
-MOUNT_DECIMALS = 6  # decimals of a mount: micrometres
+MOUNT_KEYS = ("x", "y", "yaw_deg")  # written even if zero
+MOUNT_DECIMALS = 6
 
-# how to measure what is in no log; a sensor has the words of its own keys (Sensor.asks)
+# instructions for settings that a log does not contain; those of a sensor are in Sensor.asks
 HOW_TO_MEASURE = {
     "wheels": {
         "radius": Ask(
@@ -76,58 +76,53 @@ HOW_TO_MEASURE = {
         "sigma_theta_deg": Ask("degrees: how exact its heading is"),
     },
 }
-# Conventions that hold unless the user sets others; no log states them.
+# Conventions that a log does not contain: the default is written as a guess.
 GUESSED_DEFAULTS = {
     "wheels": {
         "mirrored": "guess: both counters rise while the robot drives forward",
         "steering": "guess: radians of the front wheels (rate: rad/s of the body, heading: rad)",
     }
 }
-MAX_ROUNDS = 4  # a fix may bring out what could not be seen before
-# findings whose fix is right even where they change little
+MAX_ROUNDS = 4  # of inspection: a fix may make other findings visible
+# codes of findings whose fix is a measured value
 MEASURED_CODES = {"lag", "noise", "range scale", "track", "yaw"}
 GUESS = "guess: "
-GUESSED_CODES = {"choice", "unusable", "truth?"}  # nothing was measured: the first that fits
+GUESSED_CODES = {"choice", "unusable", "truth?"}  # codes of findings whose fix is the first candidate
 
 
 class Draft(NamedTuple):
-    """The tables of a robot.toml, and the missing settings."""
+    """A draft of robot.toml, with the settings that are missing."""
 
     overview: Overview  # with all active fixes
     sections: list[TomlSection]
-    missing: list[str]  # keys without which nothing runs, or not their sensor
+    missing: list[str]  # keys that the wheels, or their sensor, need
     guesses: list[str]  # "key=value: why" of choices that the log leaves open
-    robot: str = ""  # which known robot gave figures, in words
+    robot: str = ""  # the known robot whose values are used, in words
 
 
-def draft(
-    log: Parts,
-    how: LogOptions,
-    progress: Callable[[str], None] = lambda step: None,
-    said: Mapping[str, Mapping[str, Any]] | None = None,
-) -> Draft:
-    """Inspect a log, apply the fixes found, and repeat until nothing changes; return the final settings.
+def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str, Mapping[str, Any]]) -> Draft:
+    """Inspect a log, apply the fixes found, repeat until nothing changes, and return the draft.
 
-    `said` are tables that another program's configuration gives, by the name of its file.
+    `imported` are tables converted from another program's configuration, by file name.
     """
-    words = [word for tables in (said or {}).values() for word in set_words(tables)]
+    words = [word for tables in imported.values() for word in set_words(tables)]
     typed, how = how, replace(how, sets=(*words, *how.sets))
     overview = inspect_log(log, how, progress)
-    given = _given(overview, typed, said or {})
+    given = _given(overview, typed, imported)
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
-    robot, shown = "", _fixes(filter(_certain, overview.findings))
+    robot, shown = "", _fixes(filter(_may_apply, overview.findings))
     if (known_robot := recognise(overview)) is not None:
         fixes = open_figures(known_robot, overview, {*given, *shown, *found(overview)})
         robot = f"this robot is a {known_robot.name} ({known_robot.sign})" if fixes else ""
-        overview = _with(fixes, log, how, progress) if fixes else overview
+        overview = _inspected_with(fixes, log, how, progress) if fixes else overview
     for _ in range(MAX_ROUNDS):
-        new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in given}
+        new = {key: fix for key, fix in _fixes(filter(_may_apply, overview.findings)).items() if key not in given}
         if new.items() <= fixes.items():
             break
         fixes |= new
-        overview = _with(fixes, log, how, progress)
-    known = {**found(overview), **_read(fixes), **given}
-    suggested = _read({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
+        overview = _inspected_with(fixes, log, how, progress)
+    known = {**found(overview), **_as_known(fixes), **given}
+    suggested = _as_known({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
     sections = [TomlSection(name, tuple(lines(facts, name, missing))) for name in ("", *table_types())]
@@ -135,35 +130,35 @@ def draft(
     return Draft(overview, sections, missing, guesses, robot)
 
 
-def _with(
-    fixes: Mapping[str, tuple[str, str]], log: Parts, how: LogOptions, progress: Callable[[str], None]
+def _inspected_with(
+    fixes: Mapping[str, tuple[str, str]], log: Parts, how: LogOptions, progress: Progress
 ) -> Overview:
-    """Inspect the log again under these settings."""
+    """Inspect the log again with these fixes."""
     return inspect_log(log, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
 
 
-def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, Any]]) -> Known:
-    """Return the given settings: the log's attachment, --robot, another program's file, --set."""
+def _given(overview: Overview, how: LogOptions, imported: Mapping[str, Mapping[str, Any]]) -> Known:
+    """Return the given settings with their source: attachment, --robot, another program's file, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if (own := overview.log.attachments.get(ATTACHMENT)) is not None:
         layers.append(("the log's own robot.toml", robot_toml.parse(own, ATTACHMENT)))
     layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robots]
-    layers += said.items()
+    layers += imported.items()
     layers.append(("--set", robot_toml.apply_sets(how.sets)))
     merged = flat(overview.tables)
     return {key: (merged[key], f"by {who}") for who, tables in layers for key in flat(tables)}
 
 
 def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
-    """Return the fixes by key: "key=value", and why. Encoders that are found replace an odometry and its scale."""
+    """Return fixes by key: ("key=value", reason). Found wheel counters replace fixes for an odometry."""
     found = list(findings)
     replaced = any(f.code == "geometry" and f.fixes for f in found)
     kept = (f for f in found if not replaced or f.role != "wheels" or f.code == "geometry")
-    return {fix.partition("=")[0]: (fix, _why(f)) for f in kept for fix in f.fixes if _loads(fix)}
+    return {fix.partition("=")[0]: (fix, _why(f)) for f in kept for fix in f.fixes if _is_valid(fix)}
 
 
-def _certain(f: Finding) -> bool:
-    """Whether a fix may be applied without asking: it is measured, already chosen, or required."""
+def _may_apply(f: Finding) -> bool:
+    """Return whether a fix may be applied without asking: it is severe, measured, or a choice already made."""
     return f.code not in {OPEN_SCALE, OPEN_CLOCK} and (f.severe or f.code in {*MEASURED_CODES, "choice"})
 
 
@@ -173,8 +168,8 @@ def _why(f: Finding) -> str:
     return f"{GUESS}{f.sentence}" if f.code in GUESSED_CODES else f"as this log shows: {f.sentence}"
 
 
-def _loads(fix: str) -> bool:
-    """Whether a fix is complete, without a placeholder."""
+def _is_valid(fix: str) -> bool:
+    """Return whether a fix is a valid setting, without a placeholder."""
     try:
         make_robot(robot_toml.apply_sets([fix]))
     except LocfuseError:
@@ -182,12 +177,12 @@ def _loads(fix: str) -> bool:
     return True
 
 
-def _read(fixes: Mapping[str, tuple[str, str]]) -> Known:
+def _as_known(fixes: Mapping[str, tuple[str, str]]) -> Known:
     return {key: (flat(robot_toml.apply_sets([fix]))[key], why) for key, (fix, why) in fixes.items()}
 
 
 class Facts(NamedTuple):
-    """What the lines of robot.toml are made from."""
+    """Settings for the lines of robot.toml: active ones, and suggestions."""
 
     overview: Overview
     known: Known  # active lines
@@ -195,12 +190,12 @@ class Facts(NamedTuple):
 
 
 def found(overview: Overview) -> Known:
-    """Return the settings shown by the log: topics, joints, mounts."""
+    """Return the settings that the log shows: topics, joints, mounts."""
     known: Known = {}
     for role in ("wheels", "truth", *REGISTRY):
         known |= _topics(overview, role)
-    # left open: with their size filled in, the wheels are used; a motion that is not the robot's is not named,
-    # since a named one counts as the robot's
+    # without wheels.topic the unused wheels are chosen as soon as their size is set, and a topic that is not the
+    # robot's motion is not made to count as such
     if overview.choice.unused_wheels or overview.motion_faults:
         known.pop("wheels.topic", None)
     wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
@@ -215,7 +210,7 @@ def found(overview: Overview) -> Known:
 
 def _topics(overview: Overview, role: str) -> Known:
     topics, why = overview.choice.of(role), overview.choice.why.get(role, "")
-    if not topics and role in REGISTRY:  # a sensor that lacks a setting may have its topic all the same
+    if not topics and role in REGISTRY:  # a sensor without a required setting may have a topic
         fit = filled(overview.log, *REGISTRY[role].reads)
         fit = best_of(overview.log, REGISTRY[role], fit)
         settings = overview.robot.settings(role)
@@ -237,10 +232,10 @@ def _topics(overview: Overview, role: str) -> Known:
 
 
 def _mounts(overview: Overview) -> Known:
-    """Return the sensors' mounts by /tf_static; roll and pitch only if not zero."""
+    """Return the sensors' mounts by transforms; zeros of roll, pitch and the like are left out."""
     known: Known = {}
     for name, table in overview.mounts.items():
-        if not overview.choice.of(name):  # left out since
+        if not overview.choice.of(name):  # no topic
             continue
         frame = overview.frames_of(name)[0]
         by = f"by {placed_by(overview, frame)}: where {{}} on the base"
@@ -261,7 +256,7 @@ def _rounded(value: Any) -> Any:
 
 
 def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
-    """Yield the lines of one table, "" for keys above all tables; missing required keys are added to `missing`."""
+    """Yield the lines of one table ("": top-level keys); add required keys without a value to `missing`."""
     if not table:
         yield from (TomlLine(key, *facts.known[key]) for key in TOP_KEYS if key in facts.known)
         return
@@ -272,17 +267,17 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
         path = f"{table}.{key}"
         if path in facts.known:
             yield TomlLine(key, *facts.known[path])
-        elif shown and path not in unsure and _concerns(facts, table, key):
+        elif shown and path not in unsure and _has_effect(facts, table, key):
             yield from _unknown(table, key, default, missing)
         if path in unsure:
-            asked = _ask(table, key)
+            asked = _instruction(table, key)
             missing += [path] if facts.overview.choice.unused_wheels and asked and asked.needed else []
             yield TomlLine(key, *unsure[path], holds=False)
 
 
 def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator[TomlLine]:
     guessed = (REGISTRY[table].guesses if table in REGISTRY else GUESSED_DEFAULTS.get(table, {})).get(key)
-    asked = _ask(table, key)
+    asked = _instruction(table, key)
     if guessed is not None:
         yield TomlLine(key, default, guessed)
     elif asked is not None:
@@ -293,7 +288,7 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
 
 
 def _suggested(facts: Facts, table: str) -> Known:
-    """Return fixes as inactive lines, and the candidate topics of a sensor with several."""
+    """Return suggested fixes of a table, and the candidate topic of a sensor with several, as inactive lines."""
     here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
     why = facts.overview.choice.absent.get(table, "")
     for fix in facts.overview.choice.fixes.get(table, ()):
@@ -303,11 +298,11 @@ def _suggested(facts: Facts, table: str) -> Known:
     return here
 
 
-def _concerns(facts: Facts, table: str, key: str) -> bool:
-    """Whether a key applies to the message type that is read."""
+def _has_effect(facts: Facts, table: str, key: str) -> bool:
+    """Return whether a key has an effect for the message type that is read."""
     overview = facts.overview
     if table == "wheels":
-        return _concerns_wheels(overview, key)
+        return _has_effect_on_wheels(overview, key)
     if table not in REGISTRY:
         return True
     if key in MOUNT_KEYS:
@@ -316,7 +311,7 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     return REGISTRY[table].concerns(key, overview.log.topics[topics[0]].msgtype if topics else "")
 
 
-def _concerns_wheels(overview: Overview, key: str) -> bool:
+def _has_effect_on_wheels(overview: Overview, key: str) -> bool:
     wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
     if steers(wheels):
         return key in STEERED_KEYS
@@ -333,6 +328,6 @@ def _concerns_wheels(overview: Overview, key: str) -> bool:
     return applies.get(key, True)
 
 
-def _ask(table: str, key: str) -> Ask | None:
-    """Return how the robot's owner finds the value of a key, None if it need not be asked for."""
+def _instruction(table: str, key: str) -> Ask | None:
+    """Return the instruction how to find a key's value; None if it need not be asked."""
     return (REGISTRY[table].asks if table in REGISTRY else HOW_TO_MEASURE.get(table, {})).get(key)

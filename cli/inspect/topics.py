@@ -1,7 +1,4 @@
-"""Facts of every topic for `locfuse info`: rate, regularity, clock, frame.
-
-And what its stamps show: repaired, of two clocks, or of a clock that the wheels do not share.
-"""
+"""Facts of each topic for `locfuse info`: rate, gaps, clock, frame; and findings on stamps."""
 
 from __future__ import annotations
 
@@ -24,14 +21,14 @@ from locfuse.fusion.sensors.registry import REGISTRY
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
-MAX_GAPS_LISTED = 20  # listed for machines
-OTHER_CLOCK_S = 1.0  # s between stamp and recording: more is no delay
-MIN_MESSAGES = 3  # messages before there is a rate
-MIN_JUDGED = 5  # messages from which a clock is judged
+MAX_GAPS_LISTED = 20  # in JSON
+OTHER_CLOCK_S = 1.0  # between stamp and recording: more is another clock, not a delay
+MIN_MESSAGES = 3  # for a rate
+MIN_JUDGED = 5  # messages, for a finding on the clock
 
 
 class TopicFacts(msgspec.Struct, frozen=True):
-    """One topic."""
+    """Facts of one topic."""
 
     topic: str
     msgtype: str
@@ -40,20 +37,20 @@ class TopicFacts(msgspec.Struct, frozen=True):
     rate_hz: float | None = None
     period_s: float | None = None  # median
     gaps: tuple[tuple[float, float], ...] = ()  # (start, end) [s] since the log began
-    clock: Clock | None = None  # of its times
-    delay_s: float | None = None  # recording behind header stamps, median
+    clock: Clock | None = None  # source of the topic's times
+    delay_s: float | None = None  # recording time - header stamp, median
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
-    derived: bool = False  # made of another topic, or a file: it holds no messages of its own
+    derived: bool = False  # from another topic or a file, without messages of its own
 
     @property
     def beside_s(self) -> float:
-        """How much earlier the times are than those of the recording [s]; 0 for an ordinary delay."""
+        """Delay of recording behind header stamps [s] if it shows two clocks; 0 for an ordinary delay."""
         stamped = self.clock is not None and self.clock.by_stamps
         return self.delay_s if self.delay_s and abs(self.delay_s) > OTHER_CLOCK_S and stamped else 0.0
 
     def values(self) -> dict[str, Any]:
-        """Return the facts for report and JSON."""
+        """Return the facts as plain values for report and JSON."""
         return {
             "type": self.msgtype,
             "messages": self.count,
@@ -71,7 +68,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
 
 
 def clock_word(f: TopicFacts) -> str:
-    """Return the clock of a topic in a word or two: stamps, their delay to recording, or another source."""
+    """Return the clock of a topic in short: "12 ms late" (stamps), "repaired", "recorded", "two clocks"."""
     if f.clock is None or f.delay_s is None:
         return "no stamps" if f.count else ""
     if f.clock.repaired:
@@ -82,9 +79,9 @@ def clock_word(f: TopicFacts) -> str:
 
 
 def topic_facts(log: Log, order: str) -> list[TopicFacts]:
-    """Return the facts of all topics, by name. Only headers are read."""
+    """Return the facts of all recorded topics, sorted by name; only headers are read."""
     readable = [name for name, topic in log.topics.items() if topic.problem is None and topic.count]
-    with suppress(LocfuseError):  # where one of them cannot be read, each has its own problem below
+    with suppress(LocfuseError):  # an unreadable topic is reported by `_facts`
         log.streams(dict.fromkeys(readable, ()), order=order)
     return [_facts(log, name, order) for name in sorted(log.topics) if log.recorded(name)]
 
@@ -124,7 +121,7 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
 
 
 def of_publishers(log: Log, choice: Choice) -> list[Finding]:
-    """Return a finding per used topic that mixes the messages of two publishers."""
+    """Return a finding for each used topic with messages of two publishers."""
     found = []
     for role in choice.topics:
         for topic in choice.of(role):
@@ -136,7 +133,7 @@ def of_publishers(log: Log, choice: Choice) -> list[Finding]:
 
 
 def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Return a finding per used topic whose times are not the plain header stamps."""
+    """Return a finding for each used topic whose times are not the header stamps, and on two clocks."""
     known = {f.topic: f for f in facts if f.count >= MIN_JUDGED and f.problem is None}
     used = {t: (role, known[t]) for role in choice.topics for t in choice.of(role) if t in known}
     found = [
@@ -153,7 +150,7 @@ def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list
 
 
 def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Return a finding for each stream on another clock than the wheels; recording times give the offset."""
+    """Return a finding for each topic whose clock differs from the wheels', with the time offset as fix."""
     found: list[Finding] = []
     wheels = known.get(choice.topics.get("wheels", ""))
     if wheels is None:
@@ -161,7 +158,7 @@ def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot)
     for role, topic in choice.topics.items():
         f = known.get(topic)
         if f is None or any(one.clock is not None and one.clock.on_stamps for one in (f, wheels)):
-            continue  # dated on the clock that the stamps are of
+            continue  # recording times come from the stamps' clock
         off = f.beside_s - wheels.beside_s
         settings = robot.truth if role == "truth" else robot.settings(role) if role in REGISTRY else None
         if abs(off) > OTHER_CLOCK_S and settings and abs(off - settings.time_offset) > OTHER_CLOCK_S:

@@ -1,4 +1,4 @@
-"""The output of `locfuse info` as plain values: the keys of its --json (docs/bags.md)."""
+"""The output of `locfuse info --json` as plain values (keys: docs/bags.md)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def listed(log: Log) -> dict[str, dict[str, Any]]:
-    """Return type, message count and mean rate [Hz] of every topic, without reading messages."""
+    """Return type, message count and mean rate [Hz] of each topic, without reading messages."""
     span = log.time_span_ns
     seconds = (span[1] - span[0]) * 1e-9 if span else 0.0
     return {
@@ -31,7 +31,7 @@ def listed(log: Log) -> dict[str, dict[str, Any]]:
 
 
 def values(overview: Overview) -> dict[str, Any]:
-    """Return the whole overview as plain values."""
+    """Return the result of an inspection as plain values."""
     span = overview.log.time_span_ns
     return {
         "name": overview.log.name,
@@ -55,14 +55,14 @@ def values(overview: Overview) -> dict[str, Any]:
 
 
 def absent(overview: Overview) -> dict[str, str]:
-    """Return why a role has no topic, or why a sensor cannot be used."""
+    """Return by role or sensor why it has no topic or cannot be used."""
     foreign = {name: f"no topic of type {types(REGISTRY[name].reads)}" for name in sorted(overview.choice.foreign)}
     measured = overview.loaded.drive.absent if overview.loaded is not None else {}
     return {**foreign, **overview.choice.absent, **measured}
 
 
 def configurations(overview: Overview) -> dict[str, str | None]:
-    """Return for odometry, each sensor and all of them what is missing, None if nothing is."""
+    """Return for odometry, each sensor and "all" the reason why it cannot run; None if it can."""
     missing, base = absent(overview), wheels_missing(overview)
     known = [name for name in REGISTRY if name in missing or name in overview.choice.topics]
     ready = {name: missing.get(name) or base for name in known}
@@ -72,7 +72,7 @@ def configurations(overview: Overview) -> dict[str, str | None]:
 
 
 def wheels_missing(overview: Overview) -> str | None:
-    """Return why no motion can be estimated from this log, None if one can."""
+    """Return why no motion can be estimated from this log; None if it can."""
     if overview.loaded is not None:
         return None
     unready = (f.sentence for f in overview.findings if f.severe and f.role in {"wheels", "log"})

@@ -1,1 +1,1 @@
-"""From logs and results to Rerun scenes, and the viewer."""
+"""Rerun: scenes from logs and results, and the viewer."""

@@ -1,4 +1,4 @@
-"""A results' folder as a scene: trajectories, truth, table. Scans and gates are not in its files."""
+"""The Rerun scene of a results' folder: trajectories, truth, table (its files have no scans and no gates)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .scene import palette, table_of
 
 
 def scene_of(report_file: Path) -> RerunScene:
-    """Return the scene of a results' folder by its report. Raises LocfuseError if its files cannot be read."""
+    """Return the scene of a results' folder, by its report. Raises LocfuseError for unreadable files."""
     folder = report_file.parent
     try:
         report = json_report.readable(msgspec.json.decode(read_small(report_file, MAX_REPORT)), str(report_file))
@@ -37,7 +37,7 @@ def scene_of(report_file: Path) -> RerunScene:
 
 
 def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
-    """Return the scene of a results' folder; `by_run`: files are named trajectory.tum and smoothed.tum."""
+    """Return the scene of a results' folder; `by_run`: its files are trajectory.tum and smoothed.tum."""
     rows = report["configurations"]
     tracks = {}
     for name, row in rows.items():
@@ -64,7 +64,7 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
 
 
 def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> tuple[Truth | None, Ints]:
-    """Return the truth and its stamps [ns], (q,)."""
+    """Return the truth (None without one) and its stamps [ns], (q,)."""
     path = folder / "truth.tum"
     if not path.is_file() or not report["truth"]:
         return None, np.zeros(0, np.int64)
@@ -78,7 +78,7 @@ def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> tuple[Trut
 def _estimates(
     folder: Path, figures: Mapping[str, Any], track: tuple[Ints, Array], epoch_ns: int, stamps: Ints
 ) -> Estimates:
-    """Return one result from its trajectory, with the covariances that a run wrote beside it, else zeros."""
+    """Return one result's trajectory, with covariances if trajectory.csv exists, else zeros."""
     t_ns, pose = track
     covariances = folder / ("smoothed.csv" if figures["smoothed"] else "trajectory.csv")
     triangles = np.zeros((len(t_ns), 6))

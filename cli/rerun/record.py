@@ -1,6 +1,6 @@
-"""Recording a result and showing it: the last step of `run` and `compare`.
+"""Rerun recordings of results: the last step of `run`, `compare` and `fleet`.
 
-Whatever goes wrong here costs one warning: the results are already written.
+An error here is only a warning, since the results are already written.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 Say = Callable[[str], None]  # prints a line on stderr
 RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
-FOLDER = "recordings"  # in a fleet's results; the catalog reads no folders below it
+FOLDER = "recordings"  # in a fleet's results; the catalog reads no subfolders
 CATALOG_PORT = 51234  # Rerun's own default for a catalog
 
 
 def record(outputs: Outputs, result: Result, folder: Path, say: Say) -> None:
-    """Write a result's recording and show it by the options; a failure is only a warning.
+    """Write and show a result's recording as the options require; a failure is a warning.
 
-    Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it. With it, the
-    file was asked for by name: LocfuseError where it cannot be written.
+    Without --rerun-save the recording is in the results' folder, where `locfuse view FOLDER` finds it. With it,
+    raises LocfuseError if the file cannot be written.
     """
     if not outputs.recorded:
         return
@@ -50,9 +50,9 @@ def record(outputs: Outputs, result: Result, folder: Path, say: Say) -> None:
 
 
 def saved(path: Path, result: Result, identity: str | None = None) -> str:
-    """Write a result's recording; return the reason in one line if it fails, else "".
+    """Write a result's recording; return "" or the reason of a failure in one line.
 
-    Nothing fails the run, not a Rerun of another version, none, or a broken one: the results stand.
+    A missing, broken or incompatible Rerun is such a failure.
     """
     from locfuse.fusion.data import LocfuseError
 
@@ -76,23 +76,23 @@ def _warning(text: str) -> str:
     return f"warning: rerun: {' '.join(text.split())}"
 
 
-# --- Of a fleet: one recording for every drive, side by side in one folder that Rerun's catalog serves
+# --- Recordings of a fleet: one file per drive in one folder, which Rerun's catalog serves
 
 
 def file_in(folder: Path, drive: str) -> Path:
-    """Return the file of a drive's recording, or of a sweep's cell "drive,lrf.sigma_range=0.03"."""
+    """Return the recording's file of a drive, or of a sweep's cell "drive,lrf.sigma_range=0.03"."""
     return folder / f"{writable(drive)}.rrd"
 
 
 def record_drive(folder: Path, drive: str, result: Result) -> str:
-    """Write a drive's recording with its audits; return the reason in one line if it fails, else ""."""
+    """Write a drive's recording for the catalog; return "" or a warning in one line."""
     path = file_in(folder, drive)
-    problem = saved(path, result, identity=path.stem)  # by which the catalog lists it
+    problem = saved(path, result, identity=path.stem)  # its name in the catalog
     return f"{drive}: {_warning(problem)}" if problem else ""
 
 
 def catalog(folder: Path) -> str:
-    """Return the commands that show all recordings of a folder in one viewer on this machine."""
+    """Return the commands that show all recordings of a folder in one viewer."""
     there = shlex.quote(str(folder))
     serve = f"rerun server --host 127.0.0.1 --port {CATALOG_PORT} --dataset drives={there}"
     return f"{serve}   and beside it: rerun rerun+http://127.0.0.1:{CATALOG_PORT}"

@@ -1,4 +1,4 @@
-"""From a measured log and its estimates to the scene of a recording."""
+"""The content of a Rerun recording, from a measured log and its estimates."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ from locfuse.fusion.sensors.registry import colours as sensor_colours
 from locfuse.fusion.truth import TRUTH_READS
 from locfuse.fusion.wheels.read import WHEEL_READS
 
-MAX_BEAMS = 360  # of a scan that are drawn: more than a screen shows
-MAX_PICTURES = 600  # kept by default
-MAX_ARRAY_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
-SMOOTHED_LIGHT_SHARE = 0.65  # of the light of a colour, for the smoothed result
+MAX_BEAMS = 360  # drawn of a scan
+MAX_PICTURES = 600  # by default
+MAX_ARRAY_COLUMNS = 8  # longer numeric arrays, such as ranges, are not drawn as curves
+SMOOTHED_LIGHT_SHARE = 0.65  # brightness of a smoothed result's colour
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
-NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
-JPEG_QUALITY = 80  # of what has to be encoded: panoramas, and raw Image messages
-MEDIA = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
-NONE: Ints = np.zeros(0, np.int64)
+NIS_LOW, NIS_HIGH = 0.025, 0.975  # quantiles of the band of consistent NIS
+JPEG_QUALITY = 80  # of panoramas and raw Image messages
+MEDIA_TYPES = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
+NO_ROWS: Ints = np.zeros(0, np.int64)
 
 
 def make_scene(
@@ -57,9 +57,9 @@ def make_scene(
     images: int | None = None,
     full: bool = False,
 ) -> RerunScene:
-    """Return the scene of these configurations, by their names, with the tables of their report.
+    """Return the scene of these estimates and evaluations (by name), with the tables of their report.
 
-    `images` = n keeps every n-th picture, 0 none, None as many as stay light. `full` leaves nothing out.
+    `images` = n keeps every n-th picture, 0 none, None at most MAX_PICTURES. `full` keeps all curves and scans.
     """
     runs, drive, settings = tuple(estimates.values()), loaded.drive, loaded.robot.settings
     scene = RerunScene(
@@ -67,7 +67,7 @@ def make_scene(
         drive=drive,
         estimates=runs,
         evaluations=evaluations,
-        sights={s: _sight(s, settings(s)) for s in drive.measurements},
+        sights={s: _look_of(s, settings(s)) for s in drive.measurements},
         track=loaded.robot.wheels.track or VIRTUAL_TRACK,
         table=table_of(report),
         raw=_raw_topics(loaded),
@@ -88,7 +88,7 @@ def make_scene(
 
 
 def table_of(report: Mapping[str, Any]) -> str:
-    """Return the tables of a report in Markdown, with the next command to type."""
+    """Return the tables of a report in Markdown, and a command to continue with."""
     log = shlex.quote(visible(str(report["input"]["name"])))
     what = "tune" if "verdicts" in report else "compare"
     why = "which noise figures suit this log" if what == "tune" else "what each sensor adds"
@@ -96,9 +96,9 @@ def table_of(report: Mapping[str, Any]) -> str:
 
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
-    """Return the colours of results in the report, for a dark page.
+    """Return the colours of results by name, as on the report's dark page.
 
-    The report dashes what is smoothed. The viewer has no dashes: there it is the same colour, darker.
+    A smoothed result is dashed in the report. The viewer has no dashes, so its colour is darker.
     """
     found, shades = colours(traces, sensor_colours()), dict[str, Rgb]()
     for name, trace in traces.items():
@@ -108,7 +108,7 @@ def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
     return shades
 
 
-def _sight(name: str, settings: Any) -> SensorLook:
+def _look_of(name: str, settings: Any) -> SensorLook:
     sensor = REGISTRY[name]
     low, high = (chi_square(share, len(sensor.components)) for share in (NIS_LOW, NIS_HIGH))
     return SensorLook(
@@ -121,7 +121,7 @@ def _stream(loaded: Loaded, role: str) -> Stream:
 
 
 def _scans(stream: Stream, settings: Any, scene: RerunScene) -> DrawnScans:
-    """Return some scans, evenly over the log, each corrected to its middle instant as for lines."""
+    """Return evenly chosen scans as points, each corrected for motion to its middle time."""
     drive, beams = scene.drive, 2**62 if scene.full else MAX_BEAMS
     measured = drive.measurements["lrf"].points
     laser = measured.laser if isinstance(measured, ScanPoints) else laser_of(settings)
@@ -146,7 +146,7 @@ def _scans(stream: Stream, settings: Any, scene: RerunScene) -> DrawnScans:
 
 
 def _raw_topics(loaded: Loaded) -> list[RawTopic]:
-    """Return the numbers of every used topic, as in the log; none of scans or pictures."""
+    """Return the numeric fields of each used topic, without scans and pictures."""
     found = []
     for role in loaded.choice.topics:
         stream, sensor = _stream(loaded, role), REGISTRY.get(role)
@@ -158,8 +158,8 @@ def _raw_topics(loaded: Loaded) -> list[RawTopic]:
 
 
 def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
-    """Return the curves (n,) of a topic: numbers, and arrays of a few numbers per row."""
-    names: Any = columns.get("name")  # of a JointState's joints
+    """Return curves (n,) by name: numeric fields, and each element of short numeric arrays."""
+    names: Any = columns.get("name")  # joints of a JointState
     first = names[0] if isinstance(names, list) and names and isinstance(names[0], tuple) else ()
     curves: dict[str, Array] = {}
     for field, column in columns.items():
@@ -175,7 +175,7 @@ def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
 
 
 def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> Iterator[Picture]:
-    """Yield every n-th picture of the camera that can be read, with its detections, few in memory at a time."""
+    """Yield each `every`-th readable picture of the camera with its detections."""
     from locfuse.fusion.camera.images import decode, messages
     from locfuse.fusion.sensors.camera import detector
 
@@ -192,12 +192,12 @@ def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> I
                 continue
             t = float((stream.t_ns[row] - drive.epoch_ns) * 1e-9 + settings.time_offset)
             i = int(np.searchsorted(m.t, t - 1e-9))
-            found = np.arange(m.first[i], m.first[i + 1]) if i < len(m.t) and abs(m.t[i] - t) < 1e-6 else NONE
+            found = np.arange(m.first[i], m.first[i + 1]) if i < len(m.t) and abs(m.t[i] - t) < 1e-6 else NO_ROWS
             yield _picture(t, message, picture, finder.optics(picture.shape), (m.z[found, 0], verdicts[found]))
 
 
 def _panorama_rows(stream: Stream, settings: Any) -> int | None:
-    """Return the height of the panoramas [px], None if no picture can be read."""
+    """Return the height of the panoramas [px]; None if no picture can be read."""
     from locfuse.fusion.camera.images import decode, messages
     from locfuse.fusion.sensors.camera import detector
 
@@ -207,7 +207,7 @@ def _panorama_rows(stream: Stream, settings: Any) -> int | None:
 
 
 def _picture(t: float, message: Any, picture: Any, optics: Any, found: tuple[Array, Any]) -> Picture:
-    """Return a picture with its panorama; JPEG and PNG bytes are reused. `found`: bearings and verdicts (k,)."""
+    """Return a picture with its panorama and detections; `found`: bearings and verdicts (k,)."""
     from locfuse.fusion.camera.optics import angle_of_bearing, column
     from locfuse.fusion.camera.panorama import unwrap
 
@@ -215,9 +215,9 @@ def _picture(t: float, message: Any, picture: Any, optics: Any, found: tuple[Arr
     ray = np.stack((np.sin(theta), np.cos(theta)), axis=-1)
     rays = np.array([optics.x_c, optics.y_c]) + np.array([optics.inner, optics.outer])[:, None] * ray[:, None]
     data = bytes(message[0]) if len(message) == 2 else b""
-    kind = MEDIA.get(data[:2])
+    kind = MEDIA_TYPES.get(data[:2])
     omni, kind = (_jpeg(picture), "image/jpeg") if kind is None else (data, kind)
-    # panorama row 0 is the inner radius, the floor: shown at the bottom
+    # flipped: row 0, the inner radius (floor), is shown at the bottom
     panorama = _jpeg(unwrap(picture, optics)[::-1])
     return Picture(t, omni, kind, panorama, rays, column(theta, optics.width), tuple(found[1].tolist()))
 

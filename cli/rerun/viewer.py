@@ -1,8 +1,8 @@
-"""Rerun's viewer: find a running one, start one, and send it a recording without ever hanging.
+"""The Rerun viewer: find a running one, start one, and send it a recording within a time limit.
 
-The viewer is started as its own process on the loopback interface (Rerun's own `spawn` listens on all), and a
-recording is sent to a running one by a child process, this file, that is given up after a while: Rerun's own
-connection cannot be made to (a port that accepts and never answers holds `flush(timeout_sec=10)` for 59 s).
+The viewer is a process of its own on the loopback interface (Rerun's `spawn` listens on all interfaces). A
+recording is sent by a child process (this file) that is stopped after a time limit. Rerun's connection has no
+reliable one: if a port accepts but never answers, `flush(timeout_sec=10)` takes 59 s.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from locfuse.fusion.data import LocfuseError
 ADDRESS = re.compile(r"rerun(?:\+https?)?://(?P<host>\[[^\]/]+\]|[^/:@]+)(?::(?P<port>\d{1,5}))?/proxy")
 HOST, PORT = "127.0.0.1", 9876
 LOCAL_VIEWER = f"rerun+http://{HOST}:{PORT}/proxy"
-PORT_TIMEOUT_S = 1.0  # s to wait for a port
-SEND_TIMEOUT_S = 10.0  # s to wait for a viewer to take a recording, and
-SEND_RATE_BPS = 5e6  # bytes per second on top of that
-START_TIMEOUT_S = 2.0  # s in which a viewer that cannot start has ended
+PORT_TIMEOUT_S = 1.0  # for a connection
+SEND_TIMEOUT_S = 10.0  # for sending a recording, plus its size divided by ...
+SEND_RATE_BPS = 5e6  # bytes per second
+START_TIMEOUT_S = 2.0  # a viewer that cannot start ends earlier
 
 
 def show(path: Path) -> subprocess.Popen[bytes] | None:
-    """Show a recording in a running viewer, else start one and return it. Raises LocfuseError if that fails."""
+    """Show a recording in a running viewer, else start one and return its process. Raises LocfuseError."""
     if listening(HOST, PORT):
         try:
             send(path, LOCAL_VIEWER)
@@ -45,7 +45,7 @@ def show(path: Path) -> subprocess.Popen[bytes] | None:
 
 
 def has_display() -> bool:
-    """Return whether a window can open."""
+    """Return whether a window can be opened."""
     if sys.platform.startswith("linux"):
         return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     return True
@@ -61,7 +61,7 @@ def listening(host: str, port: int) -> bool:
 
 
 def send(path: Path, url: str) -> None:
-    """Send a recording to the viewer at `url`. Raises LocfuseError where no viewer takes it in time."""
+    """Send a recording to the viewer at `url`. Raises LocfuseError if it is not accepted in time."""
     match = ADDRESS.fullmatch(url)
     assert match is not None, url
     host, port = match["host"].strip("[]"), int(match["port"] or PORT)
@@ -79,7 +79,7 @@ def send(path: Path, url: str) -> None:
 
 
 def require() -> None:
-    """Raise LocfuseError, before any computing, if no viewer can show a recording."""
+    """Raise LocfuseError if there is neither a display nor a running viewer."""
     if not has_display() and not listening(HOST, PORT):
         raise LocfuseError(
             f"there is no display, and no viewer runs at {HOST}:{PORT}. Save the recording with --save FILE.rrd, "
@@ -88,7 +88,7 @@ def require() -> None:
 
 
 def show_and_wait(path: Path) -> None:
-    """Show a recording like `show`; for a new viewer, wait until its window is closed."""
+    """Show a recording; if this starts a viewer, wait until its window is closed."""
     viewer = show(path)
     if viewer is None:
         return
@@ -102,8 +102,8 @@ def show_and_wait(path: Path) -> None:
 
 
 def start(path: Path) -> subprocess.Popen[bytes]:
-    """Start a viewer on the loopback interface and leave it running. Raises LocfuseError where it ends at once."""
-    viewer = _popen(["--port", str(free_port(PORT)), str(path)])
+    """Start a viewer on the loopback interface and return its process. Raises LocfuseError if it ends at once."""
+    viewer = _start_rerun(["--port", str(free_port(PORT)), str(path)])
     try:
         code = viewer.wait(START_TIMEOUT_S)
     except subprocess.TimeoutExpired:
@@ -114,12 +114,12 @@ def start(path: Path) -> subprocess.Popen[bytes]:
 
 
 def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
-    """Serve a recording to browsers on this machine until interrupted; `say` gets the address.
+    """Serve a recording to browsers on this machine until interrupted; `say` prints the URL.
 
-    Raises LocfuseError where that fails.
+    Raises LocfuseError if the server ends by itself.
     """
     port, data = free_port(wanted), free_port(PORT)
-    server = _popen(["--port", str(data), "--serve-web", "--web-viewer-port", str(port), str(path)])
+    server = _start_rerun(["--port", str(data), "--serve-web", "--web-viewer-port", str(port), str(path)])
     try:
         address = f"http://{HOST}:{port}/?url=" + quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
         say(address)
@@ -134,10 +134,10 @@ def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
     raise LocfuseError(f"the web viewer ended with code {code}")
 
 
-def _popen(words: list[str]) -> subprocess.Popen[bytes]:
-    """Start Rerun on the loopback interface: quiet, without questions, not affected by the terminal's Ctrl-C.
+def _start_rerun(words: list[str]) -> subprocess.Popen[bytes]:
+    """Start Rerun on the loopback interface, without output, unaffected by the terminal's Ctrl-C.
 
-    It is Rerun's own binary: its console script forks, so that ending it would leave the viewer behind.
+    Runs Rerun's binary, not its console script, which forks a viewer that would not be terminated.
     """
     package = importlib.util.find_spec("rerun_cli")
     if package is None or package.origin is None:
@@ -166,8 +166,8 @@ def free_port(wanted: int) -> int:
     raise LocfuseError(f"no free port on {HOST}")
 
 
-def _hand_over(path: str, url: str) -> None:
-    """Send a recording file to the viewer at `url`, under the names that the file has."""
+def _send_file(path: str, url: str) -> None:
+    """Send a recording file to the viewer at `url`, with its application and recording id."""
     from locfuse.formats.rerun.recording import quiet_rust
 
     quiet_rust()
@@ -184,6 +184,6 @@ def _hand_over(path: str, url: str) -> None:
 
 if __name__ == "__main__":  # FILE URL
     try:
-        _hand_over(*sys.argv[1:3])
+        _send_file(*sys.argv[1:3])
     except (RuntimeError, ValueError, OSError) as reason:
         sys.exit(str(reason).strip().splitlines()[0])

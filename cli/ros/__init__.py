@@ -1,1 +1,1 @@
-"""`locfuse export ros`: a robot's figures as parameters of ROS nodes, each with its reason."""
+"""`locfuse export ros`: estimated settings of a robot as parameters of ROS nodes, each with its source."""

@@ -1,15 +1,16 @@
-"""nav2's AMCL: noise of the odometry per step (alpha1-4), and the distances of the laser's beams from the map.
+"""Parameters of nav2's AMCL: odometry noise per step (alpha1-4), and the laser's beam model.
 
-Motion (Probabilistic Robotics, table 5.6; nav2's differential model): a step that turns by r1, goes s and turns by
-r2 has the variances alpha1 r1^2 + alpha2 s^2 of a turn and alpha3 s^2 + alpha4 (r1^2 + r2^2) of the way. They grow
-with the square of a step and ours with the way, so they agree for one length of a step only: AMCL takes one every
-update_min_d metres or update_min_a radians. With the wheels' variance k per metre and the track L,
+Motion (Probabilistic Robotics, table 5.6; nav2's differential model): a step that turns by r1, moves by s and
+turns by r2 has the variances alpha1 r1^2 + alpha2 s^2 of a turn and alpha3 s^2 + alpha4 (r1^2 + r2^2) of the
+distance. AMCL's variances grow with the square of a step, locfuse's with the distance: they are equal for one step
+length. AMCL makes a step every update_min_d metres or update_min_a radians. With the wheels' variance k per metre
+and the track L,
 
     straight on, s = update_min_d    2 k s / L^2 = 2 alpha2 s^2     k s / 2 = alpha3 s^2
     on the spot, r = update_min_a    k r / L     = alpha1 r^2       k L r / 4 = alpha4 r^2
 
-Laser: fusion.map.beam_model (tables 6.2 and 6.3), and the cells of the map: a wall and a beam's end are each known
-to within a cell, which adds cell^2 / 6 to the square of sigma_hit.
+Laser: fusion.map.beam_model (tables 6.2 and 6.3). Wall and beam end are each rounded to a cell of the map, which
+adds cell^2 / 6 to the square of sigma_hit.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ from .found import Found, positive
 
 MIN_D_M, MIN_A_RAD = 0.25, 0.2  # nav2's update_min_d and update_min_a
 CELL_M = 0.05  # of a map by slam_toolbox or map_saver
-MAX_SCANS, MAX_BEAMS = 150, 60  # of the drive, and of a scan: AMCL's own max_beams
+MAX_SCANS, MAX_BEAMS = 150, 60  # scans of the drive, beams of a scan (AMCL's default max_beams)
 FIELD = "likelihood_field"  # nav2's laser_model_type
-NO_RANGE_M = 1e3  # a range_max beyond is none
+NO_RANGE_M = 1e3  # a larger range_max means no limit
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the node's parameters; `there` holds the values of the file that will be changed."""
+    """Return the node's parameters; `there` are the values in the file to change."""
     return [*_motion(found, there), *_laser(found, there)]
 
 
@@ -60,7 +61,7 @@ def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
 
 
 def _noise(found: Found) -> tuple[float, float]:
-    """Return the noise of a wheel [variance per m] and the track [m] that give the drive's turning noise."""
+    """Return wheel noise [variance per m] and track [m] that give the same turning noise as the drive."""
     wheels = found.loaded.drive.wheels
     if wheels.matched is None:
         return wheels.noise, wheels.track
@@ -84,12 +85,12 @@ def _laser(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
 
 
 def _beams(model: BeamModel, kind: str, found: Found) -> Iterator[Setting]:
-    given = (found.robot.lines and "the given map") or "the map of this drive"
+    given = "the given map" if found.robot.lines else "the map of this drive"
     of = f"{model.beams} beams beside {given}"
     sigma = math.hypot(model.sigma, CELL_M / math.sqrt(6.0))
     yield Setting("laser_model_type", FIELD, "nav2's default", KEPT)
     yield Setting("sigma_hit", sigma, f"m: {model.sigma:.4f} ± {model.spread:.1g} and cells of {CELL_M:g} m; {of}")
-    total = 1.0 if kind == "beam" else model.hit + model.random + model.short  # the field knows no short ones
+    total = 1.0 if kind == "beam" else model.hit + model.random + model.short  # likelihood_field has no z_short
     random = model.random if kind == "beam" else model.random + model.short
     yield Setting("z_hit", model.hit / total, f"share that ends at a wall; {of}")
     yield Setting("z_rand", random / total, f"share that ends elsewhere; {of}")
@@ -101,7 +102,7 @@ def _beams(model: BeamModel, kind: str, found: Found) -> Iterator[Setting]:
 
 
 def beams_in_map(found: Found) -> tuple[Array, Array, int, float]:
-    """Return ends and origins (n, 2) of some beams in the map [m], the number without return, the reach [m]."""
+    """Return beam ends and origins (n, 2) in the map [m], number of beams without return, and range limit [m]."""
     drive = found.loaded.drive
     m = drive.measurements["lrf"]
     assert isinstance(m.points, ScanPoints)
@@ -122,7 +123,7 @@ def beams_in_map(found: Found) -> tuple[Array, Array, int, float]:
 
 
 def _sizes(points: ScanPoints, rows: Ints) -> tuple[list[int], float]:
-    """Return how many beams each of some scans has, and the farthest range that the laser gives [m]."""
+    """Return the number of beams in each of these scans, and the laser's maximal range [m]."""
     found: dict[int, int] = {}
     farthest = 0.0
     wanted = set(rows.tolist())

@@ -1,8 +1,8 @@
-"""diff_drive_controller (ros2_control): the wheels' geometry as multipliers, their noise as covariances.
+"""Parameters of diff_drive_controller (ros2_control): wheel geometry as multipliers, wheel noise as covariances.
 
 The controller turns by (right - left) / (wheel_separation * wheel_separation_multiplier), and a wheel's radius is
-wheel_radius * left_ or right_wheel_radius_multiplier (ros2_controllers, diff_drive_controller). What was found is
-relative to the wheels as they were set; of an odometry topic, to the controller that made it.
+wheel_radius * left_ or right_wheel_radius_multiplier (ros2_controllers, diff_drive_controller). Estimates are
+relative to the configured wheels; with an odometry topic, to the parameters of the controller that published it.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from locfuse.fusion.wheels.odometry import ODOMETRY
 
 from .found import Found, positive
 
-UNMEASURED = 1e6  # variance of what a planar drive does not measure
-SIDEWAYS = 1e-6  # (m/s)^2: these wheels do not slip sideways in the model
-WAY_M, TURN_RAD = 1.0, 1.0  # after which the pose's covariance holds: it grows, and the controller's is constant
+UNMEASURED = 1e6  # variance of z, roll, pitch and their rates
+SIDEWAYS = 1e-6  # (m/s)^2: the model has no sideways slip
+WAY_M, TURN_RAD = 1.0, 1.0  # path of the constant pose covariance, since the true one grows along the path
 X, Y, YAW = 0, 1, 5
 SEPARATION, *RADII = MULTIPLIERS = (
     "wheel_separation_multiplier",
@@ -29,7 +29,7 @@ SEPARATION, *RADII = MULTIPLIERS = (
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the node's parameters; `there` holds the values of the file. Raises LocfuseError without wheels."""
+    """Return the node's parameters; `there` are the values in the file to change. Needs two driven wheels."""
     wheels = found.loaded.drive.wheels
     if wheels.matched is not None or found.robot.wheels.wheelbase is not None:
         raise LocfuseError(
@@ -43,7 +43,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the multipliers of separation, left and right radius: estimated values over those of the file."""
+    """Return the multipliers of separation and radii: estimated values divided by those in the file."""
     was, now = found.nominal, found.robot.wheels
     assert was.radius is not None
     assert was.track is not None
@@ -58,7 +58,7 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Setting]:
             for key, own in radii.items()
         ]
         scale = 1.0
-    else:  # the radius stays: turns show only its ratio to the track
+    else:  # only the ratio of radius to track was estimated
         old = {key: positive(there, key) or 1.0 for key in RADII}
         sides = [Setting(key, value, f"the radius was not measured; {why}", KEPT) for key, value in old.items()]
         scale = 0.5 * sum(old.values()) * radius / now.radius
@@ -67,7 +67,7 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return multipliers for the log's odometry: those of the file, else 1, corrected by the calibration."""
+    """Return the multipliers for the log's odometry: those in the file (default 1) times the correction."""
     old = {key: positive(there, key) or 1.0 for key in MULTIPLIERS}
     relative = None if found.calibration is None else found.calibration.relative()
     if relative is None:

@@ -1,9 +1,9 @@
-"""robot_localization's ekf_filter_node: inputs with their switches, gates, and process noise.
+"""Parameters of robot_localization's ekf_filter_node: inputs with switches, gates, and process noise.
 
-Its Q is per second and ours per metre, so the noise of the wheels becomes the covariance of their twist
-(fusion.wheels.velocity_noise), which the driver must publish: robot_localization takes R from the messages. Q then
-says only how fast speeds change. A rejection threshold is a Mahalanobis distance, ours a confidence, so it is the
-root of the chi-square quantile for as many numbers as the input's switches let in (state_estimation_nodes).
+The node's Q is per second, locfuse's per metre. So wheel noise becomes the covariance of the twist
+(fusion.wheels.velocity_noise), which the driver must publish: the node takes R from the messages. Q then describes
+only how fast speeds change. A rejection threshold is a Mahalanobis distance, and locfuse's gate a confidence: the
+threshold is the square root of the chi-square quantile for the number of fused values (state_estimation_nodes).
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from .found import Found
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 KINDS = {ODOMETRY: "odom", TWIST: "twist", POSE: "pose", IMU: "imu"}
-DRIVERS_TOPIC = "/odom"  # where the log has no odometry: what most drivers call theirs
+DRIVERS_TOPIC = "/odom"  # the usual name, if the log has no odometry
 STATES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az")
-SURE_SIGMAS = 3.0  # an offset farther from 0 is real
-TINY = 1e-9  # per second: nothing that is estimated changes by so little, and P stays positive
+SURE_SIGMAS = 3.0  # an offset larger than this counts as proven
+TINY = 1e-9  # variance per second: negligible, but keeps P positive
 OPTION_WORDS = {  # of False, of True
     "differential": (
         "it does not drift in the frame of the filter",
@@ -54,31 +54,33 @@ FRAMES = ("map", "odom", "base_link")
 
 
 class Source(NamedTuple):
-    """A topic that the filter reads."""
+    """An input of the filter: a topic, the values it fuses, and its gates."""
 
     kind: str  # odom, twist, pose or imu
     topic: str
-    switches: tuple[int, ...]  # those that are on
+    switches: tuple[int, ...]  # indices of fused values
     words: str
-    gates: Mapping[str, tuple[float, str]]  # "pose" or "twist" -> confidence, and where it comes from
+    gates: Mapping[str, tuple[float, str]]  # "pose" or "twist" -> (confidence, source in words)
     options: Mapping[str, bool]  # differential, relative
-    covariances: tuple[str, ...] = ()  # what the messages must say, in words
+    covariances: tuple[str, ...] = ()  # covariances that the messages must have, in words
     origin: Origin = KEPT
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the node's parameters; `there` holds the values of the file that will be changed."""
+    """Return the node's parameters; `there` are the values in the file to change."""
     rate = 1.0 / found.velocity.period
     sources = list(_sources(found))
+    in_map = found.has("pose") and found.robot.settings("pose").frame in {"map", "own"}
+    world = "map" if in_map else "odom"
     made = [
         Setting("frequency", float(max(1, round(rate))), "Hz, as the wheels report", KEPT),
         Setting("two_d_mode", True, "locfuse estimates in the plane", KEPT),
         *(Setting(f"{frame}_frame", frame, "REP 105; name your own", KEPT) for frame in FRAMES),
-        Setting("world_frame", _world(found), "odom, or map where a pose is of the map", KEPT),
+        Setting("world_frame", world, "odom, or map where a pose is of the map", KEPT),
     ]
     count = Counter[str]()
     for source in sources:
-        name = _named(source, there)
+        name = _input_name(source, there)
         if name is None:
             if there:
                 made.append(Setting(source.topic, None, "no input of the file reads it"))
@@ -91,11 +93,11 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     return [*made, *_process_noise(found, there), *found.unmapped("robot_localization", mapped, REASONS)]
 
 
-def _named(source: Source, there: Mapping[str, Any]) -> str | None:
-    """Return the key of the input in a parameter file that has a source's topic, None without one."""
+def _input_name(source: Source, there: Mapping[str, Any]) -> str | None:
+    """Return the name of the input ("odom0") that reads the source's topic in the file; None without one."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
-    if source.origin == ASSUMED:  # the log has no odometry: the file's first is of the same wheels
+    if source.origin == ASSUMED:  # the log has no odometry: take the file's first one
         return next((key for key, _ in inputs if key.startswith("odom")), None)
     return next((key for key, topic in inputs if topic == bare or bare.endswith(f"/{topic}")), None)
 
@@ -138,7 +140,7 @@ def _sources(found: Found) -> Iterator[Source]:
 
 
 def _wheels(found: Found) -> Source:
-    """Return the wheels' odometry; if this node reads none of the log's topics, the usual name of drivers."""
+    """Return the wheels' odometry, or /odom if the log has no odometry topic."""
     topic, kind = found.topic("wheels")
     speed, turn = found.velocity.reading.tolist()
     at = f"at {1.0 / found.velocity.period:.3g} Hz"
@@ -150,7 +152,7 @@ def _wheels(found: Found) -> Source:
 
 
 def _imu(found: Found) -> Iterator[Source]:
-    """Yield the IMU that is compass, gyro or both."""
+    """Yield the IMU topics read as compass, gyro or both."""
     roles: dict[str, list[str]] = {}
     for role in ("compass", "gyro"):
         topic, kind = found.topic(role)
@@ -175,7 +177,7 @@ def _imu(found: Found) -> Iterator[Source]:
 
 
 def _heading_options(found: Found) -> dict[str, bool]:
-    """Return robot_localization's options for a compass, whose offset that program does not estimate."""
+    """Return the options `relative` or `differential` for a compass, whose offset the node does not estimate."""
     pose = found.robot.settings("pose")
     if not (found.has("pose") and pose.heading and pose.frame in {"map", "own"}):
         return {"relative": found.robot.settings("compass").offset_deg != 0.0}
@@ -202,22 +204,18 @@ def _gate(found: Found, sensor: str) -> tuple[float, str]:
     return found.robot.settings(sensor).gate, found.why(f"{sensor}.gate")
 
 
-def _world(found: Found) -> str:
-    return "map" if found.has("pose") and found.robot.settings("pose").frame in {"map", "own"} else "odom"
-
-
-def readings_per_second(found: Found, sensor: str) -> float:
-    """Return the message rate of a sensor."""
+def gyro_rate_hz(found: Found) -> float:
+    """Return the mean message rate of the gyro [Hz]."""
     drive = found.loaded.drive
-    name = found.topic(sensor)[0]
+    name = found.topic("gyro")[0]
     count = found.loaded.log.topics[name].count if name in found.loaded.log.topics else 0
     return max(count, 2) / max(float(drive.t[-1]), 1e-3)
 
 
 def gyro_variance(found: Found, with_bias: bool = True) -> float:
-    """Return the variance of one turning rate [(rad/s)^2]: its random walk over a period, perhaps the bias."""
+    """Return the variance of one turning rate [(rad/s)^2], with the square of the gyro's bias if wanted."""
     gyro = found.robot.settings("gyro")
-    white = math.radians(gyro.sigma_deg) ** 2 * readings_per_second(found, "gyro")
+    white = math.radians(gyro.sigma_deg) ** 2 * gyro_rate_hz(found)
     biases = found.estimates.blocks.get(BIAS)
     bias = math.radians(gyro.bias_deg or 0.0) if biases is None or not len(biases) else float(biases[-1, 0])
     return white + (bias**2 if with_bias else 0.0)
@@ -231,11 +229,11 @@ def _turn_walk(found: Found) -> float:
     columns: Any = stream.columns(*REGISTRY["gyro"].reads[IMU])
     rate = up_rate(columns, settings, stream.topic)
     white = gyro_variance(found, with_bias=False)
-    return random_walk(rate[np.isfinite(rate)], white, 1.0 / readings_per_second(found, "gyro"))
+    return random_walk(rate[np.isfinite(rate)], white, 1.0 / gyro_rate_hz(found))
 
 
 def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
-    """Yield Q, 15 x 15 per second, row by row; a file with only the diagonal keeps that form."""
+    """Yield the process noise Q per second, (15, 15) row by row, or only its diagonal as in the file."""
     velocity = found.velocity
     diagonal = [TINY] * SWITCHES
     along, turn = velocity.pose.tolist()
@@ -255,7 +253,7 @@ def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
         for key, config in there.items()
         if re.fullmatch(r"imu\d+_config", key)
     )
-    named = [*reasons, *([] if fuses else [ACCELERATION])]  # one that nothing measures must not wander
+    named = [*reasons, *([] if fuses else [ACCELERATION])]  # an unmeasured acceleration gets almost no noise
     old = there.get("process_noise_covariance")
     if isinstance(old, list) and len(old) == SWITCHES:
         value, places = diagonal, tuple(named)

@@ -1,4 +1,4 @@
-"""The parameters of ROS nodes for a log or a result: a new file, or the values of an existing one."""
+"""Parameters of ROS nodes for a log or a result, as a new file or as changes of an existing file."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ TARGETS: dict[str, Mapped] = {
 
 
 class Made(msgspec.Struct, frozen=True):
-    """A new parameter file, or one with new values."""
+    """The text of a parameter file, with the changes and their reasons."""
 
     text: str
-    diff: tuple[str, ...] = ()  # unified, from a file that existed
-    reasons: tuple[str, ...] = ()  # why each value is what it is, and what has no place in the file
+    diff: tuple[str, ...] = ()  # unified diff from the existing file
+    reasons: tuple[str, ...] = ()  # source of each value, and values that the file lacks
 
 
 def fresh(found: Found, targets: Sequence[str]) -> Made:
-    """Return a parameter file of these nodes."""
+    """Return a new parameter file for these nodes."""
     nodes = [(NODES[target].usual, NODES[target].name, TARGETS[target](found, {})) for target in targets]
     head = (
         f"made by locfuse export ros from {found.loaded.log.name}\nfound: measured on this log, or by a file that "
@@ -47,9 +47,9 @@ def fresh(found: Found, targets: Sequence[str]) -> Made:
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
-    """Return the targets with a section in a file; with `any_of` at least one must have one, else all.
+    """Return the targets (nodes) to write into a file; with `any_of` only those that the file has.
 
-    Raises LocfuseError where one has none, or several, or one that is of another node.
+    Raises LocfuseError for a target without section, with several, or with one of another node.
     """
     if any_of:
         targets = [target for target in targets if sections_of(file, target)] or targets
@@ -59,7 +59,7 @@ def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: 
 
 
 def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | None) -> Made:
-    """Return a file with its values replaced by the estimated ones."""
+    """Return a file with the values of these targets replaced by estimated ones."""
     now, reasons = before, []
     for target in targets:
         section = section_of(now, target, node)
@@ -85,13 +85,13 @@ def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
 
 
 def refuse_read_only(path: Path) -> None:
-    """Raise LocfuseError if a file is read-only: renaming another over it would need no permission."""
+    """Raise LocfuseError if a file is read-only (replacing it by renaming would succeed)."""
     if not stat.S_IMODE(path.stat().st_mode) & 0o222 or not os.access(path, os.W_OK):
         raise LocfuseError(f"{path} is read-only: write elsewhere with -o, or allow it: chmod u+w {path}")
 
 
 def write(path: Path, text: str) -> None:
-    """Replace the text of a file, whose mode stays; for a link, that of its target."""
+    """Replace the text of a file and keep its mode; a link is followed."""
     refuse_read_only(path)
     place = path.resolve()
     mode = stat.S_IMODE(place.stat().st_mode)

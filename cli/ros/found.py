@@ -1,4 +1,4 @@
-"""A robot's figures and their source commands: settings of a result, or of a log calibrated and tuned now."""
+"""Estimated settings of a robot with their sources: from a result, or from a log calibrated and tuned now."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from locfuse.cli.advice.report import FIXES_FILE
 from locfuse.cli.analysis.grouping import result_file
 from locfuse.cli.analysis.load import Loaded, with_settings
+from locfuse.cli.analysis.robot_tables import flat
 from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.cli.session.calibrate import Calibration, calibrate_logs
 from locfuse.cli.session.session import opened
@@ -28,17 +29,17 @@ from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.velocity_noise import VelocityNoise, velocity_noise
 
-MAX_FIRST = 4  # other settings that a command may need first
+MAX_FIRST = 4  # repetitions of a command after setting fixes
 F = TypeVar("F", Calibration, Tuning)
 
 
 class Found(msgspec.Struct, frozen=True, dict=True):
-    """A log under the estimated settings, with the source of each."""
+    """A log under the estimated settings, with the source of each setting."""
 
     loaded: Loaded
-    nominal: WheelSettings  # as they were set before anything was found
+    nominal: WheelSettings  # as configured, before calibration
     calibration: Calibration | None
-    sources: Mapping[str, str]  # "wheels.noise" -> where its value comes from, in words
+    sources: Mapping[str, str]  # "wheels.noise" -> source of its value in words
     notes: tuple[str, ...]
 
     @property
@@ -57,33 +58,33 @@ class Found(msgspec.Struct, frozen=True, dict=True):
         return fuse(self.loaded.drive, self.robot, list(self.loaded.drive.measurements))
 
     def topic(self, role: str) -> tuple[str, str]:
-        """Return topic and message type of a role, "" where the log has none."""
+        """Return (topic, message type) of a role; "" for what the log lacks."""
         name = self.loaded.choice.topics.get(role, "")
         topics = self.loaded.log.topics
         return name, topics[name].msgtype if name in topics else ""
 
     def has(self, sensor: str) -> bool:
-        """Return whether the log holds measurements of a sensor."""
+        """Return whether the log has measurements of a sensor."""
         return sensor in self.loaded.drive.measurements
 
     def why(self, key: str) -> str:
-        """Return the source of the value of "table.key"."""
+        """Return the source of a setting's value in words; `key` is "table.key"."""
         return self.sources.get(key, f"{key} is the default of locfuse")
 
     def origin(self, key: str) -> Origin:
-        """Return whether the value of "table.key" was estimated by a command, set by hand, or is a default."""
+        """Return whether a setting's value was estimated (FOUND), configured (SET), or is a default (KEPT)."""
         words = self.sources.get(key)
         if words is None:
             return KEPT
         return FOUND if "locfuse" in words else SET
 
     def setting(self, key: str, value: Value, words: str, source: str, places: tuple[int, ...] = ()) -> Setting:
-        """Return a parameter with the source of "table.key": `words` are its unit and meaning."""
+        """Return a parameter with the source of the setting "table.key"; `words` are unit and meaning."""
         words = f"{words}; {self.why(source)}"
         return Setting(key, value, words, self.origin(source), places=places)
 
     def topic_setting(self, key: str, role: str, msgtype: str) -> Setting:
-        """Return the topic of a role as a parameter; only a comment if its messages are of another type."""
+        """Return a role's topic as a parameter, or a comment if its messages have another type."""
         topic, kind = self.topic(role)
         if kind == msgtype:
             return Setting(key, topic, f"{topic} in the log", KEPT)
@@ -91,7 +92,7 @@ class Found(msgspec.Struct, frozen=True, dict=True):
         return Setting(key, None, words, KEPT)
 
     def unmapped(self, program: str, mapped: Collection[str], reasons: Mapping[str, str]) -> Iterator[Setting]:
-        """Yield a comment on every sensor of the log without parameters in a program."""
+        """Yield a comment for each sensor of the log that has no parameters in this program."""
         for sensor in self.loaded.drive.measurements:
             topic, kind = self.topic(sensor)
             unread = f"{topic} is {kind}, which {program} does not read" if kind else f"{program} does not read it"
@@ -100,16 +101,16 @@ class Found(msgspec.Struct, frozen=True, dict=True):
 
 
 def positive(there: Mapping[str, Any], key: str) -> float | None:
-    """Return a number of the file to change; None if it is not above 0."""
+    """Return a positive number in the file to change; None for any other value."""
     value = there.get(key)
     return value if isinstance(value, float) and value > 0.0 else None
 
 
 def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool, progress: Progress) -> Found:
-    """Return the figures of a log's robot, or of a folder of results, whose settings are used unchanged.
+    """Return the estimated settings of a log's robot, or the settings of a folder of results.
 
-    A log is calibrated and tuned, unless its settings are `known` to be right. It is not tuned if `wheels_only`
-    matter and calibrating finds their noise.
+    A log is calibrated and tuned, unless its settings are `known`. With `wheels_only` it is not tuned if
+    calibration gives the wheels' noise.
     """
     words, how, by_result = _of_result(log, given)
     loaded = opened(words, how, progress).loaded
@@ -145,17 +146,17 @@ def _under(loaded: Loaded, sets: Sequence[str], progress: Progress) -> Loaded:
 
 
 class _Work:
-    """The results of commands so far: settings, their sources, and notes in words."""
+    """Results of commands run one after another: settings, their sources, and notes."""
 
     def __init__(self) -> None:
         self.sets: list[str] = []
-        self.sources: dict[str, str] = {}  # of settings that had to come first
+        self.sources: dict[str, str] = {}  # of fixes that a command needed first
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
-        """Return the result of a command, and keep it; None with a note if it fails.
+        """Run a command and store its result; if it fails, add a note and return None.
 
-        Where its error names fixes these are set, and the command runs once more.
+        If the error names fixes, they are set and the command runs again.
         """
         for _ in range(MAX_FIRST + 1):
             try:
@@ -168,18 +169,14 @@ class _Work:
                 if not first:
                     return None
             else:
-                self.sets += _sets(found.tables())
+                self.sets += [as_set(key, value) for key, value in flat(found.tables()).items()]
                 self.notes += (f"locfuse {command}: {note}" for note in found.notes)
                 return found
         return None
 
 
-def _sets(tables: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    return [as_set(f"{table}.{key}", value) for table, keys in tables.items() for key, value in keys.items()]
-
-
 def _calibrated(found: Calibration) -> dict[str, str]:
-    """Return the result of calibrate in words, with its standard deviation."""
+    """Return the source of each calibrated setting in words, with its standard deviation."""
     words = {
         f.key: f"{f.key} {f.figure.value:.4g} ± {(f.figure.high - f.figure.low) / (2 * SIGMAS_95):.2g}, "
         "locfuse calibrate"
@@ -190,7 +187,7 @@ def _calibrated(found: Calibration) -> dict[str, str]:
 
 
 def _tuned(found: Tuning) -> dict[str, str]:
-    """Return the result of tune in words, without values that the log does not determine."""
+    """Return the source of each tuned setting in words; settings that the log does not show are left out."""
     rows = () if found.refused else found.tuned.rows
     return {
         row.key: f"{row.key} {row.after:.4g} ± {row.after * row.error:.2g}, locfuse tune"
@@ -200,7 +197,7 @@ def _tuned(found: Tuning) -> dict[str, str]:
 
 
 def _by_files(how: LogOptions) -> dict[str, str]:
-    """Return the settings of robot files in words, and the commands that wrote them."""
+    """Return the source of each setting in robot.toml files in words, with the command that wrote it."""
     words: dict[str, str] = {}
     for file in how.robots:
         text = read_small(file, MAX_ROBOT_TOML).decode("utf-8", "replace")
@@ -216,9 +213,9 @@ def _keys(tables: Mapping[str, Any]) -> list[str]:
 
 
 def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogOptions, dict[str, str]]:
-    """Return the log and the options with which a folder of results was made, and the source of each setting.
+    """Return log, options and sources of settings of a folder of results; a log is returned unchanged.
 
-    Of a log this is the log itself, and no sources. Raises LocfuseError where the log of a result is not there.
+    Raises LocfuseError if the report does not name its log.
     """
     report = result_file(log[0]) if len(log) == 1 else None
     if report is None:

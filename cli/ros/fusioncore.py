@@ -1,6 +1,6 @@
-"""FusionCore: standard deviations of wheels, gyro, satellites and magnetometer, and the antenna's lever arm.
+"""Parameters of FusionCore: sigmas of wheels, gyro, GPS and magnetometer, and the antenna's lever arm.
 
-Its noises are standard deviations of one reading (docs/configuration.md): of a speed here the variance by
+FusionCore's noise is the standard deviation of one reading (docs/configuration.md): of a speed by
 fusion.wheels.velocity_noise, of a gyro its random walk over one period.
 """
 
@@ -17,12 +17,12 @@ from locfuse.fusion.sensors.level import FIELD
 from locfuse.fusion.truth import FIX
 from locfuse.fusion.wheels.odometry import ODOMETRY
 
-from .ekf import gyro_variance, readings_per_second
+from .ekf import gyro_rate_hz, gyro_variance
 from .found import Found
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the node's parameters; `there` holds the values of the file that will be changed."""
+    """Return the node's parameters; `there` are the values in the file to change."""
     parts = {sensor: of(found) for sensor, of in SENSORS.items() if found.has(sensor)}
     mapped = [sensor for sensor, part in parts.items() if part]
     made = [setting for part in parts.values() for setting in part]
@@ -32,7 +32,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 def _wheels(found: Found) -> list[Setting]:
     model = "DifferentialDrive" if found.robot.wheels.wheelbase is None else "Ackermann"
     at = f"of one reading at {1.0 / found.velocity.period:.3g} Hz"
-    vel, yaw = np.sqrt(found.velocity.needed / found.velocity.period).tolist()  # its Q is not ours to set
+    vel, yaw = np.sqrt(found.velocity.needed / found.velocity.period).tolist()  # FusionCore's Q is no parameter
     return [
         found.topic_setting("encoder.topic", "wheels", ODOMETRY),
         found.setting("encoder.vel_noise", vel, f"m/s {at}", "wheels.noise"),
@@ -44,7 +44,7 @@ def _wheels(found: Found) -> list[Setting]:
 
 def _gyro(found: Found) -> list[Setting]:
     noise = math.sqrt(gyro_variance(found, with_bias=False))
-    words = f"rad/s of one reading at {readings_per_second(found, 'gyro'):.3g} Hz"
+    words = f"rad/s of one reading at {gyro_rate_hz(found):.3g} Hz"
     return [found.setting("imu.gyro_noise", noise, words, "gyro.sigma_deg")]
 
 

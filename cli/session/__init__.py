@@ -1,1 +1,1 @@
-"""The Python API: a measured log and its results; the bodies of `calibrate`, `tune`, `paper`, `simulate`."""
+"""The Python API: sessions (measured logs), results, and the work of `calibrate`, `tune`, `paper`, `simulate`."""

@@ -1,4 +1,4 @@
-"""The result of `calibrate`: values, rows of words, and robot.toml."""
+"""Calibration of wheels, laser mount and compass iron: values, rows of a table, and robot.toml."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from msgspec.structs import asdict, astuple, replace
 
 from locfuse.cli.analysis.load import Loaded, Parts, load
 from locfuse.cli.analysis.robot_tables import nested
-from locfuse.cli.analysis.settings import LogOptions, Progress, silent
+from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
@@ -32,10 +32,10 @@ from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 from .found import Found, Row, refuse_doubtful
 
 T = TypeVar("T")
-USED = ("compass", "gyro", "lrf")  # sensors
-CALIBRATED = ("wheel scale", "radius", "track", "iron", "yaw")  # findings that calibrating sets right
+SENSORS = ("compass", "gyro", "lrf")  # sensors
+FIXED_CODES = ("wheel scale", "radius", "track", "iron", "yaw")  # codes of findings that calibration fixes
 GEOMETRY = ("radius", "ratio", "track")
-MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
+MIN_LN_RATIO = 3.0  # ln of a likelihood ratio (20 to 1): smaller ones are not reported
 IRON_COLUMNS = {f"{kind}_iron{of}": f"{kind}{of}" for kind in ("hard", "soft") for of in ("", "_sigma")}
 MOUNT_UNITS = {"x": " [m]", "y": " [m]", "yaw_deg": " [deg]", "time_offset": " [s]"}
 LACKING_BY_TRUTH = {"radius": "straight runs", "ratio": "a truth with heading", "track": "turns on the spot"}
@@ -51,35 +51,35 @@ LACKING_BY_LASER = {
 
 
 class Fitted(NamedTuple):
-    """One estimated setting with its old value."""
+    """One estimated setting with its 95 % interval and its configured value."""
 
     key: str  # "wheels.radius"
     figure: Figure
     was: float | None = None  # as configured
     unit: str = ""
-    stays: bool = False  # its interval holds the configured value, so nothing speaks against that
+    stays: bool = False  # the interval contains the configured value, which is kept
 
 
 class Calibration(Found, frozen=True, kw_only=True):
-    """The calibration of all logs."""
+    """Everything that `calibrate` estimated from the logs of one robot."""
 
-    settings: WheelSettings  # as they were
-    wheels: WheelCalibration | None = None
-    laser: LaserCalibration | None = None  # where no truth tells of the wheels
-    gyro: GyroCalibration | None = None  # tells the track and the ratio where nothing else does as well
+    settings: WheelSettings  # as configured
+    wheels: WheelCalibration | None = None  # by truth
+    laser: LaserCalibration | None = None  # by scan matching, if truth cannot calibrate the wheels
+    gyro: GyroCalibration | None = None  # used for ratio and track where its sigma is smaller
     iron: Iron | None = None
-    tricycle: TricycleCalibration | None = None  # where two encoders are the wheels
+    tricycle: TricycleCalibration | None = None  # of traction and steering encoders
 
     command: ClassVar[str] = "calibrate"
     titles: ClassVar[Row] = ("setting", "found", "95 % interval", "was")
 
     def relative(self) -> tuple[Array, Array] | None:
-        """Return mean scale, scale difference and track (0: as configured), and sigmas (NaN: unknown), (3,)."""
+        """Return relative changes of scale, scale difference and track, and their sigmas (NaN: unknown), (3,)."""
         found = self.wheels or self.laser or self.gyro
         if found is None:
             return None
         parameters, sigmas = found.parameters[:3].copy(), found.sigmas[:3].copy()
-        if self.gyro is not None:  # in the metre that the others found
+        if self.gyro is not None:  # scaled by the wheel scale of the other calibration
             by_gyro = self.gyro.parameters * (1.0, 1.0, 1.0 + parameters[0])
             by_gyro[2] += parameters[0]
             better = ~(sigmas <= self.gyro.sigmas) & np.isfinite(self.gyro.sigmas)
@@ -87,7 +87,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return parameters, sigmas
 
     def geometry(self) -> dict[str, Figure]:
-        """Return radius, ratio and track with their intervals, if the logs show them."""
+        """Return radius, ratio and track with 95 % intervals; settings that the logs do not show are left out."""
         old, found = self.settings, self.relative()
         if found is None or old.radius is None or old.track is None:
             return {}
@@ -99,7 +99,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return _figures(GEOMETRY, values, found[1] * values)
 
     def mount(self) -> dict[str, Figure]:
-        """Return the laser's mount and clock by the keys of [lrf], if the logs show them."""
+        """Return the laser's mount and time offset by keys of [lrf], as far as the logs show them."""
         if self.laser is None:
             return {}
         unit = np.array([1.0, 1.0, math.degrees(1.0), 1.0])
@@ -110,7 +110,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return next(one for one in self.loaded if has_both(one)).robot.settings("lrf")
 
     def fitted(self) -> list[Fitted]:
-        """Return all settings of wheels and laser that the logs show."""
+        """Return all estimated settings of wheels and laser."""
         rows: list[Fitted] = []
         if (noise := self.wheels or self.gyro) is not None:
             rows.append(Fitted("wheels.noise", noise.k, self.settings.noise, " [m]"))
@@ -124,7 +124,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return rows
 
     def tables(self) -> dict[str, dict[str, Any]]:
-        """Return the results as robot.toml tables, without settings that may be as configured."""
+        """Return the estimates as tables of robot.toml, without those whose interval has the configured value."""
         found: dict[str, Any] = {f.key: _short(f.figure.value) for f in self.fitted() if not f.stays}
         if self.iron is not None:
             shape = {"compass.hard_iron": self.iron.hard, "compass.soft_iron": self.iron.soft}
@@ -178,7 +178,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return {**found, "robot": self.tables(), "notes": list(self.notes)}
 
     def rows(self) -> list[Row]:
-        """Return (setting, value, interval, previous value) in words."""
+        """Return the table's rows as text: setting, value, interval, configured value."""
         shown = self.fitted()
         if self.wheels is not None:
             shown.append(Fitted(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta))
@@ -193,7 +193,7 @@ class Calibration(Found, frozen=True, kw_only=True):
 
 
 def _figures(keys: Mapping[str, str] | Sequence[str], values: Array, sigmas: Array) -> dict[str, Figure]:
-    """Return values with 95 % intervals by their keys; values without a finite sigma are left out."""
+    """Return values with 95 % intervals by key; values with an infinite or NaN sigma are left out."""
     found = zip(keys, values.tolist(), (SIGMAS_95 * sigmas).tolist(), strict=True)
     return {key: Figure(value, value - half, value + half) for key, value, half in found if math.isfinite(half)}
 
@@ -204,7 +204,7 @@ def _with_old(table: str, figures: Mapping[str, Figure], was: Any, units: Mappin
 
 
 def _short(value: float) -> float:
-    """Return a number with six digits, since more is noise."""
+    """Return a number rounded to six digits, for robot.toml."""
     return float(f"{value:.6g}")
 
 
@@ -213,19 +213,19 @@ def _plain(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:
 
 
 def calibrated(logs: Sequence[Parts], how: LogOptions, progress: Progress) -> Calibration:
-    """Read logs by command-line words, and calibrate what they allow."""
-    loaded = [load(parts, how, progress, only=USED, aside=("lrf",)) for parts in logs]
+    """Load logs by command-line words and calibrate what they show."""
+    loaded = [load(parts, how, progress, only=SENSORS, aside=("lrf",)) for parts in logs]
     progress("calibrating")
     return calibrate_logs(loaded, progress)
 
 
-def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
-    """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
+def calibrate_logs(loaded: Sequence[Loaded], progress: Progress) -> Calibration:
+    """Calibrate what the logs of one robot show. Raises LocfuseError if they show nothing."""
     settings = _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):
         return _tricycle(loaded, settings, progress)
     for one in loaded:
-        refuse_doubtful(one, "what is calibrated now", CALIBRATED)
+        refuse_doubtful(one, "what is calibrated now", FIXED_CODES)
     notes: list[str] = []
 
     def attempt(find: Callable[[], T]) -> T | None:
@@ -257,7 +257,7 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Cal
 
 
 def _fields(loaded: Sequence[Loaded]) -> Array:
-    """Return the raw field readings (n, 2) of all logs. Raises LocfuseError if no log has any."""
+    """Return the raw magnetometer readings x, y (n, 2) of all logs. Raises LocfuseError if no log has any."""
     found = []
     for one in loaded:
         topic = one.choice.topics.get("compass")
@@ -270,7 +270,7 @@ def _fields(loaded: Sequence[Loaded]) -> Array:
 
 
 def _one_robot(loaded: Sequence[Loaded]) -> WheelSettings:
-    """Return the wheel settings; logs of robots with different wheels cannot be calibrated together."""
+    """Return the wheel settings shared by all logs. Raises LocfuseError if they differ."""
     first = loaded[0].robot.wheels
     if any(one.log.topics[one.choice.topics["wheels"]].msgtype == ODOMETRY for one in loaded):
         return replace(first, radius=None)  # an odometry has no wheels to correct
@@ -324,7 +324,7 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool
 
 
 def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> Calibration:
-    """Calibrate the encoders of a steered wheel by the truth of one drive, else its laser, else its gyro."""
+    """Calibrate a tricycle's encoders of traction and steering by truth, else laser, else gyro, of one log."""
     one, stream = loaded[0], loaded[0].stream("wheels")
     reference = None if len(loaded) > 1 else _reference(one, progress)
     if reference is None or not isinstance(stream, MergedStream):
@@ -336,7 +336,7 @@ def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progr
     encoders = read_encoders(stream, settings)
     shift = (encoders.zero_ns - one.drive.epoch_ns) * 1e-9 + settings.time_offset
     found = calibrate_tricycle(encoders, settings, reference, shift)
-    if found.by == "lrf":  # what is not surely another mount or clock is left as it was set
+    if found.by == "lrf":  # leave out values whose interval has the configured one
         was = one.robot.settings("lrf")
         late = Figure(*(v + was.time_offset for v in astuple(found.mount["time_offset"])))
         mount = {**found.mount, "time_offset": late}
@@ -352,7 +352,7 @@ def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progr
 
 
 def _reference(one: Loaded, progress: Progress) -> Reference | None:
-    """Return the reference for the encoders of a tricycle; None if the log has none."""
+    """Return the reference path for a tricycle's encoders: truth, else laser, else gyro; None without one."""
     if one.drive.truth is not None:
         return of_truth(one.drive.truth)
     if has_both(one):
@@ -364,7 +364,7 @@ def _reference(one: Loaded, progress: Progress) -> Reference | None:
 
 
 def _turned_by_gyro(one: Loaded) -> tuple[Array, Array] | None:
-    """Return times (n,) [s] and headings (n,) [rad] of a log's gyro, None without one."""
+    """Return times (n,) [s] and integrated headings (n,) [rad] of a log's gyro; None without one."""
     m = one.drive.measurements.get("gyro")
     return None if m is None or len(m.t) < 2 else REGISTRY["gyro"].heading(m)
 
@@ -395,7 +395,7 @@ def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
 
 
 def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
-    """Compare wheels and laser over the logs that have both. Raises LocfuseError if they show too little."""
+    """Calibrate wheels and laser mount by scan matching. Raises LocfuseError if the logs show too little."""
     both = [one for one in loaded if has_both(one)]
     if not both:
         names = ", ".join(one.log.name for one in loaded)
@@ -405,7 +405,7 @@ def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
 
 
 def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
-    """Return notes on a calibration: how much was seen, what it does not show, which sensor sets the scale."""
+    """Return notes on a calibration by laser: length of the data, unknown parameters, scale of an odometry."""
     notes = [
         f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.way_m:.1f} m, "
         f"{math.degrees(fit.turned_rad):.0f} degrees); the laser's metre is taken for the right one "
@@ -432,12 +432,12 @@ def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
 
 
 def has_both(one: Loaded) -> bool:
-    """Return whether a log has wheels and a laser."""
-    return "lrf" in one.choice.topics and one.drive.wheels.matched is None  # else the motion is the laser's own
+    """Return whether a log has a laser and wheels (or an odometry) that do not come from its scans."""
+    return "lrf" in one.choice.topics and one.drive.wheels.matched is None
 
 
 def motion_of_both(one: Loaded) -> Motion:
-    """Return the motion of wheels and laser in one log; the laser's motion is in the laser's frame."""
+    """Return the motion of wheels (base frame) and of the laser by scan matching (laser frame) in one log."""
     lrf: Any = one.robot.settings("lrf")
     laser = laser_of(lrf)._replace(mount=np.zeros(3))
     stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)

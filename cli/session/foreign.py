@@ -1,4 +1,4 @@
-"""Foreign estimates as rows of a comparison: `--estimate NAME=/topic` or `NAME=file.tum`."""
+"""Estimates of other programs as rows of a comparison: `--estimate NAME=/topic` or `NAME=file.tum`."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from locfuse.fusion.wheels.odometry import POSE
 
 ESTIMATE_NAME = re.compile(r"[A-Za-z][\w.-]*")
 COVARIANCE = "pose.covariance"
-PLANE_ROWS = (0, 1, 5)  # the rows of x, y and yaw in a pose covariance of ROS
+PLANE_ROWS = (0, 1, 5)  # rows of x, y and yaw in a ROS pose covariance (6, 6)
 UPPER_TRIANGLE = np.triu_indices(3)
 
 
 def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
-    """Return name -> topic or file of `--estimate` words. Raises UsageError for a taken or missing name."""
+    """Return name -> topic or file of `--estimate` words. Raises UsageError for an invalid or used name."""
     pairs = (
         list(words.items()) if isinstance(words, Mapping) else [tuple(word.partition("=")[::2]) for word in words]
     )
@@ -41,8 +41,8 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collection[str] = ()) -> list[Estimates]:
-    """Return the estimates of topics or files. Raises LocfuseError if they have no poses in this drive."""
+def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collection[str]) -> list[Estimates]:
+    """Return the estimates of topics or files. Raises LocfuseError if the drive's time has no poses of one."""
     for name in sources:
         if name in taken:
             raise UsageError(f"--estimate {name}: that is the name of a configuration; choose another")
@@ -86,7 +86,7 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
 
 
 def _columns(stream: Stream, epoch_ns: int) -> tuple[Array, Array, Array]:
-    """Return t (n,) [s], poses (n, 3) and triangles of their covariance (n, 6), zeros where none is given."""
+    """Return t (n,) [s], poses (n, 3), and upper triangles of the covariances (n, 6), 0 if none is given."""
     x, y, *q = (np.asarray(c, np.float64) for c in stream.columns(*POSE[stream.msgtype]).values())
     pose = np.stack((x, y, se2.yaw(*q)), axis=-1)
     triangles = np.zeros((len(pose), 6))

@@ -1,4 +1,4 @@
-"""Settings estimated from logs: the common part of `tune` and `calibrate`, and the logs that they refuse."""
+"""Settings estimated from logs: the common part of `tune` and `calibrate`, and faults that stop both."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         raise NotImplementedError
 
     def values(self) -> dict[str, Any]:
-        """Return all results as plain values for --json; `locfuse schema` describes the keys and units."""
+        """Return all results as plain values for --json; keys and units are in `locfuse schema`."""
         raise NotImplementedError
 
     def rows(self) -> list[Row]:
-        """Return the estimated settings as rows of words."""
+        """Return the estimated settings as rows of a table (text), with the columns `titles`."""
         raise NotImplementedError
 
     @property
     def how(self) -> LogOptions:
-        """Options with which the logs were read."""
+        """Options for reading the logs, those of the first log."""
         return self.loaded[0].how
 
     def losses(self) -> list[str]:
-        """Return the losses of the logs and of the used readings, in words."""
+        """Return the losses of the files and of the used sensors' readings, in words."""
         return [line for one in self.loaded for line in loss_lines(one, self.used(one), self.how.strict)]
 
     def used(self, one: Loaded) -> Sequence[str]:
@@ -57,18 +57,18 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         return list(one.drive.measurements)
 
     def before(self) -> str:
-        """Return the text of the first robot.toml if the user gave none."""
+        """Return the text to start robot.toml with if the user gave no file."""
         return f"# found by locfuse {self.command}\n"
 
     def given(self) -> dict[str, Any]:
-        """Return the user's tables beside the first robot.toml."""
+        """Return the settings of the user's second and later robot.toml files, merged."""
         return robot_toml.merge(*(robot_toml.parse(file.read_bytes(), str(file)) for file in self.how.robots[1:]))
 
     @speaks_python
     def write(self, file: PathLike, overwrite: bool = False) -> Path:
-        """Write robot.toml: the user's own text, comments included, with the estimates; return its path.
+        """Write robot.toml, the user's first file (with its comments) with the estimates, and return its path.
 
-        Raises LocfuseError where the file exists, unless `overwrite`.
+        Raises LocfuseError if the file exists, unless `overwrite`.
         """
         path = path_of(file)
         may_replace(path, overwrite)
@@ -78,21 +78,21 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         return path
 
     def __repr__(self) -> str:
-        """Return the estimated settings."""
+        """Return the estimated settings as text."""
         found = (f"{table}.{key}={value}" for table, keys in self.tables().items() for key, value in keys.items())
         return f"<{type(self).__name__}: {', '.join(found) or 'nothing to set'}>"
 
     def _repr_html_(self) -> str:
-        """Return table and notes, as a notebook shows them."""
+        """Return the table and the notes as HTML for a notebook."""
         from locfuse.formats.report.notebook import table_and_notes
 
         return table_and_notes(self.titles, self.rows(), self.notes)
 
 
 def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
-    """Raise LocfuseError for a certain fault that `what` would hide, except those with a code in `own`.
+    """Raise LocfuseError if the log has a proven fault that `what` would hide; codes in `own` are accepted.
 
-    `info --check` would exit with 3. Where the drive starts spoils neither noise nor wheels.
+    `info --check` exits with 3 for the same faults, except a wrong start, which affects neither noise nor wheels.
     """
     if one.drive.wheels.stands:
         return

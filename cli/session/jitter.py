@@ -1,7 +1,7 @@
-"""`--jitter N`: every configuration fused N more times, each time on a slightly changed drive.
+"""Jitter (`--jitter N`): each configuration is fused N more times, each time on a slightly changed drive.
 
-The range of a figure over these runs is how much of it is chance. A verdict that changes its direction in any of
-them becomes "no effect seen".
+Differences smaller than a figure's range over these runs are chance. A verdict that changes its direction in any
+run becomes "no effect seen".
 """
 
 from __future__ import annotations
@@ -31,42 +31,42 @@ JITTER_NOTE = (
 
 
 def check_runs(runs: int) -> int:
-    """Return the number of runs, 0 for none. Raises UsageError for an invalid number."""
+    """Return the number of runs. Raises UsageError unless it is in 0..MAX_RUNS."""
     if not 0 <= runs <= MAX_RUNS:
         raise UsageError(f"--jitter {runs}: give a number of runs from 1 to {MAX_RUNS}")
     return runs
 
 
 class Jittered(NamedTuple):
-    """The result of one run on a jittered drive."""
+    """Figures, path changes and verdicts of one run on a jittered drive."""
 
     figures: Mapping[str, Mapping[str, float | None]]  # result -> figure -> value
-    away: Mapping[str, float]  # result -> how far its path is from the one of the drive as it is, at most [m]
+    away: Mapping[str, float]  # result -> largest distance of its path to that of the original drive [m]
     verdicts: Mapping[str, str]  # sensor -> verdict
 
 
 def add_jitter(report: dict[str, Any], compared: Compared, asked: Asked, progress: Progress) -> None:
-    """Fuse and judge every configuration on jittered drives, and add the ranges to a report."""
+    """Fuse and judge all configurations on jittered drives, and add the ranges of the figures to the report."""
     loaded, plain = compared.loaded, {e.name: e for e in compared.estimates}
     once, found = replace(asked, reference=False, audits=False), []
     for seed in range(asked.jitter):
         progress(f"jitter {seed + 1} of {asked.jitter}")
         other = replace(loaded, drive=jittered(loaded.drive, loaded.robot, seed))
         run = compare_log(other, compared.configurations, once, silent)
-        away = {e.name: _away(plain[e.name], e) for e in run.estimates}
+        away = {e.name: _largest_distance(plain[e.name], e) for e in run.estimates}
         words = {s: v["verdict"] for s, v in verdicts(run.credit, run.scores, run.sets).items()}
         found.append(Jittered({e.name: e.figures for e in run.evaluations}, away, words))
     add_ranges(report, found)
 
 
-def _away(plain: Estimates, other: Estimates) -> float:
+def _largest_distance(plain: Estimates, other: Estimates) -> float:
     """Return the largest distance [m] between two paths at the times of the first path."""
     x, y = (np.interp(plain.t, other.t, other.pose[:, k]) - plain.pose[:, k] for k in (0, 1))
     return float(np.hypot(x, y).max())
 
 
 def add_ranges(report: dict[str, Any], found: Sequence[Jittered]) -> None:
-    """Add the range of every figure over all runs and the drive's own, and withdraw verdicts that change."""
+    """Add each figure's range over all runs to the report; a verdict that changes becomes "no effect seen"."""
     if not found:
         return
     report["jitter"] = {"runs": len(found), "words": JITTER_NOTE.format(runs=len(found))}
@@ -76,11 +76,11 @@ def add_ranges(report: dict[str, Any], found: Sequence[Jittered]) -> None:
             values["jitter"]["path_moved_m"] = max(run.away[name] for run in found)
     for sensor, own in report.get("verdicts", {}).items():
         seen = Counter(run.verdicts[sensor] for run in found if sensor in run.verdicts)
-        report["verdicts"][sensor] = _unless_it_flips(own, seen)
+        report["verdicts"][sensor] = _if_stable(own, seen)
 
 
 def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) -> dict[str, Any]:
-    """Return [least, most] of every figure that is in all runs."""
+    """Return [smallest, largest] value of each figure that exists in all runs."""
     out = {}
     for key in runs[0]:
         values = [own.get(key), *(run.get(key) for run in runs)]
@@ -90,8 +90,8 @@ def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) 
     return out
 
 
-def _unless_it_flips(verdict: Mapping[str, Any], seen: Counter[str]) -> dict[str, Any]:
-    """Return a verdict unchanged if all runs agree in direction; else "no effect seen" with the reason."""
+def _if_stable(verdict: Mapping[str, Any], seen: Counter[str]) -> dict[str, Any]:
+    """Return a verdict if it has the same direction in all runs; else "no effect seen" with the reason."""
     directions = {DIRECTIONS.get(word, 0) for word in (verdict["verdict"], *seen)}
     if len(directions) == 1:
         return dict(verdict)

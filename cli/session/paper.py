@@ -1,4 +1,4 @@
-"""`locfuse paper`: the paper's experiment repeated, with our filter and with the equations as printed."""
+"""The paper's experiment (`locfuse paper`), repeated with locfuse's filter and with the equations as printed."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 
 PATHS = {"a": "rounded_rectangle", "b": "rounded_triangle"}
 WITHOUT, WITH, INTENDED, WALLS = "steered on odometry", "steered on the EKF", "path", "walls"
-INKS = {
+COLOURS = {
     WITHOUT: Colour("#cb7627", "#ec8c10"),
     WITH: Colour("#1a34b0", "#3a78de"),
     INTENDED: Colour("#0d0f12", "#f4f5f7"),
     WALLS: Colour("#9aa3af", "#667080"),
 }
-LOOKS = {WITHOUT: "dash", WITH: "over"}  # the path is seen in the gaps of the way on the EKF
+LINE_STYLES = {WITHOUT: "dash", WITH: "over"}  # the planned path is visible in the gaps
 SEED = 1
 LOG = "rounded_rectangle"
 PRESETS = {"ours": "default", "print": "paper"}  # column -> preset
@@ -46,22 +46,22 @@ FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees")
 
 
 class Driven(NamedTuple):
-    """One drive of one scenario."""
+    """One simulated drive of one scenario, for figure 14."""
 
     scenario: str
-    xy: Array  # (n, 2) m, where the robot really was
-    path: Array  # (m, 2) m, where it should have been
+    xy: Array  # (n, 2) m, true positions
+    path: Array  # (m, 2) m, planned positions
 
 
 def drives(jobs: int) -> dict[str, Driven]:
-    """Drive both paths with and without the EKF in the loop."""
+    """Simulate both paths of figure 14, steered on odometry and on the EKF, in `jobs` processes."""
     names = [name for path in PATHS.values() for name in (path, f"{path}_ekf")]
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         return dict(zip(names, pool.map(drive, names), strict=True))
 
 
 def drive(scenario: str) -> Driven:
-    """Drive a scenario with its own estimator in the loop."""
+    """Simulate a scenario whose controller uses the scenario's estimator."""
     chosen = scenarios.load(scenario)
     if not isinstance(chosen.path, Polygon):
         raise TypeError(f"{scenario} follows no closed path")
@@ -70,12 +70,12 @@ def drive(scenario: str) -> Driven:
 
 
 def distances(driven: Driven) -> Array:
-    """Return the distance of every driven point from the planned path, (n,) m."""
+    """Return the distance of each driven point to the planned path, (n,) m."""
     return np.array([np.hypot(*(driven.path - p).T).min() for p in driven.xy])
 
 
 def path_panels(driven: Mapping[str, Driven]) -> list[Panel]:
-    """Return figures 14 a and 14 b."""
+    """Return figures 14 a and 14 b: the driven paths."""
     return [_panel(letter, driven[path], driven[f"{path}_ekf"]) for letter, path in PATHS.items()]
 
 
@@ -100,13 +100,13 @@ def _panel(letter: str, without: Driven, with_ekf: Driven) -> Panel:
 
 
 class Repeated(msgspec.Struct, frozen=True):
-    """The results of the experiment."""
+    """The results of the repeated experiment."""
 
     compared: Mapping[str, Comparison]  # "ours", "print"
     driven: Mapping[str, Driven]  # the four drives of figure 14
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row per configuration: error figures of the printed filter and of ours side by side."""
+        """Return a row per configuration with the error figures of both filters."""
         reports = {which: c.report["configurations"] for which, c in self.compared.items()}
         return [
             {
@@ -117,7 +117,7 @@ class Repeated(msgspec.Struct, frozen=True):
         ]
 
     def distances(self) -> list[dict[str, Any]]:
-        """Return the distance of each robot of figure 14 from its path: rms and largest [m]."""
+        """Return the distance [m] of each drive of figure 14 to its path: rms and largest."""
         rows = []
         for letter, path in PATHS.items():
             for name, steered in ((path, WITHOUT), (f"{path}_ekf", WITH)):
@@ -127,7 +127,7 @@ class Repeated(msgspec.Struct, frozen=True):
         return rows
 
     def values(self) -> dict[str, Any]:
-        """Return everything as plain values: paper.json."""
+        """Return all results as plain values: paper.json."""
         first = self.compared["ours"].report
         return {
             "locfuse": first["locfuse"],
@@ -139,7 +139,7 @@ class Repeated(msgspec.Struct, frozen=True):
         }
 
     def panels(self, which: str) -> dict[str, list[Panel]]:
-        """Return figures 12 and 13 of one filter: trajectories, deviations in X and in Y."""
+        """Return figures 12 (trajectories) and 13 (deviations in x and y) of one filter, "ours" or "print"."""
         comparison = self.compared[which]
         found = {
             p.name: p for s in sections(outputs.scene(comparison.compared, comparison.drawn)) for p in s.panels
@@ -154,7 +154,7 @@ class Repeated(msgspec.Struct, frozen=True):
 
 
 def repeat(progress: Progress, jobs: int) -> Repeated:
-    """Compare the shipped log under both filters, and drive figure 14's paths."""
+    """Compare the sample log with both filters, and simulate the drives of figure 14."""
     compared = {
         which: load(LOG, preset=preset, progress=progress).compare(smooth=False)
         for which, preset in PRESETS.items()
@@ -164,7 +164,7 @@ def repeat(progress: Progress, jobs: int) -> Repeated:
 
 
 def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
-    """Return table, figures and page by their file names."""
+    """Return file name -> content for table, figures and page."""
     from locfuse.formats.figures import palette
     from locfuse.formats.figures.for_paper import draw, draw_column
     from locfuse.formats.report import json_report, paper_page
@@ -172,8 +172,8 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
     traces = traces_of(found.compared["ours"].compared.estimates)
-    inks = {**palette.ROLES, **palette.colours(traces, colours()), **INKS}
-    looks = dict(LOOKS)
+    inks = {**palette.ROLES, **palette.colours(traces, colours()), **COLOURS}
+    looks = dict(LINE_STYLES)
     light = {name: colour.light for name, colour in inks.items()}
     for which in PRESETS:
         looks |= looks_of(traces_of(found.compared[which].compared.estimates))
@@ -192,5 +192,5 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
 
 
 def lines(values: Mapping[str, Any]) -> Sequence[str]:
-    """Return a line per drive of figure 14."""
+    """Return a line of text for each drive of figure 14."""
     return [f"fig. {d['figure']}, {d['steered']}: {d['rms']:.3f} m rms from the path" for d in values["figure_14"]]

@@ -1,7 +1,7 @@
-"""Messages in Python terms: command-line options become keyword arguments.
+"""Error messages for Python: command-line options in a message become keyword arguments.
 
 "Set it first: --set wheels.track=0.3 --align se2" becomes 'Set it first: sets={"wheels.track": 0.3} align="se2"'.
-A LocfuseError keeps the words of the command line as `typed`, for the commands that call the same functions.
+A LocfuseError keeps the original message in `typed`, for commands that call the same functions.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ OPTION = re.compile(rf"--({'|'.join(sorted(OPTIONS, key=len, reverse=True))})(?!
 
 
 def in_python(words: str) -> str:
-    """Return a message of the command line in Python terms; others are unchanged."""
+    """Return a message with command-line options and commands replaced by Python code."""
     words = COMMAND.sub(lambda found: _call(found[1], shlex.split(found[2])), words)
     words = re.sub(r"--from (\S+) --to ([^\s:]+)", r"between=(\1, \2)", words)
     words = SETTINGS.sub(lambda found: _sets(shlex.split(found[0])), words)
@@ -50,7 +50,7 @@ def in_python(words: str) -> str:
 
 
 def in_tools(words: str) -> str:
-    """Return a message of the command line in the words of the tools of `locfuse mcp`."""
+    """Return a message with command-line options replaced by arguments of the tools of `locfuse mcp`."""
     words = AS_CALL.sub(_tool_call, in_python(words)).replace("sets={", "settings={")
     words = re.sub(r"\blocfuse\.(info|compare)\(", r"\1(", words)
     return re.sub(r"([:=] ?)(True|False)\b", lambda found: found[0].lower(), words)
@@ -62,7 +62,7 @@ def _tool_call(found: re.Match[str]) -> str:
 
 
 def speaks_python(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function whose LocfuseErrors are in Python terms."""
+    """Decorate a function so that its LocfuseErrors name keyword arguments instead of options."""
 
     @wraps(function)
     def call(*args: P.args, **keywords: P.kwargs) -> R:
@@ -77,7 +77,7 @@ def speaks_python(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _call(command: str, words: Sequence[str]) -> str:
-    """Return a command with its log and options as a Python call."""
+    """Return a command of locfuse (with its words) as a Python call."""
     log, given, sets = "", list[str](), list[str]()
     rest = iter(words)
     for word in rest:
@@ -99,7 +99,7 @@ def _call(command: str, words: Sequence[str]) -> str:
 
 
 def _sets(words: Sequence[str]) -> str:
-    """Return `--set a.b=1 --set a.c=x` as a mapping; placeholders stay as they are."""
+    """Return `--set a.b=1 --set a.c=x` as sets={"a.b": 1, "a.c": "x"}; placeholders (<...>) are kept."""
     pairs = (word.partition("=") for word in words if word != "--set")
     inside = ", ".join(f'"{key}": {_value(text)}' for key, _, text in pairs)
     return f"sets={{{inside}}}"
@@ -115,7 +115,7 @@ def _value(text: str) -> str:
 
 
 def _keyword(found: re.Match[str]) -> str:
-    """Return one option as a keyword argument; before a colon its name alone."""
+    """Return one option as a keyword argument; an option before a colon only as the keyword's name."""
     option, value, colon = found.groups()
     keyword = OPTIONS[option]
     if "{}" in keyword and value is not None:

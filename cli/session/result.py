@@ -33,32 +33,32 @@ if TYPE_CHECKING:
     from locfuse.formats.whole_files import Content
 
 V = TypeVar("V")
-Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: the usual ones
+Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: the default ones
 UNKNOWN_EXPORT = "--export: unknown format"
 
 
 class UnknownNameError(UsageError, KeyError):
-    """No value has this name: a KeyError, like that of every mapping, with one readable line."""
+    """A name that a `Named` mapping does not have: a KeyError with a one-line message."""
 
     __str__ = Exception.__str__
 
 
 class Named(dict[str, V]):
-    """Values by their names; `what` is their kind in errors: "configuration"."""
+    """A mapping whose KeyError suggests a similar name; `what` names the kind of value: "configuration"."""
 
     def __init__(self, what: str, values: Mapping[str, V]) -> None:
         super().__init__(values)
         self._what = what
 
     def __missing__(self, name: str) -> V:
-        """Raise UnknownNameError with the most similar name."""
+        """Raise UnknownNameError with the most similar name, since the name is unknown."""
         near = difflib.get_close_matches(str(name), self, 1)
         hint = f"; did you mean {near[0]}?" if near else "."
         known = ", ".join(self) or "none"
         raise UnknownNameError(f"no {self._what} {name!r} in this result{hint} There are: {known}")
 
     def __repr__(self) -> str:
-        """Return the names only, since values are long columns."""
+        """Return only the names, since the values are large arrays."""
         return f"<{len(self)} by {self._what}: {', '.join(self)}>"
 
 
@@ -67,8 +67,8 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     `estimates["all"].pose` is (n, 3): x, y [m], theta [rad], map frame, at `estimates["all"].t` [s since the first
     wheel reading]; `estimates["all"].P` its covariance (n, 3, 3). `evaluations["all"].figures` are the error
-    figures against truth (None without truth), SI units with the unit in the key. `report` is what report.json
-    or run.json holds.
+    figures against truth (None without truth), SI units with the unit in the key. `report` is the content of
+    report.json or run.json.
     """
 
     compared: Compared
@@ -82,7 +82,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def estimates(self) -> Named[Estimates]:
-        """The estimates by the name of the result: "all", "all-smoothed"."""
+        """The estimates by name of the result: "all", "all-smoothed"."""
         return Named("configuration", {e.name: e for e in self.compared.estimates})
 
     @cached_property
@@ -92,12 +92,12 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @property
     def drive(self) -> Drive:
-        """The measured log."""
+        """The measured log: wheel motion, measurements by sensor, truth."""
         return self.loaded.drive
 
     @property
     def robot(self) -> Robot:
-        """The settings that were used."""
+        """The effective settings."""
         return self.loaded.robot
 
     @property
@@ -109,20 +109,20 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @property
     def headline(self) -> str:
-        """The answer in one or two sentences: which sensors to keep, the error, and whether to trust it."""
+        """One or two sentences: which sensors to keep, the error, and whether the result is reliable."""
         return str(self.report["headline"])
 
     @property
     def findings(self) -> list[dict[str, Any]]:
-        """What looks wrong: {"role", "code", "message", "fixes"} each; [] too where the log was not evaluated."""
+        """Problems of log and settings: {"role", "code", "message", "fixes"} each; [] if none was looked for."""
         return self.report["findings"] or []
 
     def errors(self, name: str) -> dict[str, Array]:
         """Return the errors of one result, `errors("lrf")`, for pandas.DataFrame or polars.DataFrame.
 
         Columns at the truth's stamps, (q,) each: t [s since the first wheel reading]; dx, dy [m], heading [rad]:
-        estimate - truth; nees (1 per degree of freedom is right). What does not exist is NaN, without truth there
-        are no rows.
+        estimate - truth; nees (1 per degree of freedom is right). Missing values are NaN; without truth there are
+        no rows.
         """
         found = self.evaluations[name]
         heading = np.full(len(found.t), np.nan) if found.heading is None else found.heading
@@ -165,7 +165,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
             return Picture(panel, traces, colours())
 
     def _trajectories(self) -> tuple[Panel, Mapping[str, Trace]]:
-        """Return the figure of all paths, and the style of each."""
+        """Return the figure of all paths, and the line style of each."""
         from locfuse.formats.figures.palette import traces_of
         from locfuse.formats.figures.where import trajectories
 
@@ -184,10 +184,9 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         return records(everything(self.report))
 
     def losses(self, strict: bool = False) -> list[str]:
-        """Return losses in words: bytes of the file, or more than 1 % of a used sensor's readings.
+        """Return losses in words: bytes of the file, more than 1 % of a used sensor's readings, void figures.
 
-        Void figures are among them. The command exits with 3 where there is any. `strict` counts every single
-        reading.
+        If there is any, the command exits with 3. With `strict` a single reading counts as a loss.
         """
         return [*results.loss_lines(self.loaded, self._used(), strict), *void_reasons(self.report)]
 
@@ -199,7 +198,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         return visible(f"<{type(self).__name__} of {self.loaded.log.name}: {', '.join(self.estimates)}>")
 
     def _repr_html_(self) -> str:
-        """Return headline, findings, verdicts, table and the trajectories, as a notebook shows them."""
+        """Return headline, findings, verdicts, table and trajectories as HTML for a notebook."""
         from locfuse.formats.report import notebook
 
         panel, traces = self._trajectories()
@@ -209,7 +208,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
     def write(
         self, folder: PathLike | None = None, *, write: Kinds = None, export: Kinds = (), overwrite: bool = False
     ) -> list[Path]:
-        """Write what the command writes with -o FOLDER, byte for byte, and return the files.
+        """Write the same files as the command with -o FOLDER, and return their paths.
 
         Args:
             folder: where to; None is locfuse-out/<log name>.
@@ -233,7 +232,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         raise NotImplementedError
 
     def _by_file(self) -> Mapping[str, Estimates]:
-        """Return the estimates by their file names."""
+        """Return the trajectories by file name without suffix."""
         return self.estimates
 
     def _written(self, folder: PathLike | None, files: Mapping[str, Content], overwrite: bool) -> list[Path]:
@@ -245,7 +244,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
 
 class Run(Result, frozen=True, eq=False):
-    """One configuration over one log, filtered, and smoothed if asked for."""
+    """The result of one configuration over one log, filtered and perhaps smoothed."""
 
     @property
     def filtered(self) -> Estimates:
@@ -254,7 +253,7 @@ class Run(Result, frozen=True, eq=False):
 
     @property
     def smoothed(self) -> Estimates | None:
-        """The smoothed estimate, from the whole drive; None if it was not asked for."""
+        """The smoothed estimates, which use the whole drive; None if not asked for."""
         return next((e for e in self.estimates.values() if e.smoothed), None)
 
     def _files(self, write: Kinds) -> dict[str, Content]:
@@ -268,7 +267,7 @@ class Run(Result, frozen=True, eq=False):
 
     @speaks_python
     def write_audit(self, file: PathLike) -> None:
-        """Write every measurement with its distance, threshold and verdict as CSV."""
+        """Write every measurement with its NIS, gate threshold and verdict as CSV."""
         from locfuse.formats.results.trajectory import audit_csv
         from locfuse.formats.whole_files import write_text
 
@@ -299,11 +298,11 @@ class Run(Result, frozen=True, eq=False):
 
 
 class Comparison(Result, frozen=True, eq=False):
-    """Several configurations over one log, and the effect of each sensor."""
+    """The result of several configurations over one log, with the effect of each sensor."""
 
     @cached_property
     def verdicts(self) -> Named[dict[str, Any]]:
-        """By sensor: {"verdict": "helps", "words": why}."""
+        """Verdicts by sensor: {"verdict": "helps", "words": the reason}."""
         return Named("sensor", self.report["verdicts"])
 
     @property

@@ -1,6 +1,6 @@
-"""A measured log, which can be fused with any set of sensors without being read again.
+"""Sessions: a measured log that can be fused with any sensors, and compared, without reading the log again.
 
-The main line step by step, for those who want to go in between: open_log -> load -> fuse -> evaluate.
+The single steps, for use one by one: open_log -> load -> fuse -> evaluate.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def load(
         sets: single keys of robot.toml, which go over both: {"lrf.topic": "/front/scan", "wheels.radius": 0.033}.
         order: "auto", "stamp" or "recorded": which clock wins where stamps run backwards.
         preset: "default", or "paper" for the paper's equations as printed.
-        between: (30.0, 90.0) uses only what comes then, in seconds since the first wheel reading; None: no bound.
+        between: (30.0, 90.0) uses only this time, in seconds since the first wheel reading; None: no bound.
         progress: called with the name of every step, such as `print`.
 
     Raises:
@@ -87,7 +87,7 @@ def load(
 
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
-    """Return the session of a log by command-line words; `read_again`: its columns are needed once more."""
+    """Return the session of a log by command-line words; with `read_again` its columns are kept in memory."""
     session = Session(maps.give_topic(load_to_fuse(log, how, progress, read_again)), progress)
     return session if how.given_map is None else session.with_map(how.given_map)
 
@@ -128,18 +128,18 @@ def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[s
 
 
 def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
-    """Return the `findings` of a log by command-line words; {} if the log cannot be fused."""
+    """Return the `findings` of a log by command-line words, with tried fixes; {} if fusing fails."""
     try:
         return opened(log, how, progress).findings()
     except LocfuseError:
-        return {}  # the findings of measuring have the reason
+        return {}  # `info` reports the reason
 
 
-ADVICE_KEYS = ("headline", "validity", "findings", "fixes")  # of a report: what to keep, what is void, what to set
+ADVICE_KEYS = ("headline", "validity", "findings", "fixes")  # of a report
 
 
 class Session(msgspec.Struct, frozen=True, eq=False):
-    """One measured log under one description of the robot."""
+    """A measured log with its settings."""
 
     loaded: Loaded
     progress: Progress = silent
@@ -156,12 +156,12 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def drive(self) -> Drive:
-        """The measured log: wheel motion, measurements by sensor, truth; what the log lacks in `drive.absent`."""
+        """The measured log: wheel motion, measurements by sensor, truth; reasons for missing ones in `absent`."""
         return self.loaded.drive
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was chosen, repaired or found unusual while reading, in words."""
+        """Notes on choices, repairs and unusual data while reading the log."""
         return self.drive.notes
 
     @speaks_python
@@ -227,17 +227,19 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     def compared(self, asked: Asked) -> Comparison:
         """Return the comparison with these options, as `compare` does."""
         check_runs(asked.jitter)
-        asked = replace(asked, reference=self._refers(asked))
+        asked = replace(asked, reference=self._uses_reference(asked))
         wanted = for_comparison(asked.sensors, self.drive, asked.all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
         drawn = Drawn()
         moves = not (self.drive.wheels.stands or self.loaded.motion_faults)
         evaluator = None
         if asked.advice and moves:
-            from locfuse.cli.advice.evaluator import Evaluator  # the checks come with it
+            from locfuse.cli.advice.evaluator import Evaluator  # imports all checks
 
             evaluator = Evaluator(self.loaded, self.progress, asked.align)
-        runs, listened = ([], []) if evaluator is None else (evaluator.run_receivers, evaluator.listened_receivers)
+        runs, listened = (
+            ([], []) if evaluator is None else (evaluator.run_receivers, evaluator.prediction_receivers)
+        )
         receivers = [drawn.take, *runs]
         compared = compare_log(self.loaded, wanted, asked, self.progress, receivers, foreign, listened)
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
@@ -246,8 +248,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         report = self._reported(report, compared, asked, advised, evaluator is not None, others)
         return Comparison(compared, report, drawn)
 
-    def _refers(self, asked: Asked) -> bool:
-        """Return whether a reference judges instead of truth. Raises UsageError if this log can have none."""
+    def _uses_reference(self, asked: Asked) -> bool:
+        """Return whether errors are measured against a reference. Raises UsageError if that is impossible."""
         wanted = asked.reference
         if wanted and asked.jitter:
             raise UsageError(
@@ -256,7 +258,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         short = asked.smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
         if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
-        from locfuse.fusion.whole_drive.reference import possible, refuse  # the graph comes with it
+        from locfuse.fusion.whole_drive.reference import possible, refuse  # imports the graph solver
 
         if wanted:
             refuse(self.drive, self.robot)
@@ -293,9 +295,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     @speaks_python
     def calibrate(self, *more: PathLike | Sequence[PathLike]) -> Calibration:
-        """Find wheel noise, wheel geometry, laser mount and magnetometer iron, as `locfuse calibrate` does.
+        """Estimate wheel noise, wheel geometry, laser mount and magnetometer iron, as `locfuse calibrate` does.
 
-        `more` are more logs of the same robot. Raises LocfuseError where the logs cannot tell any of these.
+        `more` are more logs of the same robot. Raises LocfuseError if the logs show none of these.
         """
         from . import calibrate
 
@@ -307,9 +309,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     @speaks_python
     def findings(self) -> dict[str, Any]:
-        """Return what is wrong or can be better: {"headline", "validity", "findings", "fixes"}, each fix tried.
+        """Return problems, their fixes (tried by fusing) and validity, the part of `compare` without figures.
 
-        It is what the report of `compare` holds under these keys, and the reports of `run` as far as they show it.
+        Keys as in the report of `compare`: "headline", "validity", "findings", "fixes".
         """
         report = self.compare(audits=False, smooth=False).report
         return {key: report[key] for key in ADVICE_KEYS}
@@ -323,7 +325,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         judged: bool = False,
         foreign: Sequence[str] = (),
     ) -> dict[str, Any]:
-        """Return a report with the ranges under jitter, the advice, and what the motion makes void."""
+        """Return the report with ranges under jitter, advice, and warnings on the motion."""
         add_jitter(report, compared, asked, self.progress)
         stands, truth = self.drive.wheels.stands, unusable(self.drive)
         complete(report, advised, start_error(self.robot, self.drive), foreign, stands, truth)
@@ -332,7 +334,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return report
 
     def _advice_on_run(self, compared: Compared, align: str) -> Advised:
-        """Evaluate the log if this one run gives a reason."""
+        """Return the advice of a full evaluation if the result of this run looks wrong, else none."""
         from locfuse.cli.advice.evaluator import Evaluator, looks_wrong
 
         filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])
@@ -341,12 +343,12 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return Evaluator(self.loaded, self.progress, align).advised()
 
     def configuration(self, sensors: Sensors) -> Configuration:
-        """Return the configuration of some words. Raises LocfuseError for a sensor that this log lacks."""
+        """Return the configuration of some sensors. Raises LocfuseError for one that this log lacks."""
         return parse(sensors, self.drive)
 
     @speaks_python
     def with_settings(self, sets: Sets) -> Session:
-        """Return the same log under other settings; sensors whose settings stay are not measured again.
+        """Return the log under other settings; only sensors whose settings change are measured again.
 
         The result equals that of `load` with these `sets`, bit for bit. Raises UsageError for an unknown key, and
         for a topic, `order` or `preset`: these decide what is read.
@@ -375,7 +377,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     @speaks_python
     def with_map(self, file: PathLike) -> Session:
-        """Return the same drive with a laser that localises in the map of a file, which stays as it is.
+        """Return the session with a map file in which the laser localises; the map is not extended.
 
         A line map that `Run.save_map` wrote, or the .yaml of a map as an image (ROS's map_server): there the start
         is looked for unless `[start]` is set. Raises LocfuseError where the map is of another building.
@@ -383,7 +385,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return replace(self, loaded=maps.give(self.loaded, path_of(file)))
 
     def __repr__(self) -> str:
-        """Return the log's name, its duration and its measured sensors."""
+        """Return the log's name, duration and measured sensors as text."""
         sensors = ", ".join(("wheels", *self.drive.measurements))
         truth = "no truth" if self.drive.truth is None else f"truth {self.drive.truth.topic}"
         return visible(
@@ -395,7 +397,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 def open_log(log: PathLike | Sequence[PathLike]) -> Log:
     """Open a log without measuring it: `log.topics`, `log.stream("/scan").columns("ranges")`.
 
-    Takes what `load` takes. Raises LocfuseError where there is no such log.
+    `log` is as in `load`. Raises LocfuseError if it does not exist.
     """
     return logs.open_log(find_log(words_of(log)))
 
@@ -412,10 +414,10 @@ def fuse(drive: Drive, robot: Robot, sensors: Sensors = "all") -> Estimates:
 
 @speaks_python
 def smooth(drive: Drive, robot: Robot, sensors: Sensors = "all") -> Estimates:
-    """Run filter and smoother: every pose is estimated from the whole drive, its end included.
+    """Run filter and smoother: each pose uses the whole drive, also later readings.
 
-    Rauch, Tung and Striebel (1965). Raises LocfuseError as `fuse` does, and where a setting such as lrf.map =
-    first-scan makes the filter's gain not the optimal one.
+    Rauch, Tung and Striebel (1965). Raises LocfuseError as `fuse` does, and if a setting such as lrf.map =
+    first-scan makes the filter's gain suboptimal.
     """
     return parse(sensors, drive).fuse(drive, robot, smooth=True)[-1]
 

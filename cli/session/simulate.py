@@ -1,7 +1,7 @@
-"""Simulated drives: a scenario driven with our own localisation in its control loop, recorded as a log.
+"""Simulated drives: a scenario with locfuse's localisation in its control loop, recorded as a log.
 
-In the loop a scan arrives after the compass reading that was taken in its middle. So the filter runs MAX_LATENCY_S
-behind the newest wheel reading, where the order of everything is known, and the wheels bridge from there to now.
+A scan arrives later than a compass reading taken during the scan. So the filter runs MAX_LATENCY_S behind the
+newest wheel reading, where all readings are in order, and the wheels predict the pose from there to now.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def simulate(
 
     Args:
         scenario: a TOML file, or the name of a shipped scenario such as "rounded_rectangle".
-        out: the log to write (.mcap). None writes a temporary one that goes with the session's log.
-        seed: of all chance; None is the scenario's own.
+        out: the log to write (.mcap). None writes a temporary one, deleted with the session's log.
+        seed: of all random numbers; None is the scenario's own.
         sets: single keys of the scenario: {"compass.noise_deg": 0.1, "control.estimator": "all"}.
         overwrite: replace an existing file.
         progress: called with the name of every step, such as `print`.
@@ -75,19 +75,19 @@ def simulate(
         path = Path(folder) / f"{Path(scenario).stem}.mcap"
         drive(chosen, seed, path)
         session = load(path, progress=progress)
-        weakref.finalize(session.log, until.pop_all().close)  # the log may be read again as long as it lives
+        weakref.finalize(session.log, until.pop_all().close)  # keeps the file while the log is in use
     return session
 
 
 def drive(scenario: Scenario, seed: int, out: Path) -> Outcome:
-    """Drive a scenario into a log. Raises LocfuseError if the file cannot be written."""
+    """Simulate a scenario and write its log. Raises LocfuseError if the file cannot be written."""
     from locfuse.sample_logs.record import write_log
 
     return write_log(scenario, seed, localise(scenario.control.estimator), out)
 
 
 def facts(outcome: Outcome) -> dict[str, Any]:
-    """Return the simulator's figures of a drive: s, m, and the stability of wheel speeds."""
+    """Return figures of a simulated drive: duration [s], path length [m], missed ticks, speed stability."""
     from locfuse.sample_logs.simulate import speed_stability
 
     stability = speed_stability(outcome)
@@ -101,7 +101,7 @@ def facts(outcome: Outcome) -> dict[str, Any]:
 
 
 def localise(word: str) -> Localise:
-    """Return a function that makes the robot's localisation: "truth", "odometry", "all", or sensors."""
+    """Return a function that builds the robot's estimator: "truth", "odometry", "all", or sensor names."""
     from locfuse.sample_logs.record import on_truth
 
     def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:
@@ -122,7 +122,7 @@ WHEEL_MEMORY_S = 4.0  # s of wheel readings that are kept
 
 
 class Localiser:
-    """The state between two calls: the filter, recent wheel readings, and readings that wait."""
+    """Localisation in the control loop: a filter that runs MAX_LATENCY_S behind the newest wheel reading."""
 
     def __init__(self, robot: Robot, sensors: Sequence[str]) -> None:
         self.robot = robot
@@ -143,7 +143,7 @@ class Localiser:
         """Add new messages and return the pose at the newest wheel reading."""
         for message in messages:
             if message.topic == self.robot.wheels.topic:
-                self._roll(message)
+                self._add_rolled(message)
             elif message.topic in self._role:
                 self._waiting.append((self._role[message.topic], message))
         if len(self._wheel_t) >= 2:
@@ -151,12 +151,12 @@ class Localiser:
             self._correct(wheels)
             now = wheels.relative(np.array([self._at]), wheels.t[-1:])[0]
             self._pose = se2.compose(np.array(self.filter.pose()), now)
-            self._forget()
+            self._drop_old()
         x, y, theta = self._pose.tolist()
         return x, y, theta
 
-    def _roll(self, message: RawMessage) -> None:
-        """Add the distances rolled by the wheels until this message."""
+    def _add_rolled(self, message: RawMessage) -> None:
+        """Append the distances that both wheels have rolled at the time of this message."""
         if not self._wheel_t:
             self._epoch_ns = message.stamp_ns
         t = (message.stamp_ns - self._epoch_ns) * 1e-9
@@ -176,7 +176,7 @@ class Localiser:
         )
 
     def _correct(self, wheels: Wheels) -> None:
-        """Advance the filter through every reading older than MAX_LATENCY_S, in time order."""
+        """Advance the filter through all readings older than MAX_LATENCY_S, in time order."""
         horizon = wheels.t[-1] - MAX_LATENCY_S
         measured = [(self._measure(s, message, wheels), s, message) for s, message in self._waiting]
         ready = [(m, s) for m, s, _ in measured if len(m.t) and self._at <= m.t[0] <= horizon]
@@ -197,7 +197,7 @@ class Localiser:
         )
         return REGISTRY[sensor].measure(stream, self.robot.settings(sensor), wheels, self._epoch_ns)
 
-    def _forget(self) -> None:
+    def _drop_old(self) -> None:
         while self._wheel_t[0] < min(self._wheel_t[-1] - WHEEL_MEMORY_S, self._at - WHEEL_MEMORY_S / 2):
             self._wheel_t.pop(0)
             self._rolled.pop(0)

@@ -1,4 +1,4 @@
-"""Several logs compared one by one, and the figures and verdicts over all of them."""
+"""Comparisons of several logs, and figures and verdicts over all of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Unpack, overload
 from msgspec.structs import replace
 
 from locfuse.cli.advice.report import forget_fixes
-from locfuse.cli.advice.together import ask, fixes_files, here, numbers_of
+from locfuse.cli.advice.together import ask, fixes_files, in_this_process, numbers_of
 from locfuse.cli.analysis import results
 from locfuse.cli.analysis.configurations import Sensors, configuration_words
 from locfuse.cli.analysis.grouping import logs_of, named
@@ -52,9 +52,9 @@ RMSE = "position_rmse_m"
 
 
 class Summary:
-    """The comparisons of several logs, and the figures and verdicts over all of them.
+    """The comparison of each of several logs, with figures and verdicts over all.
 
-    `results["monday"]` is the comparison of one log, `report` what summary.json holds.
+    `results["monday"]` is the comparison of one log, `report` the content of summary.json.
     """
 
     def __init__(self, found: Mapping[str, Comparison], robots: Sequence[Mapping[str, Any]] = ()) -> None:
@@ -64,7 +64,7 @@ class Summary:
 
     @property
     def headline(self) -> str:
-        """The best configuration, in one sentence."""
+        """The best configuration over all logs, in one sentence."""
         return over.headline(self.report)
 
     def table(self) -> list[dict[str, Any]]:
@@ -77,7 +77,7 @@ class Summary:
         `write` chooses among "html", "md", "json", "tum", "csv", "tex"; None writes all. With "csv" comes
         fleet.parquet, where pyarrow is installed. Returns the summary's files.
 
-        Raises LocfuseError where the folder holds something else, unless `overwrite`.
+        Raises LocfuseError if the folder has other files, unless `overwrite`.
         """
         place = results.default_folder(SUMMARY) if folder is None else path_of(folder)
         may_write(place, overwrite)
@@ -86,18 +86,18 @@ class Summary:
         return sorted(write_summary(place, self.report, self._entries, chosen(write, OF_COMPARISON)))
 
     def __repr__(self) -> str:
-        """Return the logs and the best configuration."""
+        """Return the logs' names and the best configuration as text."""
         return visible(f"<Summary of {', '.join(self.results)}: {self.headline}>")
 
     def _repr_html_(self) -> str:
-        """Return headline, verdicts and table, as a notebook shows them."""
+        """Return headline, verdicts and table as HTML for a notebook."""
         from locfuse.formats.report import notebook
 
         return notebook.render_summary(self.report)
 
 
 class Keywords(Choices, total=False):
-    """The keywords of `compare`."""
+    """The keyword arguments of `compare`."""
 
     robot: PathLike | None
     sets: Sets | None
@@ -153,12 +153,12 @@ def compare(
             known |= {name: numbers} if numbers is not None else {}
     if not asked.advice or len(known) < 2:
         return Summary(found)
-    look = here({name: r.loaded for name, r in found.items()}, asked.align, progress)
-    return Summary(found, [{"robot": None, **ask(known, look)}])  # what the logs, all of one robot, have in common
+    look = in_this_process({name: r.loaded for name, r in found.items()}, asked.align, progress)
+    return Summary(found, [{"robot": None, **ask(known, look)}])  # fixes common to the logs of one robot
 
 
 def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
-    """Return the parts of every log: a list is one log, single files are grouped as on the command line."""
+    """Return the parts of each log: a list is one log, single files are grouped by name and time."""
     if not logs:
         raise UsageError("which log? Name one or several, such as locfuse.compare('rounded_rectangle')")
     single = [word for log in logs if isinstance(log, str | os.PathLike) for word in words_of(log)]
@@ -167,7 +167,7 @@ def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
 
 @contextmanager
 def naming(log: str) -> Iterator[None]:
-    """Add the log's name to errors raised inside this context, unless they have it."""
+    """Add the log's name to LocfuseErrors raised in this context, unless they contain it."""
     try:
         yield
     except LocfuseError as problem:
@@ -181,7 +181,7 @@ def write_summary(
     kinds: Collection[str],
     keys: Sequence[str] = (),
 ) -> list[Path]:
-    """Write a summary and the fixes of its robots, and return the files; `keys` are those of a sweep."""
+    """Write a summary with its robots' fixes, and return the files; `keys` are the swept settings."""
     files = summary_files(summary, entries, kinds, colours(), tuple(keys)) | fixes_files(summary["robots"])
     write_results(folder, files, overwrite=True)
     written = [folder / name for name in files]
@@ -190,7 +190,7 @@ def write_summary(
 
 
 def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
-    """Return the summary over logs: figures, and each sensor's effect over all of them."""
+    """Return the summary over logs: mean figures, and each sensor's effect."""
     done = [e for e in entries if e.state == "done"]
     summary = {
         "locfuse": own(),
@@ -217,12 +217,12 @@ def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
 
 
 def of_each(write: Kinds) -> set[str]:
-    """Return the kinds of output for every single log: the chosen ones, and always the report."""
+    """Return the kinds of output for each single log: the chosen ones and always json."""
     return chosen(write, OF_COMPARISON) | {"json"}
 
 
 class Mean(NamedTuple):
-    """A mean over replicates with its 95 % interval; no interval over fewer than four."""
+    """A mean over replicates with its 95 % interval; None without one (fewer than four replicates)."""
 
     value: float
     low: float | None
@@ -231,7 +231,7 @@ class Mean(NamedTuple):
 
 
 def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
-    """Return the mean of independent values; with at least `fewest` values also Student's interval."""
+    """Return the mean of independent values; from `fewest` values on with Student's t interval."""
     mean = fmean(values)
     if len(values) < fewest:
         return Mean(mean, None, None, len(values))
@@ -240,7 +240,7 @@ def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
 
 
 def by_robot(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
-    """Return the entries of each replicate: a robot, or a log without one."""
+    """Return the logs of each replicate: those of one robot, or a single log without robot."""
     found: dict[str, list[Entry]] = {}
     for entry in entries:
         found.setdefault(entry.name if entry.robot is None else entry.robot, []).append(entry)
@@ -248,7 +248,7 @@ def by_robot(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
 
 
 def _replicate_means(entries: Sequence[Entry], values: Mapping[str, float]) -> list[float]:
-    """Return the mean of each replicate's values; `values` are by the name of the log."""
+    """Return the mean of the values of each replicate's logs; `values`: log name -> value."""
     groups = by_robot(e for e in entries if e.name in values)
     return [fmean(values[e.name] for e in group) for group in groups.values()]
 
@@ -259,7 +259,7 @@ def _values(entries: Sequence[Entry], configuration: str, key: str) -> dict[str,
 
 
 def _ties(summary: Mapping[str, Any], entries: Sequence[Entry]) -> dict[str, Any]:
-    """Return the configurations whose errors equal the best one's within 2 %, or within the 95 % interval.
+    """Return configurations as good as the best: errors within 2 %, or the 95 % interval includes equality.
 
     Ratios of errors are taken per log, then per robot.
     """
@@ -283,7 +283,7 @@ def _ties(summary: Mapping[str, Any], entries: Sequence[Entry]) -> dict[str, Any
 
 
 def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
-    """Return each sensor's effect on the error over all "robots" or, for a single one, over its "drives".
+    """Return each sensor's effect on the error, and over what it is taken: "robots" or "drives" of one robot.
 
     None for a single log.
     """
@@ -299,7 +299,7 @@ def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
 
 
 def _of_robot(found: Sequence[Mapping[str, Any]]) -> Credit:
-    """Return the mean effects of one replicate's logs, without intervals."""
+    """Return the mean effects over the logs of one robot, without intervals."""
     names = [s for s in found[0]["sensors"] if all(s in credit["sensors"] for credit in found)]
     totals = [credit["total_factor"] for credit in found]
     sensors = {}

@@ -1,4 +1,4 @@
-"""The result of `tune`: values, rows of words, and robot.toml."""
+"""Tuning of noise settings (`tune`): values, rows of a table, and robot.toml."""
 
 from __future__ import annotations
 
@@ -30,38 +30,38 @@ from locfuse.fusion.tune.tune import Trial, Tuned, tune
 
 from .found import Found, Row, refuse_doubtful
 
-HELD_OUT_SHARE = 0.2  # share of every log, its end, where no log is held out
+HELD_OUT_SHARE = 0.2  # of every log, its end, if no log is held out
 
 
 class Judged(msgspec.Struct, frozen=True):
-    """One log under the configured and under the tuned noise."""
+    """One log evaluated with the configured noise and with the tuned noise."""
 
     name: str
     before: Evaluation
     after: Evaluation
-    check: str  # the command that says what else is wrong with it
+    check: str  # the command that checks this log
 
 
 class Tuning(Found, frozen=True, kw_only=True):
-    """The tuning of all logs."""
+    """The tuned noise of all logs, and each log's errors before and after."""
 
     tuned: Tuned
     judged: Sequence[Judged]
-    refused: bool = False  # a log gets worse or is lost under the noise that was found
+    refused: bool = False  # a log gets worse, or is lost, with the tuned noise
 
     command: ClassVar[str] = "tune"
     titles: ClassVar[Row] = ("noise", "before", "after", "95 % interval")
 
     def used(self, one: Loaded) -> tuple[str, ...]:
-        """Return the sensors used for tuning."""
+        """Return the sensors used for tuning, in any of the logs."""
         return tuple(dict.fromkeys(s for j in self.judged for s in j.after.sensors))
 
     def tables(self) -> dict[str, dict[str, float]]:
-        """Return the results as robot.toml tables, without figures that the logs do not show or that do harm."""
+        """Return the tuned noise as tables of robot.toml; {} if a log gets worse with it."""
         return {} if self.refused else _tables(self.tuned)
 
     def values(self) -> dict[str, Any]:
-        """Return all results as plain values: SI units or the key's, null for figures without a judgement."""
+        """Return all results as plain values for --json: SI units or the key's unit, null for unknown ones."""
         noise: dict[str, Any] = {}
         for row in self.tuned.rows:
             low, high = _interval(row) or (None, None)
@@ -89,11 +89,11 @@ class Tuning(Found, frozen=True, kw_only=True):
         }
 
     def _likelihoods(self, *parts: str) -> Iterator[tuple[str, tuple[float, ...] | None, int]]:
-        """Yield for training and held-out logs: name, ln likelihoods before and after, number of values."""
+        """Yield for training and held-out data: name, (ln likelihood before, after) or None, number of values."""
         return zip(parts, (self.tuned.train, self.tuned.held_out), self.tuned.numbers, strict=True)
 
     def rows(self) -> list[Row]:
-        """Return (key, before, after, interval) in words."""
+        """Return the table's rows as text: key, before, after, 95 % interval."""
         rows: list[Row] = []
         for r in self.tuned.rows:
             interval = _interval(r)
@@ -103,16 +103,16 @@ class Tuning(Found, frozen=True, kw_only=True):
         return rows
 
     def before(self) -> str:
-        """Return the text of the first robot.toml if the user gave none."""
+        """Return the text to start robot.toml with if the user gave no file."""
         head = "# without the noise that locfuse tune found: a log gets worse by it\n"
         return head if self.refused else "# noise found by locfuse tune\n"
 
     def given(self) -> dict[str, Any]:
-        """Return the user's tables beside the first robot.toml, single settings included."""
+        """Return the settings of the user's second and later robot.toml files, and of --set."""
         return robot_toml.merge(Found.given(self), robot_toml.apply_sets(self.how.sets))
 
     def judgements(self) -> list[tuple[str, str, str]]:
-        """Return (figure, before, after) in words."""
+        """Return rows of text: figure, value before, value after tuning."""
         rows: list[tuple[str, str, str]] = []
         for part, pair, n in self._likelihoods("tuned on", "held out"):
             if pair is not None:
@@ -131,7 +131,7 @@ class Tuning(Found, frozen=True, kw_only=True):
 
 
 def _interval(row: TunedRow) -> tuple[float, float] | None:
-    """Return the 95 % interval of a figure; None if the logs do not show it."""
+    """Return the 95 % interval of a tuned setting; None if the logs do not show it."""
     factor = math.exp(SIGMAS_95 * row.error)
     return (row.after / factor, row.after * factor) if row.identifiable else None
 
@@ -142,7 +142,7 @@ def _tables(tuned: Tuned) -> dict[str, dict[str, float]]:
 
 
 def sensor_names(words: str) -> tuple[str, ...]:
-    """Return the sensors of `--sensors`. Raises UsageError for an unknown one."""
+    """Return the sensors of the words of `--sensors`. Raises UsageError for an unknown one."""
     if words.strip() == "all":
         return tuple(REGISTRY)
     names = tuple(dict.fromkeys(w.strip() for w in words.split(",") if w.strip()))
@@ -161,10 +161,10 @@ def tune_logs(
     how: LogOptions,
     progress: Callable[[str], None],
 ) -> Tuning:
-    """Measure the logs, tune, and judge every log before and after.
+    """Measure the logs, tune the noise, and evaluate every log before and after.
 
-    Where what was found spoils a log, and a sensor's errors last while the likelihood takes every reading for
-    independent, the sigma of that sensor is left as it was, and the others are tuned once more.
+    The likelihood assumes independent readings. If a log gets worse and errors of a sensor are correlated in time,
+    this sensor's sigma is left as configured, and the others are tuned again.
     """
     paths = [find_log(parts) for parts in (*logs, *held_out)]
     loaded = [load(p, how, progress, only=sensors) for p in paths]
@@ -187,7 +187,7 @@ def tune_logs(
     def tuned_by(names: Sequence[str]) -> tuple[Tuned, list[Judged], list[str]]:
         tuned = tune(trials, names, drift, remeasure, progress)
         progress("judging the logs")
-        sets = set_words(_tables(tuned))  # as `run` would: measuring depends on the noise too
+        sets = set_words(_tables(tuned))  # measured again: line fitting depends on the noise
         judged = [
             Judged(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
             for one, check in zip(loaded, checks, strict=True)
@@ -215,8 +215,8 @@ def tune_logs(
 
 
 def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
-    """Return the configurations that get worse with the tuned noise."""
-    worse = [line for j in judged if (line := spoiled(j)) is not None]
+    """Return notes on logs, or held-out data, that get worse with the tuned noise."""
+    worse = [line for j in judged if (line := got_worse(j)) is not None]
     if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
         worse.append(f"{_less_likely(*tuned.held_out)}: the noise that was found is not used")
     return worse
@@ -227,8 +227,8 @@ def _less_likely(before: float, after: float) -> str:
     return f"what was held out is less likely with the noise that was found ({figures})"
 
 
-def spoiled(j: Judged) -> str | None:
-    """Return a note on a log that gets worse with the tuned noise: such noise is not written."""
+def got_worse(j: Judged) -> str | None:
+    """Return a note if a log gets worse with the tuned noise (which is then not written), else None."""
     before, after = (Marks(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
     if not worsens(before, after):
         return None
@@ -241,14 +241,14 @@ def spoiled(j: Judged) -> str | None:
 
 
 def _evaluated(one: Loaded) -> Evaluation:
-    """Evaluate all sensors of a log; by the path's shape if its start is unknown."""
+    """Evaluate a log with all sensors; aligned to the truth if its start is unknown."""
     run = fuse(one.drive, one.robot, list(one.drive.measurements))
     elsewhere = (start_error(one.robot, one.drive) or 0.0) >= MAX_START_ERROR_M
     return evaluate(run, one.drive, "se2" if elsewhere else "none")
 
 
 def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
-    """Return notes on sensors with slow errors, by log and sensor: no sigma describes such errors."""
+    """Return notes on sensors whose errors are correlated in time, by (log, sensor): no sigma describes them."""
     lasting: dict[tuple[str, str], str] = {}
     for trial in trials:
         sensors = list(trial.drive.measurements)

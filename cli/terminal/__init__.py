@@ -1,1 +1,1 @@
-"""The terminal: shared options, tables, notes, progress."""
+"""The terminal: shared options of commands, tables, notes, progress."""

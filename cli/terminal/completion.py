@@ -1,4 +1,4 @@
-"""Completions of the shell: sample logs, sensors, keys of robot.toml, topics of the log."""
+"""Shell completion: sample logs, sensors, keys of robot.toml, topics of the log."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 
 
 def logs(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Offer sample logs by name, and files."""
+    """Complete a log: names of sample logs, and files."""
     from locfuse.sample_logs import names
 
     samples = [CompletionItem(name, help="sample log") for name in names() if name.startswith(begun)]
@@ -19,7 +19,7 @@ def logs(context: click.Context, parameter: click.Parameter, begun: str) -> list
 
 
 def sensors(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Offer sensors, also after a comma."""
+    """Complete a sensor name, also after a comma."""
     from locfuse.fusion.sensors.registry import REGISTRY
 
     before, comma, word = begun.rpartition(",")
@@ -29,7 +29,7 @@ def sensors(context: click.Context, parameter: click.Parameter, begun: str) -> l
 
 
 def settings(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Offer keys of robot.toml with their units; after TABLE.topic= the topics of the log that was typed."""
+    """Complete a key of robot.toml, with its unit; after TABLE.topic= a topic of the typed log."""
     from msgspec.structs import fields
 
     from locfuse.cli.analysis.robot_tables import table_types
@@ -48,12 +48,12 @@ def settings(context: click.Context, parameter: click.Parameter, begun: str) -> 
 
 
 def topics(context: click.Context) -> list[str]:
-    """Return the topics of the log on the command line; none if it cannot be opened."""
+    """Return the topics of the log on the command line; [] if it cannot be opened."""
     from locfuse.cli.analysis.load import find_log
     from locfuse.formats.logs.log import open_log
     from locfuse.fusion.data import LocfuseError
 
-    # an option without its value ends click's parsing before LOG is found: the shell's own words know it
+    # click stops parsing at an option without a value, perhaps before LOG: then use the shell's words
     typed = context.params.get("log") or shlex.split(os.environ.get("COMP_WORDS", ""))[2:]
     for word in typed:
         with contextlib.suppress(LocfuseError, OSError):

@@ -1,4 +1,4 @@
-"""The text output of `locfuse info`: lines up to the terminal's width, unwrapped without a terminal."""
+"""The text of `locfuse info`, wrapped at the terminal's width; not wrapped in a pipe or a file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "worth knowing",
     "next",
 )
-BY_EFFECT = ((SPOILS, True), (WORTH, False))  # titles of findings, and whether these are severe
+BY_EFFECT = ((SPOILS, True), (WORTH, False))  # (title, whether its findings are severe)
 TOPIC_COLUMNS = (
     Column("topic", "topic", kind="text"),
     Column("type", "type", kind="text", shorter=lambda kind: kind.rpartition("/")[2]),
@@ -49,9 +49,9 @@ MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 def lines(
     overview: Overview, typed: Sequence[str], width: int | None, helped: Sequence[str] | None = None
 ) -> Iterator[str]:
-    """Yield the whole overview of a log; `typed` are the words after `info`, `width` that of the screen or None.
+    """Yield the lines on one log; `typed`: the words after `info`, `width`: characters per line, None: no limit.
 
-    `helped` are the fixes that were tried and help; None: none was tried.
+    `helped` are the tried fixes that help; None: no fix was tried.
     """
     yield _headline(overview)
     yield ""
@@ -65,7 +65,7 @@ def lines(
 
 
 def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Iterator[str]:
-    """Yield lines on several logs of one robot: common values, then findings, those of several logs once."""
+    """Yield the lines on several logs of one robot: shared values, then findings, each once."""
     yield from map(_headline, overviews.values())
     yield from _section(TOGETHER, [f"  {value['words']}" for value in shown["values"]])
     common = {value["key"] for value in shown["values"]}
@@ -85,7 +85,7 @@ def _shared(of: Mapping[str, Finding], logs: int) -> list[str]:
 
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
-    """Return the table of the topics as a log lists them itself (values.listed)."""
+    """Return a table of topics from the log's index (`values.listed`)."""
     return _table([{**found, "topic": name} for name, found in topics.items()], width, TOPIC_COLUMNS[:4])
 
 
@@ -115,7 +115,7 @@ def _headline(overview: Overview) -> str:
 
 
 def _topics(overview: Overview, width: int | None) -> Iterator[str]:
-    """Yield the table of the topics with messages, used ones first."""
+    """Yield a table of the topics with messages, used ones first; then empty and unreadable topics."""
     role: dict[str, list[str]] = {}
     for name in overview.choice.topics:
         for topic in overview.choice.of(name):
@@ -152,7 +152,7 @@ def _roles(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _place(mount: dict[str, Any], frame: str) -> str:
-    """Return in words the mount of a sensor and its source."""
+    """Return the mount of a sensor and its source in words."""
     if mount["by"] == "nobody":
         return f"the mount of frame {frame} is unknown" if frame else "its mount is unknown"
     if "mounts" in mount:
@@ -165,7 +165,7 @@ def _place(mount: dict[str, Any], frame: str) -> str:
 
 
 def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
-    """Yield lines on what can be estimated, what lacks a setting, and which sensors have no topic."""
+    """Yield lines on configurations that can run, those that cannot with the reason, and sensors without topic."""
     known, why = configurations(overview), absent(overview)
     base = wheels_missing(overview)
     ready = [name for name, what in known.items() if what is None]
@@ -182,13 +182,13 @@ def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _briefly(words: str, role: str, overview: Overview) -> str:
-    """Return a reason, or "see below" if a finding has the same words."""
+    """Return the reason, or "see below" if a finding of the role explains it."""
     below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
     return "see below" if below else words
 
 
 def _finding(f: Finding, width: int | None, helped: Sequence[str] | None) -> list[str]:
-    fixes = () if f.code == OPEN_SCALE else f.fixes  # of two ways to set it, which its words name, none is the fix
+    fixes = () if f.code == OPEN_SCALE else f.fixes  # the message names two alternative fixes
     body = _wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
     if not fixes:
         return body
@@ -202,7 +202,7 @@ def _keys(fixes: Sequence[str]) -> set[str]:
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
-    """Return --set options, never broken within one."""
+    """Return fixes as --set options after `head`, in lines of at most `width` characters."""
     rows, row = [], head
     for option in (f"--set {shlex.quote(fix)}" for fix in fixes):
         if width is not None and row.strip() and row != head and len(row) + len(option) > width:
@@ -213,7 +213,7 @@ def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
 
 
 def _wrapped(head: str, words: str, width: int | None, indent: str | None = None) -> list[str]:
-    """Return a paragraph; later lines are indented as its words, or by `indent`. A pipe gets no line breaks."""
+    """Return a paragraph after `head`, wrapped at `width` characters (None: one line)."""
     if width is None:
         return [f"{head}{words}"]
     later = " " * len(head) if indent is None else indent
@@ -224,13 +224,13 @@ def _wrapped(head: str, words: str, width: int | None, indent: str | None = None
 
 
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:
-    """Return the next commands to try: again with the fixes of the worst finding, a robot.toml, or the comparison.
+    """Return the next command to type: `info` with fixes, `init`, or `compare`.
 
-    Where fixes were tried, with those that help.
+    If fixes were tried, `helped` replaces those of the findings.
     """
-    if overview.choice.unused_wheels:  # wheels first: with their size much of the rest looks different
+    if overview.choice.unused_wheels:  # wheels first: other findings depend on their size
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
-    open_codes = {OPEN_SCALE, OPEN_CLOCK}  # there the reader has to choose
+    open_codes = {OPEN_SCALE, OPEN_CLOCK}  # the user has to choose between two fixes
     worst = [f for f in overview.findings if f.severe and f.code not in open_codes]
     fixes = by_key(fix for f in worst for fix in f.fixes)
     if fixes and helped is not None:
@@ -239,13 +239,13 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
         kept = _without(typed, fixes)
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]
         return [shlex.join(("locfuse", "info", *kept, *options))]
-    if overview.loaded is not None:  # of a motion that is not the robot's nothing can be compared
+    if overview.loaded is not None:  # without the robot's motion nothing can be compared
         return [] if overview.loaded.motion_faults else [shlex.join(("locfuse", "compare", *typed))]
     return [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if overview.choice.of("wheels") else []
 
 
 def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:
-    """Return the typed words without the --set of keys that a fix sets."""
+    """Return the typed words without --set options of keys that a fix sets."""
     kept: list[str] = []
     for word in typed:
         if kept and kept[-1] == "--set" and word.partition("=")[0] in fixes:

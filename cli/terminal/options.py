@@ -1,6 +1,6 @@
-"""The options of commands that read logs, each declared once, and the record that takes them to a command.
+"""Options of commands that read logs, each declared once, and the record that passes them to a command.
 
-The parameter of an option has the name of the field that it fills, in one of the parts of `Options`.
+An option's parameter has the name of the field that it sets, in one of the parts of `Options`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from . import completion
 F = TypeVar("F", bound=Callable[..., Any])
 Declared = Callable[[Any], Any]  # what click.option returns
 SECONDS = "s since the first wheel reading"
-HELP_ALL = "locfuse.help_all"  # in a context's meta: every option is shown
-FIRST = {  # group of --help -> its parameters, in a user's order; all others are shown by --help-all
+HELP_ALL = "locfuse.help_all"  # key in a context's meta: show every option
+HELP_GROUPS = {  # group of --help -> its parameters, in a user's order; all others are shown by --help-all
     "Input": ("sensors", "robots", "sets", "truth", "given_map", "smooth"),
     "Many logs": ("jobs", "cluster", "each", "again", "robot_from", "sweep"),
     "Output": ("out", "write", "save", "connect", "web", "tab", "rerun", "open", "verbose"),
@@ -32,32 +32,32 @@ FIRST = {  # group of --help -> its parameters, in a user's order; all others ar
 
 
 class Options(msgspec.Struct, frozen=True):
-    """All options of a command line. Parts without options in a command have their defaults."""
+    """All options of a command; those that a command does not have keep their defaults."""
 
     how: LogOptions = field(default_factory=LogOptions)  # how logs are read
-    asked: Asked = field(default_factory=Asked)  # what is computed of each
+    asked: Asked = field(default_factory=Asked)  # what is computed for each log
     outputs: Outputs = field(default_factory=Outputs)  # what is written, and where
     gates: GateOptions = field(default_factory=GateOptions)
     fleet: FleetOptions = field(default_factory=FleetOptions)
 
     @property
     def inputs(self) -> tuple[Path | None, ...]:
-        """Input files beside the log, which must not be overwritten."""
+        """Input files besides the log, which must not be overwritten."""
         return (*self.how.robots, self.gates.baseline, self.how.given_map)
 
 
 PARTS = {part.name: part.type for part in msgspec.structs.fields(Options)}
-# the parameters that fill them
-CARRIED = {"truth", *(name for kind in PARTS.values() for name in kind.__struct_fields__)}
+# parameters that set their fields
+CARRIED_OPTIONS = {"truth", *(name for kind in PARTS.values() for name in kind.__struct_fields__)}
 
 
 def carried(*declared: Declared) -> Callable[[F], F]:
-    """Add options to a command, which receives them as `options: Options`, and others under their own names."""
+    """Add options to a command; it receives them as `options: Options`, and any others as arguments."""
 
     def decorate(command: F) -> F:
         @functools.wraps(command)
         def wrapped(log: tuple[str, ...], **given: Any) -> Any:
-            own = {n: v for n, v in given.items() if n not in CARRIED}
+            own = {n: v for n, v in given.items() if n not in CARRIED_OPTIONS}
             return command(log, options=_options(given), **own)
 
         decorated: Any = wrapped
@@ -70,7 +70,7 @@ def carried(*declared: Declared) -> Callable[[F], F]:
 
 
 def _options(given: Mapping[str, Any]) -> Options:
-    """Return click's values in one carrier. Raises click.UsageError for contradictions."""
+    """Return click's values as one record. Raises click.UsageError for contradictions."""
     if given.get("cluster") is not None and given["jobs"] > 1:
         raise click.UsageError("--jobs is for this machine; --cluster runs a job per thread of its workers")
     begin, end, truth = given.get("begin"), given.get("end"), given["truth"]
@@ -88,7 +88,7 @@ def _options(given: Mapping[str, Any]) -> Options:
 
 
 class Grouped(click.Command):
-    """A command whose --help shows the most used options in groups; --help-all shows all of them."""
+    """A command whose --help shows the most used options in groups, and --help-all all options."""
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
@@ -96,11 +96,11 @@ class Grouped(click.Command):
         self.params.append(click.Option(["--help-all"], help="Show all options.", **own))
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the groups; other options only with --help-all."""
+        """Write the groups of options, with --help-all also the other options."""
         records = {p.name: record for p in self.get_params(ctx) if (record := p.get_help_record(ctx))}
         own = self.get_help_option(ctx)
         help_itself = [records.pop(name) for name in (own and own.name, "help_all") if name in records]
-        groups = {title: [records.pop(n) for n in names if n in records] for title, names in FIRST.items()}
+        groups = {title: [records.pop(n) for n in names if n in records] for title, names in HELP_GROUPS.items()}
         groups |= {"More": list(records.values()) if ctx.meta.get(HELP_ALL) else [], "Help": help_itself}
         for title, rows in groups.items():
             if rows:
@@ -116,7 +116,7 @@ def _help_all(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
 
 
 class RobotFile(click.Path):
-    """A robot.toml, or with {robot} in its name one file for each robot of a fleet."""
+    """The type of --robot: an existing file, or a pattern with {robot} for the robots of a fleet."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path; one with {robot} need not exist."""
@@ -124,17 +124,17 @@ class RobotFile(click.Path):
 
 
 class Folder(click.Path):
-    """A local folder, or one in a store: s3://bucket/day1/."""
+    """The type of --each: a local folder, or a remote one such as s3://bucket/day1/."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the folder or address as text."""
+        """Return the folder or URL as text."""
         from locfuse.formats.container.url import is_url
 
         return value if is_url(str(value)) else str(super().convert(value, param, ctx))
 
 
 def kinds_of(known: Sequence[str], what: str, default: str | None) -> Callable[..., frozenset[str]]:
-    """Return a callback for comma-separated kinds of output; it raises click.UsageError for others."""
+    """Return a callback that parses comma-separated kinds of output. Raises click.UsageError for unknown ones."""
 
     def chosen(context: click.Context, parameter: click.Parameter, value: str | None) -> frozenset[str]:
         from locfuse.fusion.data import UsageError
@@ -153,7 +153,7 @@ DIRECTORY = click.Path(path_type=Path, file_okay=False)
 
 
 def option(names: str, words: str, **more: Any) -> Declared:
-    """Return an option: its names, and the words of --help."""
+    """Return a click option with these names and this help text."""
     return click.option(*names.split(), help=words, **more)
 
 
@@ -276,7 +276,7 @@ def sensors(words: str) -> Declared:
     )
 
 
-# --- what must hold
+# --- gates
 GATES = (
     each(
         "--fail-if",
@@ -340,7 +340,7 @@ RERUN = (
 
 # --- many logs
 def fleet(hidden: bool = False) -> tuple[Declared, ...]:
-    """Return the options of many logs; `hidden` from --help if they belong to another command."""
+    """Return the options for many logs; with `hidden` they are not in --help."""
     return (
         option(
             "-j --jobs",

@@ -1,6 +1,6 @@
-"""The screen: lines by click, tables by rich, and text of a log with its control characters made visible.
+"""The screen: lines by click, tables by rich, with control characters in a log's text made visible.
 
-A reader of stdout that has gone (`| head`) is no error of ours.
+A closed stdout (`| head`) is not an error.
 """
 
 from __future__ import annotations
@@ -21,48 +21,48 @@ if TYPE_CHECKING:
 
 
 def screen(**options: Any) -> Console:
-    """Return rich's console; it passes a broken pipe on instead of ending the program with code 1."""
+    """Return rich's console, changed to raise BrokenPipeError instead of exiting with code 1."""
     from rich.console import Console
     from rich.segment import Segment
 
-    class Patient(Console):
+    class PipeConsole(Console):
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
         def render(
             self, renderable: RenderableType, options: ConsoleOptions | None = None
-        ) -> Iterator[Segment]:  # its own controls (colours, the spinner) pass
+        ) -> Iterator[Segment]:  # rich's own control codes (colours, spinner) are kept
             for text, style, control in super().render(renderable, options):
                 yield Segment(text if control else visible_lines(text), style, control)
 
-    return Patient(**options)
+    return PipeConsole(**options)
 
 
 def say(line: str, err: bool = False) -> None:
     """Print one line on stdout or stderr, with control characters escaped.
 
-    Where the reader of stderr has gone (`2>&1 | head`) it is dropped: the exit code is still returned.
+    If stderr is closed (`2>&1 | head`), the line is dropped, and the exit code is still returned.
     """
     try:
         click.echo(visible(line), err=err)
     except BrokenPipeError:
         if not err:
-            raise  # `reader_may_leave` knows
+            raise  # handled by `ignore_closed_stdout`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 def put(document: str) -> None:
-    """Print JSON or TOML unchanged: its writer has escaped control characters."""
+    """Print JSON or TOML unchanged; its control characters are escaped already."""
     click.echo(document, nl=False)
 
 
 def settle_streams() -> None:
-    """Make the streams safe: a closed one becomes the null device, characters outside an encoding are escaped."""
+    """Replace closed standard streams by the null device, and escape characters outside an encoding."""
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number: this one, so that no file of ours gets it
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this one
     for number, name in ((1, "stdout"), (2, "stderr")):
         stream = getattr(sys, name)
         if stream is None:
@@ -72,7 +72,7 @@ def settle_streams() -> None:
 
 
 @contextmanager
-def reader_may_leave() -> Iterator[None]:
+def ignore_closed_stdout() -> Iterator[None]:
     """Ignore a closed stdout (`| head`): drop further output, still write files and return the exit code."""
     try:
         yield

@@ -1,4 +1,4 @@
-"""The output for the user: tables on stdout, notes and progress on stderr."""
+"""Output for the user: results on stdout, notes and progress on stderr."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from locfuse.formats.report.table import Table
 from locfuse.fusion.progress import heard_by
 
 from . import text_table
-from .screen import put, reader_may_leave, screen
+from .screen import ignore_closed_stdout, put, screen
 from .screen import say as on_screen
 
 if TYPE_CHECKING:
@@ -36,9 +36,9 @@ REFERENCE_NOTE = (
     "Distances are to a reference, not to truth; *: it uses the same sensors, ?: it may be wrong. "
     "See: locfuse explain reference"
 )
-NO_TOPIC = "no topic"  # begins why most sensors are absent, which is expected
+NO_TOPIC = "no topic"  # starts the usual reason of an absent sensor
 SENTENCE_END = re.compile(r"(?<=[.?]) (?=[A-Z])")
-VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
+VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # other verdicts have no colour
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 OR_REFERENCE = ", or measure against the solution of the whole drive: --reference"
 
@@ -72,13 +72,13 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
 
 def width() -> int | None:
-    """Return the width of the screen; None in a pipe or a file, where nothing is wrapped or left out."""
+    """Return the screen's width [characters]; None for a pipe or a file, where nothing is wrapped or cut."""
     console = screen()
     return console.width if console.is_terminal or "COLUMNS" in os.environ else None
 
 
 def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
-    """Print lines as they are, some of them bold where the screen can."""
+    """Print lines; those in `bold` are bold if the screen supports it."""
     from rich.text import Text
 
     console = screen(soft_wrap=True, highlight=False)
@@ -89,27 +89,27 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
 def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]:
     """Print a result and its notes, record it for Rerun if asked, and return losses in words.
 
-    `files` are those that it was written to, in one folder.
+    `files` are the written files, in one folder.
     """
     how, outputs, lost = options.how, options.outputs, found.losses(options.how.strict)
-    said = notes_in_words(found.report)
+    notes = notes_in_words(found.report)
     unusable = [
         f"not used: {s}: {why}" for s, why in found.report["absent"].items() if not why.startswith(NO_TOPIC)
     ]
-    with reader_may_leave():
+    with ignore_closed_stdout():
         if outputs.as_json:
             put(json_report.encode(found.report))
         else:
             result(found.report, files[0].parent, outputs.verbose)
     void = void_reasons(found.report)
-    for line in lost:  # the reasons of exit code 3: printed with --quiet too; void is what a screen has shown
+    for line in lost:  # reasons of exit code 3: printed with --quiet too; void figures are on the screen already
         if line not in void or outputs.as_json or not screen().is_terminal:
             say(f"{'void' if line in void else 'lost'}: {line}")
-    for line in () if how.quiet else said if outputs.verbose else unusable:
+    for line in () if how.quiet else notes if outputs.verbose else unusable:
         say(line)
     transfer(found.loaded.log.transfer, how.quiet)
     record(outputs, found, files[0].parent, say)
-    unprinted = [*said, *filter(_idle, found.report.get("findings") or ())]
+    unprinted = [*notes, *filter(_is_note, found.report.get("findings") or ())]
     if not outputs.as_json:
         end(files, 0 if how.quiet or outputs.verbose else len(unprinted))
     if outputs.open:
@@ -129,16 +129,16 @@ def _page(files: Sequence[Path]) -> Path | None:
 
 
 def end(files: Sequence[Path], notes: int = 0) -> None:
-    """Print the folder of the results in the last line, and how many notes were not printed."""
+    """Print where the results are (page or folder), and the number of notes not printed."""
     page = _page(files)
     where = f"{files[0].parent}: {', '.join(file.name for file in files)}" if page is None else f"report: {page}"
     count = f" ({notes} note{'' if notes == 1 else 's'}: -v)" if notes else ""
-    with reader_may_leave():
+    with ignore_closed_stdout():
         on_screen(f"{where}{count}")
 
 
 def open_page(files: Sequence[Path]) -> None:
-    """Show the page among files in the user's browser; print a line where there is none."""
+    """Open the page among these files in the browser, or print why that is impossible."""
     import webbrowser
 
     if (page := _page(files)) is None:
@@ -148,7 +148,7 @@ def open_page(files: Sequence[Path]) -> None:
 
 
 def result(report: Mapping[str, Any], folder: Path, verbose: bool) -> None:
-    """Print a report: the headline, reasons for void figures, the figures, a line for each sensor, the fixes."""
+    """Print a report: headline, void figures, table of figures, a line for each sensor, fixes."""
     headline(report)
     table(tables.brief(report, short=not verbose))
     if tables.has_figures(report) and verbose:
@@ -170,7 +170,7 @@ def table(shown: Table) -> None:
 
 
 def notes_in_words(report: Mapping[str, Any]) -> list[str]:
-    """Return further notes on the figures: absent sensors, notes, dropped readings."""
+    """Return notes on the figures: unused sensors, notes, dropped readings, the reference."""
     found = [f"not used: {sensor}: {why}" for sensor, why in report["absent"].items()]
     found += [f"note: {note}" for note in notes_of(report)]
     found += [f"dropped: {stream}: {counts(n)}" for stream, n in report["input"]["dropped"].items()]
@@ -186,13 +186,13 @@ def notes_in_words(report: Mapping[str, Any]) -> list[str]:
 
 
 def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
-    """Print to stderr how many bytes of a remote log were transferred, of how many."""
+    """Print to stderr how many bytes of a remote log were transferred: `came` is (read, total)."""
     if came is not None and not quiet:
         say(f"read {came[0] / 1e6:.1f} of {came[1] / 1e6:.1f} MB over the network")
 
 
 def verdicts(report: Mapping[str, Any]) -> None:
-    """Print each sensor's effect; sensors with equal words share a line, and no sentence repeats."""
+    """Print the verdict on each sensor; sensors with equal verdicts share a line."""
     from rich.text import Text
 
     equal: dict[tuple[str, str], list[str]] = {}
@@ -207,7 +207,7 @@ def verdicts(report: Mapping[str, Any]) -> None:
 
 
 def headline(report: Mapping[str, Any]) -> None:
-    """Print the headline first, then which figures are not reliable."""
+    """Print the headline, then the warnings on void and doubtful figures."""
     from rich.text import Text
 
     if report.get("headline"):
@@ -217,19 +217,19 @@ def headline(report: Mapping[str, Any]) -> None:
 
 
 def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: bool = True) -> None:
-    """Print what is wrong or can be improved, with the fix that was tried.
+    """Print findings with the tried fix of each.
 
-    Fixes of several findings are in a file of the results' `folder`; without one they are printed.
+    All fixes together are in a file in `folder`; without a folder they are printed.
     """
     found = report.get("findings") or ()
-    lines(sentence(f, brief=not verbose) for f in found if verbose or not _idle(f))
+    lines(sentence(f, brief=not verbose) for f in found if verbose or not _is_note(f))
     if (all_fixes := together(report)) is not None:
         text = all_fixes if folder is None else f"All fixes together: --robot {folder / 'fixes.toml'}"
         lines([text], bold=[text])
 
 
-def _idle(finding: Mapping[str, Any]) -> bool:
-    """Return whether a finding is harmless and has no fix; then it counts as a note."""
+def _is_note(finding: Mapping[str, Any]) -> bool:
+    """Return whether a finding is harmless and without fix, and is printed only with -v."""
     return not finding["fixes"] and bool(finding.get("harmless"))
 
 

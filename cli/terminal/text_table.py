@@ -1,4 +1,4 @@
-"""A table on a terminal, fitted to its width: less important columns are left out, numbers are never cut."""
+"""Tables on a terminal, fitted to its width: less important columns are left out, numbers are never cut."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from msgspec.structs import replace
 from locfuse.formats.report.table import Cell, Column, Table, heading, text
 from locfuse.formats.visible import visible
 
-MIN_CELL_WIDTH = 12  # characters of a text that is cut
+MIN_CELL_WIDTH = 12  # characters: a text is not cut to less
 
 
 class Strip(msgspec.Struct, frozen=True):
-    """One column as text, its heading first."""
+    """One column of a table as text: heading, then cells."""
 
     column: Column
     cells: tuple[str, ...]
 
     @property
     def width(self) -> int:
-        """Characters of its widest cell."""
+        """Characters of the widest cell."""
         return max(map(len, self.cells))
 
     def padded(self) -> list[str]:
-        """Return heading and cells, all of one width."""
+        """Return heading and cells padded to one width."""
         pad = str.rjust if self.column.kind == "number" else str.ljust
         return [pad(cell, self.width) for cell in self.cells]
 
@@ -45,13 +45,13 @@ def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
 
 
 def _text(column: Column, cell: Cell) -> str:
-    """Return a cell as text; a number gets only the decimals that a terminal needs."""
+    """Return a cell as text; numbers with the few decimals of `brief_form`."""
     number = isinstance(cell.value, int | float) and not isinstance(cell.value, bool)
     return text(replace(column, form=column.brief_form) if number and column.brief_form else column, cell)
 
 
 def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:
-    """Use short words, then leave columns out, then cut the widest texts."""
+    """Fit columns to a width: shorter words first, then fewer columns, then cut texts."""
     kept = list(strips)
     if _width(kept, gap) > width:
         kept = [_shorter(s) for s in kept]
@@ -77,7 +77,7 @@ def _width(strips: Sequence[Strip], gap: int) -> int:
 
 
 def _cut(cell: str, width: int) -> str:
-    """Cut out the middle of a text: both ends of a topic's name matter more."""
+    """Return a text with its middle replaced by "…", at most `width` characters long."""
     if len(cell) <= width:
         return cell
     head = (width - 1) // 2

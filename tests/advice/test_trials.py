@@ -126,5 +126,5 @@ def test_a_clock_that_is_moved_and_moved_back_is_no_advice(last: str, left: list
     open_one = Advice(Finding("compass", "outliers", "a third does not fit"))
     kept = (f"camera.time_offset={last}", "lrf.range_scale=0.95")
     robot = SimpleNamespace(settings=lambda _: SimpleNamespace(time_offset=0.0, range_scale=1.0))
-    found = evaluator.changing([moved, scaled, open_one], kept, robot)  # type: ignore[arg-type]
+    found = evaluator.without_repeated([moved, scaled, open_one], kept, robot)  # type: ignore[arg-type]
     assert [(a.finding.role, a.fixes) for a in found] == [*left, ("compass", ())]

@@ -13,7 +13,7 @@ from commands import Done, locfuse, ok
 
 from locfuse import sample_logs
 from locfuse.cli.commands.compare import compare
-from locfuse.cli.terminal.options import FIRST
+from locfuse.cli.terminal.options import HELP_GROUPS
 
 MAX_LINES, MAX_WORDS, MAX_OPTIONS = 12, 128, 14
 OPTION = re.compile(r"^  (?:-\w, )?(--[a-z-]+)", re.MULTILINE)
@@ -85,7 +85,7 @@ def test_the_groups_of_help_name_parameters_that_exist() -> None:
     from locfuse.cli.commands.view import view
 
     known = {p.name for command in (compare, fleet, run, view) for p in command.params}
-    assert {name for names in FIRST.values() for name in names} <= known
+    assert {name for names in HELP_GROUPS.values() for name in names} <= known
 
 
 def test_on_a_narrow_terminal_words_are_wrapped_and_figures_whole(

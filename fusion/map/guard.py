@@ -162,7 +162,10 @@ class Guard:
             self._lose(self._series.begun, lines, belief)
             return again(), False
         if turn is not None:
-            return self._correct_heading(turn, belief, again), True
+            belief.shift((0.0, 0.0, turn), SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2)
+            self._jumps.append(Jump(t, SLIP, (0.0, 0.0, turn)))
+            self._since, self._jumped = None, False
+            return again(), True
         usable = self._is_usable(before, now, share, lines, belief)
         return again(), usable and self._suspicion is None
 
@@ -252,13 +255,6 @@ class Guard:
         shares = [with_slip(belief, turn, again).share() for turn in turns]
         best = int(np.argmax(shares))
         return turns[best] if suspicion.confirmed(shares[best] - kept, by_scans is not None) else None
-
-    def _correct_heading(self, turn: float, belief: JointBelief, again: Again) -> Association:
-        """Correct the heading by a slip [rad]; return the new association."""
-        belief.shift((0.0, 0.0, turn), SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2)
-        self._jumps.append(Jump(self._now, SLIP, (0.0, 0.0, turn)))
-        self._since, self._jumped = None, False
-        return again()
 
     def _is_usable(
         self, before: Sequence[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief

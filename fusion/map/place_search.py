@@ -28,13 +28,12 @@ from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.scan_matching.solve import chi2_of
 
 from .anchors import Anchors
-from .line_map import LineMap
+from .line_map import MIN_HITS, LineMap
 from .scan import Scan
 from .slips import Trail
 from .small_maps import as_scan
 from .way import Way
 
-MIN_HITS = 4  # map walls that were seen less often are not used
 MIN_SKEW_RAD = math.radians(25.0)  # least angle between two walls that determine a pose
 APART_RAD = math.radians(20.0)  # poses whose headings differ by more are different
 # --- search for one scan

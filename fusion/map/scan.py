@@ -102,7 +102,8 @@ class Standing:
             self._scans, self._first = 1, rows
             return rows
         if self._scans == 1:
-            self._begin_sums(self._first)
+            self._lines = self._first[:, (0, 1, 5, 6)]
+            self._sums, self._counts = np.zeros((len(self._first), 2)), np.zeros(len(self._first), np.intp)
         same = self._same(rows)
         length = rows[:, 6] - rows[:, 5]
         if float(length[same >= 0].sum()) < SAME_SHARE * float(length.sum()):
@@ -114,10 +115,6 @@ class Standing:
         mean[:, :2] = self._lines[same, :2] + self._sums[same] / self._counts[same, None]
         self._sums[:], self._counts[:] = 0.0, 0
         return mean
-
-    def _begin_sums(self, rows: Array) -> None:
-        self._lines = rows[:, (0, 1, 5, 6)]
-        self._sums, self._counts = np.zeros((len(rows), 2)), np.zeros(len(rows), np.intp)
 
     def _add(self, rows: Array, same: Ints) -> None:
         """Add the lines of a scan to the sums of equal earlier lines `same` (k,); -1 starts a new sum."""

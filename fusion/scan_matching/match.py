@@ -108,7 +108,7 @@ def _match(
     for radius in RADII_M:
         pairs = _Pairs.made(targets, i[moving], sources, j[moving], pose[moving], max(radius * scale, RADII_M[-1]))
         H, g = pairs.normal_equations()
-        off = se2_difference(guess[moving], pose[moving])
+        off = se2.difference(guess[moving], pose[moving])
         Lambda = prior[moving]
         step = np.linalg.solve(
             H + Lambda + 1e-6 * np.eye(3), (g + np.einsum("nij,nj->ni", Lambda, off))[..., None]
@@ -120,16 +120,9 @@ def _match(
             break
     last = _Pairs.made(targets, i, sources, j, pose, RADII_M[0])
     H, _ = last.normal_equations()
-    pulled = np.einsum("nij,nj->ni", prior, se2_difference(pose, guess))
+    pulled = np.einsum("nij,nj->ni", prior, se2.difference(pose, guess))
     alone = pose + np.linalg.solve(H + np.diag(1.0 / np.square(MAX_ALONE_SIGMAS)), pulled[..., None])[..., 0]
     return Matches(pose, alone, floored(H), *last.quality(np.diff(sources.first)[j]))
-
-
-def se2_difference(a: Array, b: Array) -> Array:
-    """Return the difference a - b of poses (n, 3) by component, with the angle wrapped."""
-    d = a - b
-    d[:, 2] = se2.wrap_all(d[:, 2])
-    return d
 
 
 def floored(information: Array) -> Array:

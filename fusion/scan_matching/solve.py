@@ -87,8 +87,7 @@ class Edges(Columns, frozen=True):
 
 def chi2_of(poses: Array, expected: Array, P: Array) -> Array:
     """Return squared Mahalanobis distances (n,) of poses (n, 3) from `expected` (3,), with joint covariance P."""
-    off = poses - expected
-    off[:, 2] = se2.wrap_all(off[:, 2])
+    off = se2.difference(poses, expected)
     found: Array = np.einsum("ni,nij,nj->n", off, np.broadcast_to(np.linalg.inv(P), (len(off), 3, 3)), off)
     return found
 

@@ -232,7 +232,7 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
     if truth.theta is None:
         e, T = _lengths(seen, motions.u, sigma)
     else:
-        e = np.column_stack((seen[:, :2] - motions.u[:, :2], se2.wrap_all(seen[:, 2] - motions.u[:, 2])))
+        e = se2.difference(seen, motions.u)
         T = _truth_noise(seen, sigma)
     # eq. 9: the variance of a wheel's way in one period is delta (omega dt R)^2, so per metre delta v dt
     per_period = wheels.rolled**2 * (PAPER_PERIOD_S / np.diff(wheels.t))[:, None]

@@ -107,8 +107,7 @@ class Intervals(msgspec.Struct, frozen=True):
 
     def errors(self, p: Array) -> Array:
         """Return the laser's motions minus the predicted ones, (n, 3), for parameters p (7,)."""
-        e = self.s - self.predicted(p)
-        return np.column_stack((e[:, :2], se2.wrap_all(e[:, 2])))
+        return se2.difference(self.s, self.predicted(p))
 
     def derivative(self, p: Array) -> Array:
         """Return the derivative (n, 3, 7) of `predicted` by the parameters p, by central differences."""
@@ -116,9 +115,7 @@ class Intervals(msgspec.Struct, frozen=True):
         for k, h in enumerate(STEPS.tolist()):
             step = np.zeros(7)
             step[k] = h
-            d = self.predicted(p + step) - self.predicted(p - step)
-            d[:, 2] = se2.wrap_all(d[:, 2])
-            columns.append(d / (2.0 * h))
+            columns.append(se2.difference(self.predicted(p + step), self.predicted(p - step)) / (2.0 * h))
         return np.stack(columns, axis=-1)
 
     def wheel_noise(self, p: Array) -> Array:

@@ -96,12 +96,12 @@ def calibrate_tricycle(
 
     def of_windows(p: Array) -> Array:
         at = point(p)
-        e = _residual(se2.between(at[first], at[later[first]]), moved)
+        e = se2.difference(se2.between(at[first], at[later[first]]), moved)
         return np.asarray(e[:, 2] + p[BIAS] * spans if by == "gyro" else e.ravel())
 
     def of_path(p: Array) -> Array:
         at = point(p)
-        return _residual(se2.compose(np.broadcast_to(p[BEGIN], at.shape), at), pose).ravel()
+        return se2.difference(se2.compose(np.broadcast_to(p[BEGIN], at.shape), at), pose).ravel()
 
     def fit(residual: Callable[[Array], Array], start: Array, free: list[int], steps: int) -> tuple[Array, Any]:
         def put(x: Array) -> Array:
@@ -168,12 +168,6 @@ def _starts(settings: WheelSettings) -> list[Array]:
     starts[:, SCALE], starts[:, BASE] = 1.0, settings.wheelbase or 1.0
     starts[:, GAIN] = np.array(GAIN_FACTORS) / (settings.servo_gain or 1.0)
     return [*starts]
-
-
-def _residual(a: Array, b: Array) -> Array:
-    e = a - b
-    e[:, 2] = se2.wrap_all(e[:, 2])
-    return e
 
 
 def _figure(value: float, sigma: float) -> Figure:

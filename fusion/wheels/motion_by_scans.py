@@ -29,7 +29,7 @@ from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, left_out
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser, equal_scans, points_in_base
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
-from locfuse.fusion.scan_matching.match import Matches, Targets, match, overlap, se2_difference, sources_of
+from locfuse.fusion.scan_matching.match import Matches, Targets, match, overlap, sources_of
 from locfuse.fusion.sensor import WheelMotion
 
 from .motion import Wheels
@@ -172,7 +172,7 @@ def _spaced(t: Array) -> Ints:
 
 
 def _predict(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velocity, int]:
-    """Continue with constant velocity through scans `rows` (m,) without surfaces."""
+    """Continue through scans `rows` (m,) without surfaces, with the decaying velocity."""
     for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
         velocity = velocity.after(span)
         way.step[row], way.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
@@ -193,7 +193,8 @@ def _match_in_sequence(
         before = known.after(span)
         pair = _neighbours(targets, sources, ends[[k]], ends[[k + 1]], before, span)
         fits.append(bool(_fits(pair)[0]))
-        known = before.corrected(span, se2.log(pair.pose)[0], _accepted_information(pair)[0])
+        information = INFORMATION_SHARE * constrained(pair.information)[0] if fits[-1] else np.zeros((3, 3))
+        known = before.corrected(span, se2.log(pair.pose)[0], information)
         found.append(known)
         spread.append(known.spread(before, span))
     return found, np.array(spread), np.array(fits)
@@ -218,13 +219,6 @@ def _neighbours(targets: Targets, sources: Clouds, i: Ints, j: Ints, known: Velo
 
 def _fits(found: Matches) -> Array:
     return np.asarray((found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP))
-
-
-def _accepted_information(found: Matches) -> Array:
-    """Return the information (p, 3, 3) of the matches, 0 for rejected matches."""
-    return np.asarray(
-        np.where(_fits(found)[:, None, None], INFORMATION_SHARE * constrained(found.information), 0.0)
-    )
 
 
 def constrained(information: Array) -> Array:
@@ -258,7 +252,7 @@ def _keys(targets: Targets, sources: Clouds, chain: Array) -> Ints:
 
 
 def _mutual_overlap(targets: Targets, sources: Clouds, chain: Array, a: int, b: int) -> float:
-    """Return the product of the shares of two scans that overlap, each with the other.
+    """Return the overlap share of scan a with scan b times that of scan b with scan a.
 
     A laser that looks forward sees all points of a later scan already in an earlier one, but not conversely.
     """
@@ -288,7 +282,7 @@ def _match_with_keys(
 def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
     """Return poses (p, 3) and covariances (p, 3, 3) after combining the prior with the scan matches."""
     full = np.where(_fits(found)[:, None, None], constrained(found.information), 0.0)
-    off = se2_difference(found.pose, guess)
+    off = se2.difference(found.pose, guess)
     step = np.linalg.solve(prior + full, (full @ off[:, :, None]))[:, :, 0]
     return guess + step, inverse(prior + INFORMATION_SHARE * full)
 

@@ -40,15 +40,9 @@ class Anchors:
         """Return the number of anchors."""
         return len(self.pose)
 
-    def first(self, pose: Array, P: Array) -> int:
-        """Add an anchor with a known pose (3,) and covariance (3, 3); return its index."""
-        self.pose = np.vstack((self.pose, pose))
-        self.add(Edge(NOWHERE, len(self.pose) - 1, np.asarray(pose), inverted(P)))
-        return len(self.pose) - 1
-
-    def next(self, of: int, z: Array, P: Array) -> int:
-        """Add an anchor at z (3,) with covariance (3, 3) relative to anchor `of`; return its index."""
-        self.pose = np.vstack((self.pose, se2.compose(self.pose[of], z)))
+    def append(self, of: int, z: Array, P: Array) -> int:
+        """Add an anchor at z (3,) with covariance (3, 3) relative to anchor `of` or NOWHERE; return its index."""
+        self.pose = np.vstack((self.pose, z if of == NOWHERE else se2.compose(self.pose[of], z)))
         self.add(Edge(of, len(self.pose) - 1, np.asarray(z), inverted(P)))
         return len(self.pose) - 1
 

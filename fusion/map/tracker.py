@@ -30,7 +30,7 @@ from locfuse.fusion.data import (
     SeenAgain,
 )
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.map_frame import Pose, by_frame
+from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
@@ -145,11 +145,11 @@ class LineTracker(Model):
         self._first_map = list(given)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether scan i begins a map: it has lines, and the map has none."""
+        """Return whether the map is empty and scan i has lines."""
         return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Add a motion by wheel odometry: scans at rest are averaged."""
+        """Add a motion by wheel odometry, to detect scans at rest."""
         self._standing.rolled(u)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Association:
@@ -344,10 +344,6 @@ class AtlasTracker(LineTracker):
             self._enter(np.array(pose), belief)
         elif self._along is not None:
             self._along.add(i, pose)
-        self._extend_path(i, pose, belief)
-
-    def _extend_path(self, i: int, pose: Pose, belief: JointBelief) -> None:
-        """Extend the path, search for the present submap in earlier ones, and check whether it is full."""
         if self._way.extend(pose):
             self._way.keep(self._t[i], pose, self._seen)
         if self._way.length - self._searched_at >= (LOOK_AGAIN_M if self._searched_at else FIRST_LOOK_M):
@@ -373,7 +369,7 @@ class AtlasTracker(LineTracker):
             self._leave(belief, connected=False)
             self._return_to(back, belief)
             return True
-        recent = self._seen_last()
+        recent = np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
         if not len(recent) or not self._may_begin_next(recent, belief):
             return False  # no wall connects both submaps yet, or the heading is too uncertain
         shared = shared_walls(self.map, recent, belief)
@@ -398,10 +394,6 @@ class AtlasTracker(LineTracker):
                 self.guard.enter_map()
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
-
-    def _seen_last(self) -> Ints:
-        """Return the indices of the walls seen in the last RECENT_SCANS scans."""
-        return np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
 
     def _may_begin_next(self, recent: Ints, belief: JointBelief) -> bool:
         """Return whether the heading relative to the recent walls is certain, or the reach is exceeded."""
@@ -461,12 +453,12 @@ class AtlasTracker(LineTracker):
         frame = belief.frame_pose()
         if self._left is None:
             own = np.zeros((3, 3)) if frame is None else belief.frame_covariance()
-            self._at = self._anchors.first(np.zeros(3) if frame is None else np.array(frame), own)
+            self._at = self._anchors.append(NOWHERE, np.zeros(3) if frame is None else np.array(frame), own)
         else:
             z, P = self._left
             if frame is None:  # the map frame is the map itself
                 z, P = 0.0 * z, 0.0 * P
-            self._at = self._anchors.next(self._at, z, P)
+            self._at = self._anchors.append(self._at, z, P)
             if frame is not None:
                 self._anchors.pose[-1] = frame
         self._way, self._origin, self._searched_at, self._looks = Way(), pose, 0.0, Looks()
@@ -476,7 +468,7 @@ class AtlasTracker(LineTracker):
         self._search_again_at = {}
 
     def _add_absolute_edge(self, belief: JointBelief) -> None:
-        """Add an edge with the information on the map frame by absolute sensors since it began."""
+        """Add an edge with the information that absolute sensors gave on the map frame since its begin."""
         frame = belief.frame_pose()
         if frame is None:
             return

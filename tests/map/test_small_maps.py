@@ -19,6 +19,7 @@ from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.map.place_search import MapWithPath, find_closure, rival_spread
 from locfuse.fusion.map.small_maps import begin_submap, heading_among, shared_walls
 from locfuse.fusion.map.way import Way
+from locfuse.fusion.scan_matching.solve import NOWHERE
 
 P_STEP = np.diag(np.square((0.1, 0.05, 0.02)))
 
@@ -27,10 +28,10 @@ def square_with_a_closure() -> Anchors:
     """Four sides of 10 m driven with an error, and the start recognised at the end."""
     rng = np.random.default_rng(3)
     graph = Anchors()
-    at = graph.first(np.zeros(3), np.zeros((3, 3)))
+    at = graph.append(NOWHERE, np.zeros(3), np.zeros((3, 3)))
     for _ in range(4):
         z = np.array([10.0, 0.0, np.pi / 2]) + rng.normal(0.0, (0.1, 0.05, 0.02))
-        at = graph.next(at, z, P_STEP)
+        at = graph.append(at, z, P_STEP)
     return graph
 
 
@@ -74,10 +75,10 @@ def test_a_frame_that_is_known_better_teaches_the_rest_as_a_reading_of_it_would(
 def test_a_way_that_was_worse_than_claimed_is_loosened_until_its_error_is_an_ordinary_one() -> None:
     """The closure contradicts the way by 10 sigma; by the variance factor its chi-square becomes about 3."""
     graph = Anchors()
-    at = graph.first(np.zeros(3), np.zeros((3, 3)))
+    at = graph.append(NOWHERE, np.zeros(3), np.zeros((3, 3)))
     for _ in range(2):
-        at = graph.next(at, np.array([10.0, 0.0, 0.0]), P_STEP)
-    other = graph.next(at, np.array([5.0, 0.0, 0.0]), P_STEP)
+        at = graph.append(at, np.array([10.0, 0.0, 0.0]), P_STEP)
+    other = graph.append(at, np.array([5.0, 0.0, 0.0]), P_STEP)
     aside = graph.relative(at, other)[1].copy()
     z, P = graph.relative(0, at)
     z = z + 10.0 * np.sqrt(np.diagonal(P)) * (0.0, 1.0, 0.0)

@@ -23,7 +23,6 @@ from locfuse.fusion.sensor import WheelMotion
 # pieces of a scan's duration with independent wheel slip: three before its middle and three after
 SWEEP_PIECES = 6
 PIECE_EDGES = np.linspace(-0.5, 0.5, SWEEP_PIECES + 1)  # of the pieces, in sweeps from its middle
-__all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
 MAX_RANGE_M = 1e6  # larger ranges count as no return
 _BATCH = 256  # scans processed at once,
 _BEAMS = 100_000  # unless they have more beams than this in total: working memory is some 300 bytes per beam

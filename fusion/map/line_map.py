@@ -346,7 +346,8 @@ def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | N
     best, found = DOUBLE_D2, None
     for i in _near(lines, values, j).tolist():
         y, H, _, _ = _difference(lines, values, i, j)
-        S = H @ _joint(lines, belief, i, j) @ H.T + R
+        columns = _columns(lines, i, j)
+        S = H @ belief.covariance[np.ix_(columns, columns)] @ H.T + R
         d2 = float(y @ np.linalg.solve(S, y))
         if d2 < best:
             best, found = d2, i
@@ -368,12 +369,6 @@ def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, A
 def _columns(lines: LineMap, i: int, j: int) -> Ints:
     a, b = int(lines.column[i]), int(lines.column[j])
     return np.array([a, a + 1, b, b + 1])
-
-
-def _joint(lines: LineMap, belief: JointBelief, i: int, j: int) -> Array:
-    columns = _columns(lines, i, j)
-    P: Array = belief.covariance[np.ix_(columns, columns)]
-    return P
 
 
 def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:

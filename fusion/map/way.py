@@ -21,7 +21,7 @@ from locfuse.fusion.data import Array, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.key_scans import KeyScans, key_scans
+from locfuse.fusion.scan_matching.key_scans import key_scans
 from locfuse.fusion.scan_matching.neighbours import by_wheels
 from locfuse.fusion.scan_matching.solve import Edges, Problem, relative
 from locfuse.fusion.sensor import Equation
@@ -114,7 +114,8 @@ class WayByScans:
         first, last = np.searchsorted(keys.readings, readings[on_key[[0, -1]]]).tolist()
         if not MIN_KEYS <= last - first < MAX_KEYS:
             return
-        z, R = end_of_way(*way_between(keys, first, last))
+        matches = keys.matches.take((keys.matches.i >= first) & (keys.matches.j <= last))
+        z, R = end_of_way(keys.steps[first:last], replace(matches, i=matches.i - first, j=matches.j - first))
         equation = compared(z, R + 2.0 * FILTER_P, begin, se2.between(np.array(belief.pose()), end), mount, belief)
         S = equation.H @ belief.covariance[np.ix_(equation.columns, equation.columns)] @ equation.H.T + equation.R
         worse = float(equation.y @ np.linalg.solve(S, equation.y)) / 3.0
@@ -123,12 +124,6 @@ class WayByScans:
             equation = equation._replace(R=worse * equation.R)
         y, columns, H, R = (part.tolist() for part in equation)
         belief.know(y, R, columns, H)
-
-
-def way_between(keys: KeyScans, first: int, last: int) -> tuple[Array, Edges]:
-    """Return the motions (n, 3) from key scan `first` to key scan `last`, and the matches among these n + 1."""
-    found = keys.matches.take((keys.matches.i >= first) & (keys.matches.j <= last))
-    return keys.steps[first:last], replace(found, i=found.i - first, j=found.j - first)
 
 
 def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:

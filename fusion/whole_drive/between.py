@@ -48,7 +48,7 @@ class Spans(Columns, frozen=True):
 
     @classmethod
     def of(cls, odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints) -> Spans:
-        """Return the spans of times with odometry `stamps` after update times k (n,), between keys (m,)."""
+        """Return for times with odometry `stamps` the keys before and after, and the odometry since the former."""
         a = np.clip(np.searchsorted(keys, k, side="right") - 1, 0, max(len(keys) - 2, 0))
         b = np.minimum(a + 1, len(keys) - 1)
         home = se2.inverse(odometry.pose[keys[a]])
@@ -106,11 +106,11 @@ class Fixes(Columns, frozen=True):
 def bridged(
     odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints, x: Array, P: Array, after: Array, fixes: Fixes
 ) -> tuple[Array, Array]:
-    """Interpolate poses (n, 3) and covariances (n, 3, 3) at times `stamps` after update times k (n,).
+    """Interpolate poses (n, 3) and covariances (n, 3, 3) between key poses, at times with odometry `stamps`.
 
-    `keys` (m,) are the update times of the key poses x (m, 3), with covariances P (m, 3, 3) and cross covariances
-    `after` (m - 1, 3, 3) with the next key pose. The first key is not after any stamp. After the last key, only
-    odometry is used.
+    `k` (n,) are the last update times before. `keys` (m,) are the update times of the key poses x (m, 3), with
+    covariances P (m, 3, 3) and cross covariances `after` (m - 1, 3, 3) with the next key pose. The first key is
+    not after any stamp. After the last key, only odometry is used.
     """
     spans = Spans.of(odometry, stamps, k, keys)
     xi, rest = fixes.at(odometry, k, spans)

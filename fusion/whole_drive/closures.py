@@ -275,7 +275,10 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
     known &= moved
     searched = np.flatnonzero(~narrow & (reach < wide) & narrower)
     for c in searched[np.argsort(reach[searched], kind="stable")][:MAX_SEARCHES].tolist():
-        peak = _searched(found, c, maps)
+        ours, theirs = (
+            maps.clouds.xy[maps.clouds.first[s] : maps.clouds.first[s + 1]] for s in (found.a[c], found.b[c])
+        )
+        peak = correlate(ours, theirs, found.guess[c], sigma[c])
         loops.searches += 1
         pair = pairs[c]
         loops.searched[pair] = float(reach[c])
@@ -293,13 +296,6 @@ def _moved(rejected: Array | None, guess: Array) -> bool:
         return True
     step = se2.between(rejected, guess)
     return bool(np.hypot(step[0], step[1]) > MOVED_M or abs(se2.wrap(float(step[2]))) > MOVED_RAD)
-
-
-def _searched(found: Candidates, c: int, maps: Submaps) -> Peak:
-    ours, theirs = (
-        maps.clouds.xy[maps.clouds.first[s] : maps.clouds.first[s + 1]] for s in (found.a[c], found.b[c])
-    )
-    return correlate(ours, theirs, found.guess[c], found.sigma[c])
 
 
 def judged(
@@ -329,7 +325,7 @@ def judged(
 
 
 def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
-    """Return for candidates at `pose` (c, 3) the share of points in space that the other submap saw as free."""
+    """Return for candidates at `pose` (c, 3) the share of points of one submap in free space of the other."""
     pair, i, j, relative_poses = [], [], [], []
     for k, (a, b) in enumerate(zip(c.a.tolist(), c.b.tolist(), strict=True)):
         ours, theirs = maps.members[a], maps.members[b]

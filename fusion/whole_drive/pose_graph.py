@@ -94,7 +94,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
-        """Return keys, poses, covariances and fixes; the start pose is added as first key if it is not a key."""
+        """Return keys, poses, covariances and odometry errors, with the start pose as first key pose."""
         keys, x, (own, after), fixes = self.keys, self.x, self.spread, self.fixes
         if not keys[0]:
             return keys, x, own, after, fixes

@@ -121,7 +121,7 @@ class References(msgspec.Struct, frozen=True):
         return next((pair for pair in self.contradict if set(pair) <= known), None)
 
     def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:
-        """Evaluate with a reference that shares no sensor with the estimate, if possible; return both."""
+        """Evaluate an estimate, if possible by a reference of other sensors; return evaluation, reference."""
         others = [
             r
             for r in self.solved.values()

@@ -46,8 +46,7 @@ FIRST_ROWS, FIRST_STATES = 32, 16  # initial capacity
 class JointBelief(ekf.State):
     """Pose, blocks of the sensors, map frame and map lines as one state vector (n,) with covariance (n, n).
 
-    After the begin of a local frame (map_frame), x, y, theta, pose(), matrix() and the lines are in this frame;
-    use InMap for the pose in the map.
+    Once a local frame begins (map_frame), x, y, theta, pose(), matrix() and lines are local; InMap is not.
     """
 
     def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block] = ()) -> None:

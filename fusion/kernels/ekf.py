@@ -469,8 +469,7 @@ class State:
         """Rotate the covariance of the map frame after its correction by (dx, dy) [m].
 
         A rotation of the map about one of its points is not observed yet. Its effect on the frame's position
-        changes with this position: rows x, y += (-dy, dx) row Th. So the rotation stays unobserved after the
-        correction.
+        changes with this position: rows x, y += (-dy, dx) row Th. So the rotation stays unobserved.
         """
         G, n = self.frame, self.n
         for j in range(n):

@@ -52,6 +52,13 @@ def wrap_all(angle: Array) -> Array:
     return (angle + np.pi) % TAU - np.pi
 
 
+def difference(a: Array, b: Array) -> Array:
+    """Return a - b of poses (n, 3) by component, with the angle wrapped."""
+    d = a - b
+    d[:, 2] = wrap_all(d[:, 2])
+    return d
+
+
 def compose(a: Array, b: Array) -> Array:
     """Return a ⊕ b, poses (..., 3); theta is summed, not wrapped, so that turns stay countable."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])

@@ -1,1 +1,1 @@
-"""The extended Kalman filter: the belief and its operations, the map frame, and the record of a run."""
+"""Extended Kalman filter: the belief and its operations, the map frame, events, and the record of a run."""

@@ -1,9 +1,9 @@
-"""The extended Kalman filter: a pose, and any states beside it (map lines, offsets, mounts, wheel parameters).
+"""State of the extended Kalman filter: a pose, and more states (map lines, offsets, mounts, wheel parameters).
 
-All changes of state and covariance are verbs of one class: predict, compare, queue, correct, know, listen; add,
-augment, remove, transform, loosen; clone_heading, clone_pose; shift, place; begin_frame, know_frame. The hot ones
-are compiled (fusion.kernels.ekf, where the paper's eq. 5-7 and 10-12 stand); a textbook filter agrees to 1e-9
-(tests/ekf/test_ekf.py). P stays symmetric by construction. Where `events` is a list, every verb notes what it did.
+State and covariance are changed only by methods of one class: predict, compare, queue, correct, know, listen; add,
+augment, remove, transform, loosen; clone_heading, clone_pose; shift, place; begin_frame, know_frame. The frequent
+ones are compiled (fusion.kernels.ekf, with the paper's eq. 5-7 and 10-12); a textbook filter agrees to 1e-9
+(tests/ekf/test_ekf.py). P stays symmetric by construction. If `events` is set, every method records an event.
 """
 
 from __future__ import annotations
@@ -39,33 +39,33 @@ from .events import (
 from .map_frame import Pose, Triangle, by_frame
 
 POSE = np.arange(3)
-MAX_STATES_OF_A_ROW = 24  # that one row of an equation depends on
-FIRST_ROWS, FIRST_STATES = 32, 16  # room at the start; it grows
+MAX_STATES_OF_A_ROW = 24  # states on which one row of a measurement equation depends
+FIRST_ROWS, FIRST_STATES = 32, 16  # initial capacity
 
 
 class JointBelief(ekf.State):
-    """Pose, sensor-owned blocks, map frame and map lines in one state vector (n,) with one covariance (n, n).
+    """Pose, blocks of the sensors, map frame and map lines as one state vector (n,) with covariance (n, n).
 
-    Where a local frame has begun (map_frame), x, y, theta, pose(), matrix() and the lines are local; InMap is not.
+    Once a local frame begins (map_frame), x, y, theta, pose(), matrix() and lines are local; InMap is not.
     """
 
     def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block] = ()) -> None:
-        """`P` is the triangle xx, xy, xt, yy, yt, tt of the pose's covariance; `blocks` are independent of it."""
+        """`P` is the upper triangle xx, xy, xt, yy, yt, tt of the pose covariance; blocks are independent."""
         super().__init__()
         xx, xy, xt, yy, yt, tt = P
         self._x, self._P = np.zeros(FIRST_STATES), np.zeros((FIRST_STATES, FIRST_STATES))
         self._x[:3] = pose
         self._P[:3, :3] = ((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))
         self._slices: dict[str, slice] = {}
-        self._considered: Ints = np.zeros(0, dtype=np.int64)  # columns that count but are never updated
+        self._considered: Ints = np.zeros(0, dtype=np.int64)  # columns of considered states (Schmidt-Kalman)
         self._drift: list[tuple[Ints, Array]] = []
-        self._clones: set[int] = set()  # columns that hold the heading of an earlier instant
-        self._kept: set[int] = set()  # first of three columns that hold the pose of an earlier instant
-        self._points: set[str] = set()  # blocks that were appended: a point [m] in the local frame each
+        self._clones: set[int] = set()  # columns of cloned headings
+        self._kept: set[int] = set()  # first columns of cloned poses
+        self._points: set[str] = set()  # names of blocks that are points [m] in the local frame
         self._lost = False
-        self._rows: tuple[Any, ...] = ()  # at, H, count, y, R: the table that the kernel works on
+        self._rows: tuple[Any, ...] = ()  # at, H, count, y, R: arrays of the kernel
         self._queue: Ints = np.zeros(0, np.intp)
-        self._sources: list[Source] = []  # of the queued rows, where events are noted
+        self._sources: list[Source] = []  # of the queued rows, if events are recorded
         self.events: Events | None = None
         self._hold()
         for block in blocks:
@@ -73,34 +73,34 @@ class JointBelief(ekf.State):
 
     @classmethod
     def still(cls, blocks: Sequence[Block]) -> JointBelief:
-        """Return a belief for models outside the filter: its blocks keep their first values and are certain."""
+        """Return a belief for models outside the filter: its blocks are constant and exactly known."""
         return cls((0.0,) * 3, (0.0,) * 6, [block._replace(P=0.0 * block.P) for block in blocks])
 
     def stand(self, pose: Array | Sequence[float], P: Any = 0.0) -> None:
-        """Set the pose and its covariance P (3, 3), independent of all other states; clear all rows."""
+        """Set the pose with covariance P (3, 3), independent of all other states; remove all rows."""
         self._x[:3], self._P[:3, :3] = pose, P
         self.begin()
 
-    # ---- what it is ----
+    # ---- access ----
 
     @property
     def state(self) -> Array:
-        """The state vector, a view (n,)."""
+        """Return the state vector (n,), as a view."""
         return self._x[: self.n]
 
     @property
     def covariance(self) -> Array:
-        """The joint covariance, a view (n, n)."""
+        """Return the joint covariance (n, n), as a view."""
         return self._P[: self.n, : self.n]
 
     @property
     def framed(self) -> bool:
-        """Whether a local frame has begun; before that, the local frame is the map."""
+        """Return whether a local frame has begun; before, the local frame is the map."""
         return self.frame >= 0
 
     @property
     def lost(self) -> bool:
-        """Whether the pose may be wrong by metres: then it must not correct the map frame."""
+        """Whether the robot is lost: then corrections of the pose do not change the map frame."""
         return self._lost
 
     @lost.setter
@@ -109,7 +109,7 @@ class JointBelief(ekf.State):
         self._mark_kept()
 
     def triangle(self) -> Triangle:
-        """Return the pose covariance's upper triangle."""
+        """Return the upper triangle of the pose covariance."""
         triangle: Triangle = self.located()[1]
         return triangle
 
@@ -128,40 +128,40 @@ class JointBelief(ekf.State):
         return column
 
     def variances(self, name: str) -> list[float]:
-        """Return the variance of every value of a block."""
+        """Return the variances of a block's states."""
         where = self._slices[name]
         variances: list[float] = self._P.diagonal()[where].tolist()
         return variances
 
     def spread(self, H: Array, columns: Sequence[int] = ()) -> Array:
-        """Return H P H' (d, d), H (d, 3 + c) by the pose and the states `columns` (c,)."""
+        """Return H P H' (d, d) for derivatives H (d, 3 + c) by the pose and the states `columns` (c,)."""
         at = [0, 1, 2, *columns]
         S: Array = H @ self._P[np.ix_(at, at)] @ H.T
         return S
 
     def frame_pose(self) -> Pose | None:
-        """Return the map frame, where the local frame lies in the map; None: they are the same."""
+        """Return the pose of the local frame in the map; None if no local frame has begun."""
         if self.frame < 0:
             return None
         x, y, theta = self._x[self.frame : self.frame + 3].tolist()
         return x, y, theta
 
     def frame_covariance(self) -> Array:
-        """Return the covariance of the map frame, (3, 3); before it begins, that of the pose."""
+        """Return the covariance (3, 3) of the map frame; of the pose if no local frame has begun."""
         at = slice(max(self.frame, 0), max(self.frame, 0) + 3)
         return self._P[at, at].copy()
 
-    # ---- one instant: predict, compare, queue, correct ----
+    # ---- update: predict, compare, queue, correct ----
 
     def predict(self, steps: Steps, k: int) -> None:
-        """Eq. 5-7: move by step k; blocks drift by their random walk."""
+        """Eq. 5-7: predict over motion step k; drifting states get the noise of their random walk."""
         if self.events is None:
             self.move(steps, k)
             return
         before, start = self._before(), self.pose()
         self.move(steps, k)
         Q, J = (np.array(part) for part in steps.noise_of(k))
-        noise = in_map(Q.reshape(3, 3), start[2])  # of the motion, in the map's axes
+        noise = in_map(Q.reshape(3, 3), start[2])  # noise of the motion, in the map's axes
         coupling = se2.rotation(np.array(start[2])) @ J.reshape(3, -1) if self.wheels >= 0 else None
         back = None
         if self.events.backward:
@@ -178,21 +178,21 @@ class JointBelief(ekf.State):
         self.events.add(Moved(start, self.pose(), noise, coupling, back))
 
     def queue(self, seen: Innovation | Reading, sensor: str = "") -> None:
-        """Queue accepted rows, which correct the state at this instant."""
+        """Queue the accepted rows of a measurement for the next `correct`."""
         self.queue_rows(seen.first, seen.numbers)
         if self.events is not None:
             rows = seen.rows_used() if isinstance(seen, Reading) else [seen.row]
             self._sources += [(sensor, row, seen.numbers // len(rows)) for row in rows]
 
     def fit_of(self, begin: int, end: int) -> float:
-        """Return the joint NIS, y' S^-1 y, of queued rows begin:end."""
+        """Return the joint NIS, y' S^-1 y, of the queued rows begin:end."""
         greatest = self.whiten(begin, end)
         if not greatest > 0.0:
             positive(greatest)
         return self.fit(end - begin)
 
     def correct(self) -> None:
-        """Eq. 10-12 with all rows queued at this instant; considered columns keep their values."""
+        """Eq. 10-12 with all queued rows; considered states keep their values."""
         if not self.queued:
             return
         if self.events is None:
@@ -208,7 +208,7 @@ class JointBelief(ekf.State):
             self._note_turn(self.frame_x, self.frame_y)
 
     def know(self, y: Sequence[float], R: Any, columns: Sequence[int], H: Any) -> None:
-        """Correct by an equation between states that needs no reading, such as the equality of two states.
+        """Correct by an equation between states without a reading, such as the equality of two states.
 
         y (d,) = H dx + noise of covariance R (d, d), H (d, c) by the states `columns` (c,).
         """
@@ -218,7 +218,7 @@ class JointBelief(ekf.State):
         self.begin()
 
     def listen(self, seen: Sequence[Innovation | Reading]) -> None:
-        """Let innovations correct only the blocks they depend on; the pose and other states are considered."""
+        """Correct only the blocks on which the innovations depend; pose and other states are considered."""
         at, _, count, *_ = self._rows
         rows = [k for s in seen for k in range(s.first, s.first + s.numbers)]
         named = np.unique(np.concatenate([at[k, : count[k]] for k in rows])) if rows else np.zeros(0, np.int64)
@@ -236,7 +236,7 @@ class JointBelief(ekf.State):
         self._queue[: self.queued] = waiting
 
     def equation(self, seen: Sequence[Innovation] | None = None) -> Equation:
-        """Return innovations, or all queued rows, as y (m,), columns (c,), H (m, c), R (m, m)."""
+        """Return innovations, or all queued rows, as one equation: y (m,), columns (c,), H (m, c), R (m, m)."""
         at, H, count, y, R = self._rows
         rows = self._queue[: self.queued].tolist()
         if seen is not None:
@@ -262,20 +262,20 @@ class JointBelief(ekf.State):
             self._let_drift()
 
     def _let_drift(self) -> None:
-        """Register the states that drift in the kernel."""
+        """Pass the drifting states to the kernel."""
         if self._drift:
             columns, drift = (np.concatenate(part) for part in zip(*self._drift, strict=True))
             self.drift(columns.astype(np.intp), drift.astype(np.float64))
 
     def drive_with(self, name: str) -> None:
-        """Use a block's values as wheel parameters: `predict` takes J = du/d(block)."""
+        """Use a block as wheel parameters: `predict` uses J = du/d(block)."""
         self.wheels = self._slices[name].start
 
     def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
-        """Append states that are functions of others plus noise: returns the first new column.
+        """Append states that are functions of other states plus noise; return their first column.
 
-        values (k,), G (k, 3 + c) their derivative by the pose and the states `columns` (c,), noise (k, k)
-        independent of the state: P grows by G P G' + noise, and by P G' beside it.
+        `values` (k,) have the derivative G (k, 3 + c) by the pose and the states `columns` (c,), and independent
+        noise (k, k): P gets the block G P G' + noise, with cross covariance P G'.
         """
         n, k = self.n, len(values)
         where = self._grow(k)
@@ -291,15 +291,15 @@ class JointBelief(ekf.State):
         return int(where.start)
 
     def own_point(self, name: str, column: int) -> None:
-        """Make two appended states a block: a point in the local frame, found by its name after columns move."""
+        """Make two appended states a named block: a point in the local frame."""
         self._slices[name] = slice(column, column + 2)
         self._points.add(name)
 
     def remove(self, columns: Ints) -> None:
-        """Remove state columns that belong to no named block (map lines that were seen too rarely).
+        """Remove state columns that belong to no named block, such as map lines.
 
-        Map lines come after the map frame, whose columns stay where they are. Only what lies behind a dropped
-        column moves: the covariance is not copied.
+        Map lines come after the map frame, so its columns do not move. Only columns after a removed one move; the
+        covariance is not copied.
         """
         if not len(columns):
             return
@@ -323,9 +323,9 @@ class JointBelief(ekf.State):
             self._slices[name] = slice(start, start + 2)
 
     def transform(self, columns: Ints | Sequence[int], values: Array | Sequence[float], G: Any) -> None:
-        """Replace states (k,) by functions of these states, with new values (k,) and derivative G (k, k).
+        """Replace states (k,) by functions of themselves, with new values (k,) and derivative G (k, k).
 
-        x <- values, P <- T P T' with T the unit matrix but for G.
+        x <- values, P <- T P T', where T is the unit matrix with G in place of the states' block.
         """
         if self.events is None:
             self.replace(columns, values, G)
@@ -343,12 +343,12 @@ class JointBelief(ekf.State):
         self.events.add(Changed(columns, by, np.zeros((k, k)), back))
 
     def loosen(self, columns: Ints, variance: Array) -> None:
-        """Add independent variances (k,) to different states."""
+        """Add independent variances (k,) to the states `columns` (k,)."""
         if self.events is None:
             self._P[columns, columns] += variance
             return
         before = self._before()
-        columns, variance = columns.copy(), variance.copy()  # the caller may use them again
+        columns, variance = columns.copy(), variance.copy()  # the caller may reuse the arrays
         self._P[columns, columns] += variance
         back = None
         if self.events.backward:
@@ -357,7 +357,7 @@ class JointBelief(ekf.State):
         self.events.add(Loosened(columns, variance, back))
 
     def loosen_all(self, these: Loosening) -> None:
-        """Add variances to the states that a kernel listed."""
+        """Add the variances in a `Loosening` that a kernel filled."""
         if self.events is None:
             self.loosen_states(these)
         elif these.count:
@@ -365,14 +365,14 @@ class JointBelief(ekf.State):
             self.loosen(np.array(columns), np.array(variance))
 
     def consider(self, columns: Ints) -> None:
-        """Make columns considered (Schmidt-Kalman): their covariance counts, their values stay."""
+        """Make states considered (Schmidt-Kalman): their covariance is used, their values do not change."""
         self._considered = np.union1d(self._considered, columns)
         self._mark_kept()
 
-    # ---- the pose is set ----
+    # ---- changes of the pose ----
 
     def shift(self, step: Pose, xy: float, theta: float) -> None:
-        """Add a step (3,) [m, m, rad] to the pose, and variances xy [m^2] and theta [rad^2], after a slip."""
+        """Add a step (3,) [m, m, rad] to the pose, and variances xy [m^2] and theta [rad^2]."""
         behind, before = self._behind(), self._before()
         self._x[:3] += step
         self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
@@ -383,7 +383,7 @@ class JointBelief(ekf.State):
         self._carry(behind)
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
-        """Set the pose with variances xy [m^2] and theta [rad^2], after kidnapping or relocalisation."""
+        """Set the pose to (3,) with variances xy [m^2] and theta [rad^2], independent of other states."""
         behind = self._behind()
         if self.events is not None:
             back = by_others(self._before(), POSE) if self.events.backward else None
@@ -397,7 +397,7 @@ class JointBelief(ekf.State):
     # ---- clones ----
 
     def clone_heading(self, column: int, behind: float = 0.0) -> None:
-        """Make a state a copy of the present heading, less `behind` [rad] (Roumeliotis and Burdick 2002)."""
+        """Set a state to the present heading minus `behind` [rad] (cloning, Roumeliotis and Burdick 2002)."""
         if self.events is not None:
             by = np.zeros((1, self.n))
             by[0, 2] = 1.0
@@ -408,7 +408,7 @@ class JointBelief(ekf.State):
         self._clones.add(column)
 
     def clone_pose(self, column: int, behind: Array | None = None) -> None:
-        """Make three states a copy of the present pose, or of the pose `behind` (3,) relative to it."""
+        """Set three states to the present pose, or to the pose `behind` (3,) relative to it."""
         J = np.eye(3) if behind is None else by_frame(self._x[None, :3], behind[None])[0]
         if self.events is not None:
             by = np.zeros((3, self.n))
@@ -429,7 +429,7 @@ class JointBelief(ekf.State):
         return turns, {c: se2.between(self._x[:3], self._x[c : c + 3]) for c in self._kept}
 
     def _carry(self, behind: tuple[dict[int, float], dict[int, Array]]) -> None:
-        """Move cloned headings and poses along with a pose that is corrected, since the robot did not move."""
+        """Move cloned headings and poses with a corrected pose, since the robot itself did not move."""
         turns, poses = behind
         for column, turn in turns.items():
             self.clone_heading(column, turn)
@@ -439,10 +439,10 @@ class JointBelief(ekf.State):
     # ---- the map frame ----
 
     def begin_frame(self) -> None:
-        """Let a local frame begin at the pose, which becomes exactly 0 in it (map_frame).
+        """Begin a local frame at the present pose, which becomes exactly 0 in the frame (map_frame).
 
-        Nothing happens where the pose is known exactly: the map frame would have no uncertainty. A second time,
-        where a map was lost, the map frame is moved on to the pose, and what the old frame knew is forgotten.
+        Nothing happens if the pose is known exactly, since the map frame would have no uncertainty. At a second
+        call, after a map was left, the map frame is moved to the pose, and the old frame is removed.
         """
         first = self.frame < 0
         if first and not self._P[:3, :3].any():
@@ -453,8 +453,8 @@ class JointBelief(ekf.State):
                 self.events.list[-1] = Added(self.frame, 3, frame=True)
         else:
             self._move_frame()
-        for column in sorted(self._clones):  # kept headings become local; a transform, not a new clone: the noise
-            turned = np.array([[1.0, 0.0], [-1.0, 1.0]])  # between a kept heading and now stays
+        for column in sorted(self._clones):  # convert cloned headings to the local frame, with their covariances
+            turned = np.array([[1.0, 0.0], [-1.0, 1.0]])
             self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
         for column in sorted(self._kept):
             self._into_frame(column, 3)
@@ -464,10 +464,10 @@ class JointBelief(ekf.State):
         self._mark_kept()
 
     def know_frame(self, frame: Array, P: Array) -> None:
-        """Set the map frame to (3,) with covariance P (3, 3), from evidence that is independent of this state.
+        """Set the map frame to (3,) with covariance P (3, 3), given by evidence independent of the state.
 
-        All else follows by what it has to do with the frame (Jeffrey's rule for Gaussians): with K = P_rG P_G^-1
-        it moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
+        All other states are corrected by their covariance with the frame (Jeffrey's rule for Gaussians): with
+        K = P_rG P_G^-1, a state moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
         """
         if self.frame < 0:
             raise ValueError("no local frame has begun")
@@ -481,7 +481,7 @@ class JointBelief(ekf.State):
         self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
 
     def _move_frame(self) -> None:
-        """Move the map frame G to the pose q, which is in the local frame: G becomes G o q."""
+        """Move the map frame G to the local pose q: G becomes G o q."""
         if self.events is not None:
             self.events.add(FrameMoved())
         G, q = np.array(self.frame_pose()), self._x[:3].copy()
@@ -491,7 +491,7 @@ class JointBelief(ekf.State):
         self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
 
     def _into_frame(self, column: int, size: int) -> None:
-        """Express a kept pose (three states) or a point (two) in the robot's present frame."""
+        """Convert a cloned pose (three states) or a point (two states) to the new local frame."""
         pose, at, placed = self._x[:3].copy(), np.arange(column, column + size), np.zeros(3)
         placed[:size] = self._x[at]
         by_pose, by_placed = se2.between_jacobians(pose, placed)
@@ -500,7 +500,7 @@ class JointBelief(ekf.State):
         self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:size]), J)
 
     def _forget_pose(self, first: bool) -> None:
-        """Set the pose to exactly 0: the map frame has taken its value."""
+        """Set the local pose to exactly 0, since the map frame now has its value."""
         if self.events is not None:
             back = None
             if first:
@@ -520,7 +520,7 @@ class JointBelief(ekf.State):
     # ---- events ----
 
     def note_events(self, events: Events) -> None:
-        """Record events from here on."""
+        """Record events from now on."""
         self.events = events
         events.start = self._before()
         events.columns = {name: where.start for name, where in self._slices.items()}
@@ -530,19 +530,19 @@ class JointBelief(ekf.State):
             (events.wheels,) = (where for where in self._slices.values() if where.start == self.wheels)
 
     def _before(self) -> Before:
-        """Return copies of state and covariance if events are recorded; else views."""
+        """Return copies of state and covariance, or views if no events are recorded."""
         if self.events is None:
             return Before(self.state, self.covariance)
         return Before(self.state.copy(), self.covariance.copy())
 
     def _note_change(self, rows: Ints, by: Array) -> None:
-        """Record that states become functions of other states."""
+        """Record that the states `rows` become linear functions of states."""
         if self.events is not None:
             back = by_others(self._before(), rows) if self.events.backward else None
             self.events.add(Changed(rows, by, np.zeros((len(rows), len(rows))), back))
 
     def _note_turn(self, dx: float, dy: float) -> None:
-        """Record a correction of the map frame by (dx, dy) [m] and a rotation (State.turn_frame)."""
+        """Record a correction of the map frame by (dx, dy) [m] with its rotation (State.turn_frame)."""
         assert self.events is not None
         first = self.frame
         rows = np.array((first, first + 1))
@@ -552,7 +552,7 @@ class JointBelief(ekf.State):
         back = Undone(rows, self.state[rows] - G @ self.state, G, np.zeros((2, 2)))
         self.events.add(FrameTurned(first, dx, dy, back))
 
-    # ---- room ----
+    # ---- capacity ----
 
     def _grow(self, k: int) -> slice:
         n = self.n
@@ -566,14 +566,14 @@ class JointBelief(ekf.State):
         return slice(n, n + k)
 
     def _hold(self) -> None:
-        """Give the kernel the present state arrays."""
+        """Pass the present state arrays to the kernel."""
         self._flags = np.zeros(len(self._x), np.intp)
         self.hold(self._x, self._P, self._flags)
         self._mark_kept()
         self.more_rows(len(self._rows[3]) if self._rows else FIRST_ROWS)
 
     def more_rows(self, rows: int) -> None:
-        """Make room for this many rows of an equation."""
+        """Increase the capacity to at least `rows` rows of measurement equations."""
         m = max(rows, 2 * self.written)
         wide, old = (m, MAX_STATES_OF_A_ROW), self._rows
         new = np.zeros(wide, np.intp), np.zeros(wide), np.zeros(m, np.intp), np.zeros(m), np.zeros((m, m))
@@ -587,7 +587,7 @@ class JointBelief(ekf.State):
         self.hold_rows(*new, queue)
 
     def _mark_kept(self, columns: Ints | None = None) -> None:
-        """Mark the considered states, which a correction does not change; while lost also the map frame."""
+        """Mark the states that corrections do not change: considered ones, and a lost robot's map frame."""
         kept = self._considered
         if columns is not None:
             kept = np.union1d(columns, kept)
@@ -598,7 +598,7 @@ class JointBelief(ekf.State):
         self.keeps = len(kept) > 0
 
     def not_positive(self, greatest: float) -> None:
-        """Raise LocfuseError: an innovation covariance with this greatest variance is not positive definite."""
+        """Raise LocfuseError: an innovation covariance with this largest variance is not positive."""
         positive(greatest)
 
     def __deepcopy__(self, memo: object) -> JointBelief:
@@ -618,7 +618,7 @@ def _copied(value: Any) -> Any:
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:
-    """Return (new begin, old slice) of each run of remaining columns, once the columns `gone` (k,) are removed."""
+    """Return (new begin, old slice) of each run of remaining columns after the removal of `gone` (k,)."""
     found, to = [], int(gone.min())
     after = np.sort(gone) + 1
     for begin, end in zip(after.tolist(), [*(after[1:] - 1).tolist(), n], strict=True):

@@ -1,10 +1,10 @@
-"""The filter's equations by their numbers in the paper: 5-7 (predict) and 10-12 (correct), in NumPy.
+"""Equations of the filter by their numbers in the paper: 5-7 (predict) and 10-12 (correct), in NumPy.
 
-The one body of each, used wherever speed does not matter: prediction at the truth's stamps, smoother, tuning.
-The filter itself (`kernels.ekf.State`) writes the same equations out and names them in a comment.
-State x = (x, y, theta) [m, m, rad] in the map, then what a run adds. Leading axes (...) are allowed everywhere.
-The paper's W (eq. 8) and Q (eq. 9) speak of wheel speeds; here u and Q are the relative pose of one motion and its
-covariance in the frame of its start (fusion.wheels.motion), so W is the rotation of (x, y, theta) by theta.
+Used where speed does not matter: prediction at the truth's stamps, smoother, tuning. The filter
+(`kernels.ekf.State`) has the same equations written out. State x = (x, y, theta) [m, m, rad] in the map, followed
+by other states. Leading axes (...) are allowed everywhere. The paper's W (eq. 8) and Q (eq. 9) are for wheel
+speeds; here u and Q are the relative pose of one motion and its covariance in the frame of its start
+(fusion.wheels.motion), so W is the rotation of (x, y, theta) by theta.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def eq6_P(P: Array, A: Array, W: Array, Q: Array) -> Array:
 
 
 def eq6_noise(W: Array, Q: Array) -> Array:
-    """Return the second term of eq. 6, W Q W': a motion's noise turned into the map frame, (..., 3, 3)."""
+    """Return the second term of eq. 6, W Q W' (..., 3, 3): the noise of a motion in the map frame."""
     return W @ Q @ np.swapaxes(W, -1, -2)
 
 

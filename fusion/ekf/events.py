@@ -1,9 +1,9 @@
-"""Events of one run of the filter, in order, for the smoother and the tuner.
+"""Events of one filter run, in order, for the smoother and for noise tuning.
 
-The verbs of the belief write this list. The smoother (whole_drive) goes through it backward: an event is undone
-by before = c + G after + an independent rest of covariance D (Rauch, Tung, Striebel 1965), and a correction only
-adds knowledge. The tuner (fusion.tune) goes through it forward with other noise, on the deviations from the run.
-Walls and offsets do not move, so only the rows of what does are kept: a few times n numbers an instant.
+The methods of the belief record this list. The smoother (whole_drive) processes it backward: the state before an
+event is c + G after + independent noise of covariance D (Rauch, Tung, Striebel 1965); corrections need no inverse.
+The tuner (fusion.tune) processes it forward with other noise, on deviations from the run. Walls and offsets are
+static, so only rows of moving states are stored: a few times n numbers per update.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from locfuse.fusion.data import Array, Ints
 from .equations import eq6_noise, eq7_A
 from .map_frame import Pose
 
-RIDGE = 1e-12  # of a covariance with a unit diagonal: an eigenvalue far below it has no extent
-RIDGE_ROUNDS = 3  # in which 97 % is put back at an eigenvalue of twice the ridge, all at a hundred times
-MAX_REST = 1e-13  # of the largest number on the right: what a solution may leave
-Source = tuple[str, int, int]  # sensor, row in its measurements, numbers; ("", -1, numbers): no sensor's
+RIDGE = 1e-12  # added to a covariance with unit diagonal; much smaller eigenvalues count as zero
+RIDGE_ROUNDS = 3  # iterations that correct the effect of the ridge: by 97 % at an eigenvalue of twice the ridge
+MAX_REST = 1e-13  # largest residual of a solution, relative to the largest number on the right side
+Source = tuple[str, int, int]  # sensor, row in its measurements, number of components; ("", -1, number): no sensor
 
 
 class Undone(NamedTuple):
-    """The inverse of an event: x[rows] before = c + G x after + noise of covariance D."""
+    """Inverse of an event: x[rows] before = c + G x after + noise of covariance D."""
 
     rows: Ints  # (r,)
     c: Array  # (r,)
@@ -35,47 +35,47 @@ class Undone(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """The wheels' motion to the next instant."""
+    """Event: motion by the wheels to the next update time."""
 
-    start: Pose  # the local pose before
+    start: Pose  # local pose before the motion
     end: Pose
     Q: Array  # (3, 3) noise, in the map's axes
-    coupling: Array | None  # (3, p) by the wheel parameters
+    coupling: Array | None  # (3, p) derivative by the wheel parameters
     back: Undone | None
 
     @property
     def turned(self) -> float:
-        """By how much it turned [rad]."""
+        """Return the turn of the motion [rad]."""
         return self.end[2] - self.start[2]
 
     @property
     def driven(self) -> float:
-        """Length of the motion's chord [m]."""
+        """Return the length of the motion's chord [m]."""
         return math.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
 
 
 class Corrected(NamedTuple):
-    """A correction, y = H dx + noise of covariance R; recorded only for replay in forward order."""
+    """Event: correction, y = H dx + noise of covariance R; recorded only for forward processing."""
 
     y: Array  # (m,)
     columns: Ints  # (c,)
     H: Array  # (m, c)
     R: Array  # (m, m)
     sources: tuple[Source, ...]  # in the order of y
-    step: Array  # (n,) by what the state moved
+    step: Array  # (n,) change of the state
 
 
 class FrameTurned(NamedTuple):
-    """The map frame was corrected by (dx, dy), and its covariance was changed with it (State.turn_frame)."""
+    """Event: correction of the map frame by (dx, dy), with a change of its covariance (State.turn_frame)."""
 
-    first: int  # column of the frame
+    first: int  # first column of the frame
     dx: float  # m
     dy: float
     back: Undone | None
 
 
 class Loosened(NamedTuple):
-    """States became less certain by independent variances."""
+    """Event: independent variances were added to states."""
 
     columns: Ints  # (k,)
     variance: Array  # (k,)
@@ -83,23 +83,23 @@ class Loosened(NamedTuple):
 
 
 class Added(NamedTuple):
-    """States were appended."""
+    """Event: states were appended."""
 
-    before: int  # number of states until then
-    states: int
-    frame: bool = False  # the map frame, a copy of the pose: from here on the pose is local
+    before: int  # number of states before
+    states: int  # number of appended states
+    frame: bool = False  # whether they are the map frame, a copy of the pose, which becomes local
 
 
 class Dropped(NamedTuple):
-    """States were removed; `back` gives them from the states that remained (rows in the layout before)."""
+    """Event: states were removed; `back` gives these states from the remaining ones."""
 
-    columns: Ints  # (k,) in the layout before
-    before: int  # number of states until then
+    columns: Ints  # (k,) before the removal
+    before: int  # number of states before
     back: Undone | None
 
 
 class Changed(NamedTuple):
-    """States became functions of states: x[rows] after = by (r, n) x before + noise of covariance (r, r)."""
+    """Event: states became functions of states: x[rows] after = by (r, n) x before + noise (r, r)."""
 
     rows: Ints
     by: Array
@@ -108,27 +108,27 @@ class Changed(NamedTuple):
 
 
 class FrameMoved(NamedTuple):
-    """From here on, the map frame is that of a new map."""
+    """Event: the map frame becomes that of a new submap."""
 
 
 Event = Moved | Corrected | FrameTurned | Loosened | Added | Dropped | Changed | FrameMoved
 
 
 class Before(NamedTuple):
-    """The state as it was before an event."""
+    """State and covariance before an event."""
 
     x: Array  # (n,)
     P: Array  # (n, n)
 
 
 class Events:
-    """The events of one run; `backward`: replayed from the end, so the inverse of each is recorded."""
+    """Events of one run; with `backward`, the inverse of each event is recorded too."""
 
     def __init__(self, backward: bool) -> None:
         self.backward = backward
         self.list: list[Event] = []
-        self.start: Before | None = None  # the state when the list begins
-        self.final: Before | None = None  # and when it ends
+        self.start: Before | None = None  # state before the first event
+        self.final: Before | None = None  # state after the last event
         self.columns: dict[str, int] = {}  # block -> its first column
         self.drifts: dict[str, tuple[Ints, Array]] = {}  # block -> columns, variance per s
         self.wheels: slice | None = None  # columns of the wheel parameters
@@ -139,11 +139,11 @@ class Events:
 
 
 def undone(before: Before, after: Before, rows: Ints, noise: Array, coupling: Array | None = None) -> Undone:
-    """Return the inverse of the prediction x after = F x before + noise, which acts on `rows` only (r,).
+    """Return the inverse of a prediction x after = F x before + noise that changes only the states `rows` (r,).
 
-    `coupling` (3, n) is how static states enter the pose's motion. Gain P F' P_next^-1 (Särkkä 2013, eq. 8.6);
-    D = (1 - G F) P (1 - G F)' + G Q G' stays positive and is blind to rounding in G, which matters after an exact
-    start, where P_next is singular.
+    `coupling` (3, n) is the derivative of the motion by static states. Gain P F' P_next^-1 (Särkkä 2013, eq. 8.6);
+    D = (1 - G F) P (1 - G F)' + G Q G' stays positive for any rounding errors in G, which matter after an exact
+    start, when P_next is singular.
     """
     (x, P), (x_next, P_next) = before, after
     n, r = len(x), len(rows)
@@ -168,9 +168,9 @@ def undone(before: Before, after: Before, rows: Ints, noise: Array, coupling: Ar
 
 
 def by_others(before: Before, rows: Ints, dropped: bool = False) -> Undone:
-    """Return the states `rows` as linear functions of all others, to restore them when events are undone.
+    """Return the states `rows` as linear functions of all other states, for the inverse of an event.
 
-    G is in the layout of the state before, with zeros at `rows`; without these columns where they are `dropped`.
+    G has the columns of the state before, with zeros at `rows`; if `dropped`, without these columns.
     """
     x, P = before
     n = len(x)
@@ -187,13 +187,13 @@ def by_others(before: Before, rows: Ints, dropped: bool = False) -> Undone:
 
 
 def _solved(P: Array, B: Array) -> Array:
-    """Return P^-1 B; for a singular P (an exact start, a new frame, clones), nearly the minimum-norm solution.
+    """Return P^-1 B; for a singular P (exact start, new frame, clones) about the minimum-norm solution.
 
-    A small ridge keeps the division from what rounding makes of a zero, which differs from processor to processor.
-    What it takes from the solution is put back (iterated Tikhonov regularisation, Golub and Van Loan 2013, 6.1.4).
+    A small ridge avoids division by rounding errors, which differ between processors. Its effect on the solution
+    is corrected by iteration (iterated Tikhonov regularisation, Golub and Van Loan 2013, 6.1.4).
 
-    Scaled to a unit diagonal: a pose whose frame just began has 1e-14 m^2 beside states of 1. A variance that
-    rounding took below zero (-1e-35 m^2) is zero.
+    P is scaled to a unit diagonal, since a pose in a new frame has 1e-14 m^2 and other states 1. Variances
+    slightly below zero by rounding (-1e-35 m^2) count as zero.
     """
     scale = np.sqrt(np.maximum(np.diagonal(P), 0.0))
     scale = np.divide(1.0, scale, out=np.ones_like(scale), where=scale > 0.0)
@@ -209,5 +209,5 @@ def _solved(P: Array, B: Array) -> Array:
 
 
 def in_map(Q: Array, theta: float) -> Array:
-    """Turn a motion's covariance (3, 3) from the frame of its start into the map's axes."""
+    """Convert a motion's covariance (3, 3) from the frame of its start to the map's axes."""
     return eq6_noise(se2.rotation(np.array(theta)), Q)

@@ -1,16 +1,17 @@
-"""The map frame as three static states: where the local frame of a run lies in the map.
+"""Map frame as three static states: the pose of the local frame of a run in the map.
 
-What a map is built from never says where north is, or where the start was. So a growing map gets a frame of its
-own, which begins at its first scan: there the local pose q is exactly zero, and G = (X, Y, Th) takes over what the
-pose was and how uncertain. Wheels, laser, sonar and gyro observe q and the lines only. The pose in the map is
+The scans of a growing map do not measure absolute position or heading. So a growing map gets its own frame, which
+begins at the first scan: there the local pose q is exactly zero, and G = (X, Y, Th) gets the pose and its
+covariance. Wheels, laser, sonar and gyro measure only q and the lines. The pose in the map is
 
     p = G o q = (X + c qx - s qy, Y + s qx + c qy, Th + qt),    c, s of Th
     dp/dq = J_q = diag(R(Th), 1)
     dp/dG = J_G = [[1, 0, -ry], [0, 1, rx], [0, 0, 1]],    (rx, ry) = R(Th) (qx, qy)
 
-and what observes p (compass, bearing, GPS) observes both by the chain rule: H_q = H J_q, H_G = H J_G. A filter
-whose lines and pose stand in the map itself gains information about Th that no scan has (Julier and Uhlmann 2001;
-Huang, Mourikis, Roumeliotis 2010; docs/trust.md). Compare robocentric maps (Castellanos et al. 2007).
+and sensors that measure p (compass, bearing, GPS) measure both by the chain rule: H_q = H J_q, H_G = H J_G. A
+filter with lines and pose directly in the map gains information about Th that scans do not have (Julier and
+Uhlmann 2001; Huang, Mourikis, Roumeliotis 2010; docs/trust.md). Compare robocentric maps (Castellanos et al.
+2007).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Triangle = tuple[float, float, float, float, float, float]  # xx, xy, xt, yy, yt
 
 
 class InMap:
-    """A belief with a map frame, for sensors that observe the pose in the map (chain rule: State.derive)."""
+    """View of a belief with the pose in the map, for sensors that measure this pose (chain rule: State.derive)."""
 
     def __init__(self, belief: Any) -> None:
         self.belief, self.column, self.value = belief, belief.column, belief.value
@@ -40,22 +41,22 @@ class InMap:
         self.variance = partial(belief.variance, in_map=True)
 
     def __getattr__(self, name: str) -> Any:
-        """Return what does not depend on the pose: covariance, block, transform and others."""
+        """Return attributes of the belief that do not depend on the frame (covariance, block, ...)."""
         return getattr(self.belief, name)
 
     @property
     def x(self) -> float:
-        """X of the pose in the map [m]."""
+        """Return the x coordinate of the pose in the map [m]."""
         return self.pose()[0]
 
     @property
     def y(self) -> float:
-        """Y of the pose in the map [m]."""
+        """Return the y coordinate of the pose in the map [m]."""
         return self.pose()[1]
 
     @property
     def theta(self) -> float:
-        """Heading of the pose in the map [rad], not wrapped."""
+        """Return the heading in the map [rad], not wrapped."""
         return self.pose()[2]
 
     def triangle(self) -> Triangle:
@@ -64,13 +65,13 @@ class InMap:
         return triangle
 
     def matrix(self) -> Array:
-        """Return the covariance of the pose in the map, (3, 3)."""
+        """Return the covariance (3, 3) of the pose in the map."""
         xx, xy, xt, yy, yt, tt = self.triangle()
         return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
 
 def in_map_P(G: Array, q: Array, P: Array) -> Array:
-    """Return covariances (n, 3, 3) of poses G o q in the map, from those of (q, G), (n, 6, 6)."""
+    """Return the covariances (n, 3, 3) of poses G o q in the map, from those of (q, G), (n, 6, 6)."""
     J = np.concatenate((se2.rotation(G[:, 2]), by_frame(G, q)), axis=2)
     r = se2.rotated(G[:, 2], q[:, :2])
     out: Array = J @ P @ J.transpose(0, 2, 1)
@@ -80,7 +81,7 @@ def in_map_P(G: Array, q: Array, P: Array) -> Array:
 
 
 def by_frame(G: Array, q: Array) -> Array:
-    """Return J_G = d(G o q)/dG, (n, 3, 3)."""
+    """Return the derivative J_G = d(G o q)/dG, (n, 3, 3)."""
     r = se2.rotated(G[:, 2], q[:, :2])
     J = np.zeros((len(G), 3, 3))
     J[:] = np.eye(3)

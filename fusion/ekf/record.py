@@ -1,4 +1,4 @@
-"""The record of one run: the verdict on every measurement, and the state at every instant, in columns."""
+"""Record of one run: the verdict on every measurement, and the state at every update time, in columns."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ COLUMNS = {
     "sigma": np.float64,
 }
 ROW = attrgetter("row")
-PER_COMPONENT = ("y", "sigma")  # one number for each that the sensor measures
+PER_COMPONENT = ("y", "sigma")  # columns with one number per component of the measurement
 
 
 class Record:
-    """Measurements in columns: an hour of Python objects would take hundreds of megabytes, columns take tens.
+    """Record of measurements in columns, which take tens of megabytes per hour instead of hundreds as objects.
 
-    `room` is how many rows will come, where that is known: a column that grows is moved, and leaves a hole.
+    `room` is the expected number of rows, if known: growing columns fragments the memory.
     """
 
     def __init__(self, room: int = FIRST_CAPACITY) -> None:
         self._room, self._rows = room, 0
         self._instants: list[int] = []
-        self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
+        self._waiting: list[Innovation] = []  # not yet written to columns
         self._columns: dict[str, NDArray[Any]] = {}
         self._kernel: sight.Audit | None = None
-        self.joint = array("d")  # flat: y' S^-1 y of all accepted rows of a reading together, its dof
+        self.joint = array("d")  # flat: joint NIS of all accepted rows of a reading, degrees of freedom
 
     def add(self, k: int, seen: Sequence[Innovation] | Reading) -> None:
-        """Record the judged innovations of one reading at instant k."""
+        """Record the innovations of one reading at update k, with their verdicts."""
         if isinstance(seen, Reading):
             self._add_reading(k, seen)
             return
@@ -81,7 +81,7 @@ class Record:
         waiting.clear()
 
     def _make_room(self, rows: int, width: int) -> None:
-        """Make room for this many rows; an innovation has `width` numbers."""
+        """Increase the capacity to `rows` rows; an innovation has `width` components."""
         if self._columns and rows <= self._room:
             return
         self._room = max(self._room if not self._columns else 3 * self._room // 2, rows)
@@ -94,7 +94,7 @@ class Record:
             self._columns[name] = column
 
     def audit(self) -> Audit:
-        """Return the record as columns: views, since a copy would need twice the memory for a moment."""
+        """Return the record as columns; they are views, to save memory."""
         self._write()
         self._make_room(0, 1)
         joint = np.array(self.joint).reshape(-1, 2)
@@ -102,16 +102,16 @@ class Record:
 
 
 class Track:
-    """States in columns with spare rows: an hour of Python tuples would take hundreds of megabytes."""
+    """Record of the states in columns, with spare rows."""
 
     def __init__(self, belief: JointBelief, blocks: Sequence[str], instants: int) -> None:
-        """`blocks`: named states to record beside the pose. `instants`: how many will come, if known."""
+        """Begin; `blocks` are names of states to record beside the pose, `instants` the expected rows."""
         parts = [(name, *belief.block(name)) for name in blocks]
         self._states: Ints = np.array([c + i for _, c, x in parts for i in range(len(x))], np.intp)
         self._names = [(name, len(x)) for name, _, x in parts]
         self._n = self._room = 0
-        # in the map (n, 3) [m, m, rad, not wrapped]; its covariance (n, 6) xx, xy, xt, yy, yt, tt; blocks' states,
-        # then their variances, (n, 2 b)
+        # pose in the map (n, 3) [m, m, rad, not wrapped]; its covariance (n, 6) xx, xy, xt, yy, yt, tt; states of
+        # the blocks, then their variances, (n, 2 b)
         self._columns: tuple[Array, ...] = tuple(np.empty((0, k)) for k in (3, 6, 2 * len(self._states)))
         self._make_room(instants)
 
@@ -124,18 +124,18 @@ class Track:
         self._kernel = ekf.Track(pose, triangle, values, self._states)
 
     def note(self, belief: JointBelief) -> None:
-        """Record an instant, with the pose in the map."""
+        """Record the state at one update, with the pose in the map."""
         if self._n == self._room:
             self._make_room(2 * self._n + 1)
         belief.note(self._n, self._kernel)
         self._n += 1
 
     def recorded(self) -> tuple[Array, Array]:
-        """Return pose (n, 3) and covariance triangles (n, 6)."""
+        """Return poses (n, 3) and covariance triangles (n, 6)."""
         return self._columns[0][: self._n], self._columns[1][: self._n]
 
     def blocks(self, variances: bool = False) -> dict[str, Array]:
-        """Return one column per number of every block, (n, numbers), or its variances."""
+        """Return the states of every block, (n, states), or with `variances` their variances."""
         at = len(self._states) if variances else 0
         found = {}
         for name, n in self._names:

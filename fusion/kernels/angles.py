@@ -1,4 +1,4 @@
-"""Angles wrapped to half a turn either way."""
+"""Wrapping of angles to [-pi, pi)."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ if not cython.compiled:
 
 
 def wrapped(angle: float) -> float:
-    """Return the angle in [-pi, pi); NaN stays NaN."""
+    """Return an angle wrapped to [-pi, pi); NaN stays NaN."""
     return (angle + pi) - 2.0 * pi * floor((angle + pi) / (2.0 * pi)) - pi

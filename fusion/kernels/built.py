@@ -1,4 +1,4 @@
-"""Whether the kernels of this installation are compiled."""
+"""Test whether the kernels of this installation are compiled."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ COMPILED, INTERPRETED = "compiled", "not compiled: slower"
 
 @cache
 def how() -> str:
-    """Return how the kernels run here: COMPILED, or INTERPRETED if any of them is not compiled."""
+    """Return COMPILED, or INTERPRETED if any kernel is not compiled."""
     names = [path.stem for path in Path(__file__).parent.glob("*.pxd")]
     origins = [spec.origin for name in names if (spec := find_spec(f"{__package__}.{name}"))]
     return COMPILED if all(str(origin).endswith(tuple(EXTENSION_SUFFIXES)) for origin in origins) else INTERPRETED

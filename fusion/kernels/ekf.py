@@ -1,4 +1,4 @@
-"""The filter's state with its two inner loops: predict (paper eq. 5-7) and correct (eq. 10-12).
+"""State of the filter, with its inner loops: predict (paper eq. 5-7) and correct (eq. 10-12).
 
 The mean (n,) begins with the pose: x [m], y [m], theta [rad, not wrapped]. P (n, n) is its covariance; both
 halves are kept. The arrays may have room for more states than there are; `fusion.ekf.belief` owns and grows them.
@@ -31,7 +31,7 @@ MIN_KEPT_SHARE = 1e-14  # a correction leaves at least this share of a variance:
 
 
 class Steps:
-    """Relative motions by the wheels: step k leads to instant k; the arrays begin with step `first`."""
+    """Relative motions by the wheels: step k leads to update k; the arrays begin with step `first`."""
 
     def __init__(self, u: Any, Q: Any, dt: Any, J: Any, first: int = 0) -> None:
         """U (s, 3) [m, m, rad], Q (s, 9), dt (s,) [s]; J (s, 3 p) is d u/d(wheel parameters), row by row."""
@@ -39,22 +39,22 @@ class Steps:
         self.dt, self.J, self.first = memory(dt), memory(J), first
 
     def of(self, k: int) -> tuple[float, float, float]:
-        """Return the relative motion x, y [m], theta [rad] that leads to instant k."""
+        """Return the relative motion x, y [m], theta [rad] of step k."""
         k -= self.first
         return self.u[k, 0], self.u[k, 1], self.u[k, 2]
 
     def noise_of(self, k: int) -> tuple[list[float], list[float]]:
-        """Return Q (9,) and J (3 p,) of the motion that leads to instant k."""
+        """Return noise Q (9,) and derivative J (3 p,) of step k."""
         k -= self.first
         return [self.Q[k, j] for j in range(9)], [self.J[k, j] for j in range(self.J.shape[1])]
 
     def dt_of(self, k: int) -> float:
-        """Return how long the motion to instant k takes [s]."""
+        """Return the duration of step k [s]."""
         return self.dt[k - self.first]
 
 
 class Track:
-    """The record of the pose, its covariance and some states, one row for each instant."""
+    """Record of the pose, its covariance and some states, one row per update."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
         """Pose (n, 3), triangle (n, 6), values (n, 2 b): the `states` (b,), then their variances."""
@@ -63,7 +63,7 @@ class Track:
 
 
 class Innovation:
-    """One measurement against the belief: y = z - h(x) and NIS. Its rows of H and R are in the state's table.
+    """One measurement compared with its prediction: y = z - h(x), NIS, and its rows in the state's table.
 
     `row` in Measurements.z (-1: something known of states), `verdict` (index into VERDICTS), `landmark` (id of the
     map feature, -1 for none), `nis` y' S^-1 y and `threshold` of the gate, y (d,) and sigma (d,), the square roots
@@ -78,30 +78,30 @@ class Innovation:
 
     @staticmethod
     def unpredicted(row: int, verdict: int, d: int, threshold: float) -> Innovation:
-        """Return the record of a measurement of d numbers without a prediction: all NaN."""
+        """Return the record of a measurement with d components but no prediction: all NaN."""
         none = (NAN,) * d
         return Innovation(row, verdict, -1, NAN, threshold, none, none)
 
 
 class Loosening:
-    """States that gain variance, and how much: the first `count` of the columns."""
+    """List of states and the variances to add to them: the first `count` entries."""
 
     def __init__(self, at: Any, by: Any) -> None:
         """State columns at (m,), variances by (m,)."""
         self.at, self.by, self.count = memory(at), memory(by), 0
 
     def add(self, column: int, variance: float) -> None:
-        """Add one state and its variance."""
+        """Append a state and the variance to add."""
         self.at[self.count], self.by[self.count] = column, variance
         self.count += 1
 
     def listed(self) -> tuple[list[int], list[float]]:
-        """Return the state columns and their variances."""
+        """Return the listed state columns and variances."""
         return [self.at[i] for i in range(self.count)], [self.by[i] for i in range(self.count)]
 
 
 class State:
-    """Mean and covariance of the filter, and the rows of the equation of one instant.
+    """Mean and covariance of the filter, and the rows of the measurement equations of one update.
 
     There are `n` states. The map frame begins at column `frame`, the wheel parameters at column `wheels`, -1 where
     there are none. So many rows are `written`, and of these `queued`, which will correct the state. `keeps`: some
@@ -116,11 +116,11 @@ class State:
     # ---- the arrays, which fusion.ekf.belief owns ----
 
     def hold(self, mean: Any, P: Any, kept: Any) -> None:
-        """Use mean (size,) and P (size, size); kept (size,) marks states that count but are never corrected."""
+        """Use arrays for mean (size,) and P (size, size); `kept` (size,) marks considered states."""
         self.mean, self.P, self.kept = memory(mean), memory(P), memory(kept)
 
     def hold_rows(self, at: Any, H: Any, count: Any, y: Any, R: Any, queue: Any) -> None:
-        """Use these arrays for m rows: at and H (m, states of a row); count, y and queue (m,), R (m, m).
+        """Use arrays for m rows: at and H (m, states per row); count, y and queue (m,); R (m, m).
 
         Scratch is V (m + 4, size), S (m, m), e (m,), small (16, 16).
         """
@@ -131,22 +131,22 @@ class State:
         self.small = floats(16, 16)
 
     def drift(self, columns: Any, variances: Any) -> None:
-        """Set the states `columns` (k,) that gain these variances (k,) each second."""
+        """Set the states `columns` (k,) that gain the `variances` (k,) per second."""
         self.drifting = len(columns)
         self.drift_at, self.drift_by = memory(columns), memory(variances)
 
     def more_rows(self, rows: int) -> None:
-        """Make room for so many rows."""
+        """Increase the capacity to at least this many rows."""
         raise NotImplementedError
 
     def not_positive(self, greatest: float) -> None:
-        """Raise an error: an innovation covariance with this greatest variance is not positive definite."""
+        """Raise an error: an innovation covariance with this largest variance is not positive definite."""
         raise NotImplementedError
 
     # ---- predict ----
 
     def move(self, steps: Steps, k: int) -> None:
-        """Eq. 5-7: move by step k, whose covariance Q is in the frame of its start.
+        """Eq. 5-7: predict over step k; its noise Q is in the frame of its start.
 
         Row x of A (eq. 7) is (1, 0, -dy), row y is (0, 1, dx): rows and columns of x and y take that much of
         theta's. Wheel parameters z correct the motion: it is u + J z.
@@ -202,7 +202,7 @@ class State:
         self, row: int, y: Sequence[float], H: Any, R: Any, threshold: float, columns: Any = (), H_block: Any = (),
         in_map: bool = False,
     ) -> Innovation:  # fmt: skip
-        """Write the rows of a measurement and compute S = H P H' + R and NIS = y' S^-1 y.
+        """Write the rows of a measurement; compute S = H P H' + R and NIS = y' S^-1 y.
 
         See fusion.sensor.Belief.compare; `in_map`: H (d, 3) is by the pose in the map, not by the local one.
         """
@@ -226,7 +226,7 @@ class State:
         return found
 
     def write_row(self, k: int, H: Any, columns: Any, H_block: Any, in_map: bool) -> None:
-        """Let row k of the table be one derivative H (3,) by the pose and H_block (c,) by the states `columns`."""
+        """Write the derivatives H (3,) by the pose and H_block (c,) by the states `columns` to row k."""
         by_x, by_y, by_theta = H
         w = self.derive(k, by_x, by_y, by_theta, in_map)
         for j in range(len(columns)):
@@ -236,21 +236,21 @@ class State:
         self.row_count[k] = w
 
     def room_for(self, rows: int, columns: int) -> None:
-        """Make room for this many more rows; none may depend on more states than the table has columns."""
+        """Increase the capacity by this many rows, if needed; raise ValueError for too many rows or states."""
         if rows > MAX_NUMBERS or columns + 6 > self.row_H.shape[1]:
             raise ValueError(f"{rows} numbers that depend on {columns} states beside the pose are too many")
         if self.written + rows + 1 > self.row_y.shape[0]:
             self.more_rows(self.written + rows + 1)
 
     def put(self, k: int, w: int, column: int, h: float) -> int:
-        """Add the derivative h by a state to row k, as entry w; return the next free entry. Zeros are left out."""
+        """Write the derivative h by a state to entry w of row k, if not 0; return the next free entry."""
         if h == 0.0:
             return w
         self.row_at[k, w], self.row_H[k, w] = column, h
         return w + 1
 
     def derive(self, k: int, by_x: float, by_y: float, by_theta: float, in_map: bool) -> int:
-        """Write row k's derivative by the local pose from that by the pose in the map: H_q = H J_q.
+        """Write the derivative of row k by the local pose, from that by the pose in the map: H_q = H J_q.
 
         Returns how many states it depends on.
         """
@@ -261,7 +261,7 @@ class State:
         return self.put(k, self.put(k, self.put(k, 0, 0, by_x), 1, by_y), 2, by_theta)
 
     def derive_frame(self, k: int, w: int, by_x: float, by_y: float, by_theta: float) -> int:
-        """Write row k's derivative by the map frame from that by the pose in the map: H_G = H J_G."""
+        """Write the derivative of row k by the map frame, from that by the pose in the map: H_G = H J_G."""
         G = self.frame
         if by_x != 0.0 or by_y != 0.0:  # a heading has no lever
             c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
@@ -271,7 +271,7 @@ class State:
         return self.put(k, w, G + 2, by_theta)
 
     def covariance_of(self, a: int, b: int) -> float:
-        """Return row a of H times P times row b of H."""
+        """Return H_a P H_b' of rows a and b."""
         total = 0.0
         for j in range(self.row_count[b]):
             v, at = 0.0, self.row_at[b, j]
@@ -281,7 +281,7 @@ class State:
         return total
 
     def judge(self, first: int, d: int) -> float:
-        """Return the NIS of d rows; `small` holds S = L D L' below its diagonal, the variances on row MAX_NUMBERS.
+        """Return the NIS of d rows; writes S = L D L' to `small`, and the variances to its row MAX_NUMBERS.
 
         It is NaN where S is no number, or so large that its products are none.
         """
@@ -313,7 +313,7 @@ class State:
         return nis
 
     def variance(self, H: Any, columns: Any = (), H_block: Any = (), in_map: bool = False) -> float:
-        """Return H P H' for one derivative H (3,) by the pose and H_block (c,) by the states `columns` (c,)."""
+        """Return H P H' of one derivative H (3,) by the pose and H_block (c,) by the states `columns` (c,)."""
         self.room_for(1, len(columns))
         self.write_row(self.written, H, columns, H_block, in_map)
         return max(self.covariance_of(self.written, self.written), 0.0)
@@ -321,11 +321,11 @@ class State:
     # ---- correct ----
 
     def begin(self) -> None:
-        """Start the equation of an instant, without rows."""
+        """Start an update without rows."""
         self.written = self.queued = 0
 
     def queue_rows(self, first: int, rows: int) -> None:
-        """Queue rows of the table as corrections of the state."""
+        """Queue rows for the correction of the state."""
         for k in range(rows):
             self.queued_rows[self.queued + k] = first + k
         self.queued += rows
@@ -357,7 +357,7 @@ class State:
         return greatest
 
     def project(self, begin: int, m: int) -> float:
-        """Write V = H P, e = y, and the lower half of S = V H' + R; return the greatest variance in S."""
+        """Write V = H P, e = y, and the lower half of S = V H' + R; return the largest variance in S."""
         n, greatest = self.n, 0.0
         for k in range(m):
             q = self.queued_rows[begin + k]
@@ -379,7 +379,7 @@ class State:
         return greatest
 
     def factor(self, m: int) -> bool:
-        """Write L with L L' = S over the lower half of S (m, m) (Cholesky); tell whether S is positive."""
+        """Write the Cholesky factor L of S (m, m) over its lower half; return whether S is positive definite."""
         for k in range(m):
             for j in range(k):
                 for i in range(j):
@@ -392,7 +392,7 @@ class State:
         return True
 
     def correct_queued(self) -> None:
-        """Eq. 10-12 by all queued rows; the covariance of the frame follows its correction (`turn_frame`).
+        """Eq. 10-12 with all queued rows; the map frame's covariance is rotated with the frame.
 
         `frame_x` and `frame_y` say afterwards by how much the frame's place moved [m].
         """
@@ -413,7 +413,7 @@ class State:
                 self.turn_frame(self.frame_x, self.frame_y)
 
     def correct_all(self, m: int) -> None:
-        """Eq. 11, mean <- mean + V' e, and eq. 12, P <- P - V' V, by m rows.
+        """Eq. 11, mean <- mean + V' e, and eq. 12, P <- P - V' V, with m rows.
 
         Four rows at a time, so that P is fetched from memory a quarter as often; those behind the last are zeros.
         """
@@ -435,7 +435,7 @@ class State:
             self.mirror(i, i, least)
 
     def correct_some(self, m: int) -> None:
-        """Correct by m rows with considered states (Schmidt-Kalman), which count but do not change."""
+        """Correct with m rows while considered states keep their values (Schmidt-Kalman)."""
         n = self.n
         for j in range(n):
             for k in range(0 if self.kept[j] else m):
@@ -452,24 +452,24 @@ class State:
             self.mirror(i, 0, least)
 
     def mirror(self, i: int, first: int, least: float) -> None:
-        """Copy row i of P to column i, from element `first` on; keep the variance at `least` or more."""
+        """Copy row i of P to column i from element `first` on; the variance becomes at least `least`."""
         if self.P[i, i] < least:
             self.P[i, i] = least
         for j in range(first, self.n):
             self.P[j, i] = self.P[i, j]
 
     def fit(self, rows: int) -> float:
-        """Return y' S^-1 y of the rows that were whitened last, together."""
+        """Return the joint NIS y' S^-1 y of the rows that were whitened last."""
         nis = 0.0
         for k in range(rows):
             nis += self.e[k] * self.e[k]
         return nis
 
     def turn_frame(self, dx: float, dy: float) -> None:
-        """Let the covariance of the map frame follow its correction by (dx, dy) [m].
+        """Rotate the covariance of the map frame after its correction by (dx, dy) [m].
 
-        A turn of the map about a point of it is what nobody has observed yet, and the frame's place is where that
-        turn takes it: with the place moves the direction in which it takes it, rows x, y += (-dy, dx) row Th.
+        A rotation of the map about one of its points is not observed yet. Its effect on the frame's position
+        changes with this position: rows x, y += (-dy, dx) row Th. So the rotation stays unobserved.
         """
         G, n = self.frame, self.n
         for j in range(n):
@@ -481,14 +481,14 @@ class State:
         self.P[G + 1, G] = self.P[G, G + 1]
 
     def loosen_states(self, these: Loosening) -> None:
-        """Add a variance to each of these states."""
+        """Add the listed variances to the listed states."""
         for i in range(these.count):
             self.P[these.at[i], these.at[i]] += these.by[i]
 
     # ---- clone and look ----
 
     def copy_pose(self, column: int, first: int, states: int) -> None:
-        """Copy the states from `first` on into this many states from `column` on (stochastic cloning)."""
+        """Copy `states` states from column `first` on to column `column` on (stochastic cloning)."""
         n = self.n
         for i in range(states):
             self.mean[column + i] = self.mean[first + i]
@@ -499,7 +499,7 @@ class State:
                 self.P[i, column + j] = self.P[i, first + j]
 
     def replace(self, columns: Any, values: Any, G: Any) -> None:
-        """Replace states (k,) by functions of states: x <- values, P <- T P T', T the identity plus G (k, k)."""
+        """Replace states (k,): x <- values, P <- T P T', T the identity with G (k, k) for these states."""
         k, first = len(columns), self.written
         self.room_for(k, k)  # behind the rows of the equation
         for a in range(k):
@@ -511,7 +511,7 @@ class State:
             self.mean[self.row_at[first, a]] = values[a]
 
     def turn_rows(self, first: int, k: int) -> None:
-        """Apply P <- T P T', where T is the identity except for k rows of the table from `first` on."""
+        """Apply P <- T P T', where T is the identity with k rows of the table, from row `first` on."""
         n = self.n
         for i in range(n):
             for a in range(k):
@@ -531,21 +531,21 @@ class State:
 
     @property
     def x(self) -> float:
-        """X of the local pose [m]."""
+        """Return the x coordinate of the local pose [m]."""
         return self.mean[0]
 
     @property
     def y(self) -> float:
-        """Y of the local pose [m]."""
+        """Return the y coordinate of the local pose [m]."""
         return self.mean[1]
 
     @property
     def theta(self) -> float:
-        """Heading of the local pose [rad], not wrapped."""
+        """Return the heading of the local pose [rad], not wrapped."""
         return self.mean[2]
 
     def value(self, column: int) -> float:
-        """Return the state at a column."""
+        """Return the state in a column."""
         return self.mean[column]
 
     def pose(self) -> tuple[float, float, float]:
@@ -571,7 +571,7 @@ class State:
         return tuple(found[:3]), tuple(found[3:])
 
     def locate(self, in_map: bool) -> None:
-        """Write pose and covariance triangle, local, or in the map if there is a frame G.
+        """Compute pose and covariance triangle, local or in the map.
 
         p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + bent r r', where
         C = cov(q, G), with the derivatives of fusion.ekf.map_frame.
@@ -606,7 +606,7 @@ class State:
         small[o, 8] = P[2, 2] + 2.0 * tt + gtt
 
     def note(self, k: int, track: Track) -> None:
-        """Record instant k: the pose in the map with its covariance, and the track's states."""
+        """Write row k of a track: the pose in the map with its covariance, and the recorded states."""
         self.locate(True)
         o = MAX_NUMBERS + 2
         for j in range(3):
@@ -620,11 +620,11 @@ class State:
 
 
 def bent(tt: float) -> float:
-    """Return the variance along a lever that a heading variance tt [rad^2] causes, per squared length.
+    """Return the second-order variance along a lever, per squared length, by a heading variance tt [rad^2].
 
-    To first order a heading moves the end of a lever across it only. With a Gaussian angle a the end is at cos(a)
-    along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. That is 3/4 tt^2 for small
-    tt, and nothing at half a degree.
+    To first order, a heading error moves the end of a lever only across the lever. With a Gaussian angle a, the
+    end is at cos(a) along it: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. This is 3/4 tt^2 for
+    small tt.
     """
     if tt > 1e-3:
         return 1.0 - 2.0 * exp(-0.5 * tt) + 0.5 * (1.0 + exp(-2.0 * tt))

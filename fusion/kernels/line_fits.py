@@ -1,4 +1,4 @@
-"""Weighted fit of one line to the beams that hit it: (r, psi), covariance, and whether the wall is straight.
+"""Weighted line fit to the returns of a wall: (r, psi), covariance, and test for straightness.
 
 A line is n.P = r with n = (cos psi, sin psi), r >= 0. A beam starts at o (the laser's own place when the beam
 was fired: zero without deskewing), points along u and should return the range p = (r - n.o) / n.u. Its noise acts
@@ -39,7 +39,7 @@ MIN_PIECE_GAIN_CHI2 = -25.0  # that a curve saves in a piece which is straight b
 
 
 class Fit:
-    """The returns of one wall, `count` of them, in the fit of a line (r, psi), and the sums of the fit.
+    """Returns of one wall (`count` of them) and the sums of the fit of a line (r, psi).
 
     Return row[k] lies `error[k]` [m] off the line, whose foot is foot[k] [m], and counts with weight[k]. With e, q
     and w for these: `sum_wqe` is the sum of w q e.
@@ -54,7 +54,7 @@ class Fit:
 
 
 class Curves:
-    """Working arrays for curved walls: curvature [1/m] at each joint, chi2 gain and verdict of each wall."""
+    """Arrays for curved walls: curvature [1/m] at each joint, chi2 gain and result of each wall."""
 
     def __init__(self, beams: int) -> None:
         self.joint, self.gains, self.curved = floats(beams), floats(beams), wholes(beams)
@@ -62,7 +62,7 @@ class Curves:
 
 
 class Sweep:
-    """The base's motion during a scan; `share` (pieces, beams) is the part of each piece at each beam.
+    """Motion of the base during a scan; `share` (pieces, beams) is the effect of each piece on each beam.
 
     The lever [m] from the base to the laser and the base's forward direction are in the laser's axes.
     """
@@ -74,7 +74,7 @@ class Sweep:
 
 
 class Found:
-    """The lines of n scans, `count` so far, at most `most`: the columns of `lines.extract.Lines`.
+    """Lines of n scans, as columns of `lines.extract.Lines`: `count` lines so far, at most `most`.
 
     R is over sigma_range^2, as rr, rp, pp; sweep (most, 4, pieces) is what r owes to a turn and a move, then psi.
     """
@@ -86,7 +86,7 @@ class Found:
 
 
 def find_lines(scans: Scans, limits: Limits, sweep: Sweep) -> Found:
-    """Return the lines of all scans; scans are independent of each other."""
+    """Return the lines of all scans; the scans are independent."""
     number, beams = scans.ranges.shape[0], scans.ranges.shape[1]
     found = Found(number, number * (beams // 3), sweep.pieces)  # no line of fewer beams
     returns, segments, fit, curves = Returns(beams), Segments(beams), Fit(beams), Curves(beams)
@@ -107,7 +107,7 @@ def find_lines(scans: Scans, limits: Limits, sweep: Sweep) -> Found:
 
 
 def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, found: Found) -> bool:
-    """Fit a line to the returns of a wall and write it; return whether it is valid.
+    """Fit a line to the returns of a wall and write the line; return whether it is valid.
 
     Two Gauss-Newton steps. What lies outside the wall's own feet, or is seen too flat, leaves before the first,
     strays before the second. What stays is decided by the predicted point, never by the measured one: choosing by
@@ -138,7 +138,7 @@ def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fi
 
 
 def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
-    """Take the last step, and write the line if its wall is straight and its covariance small enough.
+    """Do the last step, and write the line if the wall is straight and the covariance small enough.
 
     A wall is bent where a parabola, as high as that share of its chord, explains much of the misfit. A line is too
     vague to be linear where turning about its middle by sigma(psi) moves its foot by more than a share of sigma(r)
@@ -169,7 +169,7 @@ def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
 
 
 def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: Found) -> None:
-    """Write the derivatives of a line's (r, psi) by turn [rad] and move [m] of each piece of the sweep.
+    """Write the derivatives of a line's (r, psi) by turn [rad] and move [m] in each piece of the sweep.
 
     A beam's end moves across its line by lever - q per radian and by n.ahead per metre; the fit passes that on.
     """
@@ -199,7 +199,7 @@ def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: Found) -> None:
 
 
 def rows_of(segments: Segments, wall: int, fit: Fit) -> None:
-    """Collect the returns of all parts of a wall, one after another."""
+    """Collect the returns of all parts of a wall."""
     count = 0
     for part in range(segments.bounds[wall], segments.bounds[wall + 1]):
         for i in range(segments.start[part], segments.stop[part]):
@@ -209,7 +209,7 @@ def rows_of(segments: Segments, wall: int, fit: Fit) -> None:
 
 
 def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
-    """Write the distances e [m] of the returns from the line (r, psi), their feet q [m], and weights w.
+    """Compute distances e [m] of the returns from the line (r, psi), positions q [m] along it, weights w.
 
     Times n.u, the range residual d - p is the distance e = (d - p) n.u, and its derivative by (r, psi) is (-1, q),
     q the foot of the *predicted* point: taking the measured one instead is the bias of perpendicular fits.
@@ -230,16 +230,16 @@ def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
 
 
 def keep(fit: Fit, k: int, kept: int) -> None:
-    """Move return k of the fit to the end of the kept ones."""
+    """Move return k of the fit to position `kept`, the end of the kept returns."""
     fit.row[kept], fit.error[kept] = fit.row[k], fit.error[k]
     fit.foot[kept], fit.weight[kept] = fit.foot[k], fit.weight[k]
 
 
 def leave_strays(fit: Fit, limit: float, least: float) -> None:
-    """Leave out returns that are not from the wall: a pole or a leg before it.
+    """Leave out stray returns, with squared weighted distance e^2 w > `limit` [m^2], such as those of a pole.
 
-    Stray is what has e^2 w > `limit` [m^2]. A few such beams are too few to be cut off as a piece of their own,
-    and pull the whole line. A wall that would have fewer than `least` without them keeps them; its misfit shows.
+    A few such beams are too few for a piece of their own, and would bias the line. If fewer than `least` returns
+    would remain, all are kept.
     """
     strays = kept = 0
     for k in range(fit.count):
@@ -255,7 +255,7 @@ def leave_strays(fit: Fit, limit: float, least: float) -> None:
 
 
 def normal_equations(fit: Fit) -> None:
-    """Write the sums of w, wq, wqq, we, wqe, wee."""
+    """Compute the sums of w, wq, wqq, we, wqe, wee."""
     a = b = c = f = g = ee = 0.0
     for k in range(fit.count):
         e, q, w = fit.error[k], fit.foot[k], fit.weight[k]
@@ -270,7 +270,7 @@ def normal_equations(fit: Fit) -> None:
 
 
 def parabola(fit: Fit) -> None:
-    """Write the sums that a parabola adds: wqqq, wqqqq, wqqe."""
+    """Compute the additional sums for a parabola: wqqq, wqqqq, wqqe."""
     cubic = quartic = qqe = 0.0
     for k in range(fit.count):
         q = fit.foot[k]
@@ -287,33 +287,33 @@ def determinant(fit: Fit) -> float:
 
 
 def singular(fit: Fit) -> bool:
-    """Return whether the beams give no direction: they all meet the line in one point."""
+    """Return whether all beams meet the line in one point, so that its direction is undefined."""
     return not determinant(fit) > 1e-12 * fit.sum_w * fit.sum_wqq
 
 
 def misfit_of(fit: Fit) -> float:
-    """Return the sum of squares [m^2] that remains after the step."""
+    """Return the weighted sum of squares [m^2] that remains after the Gauss-Newton step."""
     return max(fit.sum_wee - step_r(fit) * fit.sum_we + step_psi(fit) * fit.sum_wqe, 0.0)
 
 
 def step_r(fit: Fit) -> float:
-    """Return how far a Gauss-Newton step moves r [m]."""
+    """Return the Gauss-Newton step of r [m]."""
     return (fit.sum_wqq * fit.sum_we - fit.sum_wq * fit.sum_wqe) / determinant(fit)
 
 
 def step_psi(fit: Fit) -> float:
-    """Return how far a Gauss-Newton step turns psi [rad]."""
+    """Return the Gauss-Newton step of psi [rad]."""
     return (fit.sum_wq * fit.sum_we - fit.sum_w * fit.sum_wqe) / determinant(fit)
 
 
 def take_step(fit: Fit) -> None:
-    """Take a Gauss-Newton step."""
+    """Add the Gauss-Newton step to (r, psi)."""
     fit.r += step_r(fit)
     fit.psi += step_psi(fit)
 
 
 def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
-    """Return the foot [m] of return i on the line (r, psi): where the beam meets it."""
+    """Return the position [m] along the line (r, psi) at which the beam of return i meets it."""
     nx, ny, ux, uy = cos(psi), sin(psi), returns.ux[i], returns.uy[i]
     along, across = nx * ux + ny * uy, nx * uy - ny * ux
     reach = r - (nx * returns.ox[i] + ny * returns.oy[i])
@@ -328,14 +328,14 @@ def stiffness(fit: Fit) -> float:
 
 
 def curvature(fit: Fit) -> float:
-    """Return the coefficient [1/m] of a parabola added to the line; 0 if it cannot be fitted."""
+    """Return the coefficient [1/m] of a parabola fitted in addition to the line; 0 if singular."""
     norm = stiffness(fit)
     left = fit.sum_wqqe - step_r(fit) * fit.sum_wqq + step_psi(fit) * fit.sum_wqqq
     return left / norm if norm > 0.0 else 0.0
 
 
 def bend(fit: Fit) -> float:
-    """Return the reduction of the sum of squares [m^2] if a parabola is added to the line."""
+    """Return the reduction of the weighted sum of squares [m^2] by a parabola in addition to the line."""
     coefficient = curvature(fit)
     return stiffness(fit) * coefficient * coefficient
 
@@ -344,7 +344,7 @@ def bend(fit: Fit) -> float:
 
 
 def find_curves(returns: Returns, limits: Limits, segments: Segments, fit: Fit, curves: Curves) -> None:
-    """Write which walls are pieces of a curve.
+    """Mark the walls that are pieces of a curve.
 
     Where most walls of a scan are, another one is straight only if its own returns say so: it may be a piece of
     the same curve whose neighbours are hidden.
@@ -371,7 +371,7 @@ def find_curves(returns: Returns, limits: Limits, segments: Segments, fit: Fit, 
 
 
 def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
-    """Write the curvature [1/m] between each wall and the next, 0 if they do not touch; return their number.
+    """Compute the curvature [1/m] between neighbouring walls, 0 without contact; return the number of joints.
 
     Positive where psi grows along the tangent (-sin psi, cos psi).
     """
@@ -397,7 +397,7 @@ def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
 
 
 def curvature_of(curves: Curves, walls: int, closed: bool, i: int) -> float:
-    """Return the curvature [1/m] of wall i by its neighbours; 0 if it has none or they disagree."""
+    """Return the curvature [1/m] of wall i from both neighbours; 0 without neighbours or if these disagree."""
     behind = curves.joint[i - 1] if i > 0 else curves.joint[walls - 1] if closed else 0.0
     ahead = curves.joint[i]
     if behind == 0.0 or ahead == 0.0:
@@ -406,7 +406,7 @@ def curvature_of(curves: Curves, walls: int, closed: bool, i: int) -> float:
 
 
 def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, bent: float) -> float:
-    """Return the reduction of a wall's chi2 if its curvature is `bent` [1/m] instead of 0."""
+    """Return the reduction of a wall's chi2 by the curvature `bent` [1/m] instead of 0."""
     if bent == 0.0:
         return 0.0
     rows_of(segments, wall, fit)
@@ -421,7 +421,7 @@ def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: F
 
 
 def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None:
-    """Add the chi2 gains and the number of pieces of a curve beyond wall i, in one direction (1 or -1)."""
+    """Add chi2 gains and number of the pieces of a curve beyond wall i, in direction `step` (1 or -1)."""
     sign = 0.0
     for _ in range(walls - 1):
         at = i if step > 0 else i - 1 if i > 0 else walls - 1
@@ -436,7 +436,7 @@ def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None
 
 
 def is_piece(curves: Curves, walls: int, closed: bool, i: int, length: float) -> bool:
-    """Return whether wall i of `length` [m] belongs to a curve of several pieces that explains them better."""
+    """Return whether wall i of `length` [m] belongs to a curve of several pieces that fits better."""
     bent = curvature_of(curves, walls, closed, i)
     if abs(bent) * length < MIN_BEND_RAD or curves.gains[i] < MIN_PIECE_GAIN_CHI2:
         return False

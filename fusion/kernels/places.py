@@ -1,4 +1,4 @@
-"""Lines seen from another place: by a sensor elsewhere, and the places from which a scan may have been taken.
+"""Line transformations between frames, and scoring of poses by the lines that match.
 
 From the laser to the base, or from one mount to another, exact:
 r_b = r + l.n(psi_b), psi_b = psi + yaw for a laser at l = (x, y), Jacobian [[1, u], [0, 1]] with
@@ -40,7 +40,7 @@ COLUMNS = 8  # of a map line; the last two are written here
 
 
 def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Array) -> None:
-    """Write the lines `rows` (lines, 7: r, psi, R as 00, 01, 11, both ends) of a laser at x, y [m], yaw [rad]."""
+    """Convert lines `rows` (lines, 7) from the frame of a laser at x, y [m], yaw [rad] to the base frame."""
     for i in range(lines):
         psi = rows[i, PSI] + yaw
         if psi - psi != 0.0:  # Inf or NaN: there is no such line
@@ -58,7 +58,7 @@ def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Arra
 
 
 def moved(place: Array, configured: Array, out: Array) -> None:
-    """Write the motion x, y [m], yaw [rad] from the base by one mount, `configured`, to that by `place`."""
+    """Compute the motion x, y [m], yaw [rad] on the base from the mount `configured` to the mount `place`."""
     turn = place[2] - configured[2]
     c, s = cos(turn), sin(turn)
     out[0], out[1], out[2] = (
@@ -71,7 +71,7 @@ def moved(place: Array, configured: Array, out: Array) -> None:
 def shares_into_base(
     rows: Array, lines: int, x: float, y: float, yaw: float, shared: Array, first: int, out: Array
 ) -> None:
-    """Transform shared errors (lines, 2, parts) of r and psi into the base, as `into_base` does with lines.
+    """Convert shared errors (lines, 2, parts) of (r, psi) from the laser frame to the base frame.
 
     They stand in `shared` from line `first` on.
     """
@@ -89,13 +89,13 @@ def shares_into_base(
 
 
 def face(walls: Array) -> None:
-    """Write the directions in which map lines face."""
+    """Compute the normal directions of map lines."""
     for j in range(walls.shape[0]):
         walls[j, NX], walls[j, NY] = cos(walls[j, BETA]), sin(walls[j, BETA])
 
 
 def behind(rows: Array, walls: Array, x: float, y: float, theta: float, both: bool, out: Array) -> None:
-    """Write the share of each line (k, 7) that is hidden behind map lines `walls` (m, 8), seen from a pose.
+    """Compute the share of each line (k, 7) that is hidden behind map lines `walls` (m, 8), seen from a pose.
 
     A point of a line lies behind where its sight line meets a wall clearly before it, away from the wall's ends
     and not too flat, on the face that was seen or on `both`.
@@ -116,7 +116,7 @@ def behind(rows: Array, walls: Array, x: float, y: float, theta: float, both: bo
 
 
 def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float, both: bool) -> bool:
-    """Return whether a wall stands within `reach` [m] of (x, y) in the direction (dx, dy)."""
+    """Return whether a wall is within `reach` [m] of (x, y) in the direction (dx, dy)."""
     for j in range(walls.shape[0]):
         c, s = walls[j, NX], walls[j, NY]
         facing = dx * c + dy * s
@@ -130,7 +130,7 @@ def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float
 
 
 def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array) -> None:
-    """Write how much of a scan's lines (k, 7) the map lines (m, 8) explain, for poses (h, 3), out (h, 3).
+    """Compute the matched share of a scan's lines (k, 7) with map lines (m, 8), for poses (h, 3); out (h, 3).
 
     These are the share of the measured length, the share were the map lines longer than known, and how many lines.
     A line is explained by a map line that is the same, within `slack` times the usual limits, where both overlap.
@@ -153,7 +153,7 @@ def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array)
 
 
 def likeness(rows: Array, walls: Array, i: int, x: float, y: float, theta: float, slack: float) -> int:
-    """Return 2 if a map line explains line i from a pose, 1 if only a longer map line would, else 0."""
+    """Return 2 if line i of a scan matches a map line, 1 if it would match a longer map line, else 0."""
     kind, angle, offset = 0, slack * SAME_ANGLE_RAD, slack * SAME_OFFSET_M
     least = MIN_OVERLAP_SHARE * (rows[i, END] - rows[i, BEGIN])
     for j in range(walls.shape[0]):
@@ -168,7 +168,7 @@ def likeness(rows: Array, walls: Array, i: int, x: float, y: float, theta: float
 
 
 def hypotheses(rows: Array, a: int, b: int, walls: Array, found: int, poses: Array) -> int:
-    """Add the poses from which lines a and b are two map lines at the same angle to `found`; return how many.
+    """Append poses that align lines a and b with two map lines at the same angle; return the number of poses.
 
     The pair's angle may differ from theirs by less than what is the same angle, and half of what it differs by is
     the pose's. Poses (found + m m, 3) hold those that were found before.
@@ -191,5 +191,5 @@ def hypotheses(rows: Array, a: int, b: int, walls: Array, found: int, poses: Arr
 
 
 def from_origin(walls: Array, j: int) -> float:
-    """Return the distance of a map line from the map's origin [m]."""
+    """Return the distance of a map line from the origin [m]."""
     return walls[j, RHO] + (walls[j, X] * walls[j, NX] + walls[j, Y] * walls[j, NY])

@@ -1,4 +1,4 @@
-"""From ranges to walls: cut at gaps, split into straight pieces, merge those of one line, leave corners out.
+"""Segmentation of scans into walls: cut at gaps, split into straight pieces, merge, leave out corners.
 
 V. Nguyen, A. Martinelli, N. Tomatis, R. Siegwart: "A comparison of line extraction algorithms using 2D laser
 rangefinder for indoor mobile robotics", IROS 2005. What counts as a wall: `lines.extract.LineSettings`.
@@ -34,7 +34,7 @@ MIN_DIVISOR = 1e-100
 
 
 class Scans:
-    """Scans of one laser: `ranges` (n, b) [m], of which those in the limits [low, high) are returns.
+    """Scans of one laser: `ranges` (n, b) [m]; ranges within [low, high) are returns.
 
     `rays`: every beam's direction cos, sin and origin x, y [m], (n, b) each, or (b,) where all scans agree.
     growth (n,): how far apart neighbours on a wall may be [m per m of range]; ring (n,): whether the scan goes all
@@ -53,7 +53,7 @@ class Scans:
 
 
 class Limits:
-    """The limits of a wall: the numbers of LineSettings."""
+    """Limits of a wall, from LineSettings."""
 
     def __init__(self, settings: Any) -> None:
         self.sigma_range, self.sigma_angle = settings.sigma_range, settings.sigma_angle
@@ -70,7 +70,7 @@ class Limits:
 
 
 class Returns:
-    """The returns of one scan, `count` of them, in the order of its beams.
+    """Returns of one scan (`count` of them), in beam order.
 
     Each has a range [m], started at the origin o [m] along the direction u, ended at (x, y) [m] and may lie off a
     straight piece by its tolerance [m]. `closed`: no gap cuts the circle of them.
@@ -86,7 +86,7 @@ class Returns:
 
 
 class Segments:
-    """Straight pieces of a scan; merged into parts of walls, then into walls.
+    """Straight pieces of a scan, which are merged to parts of walls, and these to walls.
 
     Piece i owns the returns first[i]:first[i + 1], group i the pieces bounds[i]:bounds[i + 1]. Part j owns the
     returns start[j]:stop[j], wall i the parts bounds[i]:bounds[i + 1]. Moments of a piece, part or wall are the
@@ -106,7 +106,7 @@ class Segments:
 
 
 def find_walls(scans: Scans, scan: int, limits: Limits, returns: Returns, segments: Segments) -> None:
-    """Find the walls of a scan, and which of its returns belong to each."""
+    """Find the walls of a scan and the returns of each wall."""
     growth = scans.growth[scan]
     gather(scans, scan, 0, returns)
     returns.closed = False
@@ -131,7 +131,7 @@ def find_walls(scans: Scans, scan: int, limits: Limits, returns: Returns, segmen
 
 
 def gather(scans: Scans, scan: int, begin: int, returns: Returns) -> None:
-    """Collect the returns of a scan from beam `begin` once round."""
+    """Collect the returns of a scan, beginning at beam `begin`."""
     beams, count, row = scans.ranges.shape[1], 0, scan if scans.moving else 0
     for i in range(beams):
         j = i + begin
@@ -152,7 +152,7 @@ def gather(scans: Scans, scan: int, begin: int, returns: Returns) -> None:
 
 
 def gap(returns: Returns, before: int, i: int, growth: float, max_gap: float) -> float:
-    """Return the squared distance of two neighbouring end points relative to the limit within one wall.
+    """Return the squared distance of two neighbouring returns, relative to the largest one within a wall.
 
     That is `max_gap` [m] > 0, or `growth` times the larger range: beam spacings grow with the range and, on a wall
     seen flat, with the angle of incidence.
@@ -164,9 +164,9 @@ def gap(returns: Returns, before: int, i: int, growth: float, max_gap: float) ->
 
 
 def ring_start(returns: Returns, growth: float, max_gap: float) -> int:
-    """Return the best first return of a full-circle scan.
+    """Return the index of the return at which a full-circle scan begins: after the widest gap.
 
-    The one behind the widest gap; where there is none, the farthest, and then -1 - it: the ring is closed.
+    Without a gap the circle is closed: return -1 - i, where i is the index of the farthest return.
     """
     best, start = 0.0, 0
     for i in range(returns.count):
@@ -178,7 +178,7 @@ def ring_start(returns: Returns, growth: float, max_gap: float) -> int:
 
 
 def cut_at_gaps(returns: Returns, growth: float, max_gap: float, segments: Segments) -> None:
-    """Write where runs of neighbouring returns begin."""
+    """Cut the returns into runs at gaps."""
     runs = 0
     for i in range(returns.count):
         if i == 0 or gap(returns, i - 1, i, growth, max_gap) > 1.0:
@@ -189,7 +189,7 @@ def cut_at_gaps(returns: Returns, growth: float, max_gap: float, segments: Segme
 
 
 def allow(returns: Returns, limits: Limits) -> None:
-    """Write the tolerance [m] of every return: its largest distance from a straight piece in any direction."""
+    """Compute the tolerance [m] of every return: its largest distance from a straight piece."""
     least = max(limits.split_floor, MIN_DIVISOR)
     for i in range(returns.count):
         across = limits.sigma_angle * returns.ranges[i]
@@ -198,7 +198,7 @@ def allow(returns: Returns, limits: Limits) -> None:
 
 
 def farthest(returns: Returns, begin: int, end: int) -> int:
-    """Return the point of [begin, end) whose distance from their chord is most, relative to its tolerance.
+    """Return the point of [begin, end) with the largest distance from the chord, relative to its tolerance.
 
     -1 where every point lies within its tolerance. The earliest of equals.
     """
@@ -219,7 +219,7 @@ def farthest(returns: Returns, begin: int, end: int) -> int:
 
 
 def split(returns: Returns, segments: Segments) -> None:
-    """Cut runs of points into straight pieces; pieces of one run are linked.
+    """Split runs of points into straight pieces; pieces of one run are linked.
 
     A piece with a point off its chord is cut there; that point starts the second half.
     """
@@ -244,7 +244,7 @@ def split(returns: Returns, segments: Segments) -> None:
 
 
 def weigh(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Write the moments of every piece, its points weighted by 1/variance across the piece's chord."""
+    """Compute the moments of every piece, with points weighted by 1/variance across the piece's chord."""
     unevenness, m = max(limits.flatness * limits.flatness, MIN_DIVISOR), segments.moments
     for p in range(segments.pieces):
         begin, end = segments.first[p], segments.first[p + 1]
@@ -273,7 +273,7 @@ def weigh(returns: Returns, limits: Limits, segments: Segments) -> None:
 
 
 def misfit(w: float, sx: float, sy: float, sxx: float, sxy: float, syy: float) -> float:
-    """Return the weighted sum of squared distances from the nearest line: the scatter's smaller eigenvalue."""
+    """Return the weighted sum of squared distances from the best line: the smaller eigenvalue of the scatter."""
     mx, my = sx / w, sy / w
     a, b, c = sxx - sx * mx, sxy - sx * my, syy - sy * my
     half = 0.5 * (a - c)
@@ -281,26 +281,26 @@ def misfit(w: float, sx: float, sy: float, sxx: float, sxy: float, syy: float) -
 
 
 def joint_misfit(segments: Segments, i: int, j: int) -> float:
-    """Return the misfit of i and j as one line."""
+    """Return the misfit of pieces i and j as one line."""
     m = segments.moments
     w, sx, sy = m[i, 0] + m[j, 0], m[i, 1] + m[j, 1], m[i, 2] + m[j, 2]
     return misfit(w, sx, sy, m[i, 3] + m[j, 3], m[i, 4] + m[j, 4], m[i, 5] + m[j, 5])
 
 
 def own_misfit(segments: Segments, i: int) -> float:
-    """Return the misfit of i."""
+    """Return the misfit of piece i."""
     m = segments.moments
     return misfit(m[i, 0], m[i, 1], m[i, 2], m[i, 3], m[i, 4], m[i, 5])
 
 
 def join(segments: Segments, i: int, j: int) -> None:
-    """Add the moments of j to those of i."""
+    """Add the moments of piece j to those of piece i."""
     for q in range(6):
         segments.moments[i, q] += segments.moments[j, q]
 
 
 def merge(segments: Segments, count: int, limit: float) -> int:
-    """Join neighbours that are statistically one line; return the number of groups.
+    """Merge neighbouring pieces that are statistically one line; return the number of groups.
 
     Two are one line if fitting them as one raises the misfit by less than `limit`: a likelihood ratio, chi-square
     with 2 degrees of freedom. Pairs that cost less than both neighbouring pairs go first, all of them at a time.
@@ -326,7 +326,7 @@ def merge(segments: Segments, count: int, limit: float) -> int:
 
 
 def cheapest(segments: Segments, count: int, limit: float) -> int:
-    """Write into `best` the first segment of each pair to merge now; return the number of pairs."""
+    """Write the first piece of each pair to merge now to `best`; return the number of pairs."""
     chosen, cost = 0, segments.cost
     for i in range(count):
         if cost[i] < limit and cost[i] < cost[segments.before[i]] and cost[i] <= cost[segments.after[i]]:
@@ -336,7 +336,7 @@ def cheapest(segments: Segments, count: int, limit: float) -> int:
 
 
 def join_pairs(segments: Segments, chosen: int) -> None:
-    """Join the chosen pieces with those after them."""
+    """Merge the chosen pieces with the next ones."""
     for q in range(chosen):
         i = segments.best[q]
         gone = segments.after[i]
@@ -348,14 +348,14 @@ def join_pairs(segments: Segments, chosen: int) -> None:
 
 
 def renew_cost(segments: Segments, i: int) -> None:
-    """Compute again the cost of merging segment i with the next one, unless it is never merged."""
+    """Update the cost of merging piece i with the next one, unless they must not be merged."""
     if segments.cost[i] < JOINS_NEVER_CHI2:
         j = segments.after[i]
         segments.cost[i] = joint_misfit(segments, i, j) - segments.own[i] - segments.own[j]
 
 
 def compact(segments: Segments, count: int) -> int:
-    """Move the moments of the groups to the front, write `bounds`, and return how many groups there are."""
+    """Move the moments of the groups to the front, write `bounds`, return the number of groups."""
     groups = i = 0
     while i < count:
         segments.bounds[groups] = i
@@ -371,23 +371,23 @@ def compact(segments: Segments, count: int) -> int:
 
 
 def distance(returns: Returns, i: int, j: int) -> float:
-    """Return the distance between the end points of returns i and j [m]."""
+    """Return the distance between returns i and j [m]."""
     dx, dy = returns.x[j] - returns.x[i], returns.y[j] - returns.y[i]
     return sqrt(dx * dx + dy * dy)
 
 
 def head_of(segments: Segments, wall: int) -> int:
-    """Return the first return of a wall."""
+    """Return the index of the first return of a wall."""
     return segments.start[segments.bounds[wall]]
 
 
 def tail_of(segments: Segments, wall: int) -> int:
-    """Return the last return of a wall."""
+    """Return the index of the last return of a wall."""
     return segments.stop[segments.bounds[wall + 1] - 1] - 1
 
 
 def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Keep the parts with enough points and length for a wall; link those that may be one behind an object."""
+    """Keep parts with enough points and length; link those that may be one wall behind an object."""
     parts, start, stop = 0, segments.start, segments.stop
     for g in range(segments.groups):
         begin, end = segments.first[segments.bounds[g]], segments.first[segments.bounds[g + 1]]
@@ -405,7 +405,7 @@ def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
 def near(
     returns: Returns, limits: Limits, head: int, tail: int, next_head: int, next_tail: int, between: int
 ) -> bool:
-    """Return whether the same line may continue in the next part of its scan, by the gap between both parts.
+    """Return whether the gap between two parts is small enough for one line.
 
     It may if next to no beams are `between` them, or if they are closer than the bridge [m] and than both lengths.
     """
@@ -415,7 +415,7 @@ def near(
 
 
 def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Join the first and the last wall of a full circle if they are one."""
+    """Merge the first and the last wall of a full-circle scan if they are one wall."""
     last, bounds, m = segments.walls - 1, segments.bounds, segments.moments
     if last < 1:
         return
@@ -448,7 +448,7 @@ def rotate(values: Ints, count: int, by: int, room: Ints) -> None:
 
 
 def perpendicular_fit(segments: Segments) -> None:
-    """Write the lines nearest to the walls' weighted points, r [m] >= 0 and psi [rad].
+    """Compute the line with the least squared distances of each wall, r [m] >= 0 and psi [rad].
 
     S. Pfister, S. Roumeliotis, J. Burdick: "Weighted line fitting algorithms for mobile robot map building and
     efficient data representation", ICRA 2003: psi from the scatter about the weighted mean, in closed form.
@@ -463,7 +463,7 @@ def perpendicular_fit(segments: Segments) -> None:
 
 
 def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Write for each wall the limits [m] along its tangent within which its returns are used.
+    """Compute the limits [m] along each wall within which its returns are used, away from corners.
 
     Near a corner the noise decides which wall a beam is counted to, so those beams are biased, and at the end of a
     wall they turn it most. A corner is where the next wall begins within a few beams and `max_gap` [m]; behind the
@@ -493,7 +493,7 @@ def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
 def limit_by_corner(
     returns: Returns, segments: Segments, wall: int, end: int, other: int, corner: float, margin: float
 ) -> None:
-    """Leave out a wall's end near a corner at the foot `corner` [m], but at most a limited share of the wall.
+    """Leave out the end of a wall near a corner at `corner` [m], at most a limited share of the wall.
 
     By the wall's last returns at this `end` and at the `other`.
     """
@@ -506,5 +506,5 @@ def limit_by_corner(
 
 
 def along(returns: Returns, i: int, psi: float) -> float:
-    """Return the coordinate [m] of a return along the tangent of a line at psi."""
+    """Return the coordinate [m] of a return along the tangent of a line with normal angle psi."""
     return -sin(psi) * returns.x[i] + cos(psi) * returns.y[i]

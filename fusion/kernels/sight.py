@@ -1,4 +1,4 @@
-"""A scan against the line map: candidate pairs, association, verdicts, rows of the equation, map updates.
+"""Data association of a scan with the line map: candidate pairs, matches, verdicts, rows, map updates.
 
 The robot at p = (x, y), theta should see the map line (rho, beta) about the anchor a as (r, psi): psi = beta -
 theta, r = rho - n.(p - a), n = (cos beta, sin beta) (paper eq. 17, 18); or as (-r, psi + pi), whichever is nearer.
@@ -57,31 +57,31 @@ LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M = 5.0, 3.0 * (pi / 180.0), 0.15
 
 
 class Walls:
-    """The line map as columns (J,), shared with fusion.map.LineMap."""
+    """Line map as arrays (J,), shared with fusion.map.LineMap."""
 
     def __init__(self, columns: Any, anchors: Any, low: Any, high: Any, fixed: Any, states: bool) -> None:
-        """State columns, anchors (J, 2), ends along the tangent; `fixed` (J, WALL) where they are no states."""
+        """State columns, anchor points (J, 2), ends on the tangent; `fixed` (J, WALL): lines without states."""
         self.columns, self.anchors = memory(columns), memory(anchors)
         self.low, self.high, self.fixed = memory(low), memory(high), memory(fixed)
         self.states, self.places = states, len(columns)
 
     def count(self, hits: Any, seen: Any, born: Any, ids: Any) -> None:
-        """Take the counts of every line: how often and when it was last seen, its first scan, and its id."""
+        """Set arrays (J,): number of hits, last scan, first scan, and id of every line."""
         self.hits, self.seen = memory(hits), memory(seen)
         self.born, self.ids = memory(born), memory(ids)
 
 
 class Seat:
-    """The laser's configured mount; which of x, y, yaw are states, and their columns."""
+    """Configured mount of the laser, and the columns of those of x, y, yaw that are states."""
 
     def __init__(self, configured: Any, which: Any, columns: Any) -> None:
-        """Configured (3,) m, m, rad; which and columns (f,)."""
+        """`configured` (3,) m, m, rad; `which` (f,) of x, y, yaw are the states `columns` (f,)."""
         self.configured, self.which, self.columns = memory(configured), memory(which), memory(columns)
         self.free = len(which)
 
 
 class Rules:
-    """How a tracker associates: its gate, whether its lines are states and its map grows, and its verdicts."""
+    """Settings of the association: gate, whether lines are states, whether the map grows, and verdicts."""
 
     def __init__(self, gate: float, states: bool, grows: bool, unmatched: int, ambiguous: int, new: int) -> None:
         self.gate, self.states, self.grows = gate, states, grows
@@ -89,28 +89,28 @@ class Rules:
 
 
 class Doubles:
-    """Limits for tidying a map: how often and when a line must be seen, and which lines may be one wall."""
+    """Limits for the removal of rare lines and the merging of duplicates."""
 
     def __init__(self, hits: int, trial: int, turn: float, offset: float, apart: float) -> None:
-        """Scans; rad, m, m."""
+        """`hits`, `trial`: numbers of scans; `turn` [rad], `offset`, `apart` [m]: differences of duplicates."""
         self.hits, self.trial, self.turn, self.offset, self.apart = hits, trial, turn, offset, apart
 
 
 class Audit:
-    """The record of every measurement in columns (rows,) (fusion.ekf.record)."""
+    """Record of all measurements as columns (rows,) (fusion.ekf.record)."""
 
     def __init__(self, instant: Any, row: Any, verdict: Any, landmark: Any) -> None:
         self.instant, self.row = memory(instant), memory(row)
         self.verdict, self.landmark = memory(verdict), memory(landmark)
 
     def judged(self, nis: Any, threshold: Any, y: Any, sigma: Any) -> None:
-        """Y and sigma (rows, d)."""
+        """Set the other columns; y and sigma are (rows, d)."""
         self.nis, self.threshold = memory(nis), memory(threshold)
         self.y, self.sigma = memory(y), memory(sigma)
 
 
 class Sight:
-    """The lines of one scan, associated with the map; fusion.map.line_map owns the arrays."""
+    """Lines of one scan, associated with the map; the arrays belong to fusion.map.line_map."""
 
     def __init__(self, rules: Rules, seat: Seat) -> None:
         self.rules, self.seat = rules, seat
@@ -120,7 +120,7 @@ class Sight:
     # ---- room ----
 
     def hold_lines(self, rows: Any, match: Any, best: Any, rival: Any, near: Any, order: Any) -> None:
-        """Use arrays for n lines: rows (n, 7), the others (n,)."""
+        """Use arrays for n lines: rows (n, 7), all others (n,)."""
         self.rows, self.match, self.best = memory(rows), memory(match), memory(best)
         self.rival, self.near, self.order = memory(rival), memory(near), memory(order)
 
@@ -130,17 +130,17 @@ class Sight:
         self.mount, self.place, self.offset = memory(mount), memory(place), memory(offset)
 
     def hold_shares(self, shared: Any, G: Any) -> None:
-        """Use arrays for errors that lines share: shared (n, 2, parts), G (2 n, parts)."""
+        """Use arrays for the shared errors of lines: shared (n, 2, parts), G (2 n, parts)."""
         self.shared, self.G = memory(shared), memory(G)
 
     def hold_states(self, bent: Loosening) -> None:
-        """Use an array for the states of matched lines (2 n,)."""
+        """Use an array for the variances of the states of matched lines (2 n,)."""
         self.bent = bent
 
     # ---- a scan ----
 
     def look(self, state: State, walls: Walls, rows: Any, shared: Any) -> float:
-        """Associate measured lines (n, 7), in the base by the configured mount, with the map.
+        """Associate measured lines (n, 7), in the base frame by the configured mount, with the map.
 
         shared (n, 2, parts) are unit errors that they share. Returns the share of their length that matches.
         """
@@ -152,7 +152,7 @@ class Sight:
         return self.share()
 
     def put_in_base(self, state: State, rows: Any, shared: Any) -> None:
-        """Move the lines, and the errors they share, into the base by the mount in the state."""
+        """Convert the lines and their shared errors to the base frame by the estimated mount."""
         seat, n = self.seat, self.lines
         for j in range(3):
             self.place[j] = seat.configured[j]
@@ -173,7 +173,7 @@ class Sight:
                     self.shared[i, j, k] = shared[i, j, k]
 
     def gather(self, state: State) -> None:
-        """Write the map lines with their covariances, and the mount's."""
+        """Collect the map lines with their covariances, and the covariance of the mount."""
         walls, seat, P, row = self.walls, self.seat, state.P, self.wall_rows
         free = seat.free
         for a in range(free):
@@ -199,7 +199,7 @@ class Sight:
                 row[j, WALL + a], row[j, WALL + free + a] = P[rho, seat.columns[a]], P[beta, seat.columns[a]]
 
     def predict(self, x: float, y: float, theta: float) -> None:
-        """Eq. 17, 18: write the predicted map lines as seen by the robot: r, psi, cos and sin of beta, (J, 4)."""
+        """Eq. 17, 18: compute the map lines in the robot's frame: r, psi, cos and sin of beta, (J, 4)."""
         row = self.wall_rows
         for j in range(self.walls.places):
             psi = row[j, BETA] - theta
@@ -211,7 +211,7 @@ class Sight:
                 self.seen[j, 0] = NOWHERE_M
 
     def find_pairs(self, state: State) -> int:
-        """Write the pairs that face the robot and are near enough; return their number."""
+        """Find pairs of measured and map lines that face the robot and are near; return their number."""
         limit = max(self.rules.gate, NEAR_D2)
         max_turn = MAX_PAIR_ANGLE_RAD + PAIR_SIGMAS * sqrt(max(state.P[2, 2], 0.0))
         max_offset = MAX_PAIR_OFFSET_M + PAIR_SIGMAS * sqrt(max(state.P[0, 0] + state.P[1, 1], 0.0))
@@ -237,7 +237,7 @@ class Sight:
         return p
 
     def spread(self, state: State, p: int, i: int, j: int, side: float) -> None:
-        """Write R, S = H P H' + R, cos, sin, u and the measured psi, near the predicted one, of pair p."""
+        """Compute R, S = H P H' + R, cos, sin, u and the unwrapped psi of pair p."""
         c, s, P, pairs, row = self.seen[j, 2], self.seen[j, 3], state.P, self.pairs, self.wall_rows
         u = (state.mean[0] - row[j, ANCHOR_X]) * s - (state.mean[1] - row[j, ANCHOR_Y]) * c
         r00, r01, r11 = self.rows[i, R00_LINE], side * self.rows[i, R01_LINE], self.rows[i, R11_LINE]
@@ -260,7 +260,7 @@ class Sight:
             self.spread_mount(p, j)
 
     def spread_mount(self, p: int, j: int) -> None:
-        """Add the covariance of an uncertain mount to S."""
+        """Add the covariance of the estimated mount to S of pair p."""
         free, pairs, mount, row = self.seat.free, self.pairs, self.mount, self.wall_rows
         c, s, u = pairs[p, COS], pairs[p, SIN], pairs[p, LEVER]
         c_psi, s_psi = cos(pairs[p, PSI]), sin(pairs[p, PSI])
@@ -280,13 +280,13 @@ class Sight:
                     pairs[p, S11] -= turn * variance
 
     def lever(self, a: int, c: float, s: float) -> float:
-        """Return the derivative of a line's r by free mount state `a`; c, s are cos and sin of the line's psi."""
+        """Return the derivative of a line's r by mount state `a`; c, s are cos and sin of the line's psi."""
         if self.seat.which[a] == 2:
             return self.place[0] * s - self.place[1] * c
         return -c if self.seat.which[a] == 0 else -s
 
     def fits(self, p: int, distance: float, limit: float) -> bool:
-        """Write squared distance and score of a pair; return whether the line faces the robot and is near."""
+        """Compute squared distance and score of pair p; return whether the line faces the robot and is near."""
         pairs = self.pairs
         offset, turn = pairs[p, OFFSET], pairs[p, TURN]
         s00, s01, s11 = pairs[p, S00], pairs[p, S01], pairs[p, S11]
@@ -298,7 +298,7 @@ class Sight:
         return d2 <= limit and distance > -FACE_SIGMAS * sqrt(s00)
 
     def extent(self, p: int, i: int, j: int, side: float, x: float, y: float) -> None:
-        """Write the position of the measured segment along the map line [m], and the overlap of both."""
+        """Compute the position of the measured segment along the map line [m], and their overlap."""
         pairs, row = self.pairs, self.wall_rows
         begin, end = self.rows[i, BEGIN_LINE], self.rows[i, END_LINE]
         along = (y - row[j, ANCHOR_Y]) * pairs[p, COS] - (x - row[j, ANCHOR_X]) * pairs[p, SIN]
@@ -310,7 +310,7 @@ class Sight:
     # ---- association ----
 
     def associate(self) -> None:
-        """Write for every line its match and best pair (-1: none), and whether it is ambiguous or near a map line.
+        """Find for every line its match and best pair (-1: none); mark ambiguous lines, lines near a map line.
 
         A pair matches within the gate where it overlaps enough; another such pair that is worse by less than
         RIVAL_SCORE makes it ambiguous. A line is near a map line that it overlaps within NEAR_D2.
@@ -331,7 +331,7 @@ class Sight:
                 self.match[i] = -1
 
     def try_pair(self, p: int, i: int) -> None:
-        """Keep pair p as the match of line i, or as its best pair without a match, if it scores better."""
+        """Keep pair p as match of line i, or as its best pair without a match, if its score is better."""
         if self.pairs[p, OVERLAP] > 0.0 and self.pairs[p, D2] <= NEAR_D2:
             self.near[i] = 1
         if self.fits_well(p, i):
@@ -341,7 +341,7 @@ class Sight:
             self.best[i] = p
 
     def claim(self) -> None:
-        """Accept the matches; each part of a map line is matched only once, by the measured line that fits best.
+        """Accept matches so that each part of a map line is matched once, by the best measured line.
 
         By their scores, lines claim the stretch of the map line that they match; who comes second is ambiguous.
         """
@@ -368,17 +368,17 @@ class Sight:
                 kept += 1
 
     def overlap(self, p: int, q: int) -> bool:
-        """Return whether two pairs use the same part of one map line."""
+        """Return whether two pairs use the same part of a map line."""
         common = min(self.pairs[p, END], self.pairs[q, END]) - max(self.pairs[p, BEGIN], self.pairs[q, BEGIN])
         return self.pairs[p, WALL_OF] == self.pairs[q, WALL_OF] and common > COMMON_M
 
     def fits_well(self, p: int, i: int) -> bool:
-        """Return whether the pair of measured line i may be a match, by its distance and overlap."""
+        """Return whether pair p of measured line i may be a match, by distance and overlap."""
         length = min(self.rows[i, END_LINE] - self.rows[i, BEGIN_LINE], MAX_LENGTH_M)
         return self.pairs[p, D2] <= self.rules.gate and self.pairs[p, OVERLAP] > MIN_OVERLAP_SHARE * length
 
     def share(self) -> float:
-        """Return the share of the measured length that is matched; 1 where there is no length."""
+        """Return the matched share of the measured length; 1 if the length is 0."""
         total = matched = 0.0
         for i in range(self.lines):
             length = self.rows[i, END_LINE] - self.rows[i, BEGIN_LINE]
@@ -388,7 +388,7 @@ class Sight:
         return matched / total if total > 0.0 else 1.0
 
     def matches(self) -> int:
-        """Return how many lines match."""
+        """Return the number of matched lines."""
         n = 0
         for i in range(self.lines):
             if self.match[i] >= 0:
@@ -396,7 +396,7 @@ class Sight:
         return n
 
     def refuse_alone(self) -> None:
-        """Reject a scan's only match if other lines did not match, unless the match is nearly perfect."""
+        """Reject the only match of a scan with other lines, unless the match is nearly perfect."""
         alone = -1
         for i in range(self.lines):
             if self.match[i] >= 0:
@@ -411,17 +411,17 @@ class Sight:
             self.match[alone] = -1
 
     def is_matched(self, i: int) -> bool:
-        """Tell whether line i matches a map line."""
+        """Return whether line i matches a map line."""
         return self.match[i] >= 0
 
     def is_new(self, i: int) -> bool:
-        """Return whether line i matches nothing and is near no known line."""
+        """Return whether line i is unmatched and near no map line."""
         return self.match[i] < 0 and not self.near[i]
 
     # ---- what it says ----
 
     def state_rows(self, state: State) -> int:
-        """Write the rows of all lines that match into the state's table (eq. 13); return how many lines match."""
+        """Write the rows of all matched lines to the state's table (eq. 13); return the number of these lines."""
         self.first = state.written
         self.accepted = self.matches()
         self.numbers = 2 * self.accepted
@@ -433,7 +433,7 @@ class Sight:
         return self.accepted
 
     def state_line(self, state: State, i: int, p: int) -> None:
-        """Write the two rows of line i by its pair."""
+        """Write the two rows of matched line i with pair p."""
         seat, a = self.seat, state.written
         b = a + 1
         state.row_y[a], state.row_y[b] = self.pairs[p, OFFSET], self.pairs[p, TURN]
@@ -460,7 +460,7 @@ class Sight:
         state.written = b + 1
 
     def share_noise(self, state: State, i: int, p: int, a: int) -> None:
-        """Add the covariance of shared errors to R, between line i (rows a, a + 1) and earlier lines of the scan.
+        """Add the covariance of shared errors between line i (rows a, a + 1) and earlier lines to R.
 
         A line that is read as (-r, psi + pi) shares the r of the other sign.
         """
@@ -474,7 +474,7 @@ class Sight:
                     state.row_R[first + m, first + j] += self.G[m, k] * self.G[j, k]
 
     def write(self, out: Audit, at: int, instant: int, row: int) -> None:
-        """Write the verdict on every line from `at` on; `row` is the first line's row of the measurements."""
+        """Write the verdicts on all lines to the audit from row `at` on; `row` is that of the first line in z."""
         rules, nan = self.rules, float("nan")
         for i in range(self.lines):
             k, p = at + i, self.best[i]
@@ -493,7 +493,7 @@ class Sight:
     # ---- what the map learns ----
 
     def extend(self, scan: int) -> None:
-        """Extend matched map lines to the ends of the measured ones, and count them as seen in this scan."""
+        """Extend matched map lines to the ends of the measured lines, and count this scan as a hit."""
         walls = self.walls
         for i in range(self.lines):
             p = self.match[i]
@@ -505,7 +505,7 @@ class Sight:
                 walls.seen[j] = scan
 
     def new_lines(self) -> int:
-        """Return how many lines the map lacks."""
+        """Return the number of lines to add to the map."""
         n = 0
         for i in range(self.lines):
             if self.is_new(i):
@@ -513,7 +513,7 @@ class Sight:
         return n
 
     def bends(self, state: State, uneven: float, uneven_angle: float, most: float, most_angle: float) -> None:
-        """Write into `bent` the variances to add to the states of the seen walls, at most `most` for each.
+        """Write the variances to add to the states of matched walls to `bent`, at most `most` for each.
 
         A wall stays within its unevenness [m^2, rad^2], so a line that is known no better is left alone.
         """
@@ -533,7 +533,7 @@ class Sight:
 
 
 def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing: Loosening) -> None:
-    """Write the map states whose variance is below the floor [m^2, rad^2], and the missing variance.
+    """List the map states with a variance below the floor [m^2, rad^2], and the differences.
 
     First all offsets, then all angles: room for (2 J,).
     """
@@ -547,7 +547,7 @@ def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing:
 
 
 def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, found: Any) -> bool:
-    """Return whether a line was seen too rarely, or a line seen lately may be one wall with another.
+    """Return whether the map may have a rarely seen line or a duplicate of a recently seen line.
 
     rows (J, 4) and found (J,) are room to work in.
     """
@@ -563,12 +563,12 @@ def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, f
 
 
 def worthless(walls: Walls, j: int, scan: int, doubles: Doubles) -> bool:
-    """Return whether line j was seen too rarely in its trial scans, which are over."""
+    """Return whether line j was seen too rarely in its first `trial` scans."""
     return walls.hits[j] < doubles.hits and scan - walls.born[j] > doubles.trial and walls.born[j] > 0
 
 
 def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
-    """Return whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be one wall by position."""
+    """Return whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be duplicates, by position."""
     turn = rows[j, BETA] - rows[i, BETA]
     if i == j or turn - turn != 0.0 or not abs(wrapped(turn)) < doubles.turn:  # Inf or NaN: there is no such line
         return False
@@ -582,7 +582,7 @@ def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
 
 
 def neighbours(rows: Any, walls: Walls, i: int, doubles: Doubles, found: Any) -> int:
-    """Write the lines that may be one wall with line i, found (J,); return their number."""
+    """List the lines that may be duplicates of line i in `found` (J,); return their number."""
     n = 0
     for j in range(walls.places):
         if one_wall(rows, walls, i, j, doubles):

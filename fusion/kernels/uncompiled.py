@@ -1,4 +1,4 @@
-"""Stand-ins for an interpreted kernel: the module `cython` and C's math.
+"""Replacements for the module `cython` and C's math functions, for interpreted kernels.
 
 C's functions return NaN or Inf where Python's raise.
 """
@@ -11,20 +11,20 @@ compiled = False  # as `cython.compiled`
 
 
 def cos(angle: float) -> float:
-    """Return the cosine of an angle [rad], NaN where it is no number."""
+    """Return the cosine of an angle [rad]; NaN for an infinite angle."""
     return math.cos(angle) if math.isfinite(angle) else math.nan
 
 
 def floor(value: float) -> float:
-    """Return the floor of a number as a float; NaN and Inf stay."""
+    """Return the floor of a number as float; NaN and Inf stay."""
     return float(math.floor(value)) if math.isfinite(value) else value
 
 
 def sin(angle: float) -> float:
-    """Return the sine of an angle [rad], NaN where it is no number."""
+    """Return the sine of an angle [rad]; NaN for an infinite angle."""
     return math.sin(angle) if math.isfinite(angle) else math.nan
 
 
 def sqrt(value: float) -> float:
-    """Return the square root, NaN of a negative number."""
+    """Return the square root; NaN for a negative number."""
     return math.sqrt(value) if value >= 0.0 else math.nan

@@ -1,1 +1,1 @@
-"""Straight walls in laser scans: split, merge, fit, in (r, psi) with covariance. No pose needed."""
+"""Extraction of straight walls from laser scans, as lines (r, psi) with covariance."""

@@ -1,13 +1,10 @@
-"""Straight walls in laser scans: (r, psi), covariance, extent; many scans at once (paper section III, LRF).
+"""Line extraction from laser scans: lines (r, psi), covariance, extent (paper section III, LRF).
 
-A line is x cos(psi) + y sin(psi) = r with r >= 0, in the frame of the scan. What is one line and what is two: the
-two parts of a wall left and right of something that stands before it are two lines, unless the shadow is narrower
-than `bridge` and than either part, and both are statistically the same line. Joining across wider shadows
-sometimes succeeds and sometimes not as the robot moves, and what is one line here and two there cannot be matched
-with the map one to one. Beams that could belong to either of two walls meeting in a corner belong to none.
-Pieces of a curved wall are no lines at all.
-The work per beam is done by `kernels.segments` and `kernels.line_fits`; here stands what they are given and what
-comes back.
+A line is x cos(psi) + y sin(psi) = r with r >= 0, in the frame of the scan. If an object hides a part of a wall,
+the wall gives two lines, unless the gap is narrower than `bridge` and than each part, and both parts are
+statistically the same line. Across wider gaps, parts would be joined in some scans and not in others, and could
+not be matched with the map one to one. Beams near a corner that may belong to either wall are not used. Curved
+walls give no lines. All scans of a batch are processed at once, by `kernels.segments` and `kernels.line_fits`.
 """
 
 from __future__ import annotations
@@ -23,32 +20,32 @@ from locfuse.fusion.kernels import line_fits, places, segments
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.sensor import WheelMotion
 
-SWEEP_PIECES = 6  # of a sweep, in each of which either wheel slips once: three before its middle and three after
+# pieces of a scan's duration with independent wheel slip: three before its middle and three after
+SWEEP_PIECES = 6
 PIECE_EDGES = np.linspace(-0.5, 0.5, SWEEP_PIECES + 1)  # of the pieces, in sweeps from its middle
-__all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
-MAX_RANGE_M = 1e6  # no laser sees farther: what a driver means by more is "nothing"
-_BATCH = 256  # scans worked on at once,
-_BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
+MAX_RANGE_M = 1e6  # larger ranges count as no return
+_BATCH = 256  # scans processed at once,
+_BEAMS = 100_000  # unless they have more beams than this in total: working memory is some 300 bytes per beam
 _OF_R = np.array((2, 3, 3, 4))
 LINE_COLUMNS = 7  # columns of a line in a table, by kernels.places and kernels.sight
 
 
 class Motion(NamedTuple):
-    """Motion of a scan's beams with the base: numbers of the laser's mount."""
+    """Mount of the laser, in the form needed for the motion of beams with the base."""
 
-    lever: tuple[float, float]  # m, from the base to the laser, in the laser's axes
-    ahead: tuple[float, float]  # the base's forward direction in the laser's axes
+    lever: tuple[float, float]  # m, from the base to the laser, in the laser frame
+    ahead: tuple[float, float]  # forward direction of the base in the laser frame
 
 
 def motion_of(mount: Array) -> Motion:
-    """Return how the beams of a laser mounted at x [m], y [m], yaw [rad] move when the base does."""
+    """Convert a laser mount x [m], y [m], yaw [rad] to a `Motion`."""
     x, y, yaw = mount.tolist()
     c, s = np.cos(yaw), np.sin(yaw)
     return Motion((c * x + s * y, c * y - s * x), (c, -s))
 
 
 def shares(beams: int) -> Array:
-    """Return the share of each piece's slip in each beam, (pieces, beams), relative to the middle beam."""
+    """Return the effect of wheel slip in each piece of a scan on each beam, (pieces, beams); 0 at the middle."""
     at = np.linspace(-0.5, 0.5, beams)
     low, high = PIECE_EDGES[:-1, None], PIECE_EDGES[1:, None]
     after = np.clip((at - low) * SWEEP_PIECES, 0.0, 1.0)
@@ -57,10 +54,10 @@ def shares(beams: int) -> Array:
 
 
 def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
-    """Return derivatives G (m, 2, 2 pieces) of the lines by the slip of both wheels in each piece of the sweep.
+    """Return derivatives G (m, 2, 2 pieces) of lines by the slip [sigmas] of both wheels in each piece of a scan.
 
-    `per_unit` (m, 2, 2, pieces) by `kernels.line_fits.loadings`; scan (m,) says whose the lines are;
-    middle, duration (n,) [s].
+    `per_unit` (m, 2, 2, pieces) are derivatives by turn and move (`kernels.line_fits.loadings`); scan (m,) is the
+    index of the scan of each line; middle, duration (n,) [s].
     """
     slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * PIECE_EDGES))[scan]  # (m, pieces, 2) m
     turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, pieces)
@@ -70,7 +67,7 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
 
 
 def in_base(loads: Array, z: Array, mount: Array) -> Array:
-    """Return the loadings (m, 2, ...) of lines z (m, 2) in the laser's frame turned into the base frame."""
+    """Convert derivatives `loads` (m, 2, ...) of lines z (m, 2) from the laser frame to the base frame."""
     out = np.empty(loads.shape)
     if loads.size:
         parts = (len(z), 2, -1)
@@ -81,61 +78,64 @@ def in_base(loads: Array, z: Array, mount: Array) -> Array:
 
 
 class LineSettings(msgspec.Struct, frozen=True):
-    """Noise of the laser and limits of a wall; the defaults are the paper's laser: 30 mm, 0.25 deg."""
+    """Settings of the line extraction: laser noise and limits; defaults: the paper's laser (30 mm, 0.25 deg)."""
 
     sigma_range: float = 0.03  # m
     sigma_angle: float = math.radians(0.25)  # rad
     min_points: int = 5  # beams in the fit
     min_length: float = 0.30  # m, before corners are trimmed
     max_gap: float = 0.30  # m between neighbouring beams on one wall ...
-    gap_spacings: float = 6.0  # ... or this many beam spacings at that range: a wall seen at 80 degrees
-    bridge: float = 0.1  # m, widest shadow across which a line goes on: a stray beam's, not a pole's
-    split_sigmas: float = 3.0  # farther from the chord is a corner; what noise cuts, merging joins again
-    split_floor: float = 0.02  # m, and never nearer than this
-    flatness: float = 0.005  # m by which real walls are not flat: added to the noise where lines are compared
-    merge_chi2: float = 20.0  # two pieces are one line below it (2 degrees of freedom, cut where it looked worst)
-    max_incidence: float = math.radians(85.0)  # rad; flatter beams are not used: range noise is not linear there
-    stray_sigmas: float = 3.3  # a beam farther from its line than this is not of the wall
-    corner_sigmas: float = 2.5  # a beam closer to the neighbouring wall than this could belong to either
-    max_sigma_psi: float = math.radians(3.0)  # rad; a line known worse is too short for its noise
-    max_swing: float = 0.5  # in sigmas: beyond it (r, psi) is not Gaussian, and no covariance is right
-    max_chi2: float = 4.0  # residual chi2 per degree of freedom; more is not a straight wall
-    max_bow: float = 0.03  # height of the bow over its chord: more is a column, or two walls ...
-    max_bend: float = 12.0  # ... if the bow is not noise: chi2 that a parabola explains (99.95 % of 1 degree)
+    gap_spacings: float = 6.0  # ... or this many beam spacings at that range (a wall seen at 80 degrees)
+    bridge: float = 0.1  # m, widest gap within a line: of a stray beam, not of a pole
+    split_sigmas: float = 3.0  # a point farther from the chord is a corner; wrong splits by noise are merged again
+    split_floor: float = 0.02  # m, least distance of a corner from the chord
+    flatness: float = 0.005  # m, unevenness of real walls: added to the noise when lines are compared
+    # two pieces with a lower chi2 are merged (2 degrees of freedom, split at the worst point)
+    merge_chi2: float = 20.0
+    # rad; beams at a larger angle are not used: range noise is not linear
+    max_incidence: float = math.radians(85.0)
+    stray_sigmas: float = 3.3  # a beam farther from its line is not part of the wall
+    corner_sigmas: float = 2.5  # a beam closer to the neighbouring wall may belong to either wall
+    max_sigma_psi: float = math.radians(3.0)  # rad; lines with a larger standard deviation are too short
+    max_swing: float = 0.5  # in sigmas: beyond it the error of (r, psi) is not Gaussian
+    max_chi2: float = 4.0  # largest residual chi2 per degree of freedom of a straight wall
+    max_bow: float = 0.03  # largest height of the bow over its chord: more is a column, or two walls ...
+    max_bend: float = 12.0  # ... if the bow is significant: chi2 that a parabola explains (99.95 % of 1 degree)
 
 
 PAPER_LASER = LineSettings()
 
 
 class Lines(msgspec.Struct, frozen=True):
-    """Lines of n scans in scan order, within a scan in beam order."""
+    """Lines of n scans, in scan order, and in beam order within a scan."""
 
-    first: Ints  # (n + 1,) scan i owns the lines first[i]:first[i + 1]
+    first: Ints  # (n + 1,) scan i has the lines first[i]:first[i + 1]
     z: Array  # (m, 2) r [m] >= 0, psi [rad] in [-pi, pi), in the scan's frame
     R_unit: Array  # (m, 2, 2) covariance / sigma_range^2: depends on sigma_angle / sigma_range only
     ends: Array  # (m, 2) extent along the tangent (-sin psi, cos psi), lo < hi [m]
     points: Ints  # (m,) beams in the fit
     chi2: Array  # (m,) residual chi2 per degree of freedom
     span: Ints  # (m, 2) first and last beam in the fit; first > last where the line crosses beam 0
-    sweep: Array  # (m, 2, 2, pieces) what (r, psi) owe to the robot's turn and move in every piece of the sweep
-    curved: Ints  # (n,) walls that were left out, since they are pieces of a curve
+    # (m, 2, 2, pieces) derivatives of (r, psi) by the robot's turn and move in every piece of the scan
+    sweep: Array
+    curved: Ints  # (n,) number of walls left out as curved
 
 
 class Scans(NamedTuple):
-    """Scans of one laser as it delivers them."""
+    """Ranges and angles of several scans of one laser."""
 
     ranges: Array  # (n, b) m; NaN, Inf and 0 are no return
-    angles: Array  # (b,) or (n, b) rad, steadily growing or falling along the beams
-    offsets: Array | None  # (n, b, 3) each beam's laser pose in the scan's frame; None: all at its origin
+    angles: Array  # (b,) or (n, b) rad, increasing or decreasing
+    offsets: Array | None  # (n, b, 3) laser pose of each beam in the scan's frame; None: at its origin
 
     def take(self, rows: slice) -> Scans:
-        """Return some of the scans."""
+        """Return the scans in a slice."""
         angles = self.angles if self.angles.ndim == 1 else self.angles[rows]
         offsets = None if self.offsets is None else self.offsets[rows]
         return self._replace(ranges=self.ranges[rows], angles=angles, offsets=offsets)
 
     def spacing(self) -> Array:
-        """Return the angle between neighbouring beams [rad], (n,)."""
+        """Return the angle between neighbouring beams [rad] of each scan, (n,)."""
         n, b = self.ranges.shape
         if b < 2:
             return np.zeros(n)
@@ -143,7 +143,7 @@ class Scans(NamedTuple):
         return np.broadcast_to(spread, (n,))
 
     def rays(self) -> tuple[Array, Array, Array, Array]:
-        """Return every beam's direction (cos, sin) and origin x, y [m]: (n, b), or (b,) where all scans agree."""
+        """Return direction (cos, sin) and origin x, y [m] of every beam, (n, b), or (b,) if equal in all scans."""
         angles = self.angles
         if self.offsets is not None:
             x, y, turn = self.offsets.transpose(2, 0, 1)
@@ -160,12 +160,12 @@ def extract_lines(
     offsets: Array | None = None,
     motion: Motion | None = None,
 ) -> Lines:
-    """Return the straight walls in `ranges` (n, b) [m], seen along `angles` (b,) or (n, b) [rad].
+    """Extract straight walls from `ranges` (n, b) [m] at `angles` (b,) or (n, b) [rad].
 
-    `offsets` (n, b, 3) is each beam's laser pose (x [m], y [m], theta [rad]) in the frame of its scan: deskewing.
-    `motion`, where the beams' errors of deskewing are wanted, is how they move with the base (sweep).
-    NaN, Inf and 0 are no returns. Angles grow or fall steadily; scans of the
-    whole circle may have walls across beam 0. The result of a scan does not depend on the scans beside it.
+    `offsets` (n, b, 3) are the laser poses (x [m], y [m], theta [rad]) of the beams in the frame of their scan,
+    for deskewing. `motion` is needed for the derivatives by wheel slip (Lines.sweep). NaN, Inf and 0 are no
+    returns. Angles increase or decrease; full-circle scans may have walls across beam 0. The result of a scan does
+    not depend on other scans.
     """
     scans = Scans(ranges, angles, offsets)
     batch = min(_BATCH, max(_BEAMS // max(ranges.shape[1], 1), 1))
@@ -176,7 +176,7 @@ def extract_lines(
 
 
 def rows_of(z: Array, R: Array, ends: Array) -> Array:
-    """Return lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
+    """Return lines as a table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
     rows = np.empty((len(z), LINE_COLUMNS))
     rows[:, :2], rows[:, 5:] = z, ends
     rows[:, 2], rows[:, 3], rows[:, 4] = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]
@@ -184,27 +184,27 @@ def rows_of(z: Array, R: Array, ends: Array) -> Array:
 
 
 def of_rows(rows: Array) -> tuple[Array, Array, Array]:
-    """Return (z, R, ends) of such a table of lines."""
+    """Return (z, R, ends) of a table of lines (k, 7)."""
     return rows[:, :2], rows.take(_OF_R, axis=1).reshape(-1, 2, 2), rows[:, 5:]
 
 
 def rows_in_base(rows: Array, x: float, y: float, yaw: float) -> Array:
-    """Return lines as one table (k, 7) in the base frame, seen by a laser at (x [m], y [m], yaw [rad]) on it."""
+    """Convert a table of lines (k, 7) from a laser mounted at (x [m], y [m], yaw [rad]) to the base frame."""
     out = np.empty((len(rows), LINE_COLUMNS))
     places.into_base(view(rows), len(rows), x, y, yaw, view(out))
     return out
 
 
 def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float) -> tuple[Array, Array, Array]:
-    """Return (z, R_unit, ends) in the base frame, of lines seen by a laser at (x [m], y [m], yaw [rad]) on it.
+    """Convert lines (z, R_unit, ends) from a laser mounted at (x [m], y [m], yaw [rad]) to the base frame.
 
-    By `kernels.places`. For rows scaled by sigma_range^2 plus a floor, the floor is the base frame's.
+    By `kernels.places`. A floor that is added to the covariance later is in the base frame.
     """
     return of_rows(rows_in_base(rows_of(z, R_unit, ends), x, y, yaw))
 
 
 def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lines:
-    """Return the lines of one batch."""
+    """Extract the lines of one batch of scans."""
     spacing, beams = scans.spacing(), scans.ranges.shape[1]
     limits = float(np.finfo(float).tiny), MAX_RANGE_M
     ring = spacing * (beams + 0.5) > 2.0 * math.pi
@@ -228,7 +228,7 @@ def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lin
 
 
 def _joined(parts: list[Lines]) -> Lines:
-    """Return the lines of all batches as one record."""
+    """Join the lines of all batches."""
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Lines.__struct_fields__}
     counts = np.concatenate([np.diff(part.first) for part in parts])
     return Lines(**(columns | {"first": np.concatenate(([0], np.cumsum(counts)))}))

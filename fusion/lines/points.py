@@ -1,4 +1,4 @@
-"""Points of chosen scans, read from the log again: only large maps need them, and only those of some scans."""
+"""Points of chosen scans, read again from the log, since most runs need the points of few scans only."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from .scans import Laser, equal_scans, limited, limits, points_in_base
 
 T = TypeVar("T")
 
-MIN_REPEATS = 20  # of the longest range of a log: fewer may be chance, and draw nothing
-NEAR = 0.99  # of the longest range: where the ranges of the same wall would lie
-CROWD = 3  # times as many readings of the longest range itself as near it: no wall is so exact
-SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
+# the longest range of a log means "no return" if it was read MIN_REPEATS times, and more than CROWD times as often
+# as ranges from NEAR times the longest range on: a wall gives different ranges
+MIN_REPEATS, NEAR, CROWD = 20, 0.99, 3
+SCANS_PER_BLOCK = 256  # scans processed at once (benchmarks: "lines per scan")
 
 
 class Longest:
-    """The longest range of a stream of scans, and how often it is read."""
+    """Longest range in a stream of scans, and how often it occurs: it may mean "no return"."""
 
     def __init__(self) -> None:
         self.value = 0.0  # m
-        self.count = 0  # of readings of exactly this
-        self._near = 0  # of readings up to a hundredth shorter
+        self.count = 0  # number of ranges equal to `value`
+        self._near = 0  # number of other ranges from NEAR * value on
         self._read = 0
-        self._scans = self._unlimited = 0  # scans; those whose limits the driver did not fill in
-        self._limits = (0.0, 0.0)  # m: range_min and range_max of one of these
+        self._scans = self._unlimited = 0  # number of scans; of scans without valid limits
+        self._limits = (0.0, 0.0)  # m: invalid range_min and range_max of one scan
 
     def add(self, scans: Mapping[str, Any]) -> None:
-        """Count the ranges (k, b) [m] of k scans that lie within their limits."""
+        """Count the ranges (k, b) [m] of k scans that are within the limits of their scan."""
         ranges, far = scans["ranges"], limits(scans)[1]
         if not ranges.size:
             return
@@ -59,19 +59,19 @@ class Longest:
 
     @property
     def no_return(self) -> float | None:
-        """The range [m] that means no return; None if the longest range is a wall's."""
+        """Return the range [m] that means "no return"; None if the longest range is that of a wall."""
         repeated = self.count >= MIN_REPEATS and self.count > CROWD * self._near
         return self.value if repeated else None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The notes on ranges that were read as no return, and on limits that are not filled in."""
+        """Return notes for the user: on ranges that count as no return, and on invalid limits."""
         return (
-            *((self._word(),) if self.no_return is not None else ()),
-            *((self._open(),) if self._unlimited else ()),
+            *((self._no_return_note(),) if self.no_return is not None else ()),
+            *((self._limits_note(),) if self._unlimited else ()),
         )
 
-    def _open(self) -> str:
+    def _limits_note(self) -> str:
         near, far = self._limits
         return (
             f"range_max is {far:g} m and range_min {near:g} m in {self._unlimited} of {self._scans} scans: these "
@@ -79,7 +79,7 @@ class Longest:
             "lrf.range_max in m"
         )
 
-    def _word(self) -> str:
+    def _no_return_note(self) -> str:
         share = self.count / self._read
         return (
             f"{share:.{0 if share > 0.02 else 1}%} of its ranges are exactly {self.value:g} m, the longest: "
@@ -88,9 +88,9 @@ class Longest:
 
 
 def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:
-    """Read scans; if their longest range means "no return", read them again without it; return laser and notes.
+    """Read scans; if their longest range means "no return", read them again without it; return laser, notes too.
 
-    Not where `laser` says how far it sees: then the user has decided. `read` shows all ranges to what it is given.
+    If the user configured `range_max`, all ranges within it are used. `read` adds all ranges to its `Longest`.
     """
     longest = Longest()
     found = read(laser, longest)
@@ -103,7 +103,7 @@ def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Lase
 
 
 class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
-    """The points of a stream of scans; reading i is row `rows[i]` of the stream."""
+    """Points of the scans of a stream, read when needed; reading i is row `rows[i]` of the stream."""
 
     stream: Stream
     fields: tuple[str, ...]
@@ -111,35 +111,35 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
     laser: Laser
     wheels: WheelMotion
     rows: Ints  # (n,)
-    _last: list[Block] = msgspec.field(default_factory=list)  # the last block that was used, one at most
+    _last: list[Block] = msgspec.field(default_factory=list)  # last used block, at most one
 
     @property
     def mount(self) -> Array:
-        """Where the laser sits on the base, (3,): x, y [m], yaw [rad]."""
+        """Return the laser mount on the base, (3,): x, y [m], yaw [rad]."""
         return self.laser.mount
 
     def take(self, readings: Ints) -> ScanPoints:
-        """Return the points of the readings at these positions."""
+        """Return the points of the readings with indices (k,)."""
         return replace(self, rows=self.rows[readings])
 
     def mounted(self, mount: Array) -> ScanPoints:
-        """Return the points as seen by a laser that sits elsewhere, (3,)."""
+        """Return the same points for another laser mount (3,)."""
         return replace(self, laser=self.laser._replace(mount=mount))
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
-        """Return the poses (n, 3) at t_to relative to those at t_from, (n,) s each, by the wheels."""
+        """Return the poses (n, 3) at times t_to relative to those at times t_from, (n,) s each, by the wheels."""
         return self.wheels.relative(t_from, t_to)
 
     def read(self, readings: Ints) -> list[Array]:
-        """Return the points (k, 2) [m, base frame] of each reading, deskewed like its lines.
+        """Read the points (k, 2) [m, base frame] of each reading, deskewed like its lines.
 
-        In the order of the beams; beams without a return are left out.
+        Points are in beam order; beams without a return are left out.
         """
         rows = self.rows[readings]
         wanted = np.unique(rows)
         found: dict[int, Array] = {}
         blocks = self.stream.blocks(*self.fields, rows=SCANS_PER_BLOCK)
-        for block in chain(tuple(self._last), blocks):  # who asks again asks for scans soon after
+        for block in chain(tuple(self._last), blocks):  # callers often read neighbouring scans next
             at, columns = block
             if not np.isin(at, wanted).any():
                 continue
@@ -149,8 +149,8 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
                 if not len(some):
                     continue
                 chosen = at[group][some]
-                few = {name: column[some] for name, column in scans.items()}
-                points, _ = points_in_base(few, self.stamps[chosen], self.laser, self.wheels)
+                columns_of = {name: column[some] for name, column in scans.items()}
+                points, _ = points_in_base(columns_of, self.stamps[chosen], self.laser, self.wheels)
                 found.update(
                     (row, p[np.isfinite(p[:, 0])]) for row, p in zip(chosen.tolist(), points, strict=True)
                 )

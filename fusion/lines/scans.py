@@ -1,4 +1,4 @@
-"""From laser scans to lines in the base frame: one laser's readings, deskewed to the middle of each scan."""
+"""Lines of laser scans in the base frame, deskewed to the middle of each scan."""
 
 from __future__ import annotations
 
@@ -20,27 +20,26 @@ from .extract import Lines, LineSettings, extract_lines, in_base, motion_of, noi
 
 # of a LaserScan
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
-CELLS_AT_ONCE = 1 << 18  # pairs of lines that are compared at a time: memory is bounded
-# m: a return's range is one of these, so neither 0 nor Inf
-LEAST, MOST = np.nextafter(0.0, 1.0), np.finfo(np.float64).max
+CELLS_AT_ONCE = 1 << 18  # pairs of lines compared at once, to save memory
+LEAST, MOST = np.nextafter(0.0, 1.0), np.finfo(np.float64).max  # m: limits of a valid range, without 0 and Inf
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
-MAX_LINES = 500  # of one scan: no room shows more, and a correction by n of them takes 32 n^2 bytes and n^3 time
-BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
-KNOTS_PER_SCAN = 5  # instants of a scan at which the wheels are asked where the robot was
-MIN_MOVED_M, MIN_TURNED_RAD = 0.02, math.radians(1.0)  # of a robot that no longer sees exactly the same
-STANDING_MPS, STANDING_RADPS = 0.005, 0.005  # by which the odometry of a standing robot drifts at most
-MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = 0.6, 0.4  # lines of neighbouring scans further apart: different walls
+MAX_LINES = 500  # of one scan: an update with n lines takes 32 n^2 bytes and n^3 time
+BEAMS_AT_ONCE = 1 << 19  # beams processed at once, to save memory
+KNOTS_PER_SCAN = 5  # times within a scan at which the robot's pose is computed
+MIN_MOVED_M, MIN_TURNED_RAD = 0.02, math.radians(1.0)  # motion after which a scan must change
+STANDING_MPS, STANDING_RADPS = 0.005, 0.005  # largest drift of the odometry at rest
+MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = 0.6, 0.4  # largest differences of one wall in consecutive scans
 
 
 class Padded(NamedTuple):
-    """Rows of k readings side by side as one table, at most w rows each."""
+    """Table of the rows of k readings, padded to w columns."""
 
-    row: Ints  # (k, w) row in Measurements.z; any row where there is none
-    there: NDArray[np.bool_]  # (k, w)
+    row: Ints  # (k, w) row in Measurements.z; 0 in padding
+    there: NDArray[np.bool_]  # (k, w) False in padding
 
 
 def blocks(first: Ints, before: Ints, after: Ints) -> Iterator[tuple[Ints, Padded, Padded]]:
-    """Yield (positions (k,), rows of readings before[positions], rows of after[positions]), block by block."""
+    """Yield (indices (k,), lines of readings before[indices], lines of readings after[indices]) in blocks."""
     counts = np.diff(first)
     if not len(before) or not first[-1]:
         return
@@ -56,28 +55,28 @@ def _padded(first: Ints, counts: Ints, readings: Ints) -> Padded:
 
 
 def misfit(turn: Array, shift: Array, scale: tuple[float, float], a: Padded, b: Padded) -> Array:
-    """Return how badly line j of b fits line i of a, (k, w_a, w_b): below 1 is near; infinite without a line.
+    """Return the distance of line j of b from line i of a, (k, w_a, w_b): below 1 they may match; inf in padding.
 
-    turn [rad] and shift [m] from one to the other, in units of scale (rad, m).
+    `turn` [rad] and `shift` [m] are the differences of the lines, `scale` (rad, m) their largest values.
     """
     cost = (turn / scale[0]) ** 2 + (shift / scale[1]) ** 2
     return np.where(a.there[:, :, None] & b.there[:, None, :], cost, np.inf)
 
 
 def turn_of(a: Array, b: Array) -> Array:
-    """Return the turn of line j of b (k, w_b) against line i of a (k, w_a), [rad], (k, w_a, w_b)."""
+    """Return the angle from line j of b (k, w_b) to line i of a (k, w_a) [rad], (k, w_a, w_b)."""
     return wrap_all(a[:, :, None] - b[:, None, :])
 
 
 def nearest(values: Array, cost: Array) -> tuple[Array, Array, Ints]:
-    """Return the nearest line of b for each line of a, (k, w_a): its value, its cost and its index."""
+    """Return for each line of a the least cost of a line of b, with its `values` entry and index, (k, w_a)."""
     j = cost.argmin(axis=2)
     at = j[:, :, None]
     return np.take_along_axis(values, at, 2)[:, :, 0], np.take_along_axis(cost, at, 2)[:, :, 0], j
 
 
 class Laser(NamedTuple):
-    """The laser's mount and the settings that correct its readings."""
+    """Laser mount, and settings that correct the readings."""
 
     mount: Array  # (3,) x, y [m], yaw [rad] on the base
     flipped: bool  # mounted upside-down: beams run clockwise seen from above
@@ -86,11 +85,11 @@ class Laser(NamedTuple):
     range_max: float | None  # m, readings beyond are not used
     deskew: bool
     lines: LineSettings
-    backward: bool = False  # the last beam of a scan is taken first, whatever time_increment says
+    backward: bool = False  # the last beam of a scan is measured first
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
-    """Split a block into groups of scans with equally many beams: (positions, columns with ranges (k, b)).
+    """Split a block into groups of scans with equal numbers of beams: (indices, columns with ranges (k, b)).
 
     Groups hold at most BEAMS_AT_ONCE beams; scans of more than MAX_BEAMS are left out.
     """
@@ -109,14 +108,15 @@ def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
 
 
 def too_many_beams(columns: dict[str, Any]) -> int:
-    """Count the scans of a block that have more than MAX_BEAMS beams."""
+    """Count the scans of a block with more than MAX_BEAMS beams."""
     return int((cast("Ragged", columns["ranges"]).lengths > MAX_BEAMS).sum())
 
 
 def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[NDArray[np.bool_], bytes]:
-    """Return whether each scan (k,) repeats the one before bit for bit, and the bytes of the last one.
+    """Return whether each scan (k,) is equal to the one before, and the bytes of the last scan.
 
-    `before` are the bytes of the scan before the first. A scan of fewer than `least` returns shows nothing.
+    `before` are the bytes of the scan before the first. Scans with fewer than `least` returns never count as
+    equal.
     """
     same = np.zeros(len(ranges), bool)
     for i in range(len(ranges)):
@@ -127,10 +127,10 @@ def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[NDArray[np.bool_
 
 
 def frozen(same: NDArray[np.bool_], t: Array, wheels: WheelMotion) -> NDArray[np.bool_]:
-    """Return which scans (n,) at t [s] are copies of an earlier one, made while the wheels moved the robot.
+    """Return which scans (n,) at times t [s] are copies of an earlier scan although the robot moved since then.
 
-    `same` (n,): equal to the scan before. A noise-free simulated laser repeats itself while the robot stands: what
-    a standing robot's odometry may drift is no motion.
+    `same` (n,): equal to the scan before. The scans of a noise-free simulated laser are equal while the robot is
+    at rest, so drift of the odometry at rest does not count as motion.
     """
     first = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))  # of equal scans in a row
     at = np.flatnonzero(same)
@@ -143,7 +143,7 @@ def frozen(same: NDArray[np.bool_], t: Array, wheels: WheelMotion) -> NDArray[np
 
 
 def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Lines, Array]:
-    """Return the lines of k scans in the base frame, and the instants (k,) [s] at which they hold."""
+    """Extract the lines of k scans in the base frame, and the times (k,) [s] to which they are deskewed."""
     ranges, angles = returns(scans, laser)
     increment = scans["time_increment"].astype(np.float64)
     t, offsets = deskew(increment, ranges.shape[1], stamps, laser, wheels)
@@ -151,7 +151,7 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
     lines = extract_lines(ranges, angles, laser.lines, offsets, motion=motion)
     x, y, yaw = laser.mount.tolist()
     z, R_unit, ends = to_base(lines.z, lines.R_unit, lines.ends, x, y, yaw)
-    sweep: Array = np.zeros((len(z), 2, 0), np.float32)  # nothing is shared where nothing was deskewed
+    sweep: Array = np.zeros((len(z), 2, 0), np.float32)  # no shared errors without deskewing
     if offsets is not None:
         scan = np.repeat(np.arange(len(t)), np.diff(lines.first))
         by_base = in_base(lines.sweep, lines.z, laser.mount)
@@ -160,7 +160,7 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
 
 
 def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Array, Array]:
-    """Return the points of k scans in the base, (k, b, 2) [m], NaN without a return; and their times (k,) [s]."""
+    """Return the points (k, b, 2) [m] of k scans in the base frame, NaN without a return; and their times (k,)."""
     ranges, angles = returns(scans, laser)
     t, offsets = deskew(scans["time_increment"].astype(np.float64), ranges.shape[1], stamps, laser, wheels)
     points = np.stack((ranges * np.cos(angles), ranges * np.sin(angles)), axis=-1)
@@ -170,21 +170,21 @@ def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: W
 
 
 def limited(scans: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """Return whether the driver filled in the limits of each scan (k,): range_max is above range_min."""
+    """Return whether the limits of each scan (k,) are valid: range_max is above range_min."""
     return np.asarray(np.asarray(scans["range_max"]) > np.asarray(scans["range_min"]))  # False for NaN
 
 
 def limits(scans: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Return the least and the greatest range (k,) [m] of a return; every finite one above 0 without limits."""
+    """Return least and greatest range (k,) [m] of a return; all positive finite ranges without valid limits."""
     near, far = (np.asarray(scans[name], np.float64) for name in ("range_min", "range_max"))
     known = limited(scans)
     return np.where(known, np.maximum(near, LEAST), LEAST), np.where(known, np.minimum(far, MOST), MOST)
 
 
 def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
-    """Return ranges [m] (NaN without a return) and angles [rad, laser's frame] of k scans, (k, b) each.
+    """Return ranges [m] (NaN without a return) and angles [rad, laser frame] of k scans, (k, b) each.
 
-    The beams come in the order in which they were taken.
+    The beams are in the order of measurement.
     """
     taken = np.s_[::-1] if laser.backward else np.s_[:]
     beams = np.arange(scans["ranges"].shape[1])[taken]
@@ -194,7 +194,7 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
     ranges = scans["ranges"][:, taken].astype(np.float64)  # a copy
     near, far = limits(scans)
     far = np.minimum(far, laser.range_max or np.inf)
-    invalid = ~((near[:, None] <= ranges) & (ranges <= far[:, None]))  # NaN is neither
+    invalid = ~((near[:, None] <= ranges) & (ranges <= far[:, None]))  # also NaN
     ranges *= laser.scale
     ranges += laser.offset
     ranges[invalid] = np.nan
@@ -204,10 +204,10 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
 def deskew(
     increment: Array, beams: int, stamps: Array, laser: Laser, wheels: WheelMotion
 ) -> tuple[Array, Array | None]:
-    """Return each scan's middle instant and each beam's pose relative to it, (n, b, 3) in the laser's frame.
+    """Return the middle time of each scan (n,), and each beam's laser pose relative to that time (n, b, 3).
 
-    The wheels are asked at a few knots and the poses between are interpolated: over a quarter of a scan a
-    robot's arc leaves its chord by micrometres.
+    Wheel odometry gives the poses at KNOTS_PER_SCAN times, and the poses between are interpolated linearly: the
+    error is some micrometres. The poses are None without deskewing.
     """
     if not laser.deskew or beams < 2 or not np.any(increment > 0.0):
         return stamps, None
@@ -224,23 +224,23 @@ def deskew(
 
 
 def sweep_time(increment: Array, beams: int) -> Array:
-    """Return the time from the first beam to the last, (n,) s: at most a second; 0 if the increment is NaN."""
+    """Return the time from the first to the last beam, (n,) s, at most 1 s; 0 if the increment is NaN."""
     return np.fmin(np.fmax(increment, 0.0), 1.0 / beams) * (beams - 1)
 
 
 class Gathered:
-    """The lines of a log, gathered block by block in the order of the file."""
+    """Lines of a log, collected block by block."""
 
     def __init__(self) -> None:
         self._at: list[Ints] = []
         self._counts: list[Ints] = []
         self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
         self._sweep: list[Array] = []
-        self.curved = self.straight = 0  # walls: left out as pieces of a curve; lines
-        self.giants = self.crowded = 0  # scans of more than MAX_BEAMS, and MAX_LINES: none of them is used
+        self.curved = self.straight = 0  # number of walls left out as curved, and of lines
+        self.giants = self.crowded = 0  # number of unused scans: more than MAX_BEAMS beams, or MAX_LINES lines
 
     def add(self, at: Ints, lines: Lines) -> None:
-        """Add the lines of the readings `at` (k,), with the values that a measurement of each needs."""
+        """Add the lines of the readings with indices `at` (k,)."""
         counts = np.diff(lines.first)
         kept: slice | NDArray[np.bool_] = np.s_[:]
         crowded = counts > MAX_LINES
@@ -257,7 +257,7 @@ class Gathered:
         self._sweep.append(lines.sweep[kept])
 
     def in_order(self, n: int) -> tuple[Ints, Array, Array, Array, Array]:
-        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep; frees the pieces."""
+        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep; frees the parts."""
         at, counts = (np.concatenate([np.empty(0, np.int64), *pieces]) for pieces in (self._at, self._counts))
         of_reading = np.zeros(n, dtype=np.int64)
         of_reading[at] = counts
@@ -273,13 +273,13 @@ class Gathered:
 
 
 def _as_wide(pieces: list[Array]) -> list[Array]:
-    """Return derivatives (m, 2, k) of equal width k; pieces without shared errors become zeros."""
+    """Pad derivatives (m, 2, k) to equal width k: parts without shared errors become zeros."""
     widest = max([piece.shape[2] for piece in pieces], default=0)
     return [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in pieces]
 
 
 def _joined(pieces: list[Array], rows: Ints | None) -> Array:
-    """Return pieces as one array, line k at rows[k] (m,); frees the pieces, since an hour of them is big."""
+    """Join arrays, with line k at rows[k] (m,); clears `pieces` to save memory."""
     whole = np.concatenate(pieces)
     pieces.clear()
     if rows is None:
@@ -290,11 +290,11 @@ def _joined(pieces: list[Array], rows: Ints | None) -> Array:
 
 
 def turns(first: Ints, z: Array, variance: Array) -> Array:
-    """Return the robot's turn [rad] since the previous scan, (n,), by lines z (m, 2); scan i has first[i]:.
+    """Estimate the robot's turn [rad] since the previous scan, (n,), from lines z (m, 2), scan i from first[i] on.
 
-    A line of one scan and the line nearest to it in the next are the same wall; the median change of psi, weighed
-    by the `variance` (m,) of either's psi, is the turn: short walls say little, and a wrong pair cannot say much.
-    Where no line carries over, the turn is unknown and counted as none.
+    Each line is paired with the nearest line of the next scan. The turn is the median change of psi, weighted by
+    the `variance` (m,) of psi, so that short walls and wrong pairs have little effect. Without pairs the turn is
+    0.
     """
     out = np.zeros(len(first) - 1)
     scans = np.arange(len(out))
@@ -308,10 +308,10 @@ def turns(first: Ints, z: Array, variance: Array) -> Array:
 
 
 def _medians(values: Array, weights: Array) -> Array:
-    """Return the weighted median of each row (k, w), 0 without weight.
+    """Return the weighted median of each row (k, w); 0 without weight.
 
-    Where half the weight lies between the middles of two values' weights, the median is between the values alike:
-    equal weights give the ordinary median, two values their weighted mean.
+    The median is interpolated between values by their cumulative weights: equal weights give the ordinary median,
+    two values their weighted mean.
     """
     order = np.argsort(np.where(weights > 0.0, values, np.inf), axis=1)
     values, weights = np.take_along_axis(values, order, 1), np.take_along_axis(weights, order, 1)
@@ -326,17 +326,16 @@ def _medians(values: Array, weights: Array) -> Array:
     return np.where(half > 0.0, found, 0.0)
 
 
-# ---- how straight are the walls? ----
-#
-# Measured without a pose: the angle between two walls is constant as the robot moves. Where it changes by more
-# than the noise of the fits, the walls are not planes: plaster, door frames, things that lean on them. That is a
-# floor under the noise of every line: none in a simulated room, 0.5° in an old corridor.
+# ---- unevenness of walls ----  The angle between two walls does not depend on the pose. If it changes by more
+# than the noise of the fits, the walls are not planes (plaster, door frames). This gives a least noise of every
+# line: 0 in a simulated room, 0.5° in an old corridor.
 
-LAG_SCANS = 20  # scans: far enough that another part of a wall is seen, near enough that it is the same wall
-MAX_SIGMA_RAD = math.radians(0.6)  # standard deviation of a line's angle above which it says nothing about floors
-MAX_WALL_TURN_RAD, MAX_WALL_OFFSET_M = 0.3, 0.3  # a line this near to where the wheels expect it: the same wall
+LAG_SCANS = 20  # scans between two lines of a wall: another part of the same wall is seen
+MAX_SIGMA_RAD = math.radians(0.6)  # largest standard deviation of the angle of a used line
+# largest differences of one wall from the position by wheel odometry
+MAX_WALL_TURN_RAD, MAX_WALL_OFFSET_M = 0.3, 0.3
 MIN_PAIRS = 150  # pairs of walls
-MIN_MISFIT_RATIO = 1.2  # median change over its noise from which walls are not flat; below it is chance
+MIN_MISFIT_RATIO = 1.2  # median change over its noise from which walls are uneven
 CHI_SQUARE_MEDIAN = 0.455  # of chi-square with one degree of freedom
 OFFSET_PER_ANGLE_M = 1.3  # m per rad: 8 mm with 0.35 degrees
 
@@ -344,16 +343,16 @@ OFFSET_PER_ANGLE_M = 1.3  # m per rad: 8 mm with 0.35 degrees
 def wall_floor(
     t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array | None = None
 ) -> tuple[float, float]:
-    """Return the floors of r [m] and psi [rad] that the walls need, (0, 0) if they are flat or too few.
+    """Return the least noise of r [m] and psi [rad] by uneven walls; (0, 0) for flat walls or too few lines.
 
-    z (m, 2) lines of scans at t (n,), owned by first (n + 1,); variance (m,) of psi by the fit [rad^2].
-    `sweep` (m, k): what psi owes to wheels that slip within a scan, which its lines share (lines.extract) [rad].
+    Lines z (m, 2) of scans at times t (n,), scan i from first[i] on; `variance` (m,) of psi by the fit [rad^2];
+    `sweep` (m, k): effect [rad] of wheel slip within a scan on psi, common to its lines (lines.extract).
     """
     change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
     if len(change) < MIN_PAIRS or float(np.median(np.abs(change) / np.sqrt(noise))) < MAD * MIN_MISFIT_RATIO:
         return 0.0, 0.0
     low, high = 0.0, math.radians(2.0)
-    for _ in range(30):  # the floor under which the median of change^2 / variance is what it should be
+    for _ in range(30):  # bisection: median of change^2 / variance = CHI_SQUARE_MEDIAN
         floor = 0.5 * (low + high)
         if np.median(change**2 / (noise + 4.0 * floor**2)) > CHI_SQUARE_MEDIAN:
             low = floor
@@ -363,10 +362,10 @@ def wall_floor(
 
 
 def bend(uneven: Array) -> Array:
-    """Return the random walk's variance per scan (2,) for a wall with this `uneven` variance (2,).
+    """Return the process noise per scan (2,) of a wall with `uneven` variance (2,).
 
-    What is uneven about a wall repeats while the same part of it is seen, so it does not average out. As a random
-    walk of the line that explains the change over LAG_SCANS scans, 2 `uneven`, it does not either.
+    The error by unevenness is constant while the same part of a wall is seen, so it must not average out. It is
+    modelled as a random walk of the line with variance 2 `uneven` over LAG_SCANS scans.
     """
     return 2.0 * uneven / LAG_SCANS
 
@@ -375,9 +374,9 @@ def _changes(
     t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array
 ) -> tuple[Array, Array]:
     """Return changes of the angle between two walls over LAG_SCANS scans [rad], and their variances."""
-    sure = variance < MAX_SIGMA_RAD**2
-    first = np.concatenate(([0], np.cumsum(sure)))[first]  # from here on the sure lines only
-    z, variance, sweep = z[sure], variance[sure], sweep[sure]
+    exact = variance < MAX_SIGMA_RAD**2
+    first = np.concatenate(([0], np.cumsum(exact)))[first]  # from here on only the exact lines
+    z, variance, sweep = z[exact], variance[exact], sweep[exact]
     several = np.diff(first) >= 2
     before = (
         np.flatnonzero(several[:-LAG_SCANS] & several[LAG_SCANS:]) if len(t) > LAG_SCANS else np.zeros(0, np.int64)

@@ -1,1 +1,1 @@
-"""The map that a drive builds or is given: lines, association, submaps of a building, relocalisation."""
+"""Line maps, built during a drive or given: data association, submaps with loop closure, relocalisation."""

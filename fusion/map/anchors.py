@@ -1,7 +1,7 @@
-"""The graph of anchors: poses of the small maps of a building, and the edges between them.
+"""Graph of submap poses: each submap has an anchor (its frame in the map); edges are relative poses.
 
-What absolute sensors (a compass, GPS) measured of an anchor is an edge from NOWHERE. Solved from the present poses
-(Lu and Milios 1997; Grisetti et al., "A tutorial on graph-based SLAM", 2010) by scan_matching.solve.
+Absolute measurements of an anchor's pose (compass, GPS) are edges from NOWHERE. The graph is solved by
+scan_matching.solve (Lu and Milios 1997; Grisetti et al., "A tutorial on graph-based SLAM", 2010).
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.scan_matching.solve import NOWHERE, Edges, Problem, relative
 
-MIN_STEP = 1e-9  # m, rad: a Gauss-Newton step that changes less is the last
-EXACT_VARIANCE = 1e-12  # m^2, rad^2: of what is known exactly, so that it can be inverted
-MIN_EIGENVALUE = 1e-14  # of a correlation: below, the numbers themselves are no better
+MIN_STEP = 1e-9  # m, rad: Gauss-Newton stops after a smaller step
+EXACT_VARIANCE = 1e-12  # m^2, rad^2: added to covariances, which may be zero, before inversion
+MIN_EIGENVALUE = 1e-14  # least eigenvalue of a correlation matrix: smaller ones are rounding errors
 
 
 class Edge(NamedTuple):
-    """Anchor `to` relative to anchor `of`, or to the map if that is NOWHERE."""
+    """Pose of anchor `to` relative to anchor `of`, or relative to the map if `of` is NOWHERE."""
 
     of: int
     to: int
@@ -29,31 +29,25 @@ class Edge(NamedTuple):
 
 
 class Anchors:
-    """Poses of anchors in the map, (n, 3), and the edges between them."""
+    """Anchor poses in the map, (n, 3), and the edges between the anchors."""
 
     def __init__(self) -> None:
         self.pose: Array = np.zeros((0, 3))
         self.edges: list[Edge] = []
-        self._P: Array | None = None  # (n, 3, n, 3), kept until an edge comes or goes
+        self._P: Array | None = None  # (n, 3, n, 3) joint covariance; None after a change of the edges
 
     def __len__(self) -> int:
         """Return the number of anchors."""
         return len(self.pose)
 
-    def first(self, pose: Array, P: Array) -> int:
-        """Add an anchor with a known pose (3,) and covariance (3, 3); return its number."""
-        self.pose = np.vstack((self.pose, pose))
-        self.add(Edge(NOWHERE, len(self.pose) - 1, np.asarray(pose), inverted(P)))
-        return len(self.pose) - 1
-
-    def next(self, of: int, z: Array, P: Array) -> int:
-        """Add an anchor at z (3,) with covariance (3, 3) relative to another one; return its number."""
-        self.pose = np.vstack((self.pose, se2.compose(self.pose[of], z)))
+    def append(self, of: int, z: Array, P: Array) -> int:
+        """Add an anchor at z (3,) with covariance (3, 3) relative to anchor `of` or NOWHERE; return its index."""
+        self.pose = np.vstack((self.pose, z if of == NOWHERE else se2.compose(self.pose[of], z)))
         self.add(Edge(of, len(self.pose) - 1, np.asarray(z), inverted(P)))
         return len(self.pose) - 1
 
     def add(self, edge: Edge) -> None:
-        """Add a relative pose of two anchors."""
+        """Add an edge."""
         self.edges.append(edge)
         self._P = None
 
@@ -63,9 +57,9 @@ class Anchors:
         self._P = None
 
     def loosen(self, of: int, to: int, factor: float) -> None:
-        """Multiply the covariances of all edges between two anchors by a variance factor.
+        """Multiply the covariances of the edges between consecutive anchors from `of` to `to` by `factor`.
 
-        That is the variance factor of what was observed, chi-square over degrees of freedom.
+        The factor is the estimated variance factor: chi-square over degrees of freedom.
         """
         first, last = min(of, to), max(of, to)
         self.edges = [
@@ -77,33 +71,33 @@ class Anchors:
         self._P = None
 
     def beside(self, node: int) -> set[int]:
-        """Return the anchors to which an edge leads from this one."""
+        """Return the indices of the anchors that share an edge with anchor `node`."""
         edges = [e for e in self.edges if e.of != NOWHERE and node in (e.of, e.to)]
         return {e.to if e.of == node else e.of for e in edges}
 
     def covariance(self, nodes: tuple[int, ...]) -> Array:
-        """Return the joint covariance of some anchors, (3k, 3k), in the frame of the map."""
+        """Return the joint covariance (3k, 3k) of the poses of k anchors, in the map frame."""
         at, n = list(nodes), 3 * len(nodes)
         P: Array = self._joint()[at][:, :, at].reshape(n, n)
         return P
 
     def relative(self, of: int, to: int) -> tuple[Array, Array]:
-        """Return anchor `to` relative to anchor `of`, (3,), and its covariance (3, 3)."""
+        """Return the pose (3,) of anchor `to` relative to anchor `of`, and its covariance (3, 3)."""
         z, P = relative(self.pose, self._joint(), np.array([of]), np.array([to]))
         return z[0], P[0]
 
     def _joint(self) -> Array:
-        """Return the covariance of all anchors, (n, 3, n, 3)."""
+        """Return the joint covariance of all anchor poses, (n, 3, n, 3)."""
         if self._P is None:
             self._P = Problem().normal(self.pose, self._all_edges()).joint(np.arange(len(self.pose)))
         return self._P
 
     def cost(self) -> float:
-        """Return the sum of e' L e over all edges."""
+        """Return the chi-square of the graph: the sum of e' Omega e over all edges."""
         return float(self._all_edges().chi2(self.pose).sum())
 
     def solve(self) -> None:
-        """Move the anchors to the poses of least cost."""
+        """Optimise the anchor poses by least squares."""
         self.pose, normal = Problem().solve(self.pose, self._all_edges(), min_step=MIN_STEP)
         self._P = normal.joint(np.arange(len(self.pose)))
 
@@ -113,9 +107,9 @@ class Anchors:
 
 
 def inverted(P: Array) -> Array:
-    """Return the information (3, 3) of a covariance that may be singular, as after an exact start.
+    """Return the information matrix (3, 3) of a covariance P (3, 3) that may be singular.
 
-    In units of its own sigmas: where nothing is known, place and heading may be 10^9 times apart.
+    P is scaled to a correlation matrix first: the sigmas of position and heading may differ by a factor of 10^9.
     """
     P = 0.5 * (P + P.T) + EXACT_VARIANCE * np.eye(3)
     scale = np.sqrt(np.diagonal(P))

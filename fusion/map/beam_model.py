@@ -1,9 +1,9 @@
-"""A laser's beams relative to a map: the mixture with which AMCL weighs its particles, fitted to a drive.
+"""Beam model of a laser for AMCL: parameters of the likelihood field, fitted to a drive.
 
 Likelihood field (Thrun, Burgard and Fox 2005, Probabilistic Robotics, table 6.3): a beam that ends at the distance
-d from the nearest wall has the density z_hit N(d; 0, sigma_hit) + z_rand / z_max. The weights and sigma_hit are
-found by expectation and maximization, as table 6.2 finds those of the beam model. A beam that ends before the wall
-in its direction, and not at one, is a short one: people and furniture that the map lacks.
+d from the nearest wall has the density z_hit N(d; 0, sigma_hit) + z_rand / z_max. Expectation maximisation finds
+the weights and sigma_hit, as in table 6.2. A "short" beam ends in free space, before the first wall along the
+beam: it hit a person or furniture that the map does not have.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ import numpy as np
 
 from locfuse.fusion.data import Array, MapLine
 
-MAX_STEPS = 200  # of expectation and maximization
+MAX_STEPS = 200  # of expectation maximisation
 MIN_STEP_M = 1e-6  # m
 BEGIN_SIGMA_M, BEGIN_HIT = 0.1, 0.8
-MIN_SIGMA_M, MIN_RANDOM = 1e-3, 0.01  # a share of 0 would let a single beam rule a particle out
-SHORT_SIGMAS = 3.0  # a beam that ends so far before its wall is a short one
-POINTS_AT_ONCE = 4096  # points at once
+MIN_SIGMA_M, MIN_RANDOM = 1e-3, 0.01  # with z_rand = 0 a single beam could give a particle the weight 0
+SHORT_SIGMAS = 3.0  # a short beam ends at least this far before its wall
+POINTS_AT_ONCE = 4096
 MIN_BEAMS = 200
 
 
 class BeamModel(NamedTuple):
-    """Shares of the beams by kind, and the distance of hits from their walls."""
+    """Shares of hit, short, missing and random beams, and the standard deviation of hits from walls."""
 
     sigma: float  # m
-    spread: float  # m, 1 sigma of it
-    hit: float  # shares of all beams, these four add up to 1
+    spread: float  # m, standard deviation of `sigma`
+    hit: float  # shares of all beams; the four shares add up to 1
     short: float
     none: float  # without a return
     random: float
-    decay: float | None  # 1/m: short ones get rarer so fast (table 6.2: lambda_short)
+    decay: float | None  # 1/m: exponential decay of short beams (table 6.2: lambda_short)
     beams: int
 
 
 def fit_beams(
     origins: Array, points: Array, lines: Sequence[MapLine], none: int, reach: float
 ) -> BeamModel | None:
-    """Fit the mixture to points (n, 2), seen from origins (n, 2), in the map [m]; None with too few points.
+    """Fit the beam model to points (n, 2) of beams from origins (n, 2) in the map [m]; None with too few points.
 
-    `none` beams had no return; `reach` is the laser's [m].
+    `none` is the number of beams without a return, `reach` the laser's range [m].
     """
     if len(points) < MIN_BEAMS or not lines:
         return None
@@ -63,7 +63,7 @@ def fit_beams(
 
 
 def _mixture(d: Array, reach: float) -> tuple[float, float]:
-    """Return z_hit and sigma_hit [m] of distances (n,) [m]."""
+    """Fit z_hit and sigma_hit [m] to distances d (n,) [m] from the nearest wall."""
     hit, sigma = BEGIN_HIT, BEGIN_SIGMA_M
     for _ in range(MAX_STEPS):
         share = _hits(d, hit, sigma, reach)
@@ -75,15 +75,15 @@ def _mixture(d: Array, reach: float) -> tuple[float, float]:
 
 
 def _hits(d: Array, hit: float, sigma: float, reach: float) -> Array:
-    """Return the probability (n,) that each distance belongs to a wall."""
+    """Return the probability (n,) that each point, d (n,) [m] from the nearest wall, lies on a wall."""
     near = hit * np.exp(-0.5 * (d / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
     return np.asarray(near / (near + (1.0 - hit) / reach + 1e-300))
 
 
 def _beside_walls(origins: Array, points: Array, lines: Sequence[MapLine]) -> tuple[Array, Array]:
-    """Return each point's (n, 2) distance to the nearest wall, and to the first wall along its beam.
+    """Return for each point (n, 2) the distance to the nearest wall and the range to the first wall on its beam.
 
-    The second is measured from the point's origin (n, 2), and inf where no wall is there; all in m.
+    The range is measured from the beam's origin (n, 2), and inf if the beam meets no wall; all in m.
     """
     rho, beta = np.array([line.rho for line in lines]), np.array([line.beta for line in lines])
     low, high = np.array([line.ends for line in lines]).T

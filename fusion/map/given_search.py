@@ -1,9 +1,10 @@
-"""Where in a given map did a drive begin? Every free place and heading is tried against the first seconds.
+"""Start pose in a given map: all free positions and headings are compared with the first scans of a drive.
 
-The first scan leaves many places: corridors and rooms look alike. Each is kept, moved on by the wheels, and held
-against the later scans; what agrees with all of them, and clearly better than every other place, is the answer
-(multi-hypothesis localisation; the score is the likelihood field of Thrun, Burgard and Fox 2005, 6.4, as a share
-of the beams, of those only that go through free cells). Where no place agrees, the map is of another building.
+After the first scan many poses are possible, since corridors and rooms are similar. Each pose is moved by wheel
+odometry and compared with the later scans. The start is found if one pose matches all scans clearly better than
+every other pose (multi-hypothesis localisation; the score is the likelihood field of Thrun, Burgard and Fox 2005,
+6.4, as a share of the beams; only beams through free cells count). If no pose matches, the map is of another
+building.
 """
 
 from __future__ import annotations
@@ -20,24 +21,25 @@ from locfuse.fusion.wheels.motion import Wheels
 
 from .given_walls import Grid
 
-SPACING_M, HEADING_COUNT = 0.3, 72  # of the places and headings that are tried first
-MAX_TRIED = 10_000_000  # places times headings: a free floor of 100 m x 100 m in cells of 5 cm has 8 million
-MAX_BEAMS, FIRST_BEAMS = 60, 30  # of a scan, evenly taken; where every place is tried
-NEAR_M, FAR_M = 0.15, 0.5  # a beam ends at a wall: within the first surely, beyond the second surely not
-FIRST_PLACES, MIN_PLACES = 2000, 200  # places after the first scan, and later: half of them go with every scan
-STRIDE_M, TURN_RAD = 0.4, math.radians(20.0)  # between two scans that are used
-DRIVING_S = 30.0  # s of driving that decide
-CLEAR_AT = (0.35, 0.75)  # shares of a beam where it must be in a free cell
+SPACING_M, HEADING_COUNT = 0.3, 72  # grid of the poses tried with the first scan
+MAX_TRIED = 10_000_000  # positions times headings: a free floor of 100 m x 100 m in cells of 5 cm has 8 million
+MAX_BEAMS, FIRST_BEAMS = 60, 30  # evenly spaced beams of a scan; the same for the first scan
+NEAR_M, FAR_M = 0.15, 0.5  # distance from the nearest wall at which a beam counts fully, and not at all
+# poses kept after the first scan, and at least: each scan removes half of them
+FIRST_PLACES, MIN_PLACES = 2000, 200
+STRIDE_M, TURN_RAD = 0.4, math.radians(20.0)  # between two used scans
+DRIVING_S = 30.0  # s of driving that are used
+CLEAR_AT = (0.35, 0.75)  # at these shares of its length a beam must be in a free cell
 MIN_SCANS = 5
-# share of the beams that end at walls, on the mean of all scans: people and furniture take the rest
+# least mean share of the beams that end at walls: other beams hit people and furniture
 MIN_SHARE = 0.85
-# scans in all, and share on the mean, by which no other place comes near
+# least lead of the best pose over all others: sum over all scans, and mean
 MIN_LEAD_SCANS, MIN_LEAD_SHARE = 0.35, 0.02
-APART_M, APART_RAD = 0.5, math.radians(20.0)  # places further apart are different
-SAME_M, SAME_RAD = 0.15, math.radians(4.0)  # places closer together are one
-MOVE_DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # in which a place is moved to fit better
-MOVES_M_RAD = ((0.1, math.radians(2.0)), (0.05, math.radians(1.0)))  # m, rad of such moves
-ROUNDS_PER_SIZE = 2  # of moves of one size
+APART_M, APART_RAD = 0.5, math.radians(20.0)  # poses further apart are different
+SAME_M, SAME_RAD = 0.15, math.radians(4.0)  # poses closer together are equal
+MOVE_DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # of the steps that refine a pose
+MOVES_M_RAD = ((0.1, math.radians(2.0)), (0.05, math.radians(1.0)))  # step sizes
+ROUNDS_PER_SIZE = 2  # steps of each size
 MIN_SPEED = 1e-3  # m/s, rad/s
 SAY_START = "say where the drive begins: " + " ".join(
     f"--set start.{key}" for key in ("x=...", "y=...", "theta_deg=...", "sigma_xy=0.5")
@@ -45,18 +47,18 @@ SAY_START = "say where the drive begins: " + " ".join(
 
 
 class Start(NamedTuple):
-    """The pose of a robot at its first scan, and the share of beams that fit it."""
+    """Pose of the robot at its first scan, and the share of beams that match the map there."""
 
     pose: Array  # (3,) at time `t`, map frame
     t: float  # s: of the first scan
-    until: float  # s: of the last scan that was looked at
-    share: float  # of the beams that end at walls there
+    until: float  # s: of the last used scan
+    share: float  # of the beams that end at walls
 
 
 def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
-    """Return where the robot was at the first scan, by DRIVING_S seconds of driving; t (n,) are the scans' times.
+    """Return the pose at the first scan, from the scans at times t (n,) in the first DRIVING_S s of driving.
 
-    Raises LocfuseError where no place fits, several do as well, or there are more to try than MAX_TRIED.
+    Raises LocfuseError if no pose matches, if several match, or if there are more than MAX_TRIED poses to try.
     """
     places, seen = _Places(grid), list[int]()
     rows = _rows(t, wheels)
@@ -71,33 +73,33 @@ def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
 
 
 def at_start(found: Start, wheels: Wheels) -> Array:
-    """Return the pose (3,) at the first wheel reading, from the pose found at the first scan."""
+    """Convert a pose at the first scan to the pose (3,) at the first wheel reading."""
     back = wheels.relative(np.array([found.t]), wheels.t[:1])[0]
     return np.asarray(se2.compose(found.pose, back))
 
 
 class _Places:
-    """Candidate poses of the robot in the grid's frame: places in cells, headings in radians."""
+    """Candidate poses in the grid's frame: positions in cells, headings in rad."""
 
     def __init__(self, grid: Grid) -> None:
-        self.seen = 0  # scans
-        self.best = self.other = 0.0  # share of the best place, and of the best one elsewhere
+        self.seen = 0  # number of scans
+        self.best = self.other = 0.0  # mean share of the best pose, and of the best different pose
         self._grid = grid
         self._lattice = _lattice(grid)
         self._field = _field(grid)
         self._free = grid.free.copy()
         self._free[0, 0] = False
         self._poses, self._sums = np.zeros((0, 3)), np.zeros(0)
-        self._first = self._poses  # where each of them was at the first scan
+        self._first = self._poses  # the candidates' poses at the first scan
 
     def look(self, scan: Array, step: Array | None) -> None:
-        """Compare every place with a scan (k, 2) [m], after a step (3,) by the wheels since the scan before."""
+        """Score all candidates with a scan (k, 2) [m], after a wheel-odometry motion (3,) since the last scan."""
         cell = self._grid.cell
         if step is None:
-            self._begin(_some(scan, FIRST_BEAMS) / cell)
+            self._begin(_subsampled(scan, FIRST_BEAMS) / cell)
         else:
             self._poses = se2.compose(self._poses, np.broadcast_to(step / (cell, cell, 1.0), self._poses.shape))
-        share = self._improve(_some(scan, MAX_BEAMS) / cell)
+        share = self._improve(_subsampled(scan, MAX_BEAMS) / cell)
         if step is None:
             self._first = self._poses
         self._sums, self.seen = self._sums + share, self.seen + 1
@@ -105,19 +107,19 @@ class _Places:
         self._rank()
 
     def decided(self) -> bool:
-        """Return whether one place fits clearly better than every other."""
+        """Return whether one candidate matches clearly better than every different one."""
         ahead = self.best - self.other
         clear = ahead >= MIN_LEAD_SHARE and ahead * self.seen >= MIN_LEAD_SCANS
         return clear and self.seen >= MIN_SCANS and self.best >= MIN_SHARE
 
     def pose(self) -> Array:
-        """Return the pose in the map, at the first scan, of the best place (3,)."""
+        """Return the pose (3,) of the best candidate at the first scan, in the map frame."""
         x, y, theta = self._first[int(np.argmax(self._sums))].tolist()
         place = self._grid.to_map(np.array([[x, y]]))[0]
         return np.array([*place, se2.wrap(theta + float(self._grid.origin[2]))])
 
     def _begin(self, beams: Array) -> None:
-        """Try all free places and headings, and keep the KEPT best."""
+        """Score all free positions and headings, and keep the FIRST_PLACES best."""
         places = self._lattice
         headings = np.arange(HEADING_COUNT) * (math.tau / HEADING_COUNT)
         share = np.stack(
@@ -129,7 +131,7 @@ class _Places:
         self._sums = np.zeros(len(self._poses))
 
     def _share(self, poses: Array, beams: Array) -> Array:
-        """Return for each pose (h, 3) the share (h,) of the beams (k, 2) that end at walls."""
+        """Return for each pose (h, 3) the share (h,) of beams (k, 2) that end at walls and cross free cells."""
         c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
         dx, dy = c * beams[:, 0] - s * beams[:, 1], s * beams[:, 0] + c * beams[:, 1]
         found = self._field[self._cells(poses, dx, dy)]
@@ -138,16 +140,16 @@ class _Places:
         return np.asarray(found.mean(axis=1), np.float64)
 
     def _cells(self, poses: Array, dx: Array, dy: Array) -> tuple[Ints, Ints]:
-        """Return rows and columns (h, k) of points (dx, dy) (h, k) cells from poses (h, 3); outside: cell 0."""
+        """Return rows and columns (h, k) of the cells at (dx, dy) from poses (h, 3); (0, 0) outside the grid."""
         i = np.floor(poses[:, 0, None] + dx).astype(np.int64)
         j = np.floor(poses[:, 1, None] + dy).astype(np.int64)
         rows, columns = self._field.shape
         outside = (i < 0) | (j < 0) | (i >= columns) | (j >= rows)
-        i[outside] = j[outside] = 0  # where no wall is near, and nothing is free
+        i[outside] = j[outside] = 0  # cell (0, 0) counts as not free and far from walls
         return j, i
 
     def _improve(self, beams: Array) -> Array:
-        """Move every place step by step to its best fit; return the shares (h,) there."""
+        """Refine all candidates in steps; return their shares (h,) of matched beams."""
         share = self._share(self._poses, beams)
         for metres, turn in MOVES_M_RAD:
             for _ in range(ROUNDS_PER_SIZE):
@@ -164,7 +166,7 @@ class _Places:
         return share
 
     def _thin(self) -> None:
-        """Keep one of equal places, then only the better half."""
+        """Remove equal candidates, then the worse half."""
         order = np.argsort(-self._sums, kind="stable")
         same = SAME_M / self._grid.cell
         turned = self._poses[order, 2] % math.tau
@@ -182,7 +184,7 @@ class _Places:
 
 
 def _no_place(places: _Places, until: float) -> str:
-    """Return why no place was found in the scans up to a time [s]."""
+    """Return the error message if no start was found by the scans until a time [s]."""
     if places.seen < MIN_SCANS:
         return f"too little is seen before {until:.0f} s to tell where in the map the drive began"
     if places.best < MIN_SHARE:
@@ -197,7 +199,7 @@ def _no_place(places: _Places, until: float) -> str:
 
 
 def _lattice(grid: Grid) -> Array:
-    """Return free places (n, 2) SPACING_M apart, in cells. Raises LocfuseError if there are too many to try."""
+    """Return free positions (n, 2) in cells, SPACING_M apart. Raises LocfuseError if there are too many to try."""
     every = max(1, round(SPACING_M / grid.cell))
     half = every // 2
     free = grid.free[half::every, half::every]
@@ -213,7 +215,7 @@ def _lattice(grid: Grid) -> Array:
 
 
 def _field(grid: Grid) -> Array:
-    """Return the likelihood field: 1 near a wall, 0 far from all and in cell (0, 0), which is outside."""
+    """Return the likelihood field: 1 near walls, 0 far from walls and in cell (0, 0), which stands for outside."""
     from scipy.ndimage import distance_transform_edt
 
     away: Array = distance_transform_edt(~grid.occupied) * grid.cell
@@ -223,7 +225,7 @@ def _field(grid: Grid) -> Array:
 
 
 def _rows(t: Array, wheels: Wheels) -> Ints:
-    """Return the scans that are used: STRIDE_M apart, within DRIVING_S seconds of driving."""
+    """Return the indices of the used scans: STRIDE_M or TURN_RAD apart, within DRIVING_S seconds of driving."""
     moving = np.hypot(*wheels.twist[:, :2].T) + np.abs(wheels.twist[:, 2]) > MIN_SPEED * np.diff(wheels.t)
     driven = np.concatenate(([0.0], np.cumsum(np.where(moving, np.diff(wheels.t), 0.0))))
     pose = wheels.at(t)[2]
@@ -236,7 +238,7 @@ def _rows(t: Array, wheels: Wheels) -> Ints:
     return np.array(rows, np.int64)
 
 
-def _some(scan: Array, count: int) -> Array:
+def _subsampled(scan: Array, count: int) -> Array:
     """Return at most `count` points of a scan (k, 2), evenly spaced."""
     if len(scan) <= count:
         return scan

@@ -1,12 +1,13 @@
-"""Walls of an occupancy grid as map lines: contours of cells are split where they bend, and each piece is fitted.
+"""Walls of an occupancy grid as map lines: contours are split at bends, and a line is fitted to each piece.
 
-A contour is a chain of sides of occupied cells at free ones, the free side at its left.
+A contour is a chain of sides between occupied and free cells, with the free cell at its left.
 
-A face lies on the border of its cells where the wall is thick, as on a drawn plan. A wall of a single cell is what
-a mapping program leaves of a surface that scans hit: it lies in the middle of that cell.
+Thick walls, as in a drawn plan, have their surface on the border of the cells. Walls of a single cell come from a
+mapping program: the scanned surface lies in the middle of the cell.
 
-A wall along the grid is rounded to cells as a whole, so its offset is wrong by up to half a cell, the same one all
-along. That is the covariance of these lines: they are considered, and never become better known.
+The offset of a wall parallel to the grid is rounded to cells: it has one error of up to half a cell along the
+whole wall. This is the covariance of these lines. They are considered states, so their covariance does not
+decrease.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ Mask = NDArray[np.bool_]
 
 
 class Grid(msgspec.Struct, frozen=True):
-    """Cells (rows, columns), the first row and column at the origin; cells of no other kind are unknown."""
+    """Occupancy grid (rows, columns) with row 0, column 0 at the origin; a cell is occupied, free, or unknown."""
 
     occupied: Mask
     free: Mask
@@ -34,36 +35,36 @@ class Grid(msgspec.Struct, frozen=True):
     origin: Array  # (3,) x, y [m], yaw [rad] of the lower left corner of the first cell, map frame
 
     def to_map(self, places: Array) -> Array:
-        """Return places (n, 2), in cells from the lower left corner as x, y, in the map [m]."""
+        """Convert points (n, 2), x and y in cells from the lower left corner, to the map frame [m]."""
         return np.asarray(se2.transform(self.origin, self.cell * places))
 
 
-# of each side of an occupied cell: the step to the free neighbour (rows, columns), then start and end of the side
-# (x, y) in cells, walked with the free neighbour at the left
+# for each side of an occupied cell: the step to the free neighbour (rows, columns), then start and end of the side
+# (x, y) in cells; the free neighbour is at the left of the direction from start to end
 CELL_SIDES = (
     ((0, 1), (1, 1), (1, 0)),
     ((0, -1), (0, 0), (0, 1)),
     ((1, 0), (0, 1), (1, 1)),
     ((-1, 0), (1, 0), (0, 0)),
 )
-MAX_SIDES = 1_000_000  # of cells at free ones: 50 km in cells of 5 cm; each takes 10 us and 0.4 kB
+MAX_SIDES = 1_000_000  # between occupied and free cells: 50 km in cells of 5 cm; each takes 10 us and 0.4 kB
 
 
 class Chain(NamedTuple):
-    """The sides of cells along a wall, one after another."""
+    """Consecutive cell sides along a wall."""
 
-    points: Array  # (n, 2) their middles, in cells from the lower left corner
-    thin: Mask  # (n,) whether the wall is a single cell thick there
+    points: Array  # (n, 2) middles of the sides, in cells from the lower left corner
+    thin: Mask  # (n,) whether the wall is a single cell thick
 
 
 def contours(grid: Grid) -> list[Chain]:
-    """Return the chains of all walls. Raises LocfuseError where they are too many."""
+    """Return the contours of all walls. Raises LocfuseError if there are too many cell sides."""
     starts, ends, points, thin = _sides(grid)
     return [Chain(points[chain], thin[chain]) for chain in _chains(starts, ends)]
 
 
 def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
-    """Return the corners (m, 2) at both ends of every side, its middle (m, 2), and Chain.thin (m,)."""
+    """Return start and end corners (m, 2) and middles (m, 2) of cell sides, and whether the wall is thin (m,)."""
     starts, ends, points, thin, count = [], [], [], [], 0
     for (rows, columns), a, b in CELL_SIDES:
         border = grid.occupied & _shifted(grid.free, rows, columns)
@@ -82,7 +83,7 @@ def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
 
 
 def _shifted(cells: Mask, rows: int, columns: int) -> Mask:
-    """Return every cell's neighbour; outside the grid there is none."""
+    """Return for every cell the value of its neighbour at an offset; False outside the grid."""
     out = np.zeros_like(cells)
     n, m = cells.shape
     to = (slice(max(0, -rows), n - max(0, rows)), slice(max(0, -columns), m - max(0, columns)))
@@ -92,7 +93,7 @@ def _shifted(cells: Mask, rows: int, columns: int) -> Mask:
 
 
 def _chains(starts: Ints, ends: Ints) -> list[list[int]]:
-    """Return sides in order; where cells touch at a corner, the chain follows the wall around it."""
+    """Return chains of connected sides (indices); where cells touch at a corner, a chain follows the wall."""
     width = int(max(starts.max(initial=0), ends.max(initial=0))) + 2
     of_start, of_end = (corner[:, 1] * width + corner[:, 0] for corner in (starts, ends))
     leaving: dict[int, list[int]] = defaultdict(list)
@@ -112,20 +113,20 @@ def _chains(starts: Ints, ends: Ints) -> list[list[int]]:
             if not onward:
                 break
             dx, dy = direction[side]
-            # with the free side at the left, the sharpest turn to the right stays with this cell
+            # with the free cell at the left, the sharpest right turn stays at this cell
             side = min(onward, key=lambda o: dx * direction[o][1] - dy * direction[o][0])
         if chain:
             found.append(chain)
     return found
 
 
-MAX_BEND_CELLS = 1.0  # cells: the staircase of a straight wall deviates by less
+MAX_BEND_CELLS = 1.0  # cells: the rasterised line of a straight wall deviates by less
 MIN_LENGTH_M, MIN_CELLS = 0.3, 5
-OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # no plan or wall is more exact
+OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # least standard deviations of a line
 
 
 def walls_of(grid: Grid) -> list[MapLine]:
-    """Return the walls that are long enough for lines, with normals that point away from the free side."""
+    """Return the map lines of all walls long enough, with normals that point away from the free side."""
     least = max(MIN_LENGTH_M / grid.cell, float(MIN_CELLS))
     found: list[MapLine] = []
     for chain in contours(grid):
@@ -137,15 +138,15 @@ def walls_of(grid: Grid) -> list[MapLine]:
 
 
 def _straight(chain: Array) -> list[tuple[int, int]]:
-    """Return first and last point of the pieces of a chain (n, 2) that leave their chord by less than BEND."""
-    if len(chain) > 2 and np.hypot(*(chain[-1] - chain[0])) < 2.0:  # it closes: begin where it is furthest
+    """Return first and last index of the pieces of a chain (n, 2) that deviate less than MAX_BEND_CELLS."""
+    if len(chain) > 2 and np.hypot(*(chain[-1] - chain[0])) < 2.0:  # closed: split at the furthest point
         far = int(np.argmax(np.hypot(*(chain - chain[0]).T)))
         return [*_split(chain, 0, far), *_split(chain, far, len(chain) - 1)]
     return _split(chain, 0, len(chain) - 1)
 
 
 def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
-    """Split at the point furthest from the chord, recursively (Ramer 1972; Douglas and Peucker 1973)."""
+    """Split a chain recursively at the point furthest from the chord (Ramer 1972; Douglas and Peucker 1973)."""
     todo, done = [(first, last)], []
     while todo:
         a, b = todo.pop()
@@ -165,13 +166,13 @@ def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
 
 
 def _fitted(number: int, grid: Grid, piece: Chain) -> MapLine:
-    """Return the line through a piece, without the cells at its ends, which belong to corners."""
+    """Return the map line fitted to a piece, without the cells at its ends, which belong to corners."""
     points = piece.points
     inner = points[1:-1] if len(points) > 2 * MIN_CELLS else points
     middle = inner.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov((inner - middle).T))
     along = vectors[:, 1] if float(vectors[:, 1] @ (points[-1] - points[0])) > 0.0 else -vectors[:, 1]
-    if 2 * np.count_nonzero(piece.thin) > len(piece.thin):  # half a cell; across the grid its sides lie nearer
+    if 2 * np.count_nonzero(piece.thin) > len(piece.thin):  # to the middle of the cells; less for an oblique wall
         middle = middle + 0.5 / np.abs(along).sum() * np.array([along[1], -along[0]])
     ends = grid.to_map(np.stack([middle + ((p - middle) @ along) * along for p in (points[0], points[-1])]))
     scatter = grid.cell * math.sqrt(max(float(values[0]), 0.0))
@@ -179,12 +180,12 @@ def _fitted(number: int, grid: Grid, piece: Chain) -> MapLine:
 
 
 def _line(number: int, ends: Array, cell: float, scatter: float) -> MapLine:
-    """Return the line between two ends (2, 2) [m], seen from its left, with the uncertainty of cells."""
+    """Return the map line between two ends (2, 2) [m], free side at the left, with the uncertainty of cells."""
     (dx, dy), length = ends[1] - ends[0], float(np.hypot(*(ends[1] - ends[0])))
-    c, s = dy / length, -dx / length  # the normal lies to the right of the way: away from the free side
+    c, s = dy / length, -dx / length  # the normal points to the right: away from the free side
     lo, hi = (float(c * y - s * x) for x, y in ends)
     offset = math.hypot(cell / math.sqrt(12.0), OFFSET_FLOOR_M)
     angle = math.hypot(max(scatter, cell / math.sqrt(12.0)) * math.sqrt(12.0) / length / 2.0, ANGLE_FLOOR_RAD)
-    G = np.array([[1.0, 0.5 * (lo + hi)], [0.0, 1.0]])  # from the middle of the wall to the map's origin
+    G = np.array([[1.0, 0.5 * (lo + hi)], [0.0, 1.0]])  # covariance about the middle -> about the map's origin
     P = G @ np.diag([offset**2, angle**2]) @ G.T
     return MapLine(number, float(c * ends[0, 0] + s * ends[0, 1]), math.atan2(s, c), (lo, hi), P, 0)

@@ -1,28 +1,24 @@
-"""The line map (paper eq. 14): walls as (rho, beta) about an anchor point on each wall, with their extents.
+"""Line map (paper eq. 14): walls as (rho, beta) about an anchor point on each wall, with their extents.
 
 A line is n.(q - a) = rho with n = (cos beta, sin beta) and a fixed anchor a near the wall. With a = 0 this is
 the paper's form; with a on the wall itself, an error in beta has no lever arm far from the origin. n points
 from where the line was first seen into the wall, so C = rho - n.(p - a) > 0 on the face that was seen.
 
-Data association: which map line is this? Gate, face, overlap, one-to-one, and no answer where it is ambiguous.
+Data association: a pair (measured line, map line) is a candidate if its Mahalanobis distance passes the chi-square
+gate, the robot is on the seen side of the wall, and the segments overlap. A line with two about equally good
+candidates is ambiguous and not used. fusion.kernels.sight computes this, with paper eq. 13, 17, 18.
 
-A pair (measured line, map line) is a candidate when its Mahalanobis distance passes the chi-square gate, the
-robot stands on the face that was seen before, and the segments overlap. Two candidates that explain a line
-about equally well are no evidence at all: the line is skipped and counted as ambiguous. The numbers are worked out
-by fusion.kernels.sight, with paper eq. 13, 17, 18.
+Maintenance of a growing map: lines that were seen too rarely are removed, duplicates are merged. A merge also
+closes loops: the equality of two lines is a measurement with noise, which corrects all correlated states.
 
-Tidying a growing map: lines that were seen too rarely are removed, doubles are merged. Joining two lines that are
-one wall is how loops close: the constraint "these are equal" is a measurement with a stated noise, and the filter
-carries it into every state that depends on either.
-
-A laser with an uncertain mount: a line (r, psi) in the base follows from the laser's own one and the mount
-(x, y, yaw) by psi = psi_L + yaw, r = r_L + x cos(psi) + y sin(psi). So what is predicted for the laser's reading
-depends on the mount by
+A laser with an uncertain mount: a line (r, psi) in the base frame follows from the line (r_L, psi_L) in the laser
+frame and the mount (x, y, yaw) by psi = psi_L + yaw, r = r_L + x cos(psi) + y sin(psi). So the derivative of the
+predicted reading by the mount is
 
     d(r, psi)/d(x, y, yaw) = [[-cos(psi), -sin(psi), x sin(psi) - y cos(psi)], [0, 0, -1]]
 
-at the measured psi, in which this is exact. (At the predicted one the wheels' error in heading would enter, which
-goes with their error in distance: y came out wrong by k / (2 dtheta), 8 mm.) Derivatives by pose and line stay.
+at the measured psi, where this is exact. (At the predicted psi, the heading error of the wheels would enter, which
+is correlated with their distance error: y was wrong by 8 mm.) The derivatives by pose and line are unchanged.
 """
 
 from __future__ import annotations
@@ -46,20 +42,20 @@ from locfuse.fusion.sensor import Reading
 
 COLUMN_NAMES = ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born")
 NO_SHARES = np.zeros((0, 2, 0))
-RESERVE_FACTOR = 1.5  # times the room that is needed now
+RESERVE_FACTOR = 1.5  # arrays are allocated for this multiple of the present number of lines
 TIDY_EVERY_SCANS = 10  # scans
 MIN_HITS = 4
-TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
-# further apart is two walls, whatever the covariance
+TRIAL_SCANS = 15  # scans within which a new line must be seen MIN_HITS times
+# largest differences of duplicates, for any covariance
 DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M = math.radians(8.0), 0.25
-MAX_GAP_M = 0.3  # m along the wall between two pieces that may still be one
+MAX_GAP_M = 0.3  # m along the wall between two duplicates
 MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M, MAX_GAP_M)
 DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
 FLAT_SIGMAS = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
 
 
 class LineMap(msgspec.Struct):
-    """Lines as columns (J,); values of lines that are states live in the belief, at `column`."""
+    """J lines as arrays; if a line is a state, its (rho, beta) are in the belief at `column`, else in `value`."""
 
     ids: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     anchor: Array = field(default_factory=lambda: np.zeros((0, 2)))
@@ -69,39 +65,34 @@ class LineMap(msgspec.Struct):
     column: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # -1: frozen
     value: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (rho, beta) of frozen lines
     P: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))  # of frozen lines
-    seen: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the scan that last matched
-    born: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    seen: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the last matched scan
+    born: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the first scan
     next_id: int = 0
-    _table: sight.Walls | None = None  # for the kernel, of the columns that are `_shown`
-    _shown: tuple[Any, ...] = ()
-    _room: int = 0  # states in `_lacking`
-    _lacking: Loosening | None = None  # the states that the floor changed last
+    _table: sight.Walls | None = None  # kernel's view of the arrays
+    _shown: tuple[Any, ...] = ()  # arrays from which `_table` was built
+    _room: int = 0  # capacity of `_lacking` in states
+    _lacking: Loosening | None = None  # states below the least variance
 
     def __len__(self) -> int:
         """Return the number of lines."""
         return len(self.ids)
 
     def values(self, belief: JointBelief) -> Array:
-        """Return (rho, beta) of every line, (J, 2)."""
+        """Return (rho, beta) of all lines, (J, 2)."""
         if len(self) == 0 or self.column[0] < 0:
             return self.value
         return np.column_stack((belief.state[self.column], belief.state[self.column + 1]))
 
     def covariances(self, belief: JointBelief) -> Array:
-        """Return the covariance of (rho, beta) of every line, (J, 2, 2)."""
+        """Return the covariances of (rho, beta) of all lines, (J, 2, 2)."""
         if len(self) == 0 or self.column[0] < 0:
             return self.P
         at = np.column_stack((self.column, self.column + 1))
         P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
         return P
 
-    def columns(self) -> list[int]:
-        """Return every line's first column in the state, -1: frozen."""
-        columns: list[int] = self.column.tolist()
-        return columns
-
     def table(self) -> sight.Walls:
-        """Return the map for the kernel; it shares the columns, and is rebuilt after these were replaced."""
+        """Return the kernel's view of the map; it shares the arrays, and is rebuilt after these were replaced."""
         shown = self._shown
         if self._table is not None and shown[0] is self.column and shown[1] is self.hits and shown[2] is self.seen:
             return self._table
@@ -118,7 +109,7 @@ class LineMap(msgspec.Struct):
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int
     ) -> int:
-        """Add one line and return its id."""
+        """Add a line and return its id."""
         line, self.next_id = self.next_id, self.next_id + 1
         self.ids = np.append(self.ids, line)
         self.anchor = np.vstack((self.anchor, anchor))
@@ -130,7 +121,7 @@ class LineMap(msgspec.Struct):
         return line
 
     def keep_floor(self, belief: JointBelief, floor: tuple[float, float]) -> None:
-        """Keep each line's covariance at its floor (2,) [m^2, rad^2] or above, since no wall is an exact plane."""
+        """Increase line variances below `floor` (2,) [m^2, rad^2] to it, since no wall is an exact plane."""
         if self._lacking is None or self._room < 2 * len(self.ids):
             self._room = 4 * len(self.ids)
             self._lacking = Loosening(np.empty(self._room, np.intp), np.empty(self._room))
@@ -138,7 +129,7 @@ class LineMap(msgspec.Struct):
         belief.loosen_all(self._lacking)
 
     def drop(self, gone: Ints) -> Ints:
-        """Remove lines by position; return their state columns."""
+        """Remove the lines with indices `gone` (k,); return the state columns that become free."""
         keep = np.setdiff1d(np.arange(len(self)), gone)
         freed = self.column[gone]
         freed = np.sort(np.concatenate((freed[freed >= 0], freed[freed >= 0] + 1)))
@@ -148,11 +139,11 @@ class LineMap(msgspec.Struct):
         return freed
 
     def states(self, which: Ints | slice) -> Ints:
-        """Return the state columns of lines `which` (k,), rho and beta line by line, (2k,)."""
+        """Return the state columns of the lines `which` (k,): rho and beta line by line, (2k,)."""
         return (self.column[which][:, None] + np.arange(2)).reshape(-1)
 
     def lines(self, belief: JointBelief) -> list[MapLine]:
-        """Return the map about its origin, with lines in the paper's form, for display and files."""
+        """Return all lines in the map frame, as (rho, beta) about its origin (paper's form)."""
         frame = belief.frame_pose()
         return [
             self._line(j, v, P)
@@ -162,7 +153,7 @@ class LineMap(msgspec.Struct):
         ]
 
     def placed_at(self, frame: Array, P: Array) -> list[MapLine]:
-        """Return frozen lines in the map; their local frame (3,) has covariance P (3, 3)."""
+        """Return frozen lines in the map frame; their local frame has pose `frame` (3,), covariance P (3, 3)."""
         x, y, theta = map(float, frame)
         joint = np.zeros((5, 5))
         joint[2:, 2:] = P
@@ -183,13 +174,13 @@ class LineMap(msgspec.Struct):
         return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
 
     def _framed(self, j: int, placed: Placed, P: Array, joint: Array) -> MapLine:
-        """Return line j in the map with two covariances: with the map frame exact, and with it uncertain."""
+        """Return line j in the map frame, with its covariance for an exact and for an uncertain local frame."""
         line = self._line(j, placed.value, P, placed.anchor)
         J = line_by_frame(line, placed.anchor, placed.frame)
         return replace(line, P_free=J @ joint @ J.T)
 
     def _joint_with_frame(self, j: int, P: Array, belief: JointBelief) -> Array:
-        """Return the covariance of (rho, beta) of line j and the map frame, (5, 5)."""
+        """Return the joint covariance (5, 5) of (rho, beta) of line j and the local frame's pose."""
         out = np.zeros((5, 5))
         out[:2, :2], out[2:, 2:] = P, belief.frame_covariance()
         if belief.framed and self.column[j] >= 0:
@@ -200,11 +191,11 @@ class LineMap(msgspec.Struct):
 
 
 class Placed(NamedTuple):
-    """A line in the map, placed by the map frame (X, Y, Th)."""
+    """A line converted to the map frame, by the pose (X, Y, Th) of its local frame."""
 
     value: Array  # (2,) rho about the anchor, beta in the map
     anchor: Array  # (2,) m, map
-    frame: Pose
+    frame: Pose  # of the local frame
 
 
 def _placed(value: Array, anchor: Array, frame: Pose) -> Placed:
@@ -213,10 +204,11 @@ def _placed(value: Array, anchor: Array, frame: Pose) -> Placed:
 
 
 def line_by_frame(line: MapLine, anchor: Array, frame: Pose) -> Array:
-    """Return the derivative (2, 5) of (rho, beta) in the map by rho about the anchor, beta, X, Y, Th.
+    """Return the derivative (2, 5) of (rho, beta) in the map frame by (rho, beta, X, Y, Th).
 
-    rho = value + n.a. The anchor a moves with the frame and turns with Th about the frame's place g, and the
-    direction n turns with beta and Th: dn.a = a_y c - a_x s.
+    rho is about the anchor point a, beta in the local frame with pose (X, Y, Th). In the map frame, rho + n.a: the
+    anchor point moves with the local frame and turns with Th about its origin, and the normal n turns with beta
+    and Th: dn.a = a_y c - a_x s.
     """
     c, s = math.cos(line.beta), math.sin(line.beta)
     along = float(anchor[1] * c - anchor[0] * s)
@@ -225,7 +217,7 @@ def line_by_frame(line: MapLine, anchor: Array, frame: Pose) -> Array:
 
 
 def about_middle(line: MapLine) -> tuple[Array, float, Array]:
-    """Return the middle (2,) of a line in the paper's form, half its length, its covariance about the middle."""
+    """Return the middle (2,) of a line, half its length [m], and the covariance (2, 2) about the middle."""
     c, s = math.cos(line.beta), math.sin(line.beta)
     along, half = 0.5 * (line.ends[0] + line.ends[1]), 0.5 * (line.ends[1] - line.ends[0])
     G = np.array([[1.0, -along], [0.0, 1.0]])
@@ -233,9 +225,9 @@ def about_middle(line: MapLine) -> tuple[Array, float, Array]:
 
 
 class Association(sight.Sight, Reading):
-    """The lines of a scan against a map: for every line its pair, or why there is none.
+    """Data association of one scan with the map: the map line of each measured line, or why there is none.
 
-    As a `Reading` of the filter it holds all accepted lines together, as rows of the state's table.
+    As a `Reading` of the filter, it has all accepted lines of the scan, as rows of the state's table.
     """
 
     def __init__(self, rules: sight.Rules, seat: sight.Seat) -> None:
@@ -247,17 +239,17 @@ class Association(sight.Sight, Reading):
         self._bent = Loosening(np.zeros(0, np.intp), np.zeros(0))
 
     def compare(self, belief: JointBelief, lines: LineMap, rows: Array, shared: Array = NO_SHARES) -> float:
-        """Associate measured lines (n, 7), in the base by the configured mount; return the share that matches.
+        """Match lines (n, 7) in the base frame by the configured mount; return the matched share of length.
 
-        `shared` (n, 2, s) is what the errors of the lines share (lines.sweep).
+        `shared` (n, 2, s) are the correlated errors of the lines (lines.sweep).
         """
         n, places, parts = len(rows), len(lines.ids), shared.shape[2]
         if n > self._lines or places > self._places or parts > self._parts:
-            self._make_room(n, places, parts)
+            self._allocate(n, places, parts)
         share: float = self.look(belief, lines.table(), rows, shared if parts else NO_SHARES)
         return share
 
-    def _make_room(self, n: int, places: int, parts: int) -> None:
+    def _allocate(self, n: int, places: int, parts: int) -> None:
         n = self._lines = max(self._lines, int(RESERVE_FACTOR * n) + 1)
         places = self._places = max(self._places, int(RESERVE_FACTOR * places) + 1)
         parts = self._parts = max(self._parts, parts)
@@ -274,24 +266,24 @@ class Association(sight.Sight, Reading):
         self.hold_states(self._bent)
 
     def in_base(self) -> Array:
-        """Return a copy (n, 7) of the measured lines in the base by the estimated mount."""
+        """Return a copy (n, 7) of the measured lines in the base frame, by the estimated mount."""
         return self._rows[: self.lines].copy()
 
-    def moved(self) -> tuple[float, float, float]:
-        """Return the offset x, y [m], yaw [rad] that moves lines from the configured to the estimated mount."""
+    def mount_offset(self) -> tuple[float, float, float]:
+        """Return x, y [m], yaw [rad] that convert lines from the configured to the estimated mount."""
         x, y, yaw = self._offset.tolist()
         return x, y, yaw
 
     def new(self) -> list[int]:
-        """Return the lines that match nothing and are near no known line."""
+        """Return the indices of the lines to add to the map: unmatched, and near no map line."""
         return [i for i in range(self.lines) if self.is_new(i)]
 
     def rows_used(self) -> list[int]:
-        """Return the rows of Measurements.z whose lines match."""
+        """Return the rows of Measurements.z of the matched lines."""
         return [self.row + i for i in range(self.lines) if self.is_matched(i)]
 
     def bend(self, belief: JointBelief, uneven: tuple[float, float], most: tuple[float, float]) -> None:
-        """Add variance to the seen walls, at most `most` at a time and up to their unevenness [m^2, rad^2]."""
+        """Add variance to the seen walls: `uneven` [m^2, rad^2], at most `most` at a time."""
         self.bends(belief, *uneven, *most)
         belief.loosen_all(self._bent)
 
@@ -299,7 +291,7 @@ class Association(sight.Sight, Reading):
 def associate(
     rows: Array, lines: LineMap, belief: JointBelief, like: Association, shared: Array = NO_SHARES
 ) -> Association:
-    """Associate measured lines again, with the present belief and the rules of another association."""
+    """Associate lines `rows` with the present belief, by the rules and mount of the association `like`."""
     found = Association(like.rules, like.seat)
     found.compare(belief, lines, rows, shared)
     return found
@@ -309,13 +301,13 @@ def associate(
 
 
 def untidy(lines: LineMap, belief: JointBelief, scan: int) -> bool:
-    """Return whether `prune` or `merge_doubles` may find anything."""
+    """Return whether `prune` or `merge_doubles` may change the map."""
     n = len(lines)
     return sight.untidy(belief, lines.table(), MAY_BE_ONE, scan, np.empty((n, 4)), np.empty(n, np.intp))
 
 
 def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
-    """Drop lines that are TRIAL_SCANS scans old and were hardly seen since: people, poles, bad fits."""
+    """Remove lines that were rarely seen in TRIAL_SCANS scans: people, poles, bad fits."""
     walls = lines.table()
     gone = np.array([j for j in range(len(lines)) if sight.worthless(walls, j, scan, MAY_BE_ONE)], np.int64)
     if len(gone):
@@ -323,9 +315,10 @@ def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
 
 
 def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array) -> None:
-    """Join recently seen lines with any line that is statistically the same wall, facing the same way.
+    """Merge recently seen lines with lines that are the same wall, within their covariances.
 
-    `uneven` (2,) is the variance [m^2, rad^2] by which a piece of wall is off its line: two pieces differ by both.
+    `uneven` (2,) is the variance [m^2, rad^2] of a piece of an uneven wall; the difference of two pieces has twice
+    it.
     """
     R = np.diag(np.maximum(FLAT_SIGMAS**2, 2.0 * uneven))
     recent = np.flatnonzero(scan - lines.seen <= TRIAL_SCANS)[::-1]
@@ -342,18 +335,19 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
 
 
 def _near(lines: LineMap, values: Array, j: int) -> Ints:
-    """Return which lines (k,) may be one wall with line j, by their positions."""
+    """Return the indices (k,) of lines that may be the same wall as line j, by their positions."""
     rows, found = np.concatenate((values, lines.anchor), axis=1), np.empty(len(lines), np.intp)
     return found[: sight.neighbours(rows, lines.table(), j, MAY_BE_ONE, found)]
 
 
 def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | None:
-    """Return the line that is most clearly the same wall as line j, None where there is none."""
+    """Return the index of the line that is most likely the same wall as line j; None without one."""
     values = lines.values(belief)
     best, found = DOUBLE_D2, None
     for i in _near(lines, values, j).tolist():
         y, H, _, _ = _difference(lines, values, i, j)
-        S = H @ _joint(lines, belief, i, j) @ H.T + R
+        columns = _columns(lines, i, j)
+        S = H @ belief.covariance[np.ix_(columns, columns)] @ H.T + R
         d2 = float(y @ np.linalg.solve(S, y))
         if d2 < best:
             best, found = d2, i
@@ -361,7 +355,7 @@ def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | N
 
 
 def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, Array, float, float]:
-    """Return y = line i - line j about i's anchor, dy/d(i, j) with the sign of H, and j's extent along i."""
+    """Return y = line i - line j about i's anchor point, the Jacobian H of line j - line i, j's ends along i."""
     rho, beta = values[j]
     c, s = math.cos(beta), math.sin(beta)
     ax, ay = lines.anchor[j] - lines.anchor[i]
@@ -377,14 +371,8 @@ def _columns(lines: LineMap, i: int, j: int) -> Ints:
     return np.array([a, a + 1, b, b + 1])
 
 
-def _joint(lines: LineMap, belief: JointBelief, i: int, j: int) -> Array:
-    columns = _columns(lines, i, j)
-    P: Array = belief.covariance[np.ix_(columns, columns)]
-    return P
-
-
 def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:
-    """Correct by the equality of lines i and j, then keep i with the extent of both."""
+    """Correct the state by the equality of lines i and j; keep line i with the extent of both."""
     y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
     belief.know(y.tolist(), R.tolist(), _columns(lines, i, j).tolist(), H.tolist())
     lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
@@ -398,7 +386,7 @@ def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None
 
 
 def seat_of(mount: Mount | None, belief: JointBelief) -> sight.Seat:
-    """Return the laser's mount for the kernel: its configured values, and which of them are states."""
+    """Return the laser's mount for the kernel: its configured values, and the indices of those that are states."""
     if mount is None:
         return sight.Seat(np.zeros(3), np.zeros(0, np.intp), np.zeros(0, np.intp))
     columns = np.array(mount.columns(belief), np.intp)
@@ -406,7 +394,7 @@ def seat_of(mount: Mount | None, belief: JointBelief) -> sight.Seat:
 
 
 def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
-    """Return the Jacobian (2, f) of a line with normal angle psi [rad, base frame] by the mount states."""
+    """Return the derivative (2, f) of a line with normal angle psi [rad, base frame] by the f mount states."""
     x, y, _ = mount.now(belief)
     c, s = math.cos(psi), math.sin(psi)
     whole = np.array(((-c, -s, x * s - y * c), (0.0, 0.0, -1.0)))
@@ -415,6 +403,6 @@ def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
 
 
 def moved_mount(mount: Mount, belief: JointBelief) -> Pose:
-    """Return the motion from the base by the configured mount to that by the estimated mount."""
+    """Return the motion (x, y, yaw) that converts lines from the configured to the estimated mount."""
     x, y, yaw = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.configured))).tolist()
     return x, y, yaw

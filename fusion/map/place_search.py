@@ -1,12 +1,13 @@
-"""Place search: the pose of a scan, or of a small map, in a line map.
+"""Place recognition: search for the pose of a scan, or of a submap, in a line map.
 
-Two walls that are not parallel fix a pose. All pairs of seen walls are laid onto all pairs of known ones, and
-each pose is scored by the length of wall that it explains. The best one counts only if no different pose explains
-nearly as much, and if nothing is seen through walls. A rectangle alone has two such poses (turned by 180 degrees):
-then no place is found.
+Two walls that are not parallel determine a pose. Each pair of seen walls is aligned with each pair of map walls,
+and each pose is scored by the length of the walls that match. The best pose is accepted only if no different pose
+has a similar score, and if no seen wall lies behind map walls. In a rectangular room two poses (180 degrees apart)
+match, so none is accepted.
 
-A lost robot looks for one scan (`find_pose`); scans since it was lost rule out places. A robot that comes back
-looks for its small map (`find_closure`): the best place is refined by its walls, and several `Looks` must agree.
+For a lost robot, one scan is searched (`find_pose`), and earlier scans since it was lost exclude poses. For a
+robot that may have returned to a known place, its submap is searched (`find_closure`): the best pose is refined by
+the walls, and several candidates (`Looks`) must agree.
 """
 
 from __future__ import annotations
@@ -27,62 +28,64 @@ from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.scan_matching.solve import chi2_of
 
 from .anchors import Anchors
-from .line_map import LineMap
+from .line_map import MIN_HITS, LineMap
 from .scan import Scan
 from .slips import Trail
 from .small_maps import as_scan
 from .way import Way
 
-MIN_HITS = 4  # of a wall that counts
-MIN_SKEW_RAD = math.radians(25.0)  # two walls must differ by this much in direction to fix a pose
-APART_RAD = math.radians(20.0)  # poses in directions further apart are different
-# --- of one scan
+MIN_SKEW_RAD = math.radians(25.0)  # least angle between two walls that determine a pose
+APART_RAD = math.radians(20.0)  # poses whose headings differ by more are different
+# --- search for one scan
 LONGEST_WALLS, MAX_MAP_WALLS = 5, 60  # seen walls from which pairs are made; walls of the map, the best seen first
-MIN_SHARE, MIN_WALLS = 0.7, 3  # share of the seen length, and walls, that a pose must explain
-RIVAL_SHARE = 0.8  # another pose that explains this share of the best one's length makes it ambiguous
+MIN_SHARE, MIN_WALLS = 0.7, 3  # least matched share of the seen length, least number of matched walls
+RIVAL_SHARE = 0.8  # a different pose with this share of the best score makes the search ambiguous
 APART_M = 0.5  # poses further apart are different
-HEADING_SIGMAS, HEADING_SLACK_RAD = 4.0, math.radians(10.0)
-MAX_THROUGH_SHARE = 0.15  # of the seen length behind known walls
-TRAIL_SLACK = 2.0  # along the trail: wheels drift
-# a scan of the trail contradicts a pose from which it sees this share through walls; so many rule the pose out
+HEADING_SIGMAS, HEADING_SLACK_RAD = 4.0, math.radians(10.0)  # window around the predicted heading
+MAX_THROUGH_SHARE = 0.15  # largest share of the seen length behind map walls
+TRAIL_SLACK = 2.0  # factor on tolerances for earlier scans, since wheel odometry drifts
+# number of contradicting scans that exclude a pose; share of seen length behind map walls at which a scan
+# contradicts
 MAX_AGAINST, AGAINST_SHARE = 3, 0.35
-# --- of a small map
-MAP_LONGEST_WALLS, MAP_MIN_WALLS = 10, 5  # from which pairs are made; that each of two maps must have
+# --- search for a submap
+MAP_LONGEST_WALLS, MAP_MIN_WALLS = 10, 5  # walls from which pairs are made; least number of walls of each submap
 MAX_CHI2, SAME_CHI2 = 16.3, 11.3  # with 3 degrees of freedom at 99.9 % and at 99 %
-EXPECTED_P_FACTOR = 4.0  # times the covariance of the expected place: some drives go wrong by more than it claims
-SLACK_P = np.diag(np.square((0.3, 0.3, math.radians(4.0))))  # m, rad: by which a pair of walls misses the place
-# walls, and m of them, that a place must explain: many, or long ones
+EXPECTED_P_FACTOR = 4.0  # factor on the covariance of the expected pose, which may be overconfident
+SLACK_P = np.diag(np.square((0.3, 0.3, math.radians(4.0))))  # m, rad: error of a pose from one pair of walls
+# least number and total length [m] of matched walls: many walls, or long ones
 MIN_WALLS_M, MIN_LONG_WALLS_M = (5, 6.0), (3, 15.0)
-MIN_UNEXPECTED_WALLS_M = (8, 20.0)  # the same where it lies beyond what the covariance of the way allows
-NEAR_SIGMA_M = 0.75  # of the expected place, up to which a few long walls are enough
-MAP_RIVAL_SHARE, MAP_APART_M, MAP_APART_RAD = 0.75, 0.6, math.radians(15.0)  # of the best one's length; of rivals
-MAX_TURNED_RIVALS = 4  # in other directions, beyond which free space is not asked
-MAX_MAP_THROUGH_SHARE = 0.08  # of the walls behind walls of the other map, beyond what is so within either map
+MIN_UNEXPECTED_WALLS_M = (8, 20.0)  # the same for a pose outside the covariance of the expected one
+NEAR_SIGMA_M = 0.75  # largest standard deviation of the expected position at which few long walls are enough
+# rivals: least share of the best score; difference from which their position, heading is another one
+MAP_RIVAL_SHARE, MAP_APART_M, MAP_APART_RAD = 0.75, 0.6, math.radians(15.0)
+MAX_TURNED_RIVALS = 4  # rivals with other headings, up to which free space is tested
+# largest share of walls behind walls of the other submap, minus that in the own submap
+MAX_MAP_THROUGH_SHARE = 0.08
 ROUNDS_M_RAD = (
     (0.3, math.radians(6.0)),
     (0.2, math.radians(4.0)),
     (0.12, math.radians(3.0)),
     (0.12, math.radians(3.0)),
 )
-FLAT_M, STRAIGHT_RAD = 0.03, math.radians(0.5)  # how well two pieces of one wall agree
-MIN_COMMON_M = 0.3  # of a wall that both maps must have seen
-MAP_SIGMAS = np.array((0.03, 0.03, math.radians(0.3)))  # m, rad: how well a small map keeps its shape
-WEAK_INFORMATION = np.diag((1e-2, 1e-2, 1e-1))  # keeps finite what no wall constrains
-# --- of looks
-AGREEING_LOOKS, UNKNOWN_LOOKS = 2, 3  # looks that must agree; where the expected place is not known
-INSISTING_LOOKS = 5  # looks that agree, after which it is the way between that was worse than it claimed
-OPEN_SIGMA_M, OPEN_SIGMA_RAD = 1.5, math.radians(20.0)  # beyond which a place is not known
-UNKNOWN_LENGTH_M = 15.0  # of walls that a place must explain where the expected place is not known
-ELSEWHERE_M = 2.0  # between places of one map that are not the same
+FLAT_M, STRAIGHT_RAD = 0.03, math.radians(0.5)  # standard deviation between two pieces of one wall
+MIN_COMMON_M = 0.3  # least part of a wall that both submaps have seen
+MAP_SIGMAS = np.array((0.03, 0.03, math.radians(0.3)))  # m, rad: standard deviation by distortion of a submap
+WEAK_INFORMATION = np.diag((1e-2, 1e-2, 1e-1))  # keeps covariances finite in directions without walls
+# --- agreement of candidates
+AGREEING_LOOKS, UNKNOWN_LOOKS = 2, 3  # candidates that must agree: with a known, with an unknown expected pose
+INSISTING_LOOKS = 5  # agreeing candidates after which the odometry between is considered overconfident instead
+OPEN_SIGMA_M, OPEN_SIGMA_RAD = 1.5, math.radians(20.0)  # standard deviations beyond which a pose is unknown
+UNKNOWN_LENGTH_M = 15.0  # least length of matched walls with an unknown expected pose
+ELSEWHERE_M = 2.0  # distance from which two positions of one submap differ
 
 
 class Places(NamedTuple):
-    """Poses that a search tried, and how much each explains."""
+    """Poses tried in a search, with their scores."""
 
     poses: Array  # (h, 3)
-    share: Array  # (h,) of the seen length; 0 where it is too little to count
-    possible: Array  # (h,) the same were walls longer than known
-    best: int
+    share: Array  # (h,) matched share of the seen length; 0 if too few walls match
+    possible: Array  # (h,) matched share if map walls may be longer than seen so far
+    best: int  # index of the largest share
 
 
 def search(
@@ -92,9 +95,10 @@ def search(
     allowed: Callable[[Array], NDArray[np.bool_]],
     enough: Callable[[Array, Ints], NDArray[np.bool_]],
 ) -> Places | None:
-    """Return poses at which pairs of the scan's `most` longest walls lie on known walls; None for none.
+    """Return poses that align two of the scan's `most` longest walls with map walls, with scores; else None.
 
-    `allowed` says which poses (h, 3) are possible, `enough` by share (h,) and count of walls which of them count.
+    `allowed` selects poses (h, 3) before the scoring; `enough` selects poses by matched share (h,) and number of
+    walls (h,).
     """
     poses = hypotheses(scan, walls, most)
     poses = poses[allowed(poses)]
@@ -107,7 +111,7 @@ def search(
 
 
 def hypotheses(scan: Scan, walls: Array, most: int = LONGEST_WALLS) -> Array:
-    """Return poses (h, 3) from pairs of the longest seen walls laid onto pairs of known ones at the same angle."""
+    """Return poses (h, 3) that align pairs of the scan's longest walls with map walls at the same angle."""
     longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
     pairs = [
         (a, b)
@@ -122,7 +126,7 @@ def hypotheses(scan: Scan, walls: Array, most: int = LONGEST_WALLS) -> Array:
 
 
 def distinct(poses: Array) -> Array:
-    """Return one of the poses (h, 3) in every cell of half the size within which poses are equal."""
+    """Return one pose (h, 3) per grid cell, whose size is half of APART_M and APART_RAD."""
     cells = np.floor(
         np.column_stack((poses[:, :2] / (0.5 * APART_M), se2.wrap_all(poses[:, 2]) / (0.5 * APART_RAD)))
     )
@@ -130,10 +134,10 @@ def distinct(poses: Array) -> Array:
 
 
 def explained(poses: Array, scan: Scan, walls: Array, slack: float = 1.0) -> tuple[Array, Array, Ints]:
-    """Return for each pose (h,) the explained share of wall length, that of longer walls, and the wall count.
+    """Return for each pose (h,) the matched share of wall length, that with longer map walls, and the wall count.
 
-    What is known of a wall grows with what was seen of it: a rival may look at a part not seen yet. `slack`
-    widens what counts as the same wall.
+    Map walls may be longer than seen so far, so a rival pose may see an unknown part of a wall. `slack` is a
+    factor on the tolerances.
     """
     out = np.empty((len(poses), 3))
     if len(poses):
@@ -142,7 +146,7 @@ def explained(poses: Array, scan: Scan, walls: Array, slack: float = 1.0) -> tup
 
 
 def seen_through(scan: Scan, walls: Array, pose: Sequence[float], both: bool = False) -> float:
-    """Return the share of the seen wall length that lies behind map walls, from a supposed pose."""
+    """Return the share of the scan's wall length that lies behind map walls, for a pose of the robot."""
     if len(scan.z) == 0:
         return 0.0
     length = scan.ends[:, 1] - scan.ends[:, 0]
@@ -150,9 +154,9 @@ def seen_through(scan: Scan, walls: Array, pose: Sequence[float], both: bool = F
 
 
 def behind_walls(scan: Scan, walls: Array, pose: Sequence[float], both: bool = False) -> Array:
-    """Return the share of every seen wall (k,) that lies behind map walls, from a supposed pose (3,).
+    """Return for each wall of the scan (k,) the share that lies behind map walls, for a pose (3,) of the robot.
 
-    `both`: walls block the sight from their unseen side too.
+    `both`: map walls also occlude from their unseen side.
     """
     out, (x, y, theta) = np.zeros(len(scan.z)), pose
     if len(walls) and len(out):
@@ -161,9 +165,9 @@ def behind_walls(scan: Scan, walls: Array, pose: Sequence[float], both: bool = F
 
 
 def walls_of(lines: LineMap, values: Array, known: Ints | None = None) -> Array:
-    """Return map lines in the form of kernels.places, (m, COLUMNS): all that were seen often enough, or `known`.
+    """Return map walls as a table for kernels.places, (m, COLUMNS): those seen MIN_HITS times, or `known`.
 
-    `values` (J, 2) are rho and beta of the map's lines.
+    `values` (J, 2) are (rho, beta) of all map lines; `known` are indices of lines.
     """
     known = np.flatnonzero(lines.hits >= MIN_HITS) if known is None else known
     walls = np.empty((len(known), places.COLUMNS))
@@ -174,16 +178,16 @@ def walls_of(lines: LineMap, values: Array, known: Ints | None = None) -> Array:
 
 
 def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> tuple[float, float, float] | None:
-    """Return the only pose (x, y, theta) that explains the scan; None if there is none or several.
+    """Return the pose (x, y, theta) of a scan in the map; None if no pose or several match.
 
-    Another one counts as a rival unless scans of the trail contradict it.
+    Other matching poses are excluded if earlier scans of the trail contradict them.
     """
     values = lines.values(belief)
     known = np.flatnonzero(lines.hits >= MIN_HITS)
     known = known[np.argsort(-lines.hits[known], kind="stable")][:MAX_MAP_WALLS]
     if len(scan.z) < MIN_WALLS or len(known) < 2:
         return None
-    # a compass may have kept the heading while the place was lost
+    # a compass may know the heading of a lost robot
     slack = HEADING_SIGMAS * math.sqrt(max(float(belief.matrix()[2, 2]), 0.0)) + HEADING_SLACK_RAD
     walls, all_walls = walls_of(lines, values, known), walls_of(lines, values)
     found = search(
@@ -201,54 +205,54 @@ def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> 
     apart |= np.abs(se2.wrap_all(poses[:, 2] - pose[2])) > APART_RAD
     rivals = distinct(poses[apart & (possible >= RIVAL_SHARE * share[best])])
     here = np.array([belief.x, belief.y, belief.theta])
-    tried = np.vstack((pose, rivals))
-    tried = tried[_through_both(tried, scan, all_walls) < MAX_THROUGH_SHARE]
-    last = _lasting(tried, trail.back_from(here), walls, all_walls)
-    if len(last) != 1 or (last[0] != pose).any():
+    matching = np.vstack((pose, rivals))
+    matching = matching[_occluded_share(matching, scan, all_walls) < MAX_THROUGH_SHARE]
+    matching = _consistent(matching, trail.back_from(here), walls, all_walls)
+    if len(matching) != 1 or (matching[0] != pose).any():
         return None
     x, y, theta = pose.tolist()
     return x, y, belief.theta + float(se2.wrap_all(np.array(theta - belief.theta)))
 
 
-def _through_both(poses: Array, scan: Scan, walls: Array) -> Array:
-    """Return for each pose (h, 3) the share of the scan that is hidden behind walls of either side."""
+def _occluded_share(poses: Array, scan: Scan, walls: Array) -> Array:
+    """Return for each pose (h, 3) the share of the scan's wall length behind map walls, seen from any side."""
     return np.array([seen_through(scan, walls, pose, both=True) for pose in poses.tolist()])
 
 
-def _lasting(poses: Array, before: Iterable[tuple[Array, Scan]], walls: Array, all_walls: Array) -> Array:
-    """Return those poses (h, 3) that few earlier scans contradict; `before`: relative poses (3,) and scans."""
+def _consistent(poses: Array, before: Iterable[tuple[Array, Scan]], walls: Array, all_walls: Array) -> Array:
+    """Return the poses (h, 3) that are consistent with earlier scans; `before`: relative poses (3,) and scans."""
     against = np.zeros(len(poses), dtype=np.int64)
     for step, scan in before:
         if not len(poses):
             break
         then = se2.compose(poses, step)
         _, possible, _ = explained(then, scan, walls, TRAIL_SLACK)
-        through = _through_both(then, scan, all_walls)
+        through = _occluded_share(then, scan, all_walls)
         against += (possible < RIVAL_SHARE * MIN_SHARE) | (through >= AGAINST_SHARE)
         poses, against = poses[against < MAX_AGAINST], against[against < MAX_AGAINST]
     return poses
 
 
 class Closure(NamedTuple):
-    """The pose of one map's frame in another's."""
+    """Pose of one submap in another, by the walls of both."""
 
     pose: Array  # (3,)
-    P: Array  # (3, 3) large in directions that no wall constrains
-    length: float  # m of walls that agree
-    walls: int
+    P: Array  # (3, 3) large in directions without walls
+    length: float  # m, length of matched walls
+    walls: int  # number of matched walls
 
 
-class Here(NamedTuple):
-    """A map with its path, in its own frame."""
+class MapWithPath(NamedTuple):
+    """Lines and path of a submap, in its own frame."""
 
-    lines: LineMap  # none of them is a state
+    lines: LineMap  # no line is a state
     way: Way
 
 
-def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure | None:
-    """Return the pose of map `here` in map `there`; None if no pose fits or several fit.
+def find_closure(there: MapWithPath, here: MapWithPath, expected: Array, P: Array) -> Closure | None:
+    """Return the pose of submap `here` in submap `there`; None if no pose or several match.
 
-    `expected` (3,) and P (3, 3) are what is known of it already.
+    `expected` (3,) is the expected pose with covariance P (3, 3).
     """
     scan = as_scan(here.lines, MIN_HITS)
     known = np.flatnonzero(there.lines.hits >= MIN_HITS)
@@ -271,25 +275,25 @@ def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure 
     if len(others) > MAX_TURNED_RIVALS or not all(contradicted(there, here, pose) for pose in others):
         return None
     found = _refined(places.poses[places.best], scan, there, known, expected, P)
-    if found is None or not _enough(found, expected, P) or contradicted(there, here, found.pose):
+    if found is None or not _has_enough_walls(found, expected, P) or contradicted(there, here, found.pose):
         return None
-    return found._replace(P=found.P + left_open(rivals[~turned]))
+    return found._replace(P=found.P + rival_spread(rivals[~turned]))
 
 
-def _enough(found: Closure, expected: Array, P: Array) -> bool:
-    """Return whether a place explains enough walls; a place far from the expected one must explain more."""
-    asked: tuple[tuple[int, float], ...] = (MIN_WALLS_M,)
+def _has_enough_walls(found: Closure, expected: Array, P: Array) -> bool:
+    """Return whether enough walls match; a pose far from the expected one needs more walls."""
+    least: tuple[tuple[int, float], ...] = (MIN_WALLS_M,)
     if chi2_of(found.pose[None], expected, P + SLACK_P)[0] > MAX_CHI2:
-        asked = (MIN_UNEXPECTED_WALLS_M,)
+        least = (MIN_UNEXPECTED_WALLS_M,)
     elif float(P[0, 0] + P[1, 1]) < NEAR_SIGMA_M**2:
-        asked = (MIN_WALLS_M, MIN_LONG_WALLS_M)
-    return any(found.walls >= n and found.length >= m for n, m in asked)
+        least = (MIN_WALLS_M, MIN_LONG_WALLS_M)
+    return any(found.walls >= n and found.length >= m for n, m in least)
 
 
-def left_open(rivals: Array) -> Array:
-    """Return the covariance (3, 3) of the best pose that includes rivals (n, 3), which fit equally well.
+def rival_spread(rivals: Array) -> Array:
+    """Return the position covariance (3, 3) by equally good poses, given as offsets `rivals` (n, 3) from the best.
 
-    Along a corridor there are many; across it and in heading they agree.
+    In a corridor, rivals differ in the position along it only.
     """
     apart = rivals[np.hypot(*rivals[:, :2].T) > MAP_APART_M, :2]
     P = np.zeros((3, 3))
@@ -298,27 +302,29 @@ def left_open(rivals: Array) -> Array:
     return P
 
 
-def contradicted(there: Here, here: Here, pose: Array) -> bool:
-    """Return whether scans of either map see through walls of the other, more than through walls of their own map.
+def contradicted(there: MapWithPath, here: MapWithPath, pose: Array) -> bool:
+    """Return whether scans of one submap see through walls of the other, more than through walls of their own.
 
-    What is known of a wall reaches over its doors, so that a little is seen through any.
+    Map walls extend over their doors, so scans see through all walls a little.
     """
     ours, theirs = walls_of(here.lines, here.lines.value), walls_of(there.lines, there.lines.value)
-    across = _through(here.way, pose, theirs) + _through(there.way, se2.inverse(pose), ours)
-    within = _through(here.way, np.zeros(3), ours) + _through(there.way, np.zeros(3), theirs)
+    across = _mean_occluded(here.way, pose, theirs) + _mean_occluded(there.way, se2.inverse(pose), ours)
+    within = _mean_occluded(here.way, np.zeros(3), ours) + _mean_occluded(there.way, np.zeros(3), theirs)
     return 0.5 * (across - within) > MAX_MAP_THROUGH_SHARE
 
 
-def _through(way: Way, frame: Array, walls: Array) -> float:
-    """Return the mean share of a path's scans that is hidden behind walls, with the path's frame at `frame`."""
+def _mean_occluded(way: Way, frame: Array, walls: Array) -> float:
+    """Return the mean share of wall length behind `walls`, of scans along a path with frame pose `frame` (3,)."""
     if not way.sights:
         return 0.0
     seen = (seen_through(s.scan, walls, se2.compose(frame, s.pose).tolist()) for s in way.sights)
     return float(np.mean(list(seen)))
 
 
-def _refined(pose: Array, scan: Scan, there: Here, known: Ints, expected: Array, P: Array) -> Closure | None:
-    """Align the walls of the scan with those of the map: Gauss-Newton over pairs that are the same wall."""
+def _refined(
+    pose: Array, scan: Scan, there: MapWithPath, known: Ints, expected: Array, P: Array
+) -> Closure | None:
+    """Refine the pose of a scan in a map: Gauss-Newton over pairs of equal walls, with a prior."""
     prior = np.linalg.inv(P + np.diag((1e-6, 1e-6, 1e-8)))
     x = pose.copy()
     x[2] = expected[2] + se2.wrap(float(x[2] - expected[2]))
@@ -335,9 +341,9 @@ def _refined(pose: Array, scan: Scan, there: Here, known: Ints, expected: Array,
 
 
 def _same_walls(
-    x: Array, scan: Scan, there: Here, known: Ints, near: float, turned: float
+    x: Array, scan: Scan, there: MapWithPath, known: Ints, near: float, turned: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Return J (2p, 3), residuals (2p,), weights (2p,) of p pairs of walls, and the lengths (p,) they share."""
+    """Return Jacobian (2p, 3), residuals, weights (2p,) of p pairs of equal walls, and common lengths (p,)."""
     lines, values = there.lines, there.lines.value[known]
     beta = values[:, 1]
     c, s = np.cos(beta), np.sin(beta)
@@ -373,20 +379,20 @@ def _same_walls(
 
 
 class Looks:
-    """Candidate poses of the present map in each frozen map, in order of time."""
+    """Candidate closures: the last pose of the present submap in each frozen submap, and how many agree."""
 
     def __init__(self) -> None:
-        self._found: dict[int, tuple[Closure, int]] = {}  # anchor -> the last look, how many agree with it
+        self._found: dict[int, tuple[Closure, int]] = {}  # anchor -> last candidate, number of agreeing ones
 
     def count(self, anchor: int) -> int:
-        """Return the number of candidates that agree on the map's pose in an anchor's map."""
+        """Return the number of agreeing candidates in the submap of an anchor."""
         return self._found[anchor][1] if anchor in self._found else 0
 
-    def agree(self, anchor: int, found: Closure | None, unknown: bool, anchors: Anchors) -> bool:
-        """Add a candidate in the map of an anchor, and return whether it may close a loop.
+    def add(self, anchor: int, found: Closure | None, unknown: bool, anchors: Anchors) -> bool:
+        """Add a candidate in the submap of an anchor (None: not found); return whether to close the loop.
 
-        Where the place of the map at hand is not known, more is asked: long walls, one more look, and that it
-        is not seen in another map at another place.
+        If the pose of the present submap is `unknown`, the conditions are stricter: longer walls, one more
+        agreeing candidate, and no candidate at another position in another submap.
         """
         if found is None or (unknown and found.length < UNKNOWN_LENGTH_M):
             self._found.pop(anchor, None)
@@ -395,20 +401,20 @@ class Looks:
         self._found[anchor] = found, looks + 1 if _same(before, found) else 1
         if not unknown:
             return self.count(anchor) >= AGREEING_LOOKS
-        return self.count(anchor) >= UNKNOWN_LOOKS and not self._rivalled(anchor, anchors)
+        return self.count(anchor) >= UNKNOWN_LOOKS and not self._has_rival(anchor, anchors)
 
-    def _rivalled(self, anchor: int, anchors: Anchors) -> bool:
-        """Return whether candidates in other maps show that the present map may also lie elsewhere."""
+    def _has_rival(self, anchor: int, anchors: Anchors) -> bool:
+        """Return whether a candidate in another submap gives another position of the present submap."""
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()
         return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
 
 
 def _same(one: Closure, other: Closure) -> bool:
-    """Return whether two candidates agree on a pose, within their covariances."""
+    """Return whether two candidates agree within their covariances."""
     return bool(chi2_of(other.pose[None], one.pose, one.P + other.P)[0] < SAME_CHI2)
 
 
-def is_open(P: Array) -> bool:
-    """Return whether a relative pose of covariance P (3, 3) is unknown, as after a lost robot began a map."""
+def is_unknown(P: Array) -> bool:
+    """Return whether a relative pose with covariance P (3, 3) counts as unknown."""
     return float(P[0, 0] + P[1, 1]) > OPEN_SIGMA_M**2 or float(P[2, 2]) > OPEN_SIGMA_RAD**2

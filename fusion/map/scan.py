@@ -1,12 +1,11 @@
-"""The measured lines of one scan, and the scans of a robot that stands still.
+"""Lines measured in one scan, and averaging of the scans of a robot at rest.
 
-What repeats in every scan is not independent, and counts only a few times. A line's error has a part that is
-new in every scan and a part that stays while the robot stays: a wall is no plane, and the range error of a beam
-depends on its angle, the surface and the temperature. The second never averages out, and no data sheet gives how
-large it is. So of n scans at rest only the 1st, 2nd, 4th, 8th ... enter the filter: ten of a minute at 10 Hz,
-sixteen of an hour. Each is the mean of the scans since the one before, with the covariance of one, so that what
-does average out does. They also hold the robot where it is: encoders tremble at rest, and their noise alone
-would let the pose drift. A scan in between costs a comparison with the first.
+A line's error has an independent part in every scan, and a part that is constant while the robot is at rest: walls
+are not planes, and range errors depend on angle, surface and temperature. The constant part does not average out,
+and data sheets do not give its size. So of n scans at rest only the 1st, 2nd, 4th, 8th ... are used by the filter:
+ten in a minute at 10 Hz, sixteen in an hour. Each used scan is the mean of the scans since the last used one, with
+the covariance of a single scan, so that independent errors average out. These scans also prevent drift of the pose
+by encoder noise at rest. Other scans are only compared with the first one.
 """
 
 from __future__ import annotations
@@ -21,38 +20,38 @@ from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.lines.extract import LINE_COLUMNS, rows_of
 from locfuse.fusion.se2 import wrap_all
 
-LINES_AT_ONCE = 4096  # lines that become one table at a time: an hour of them need not be there at once
+LINES_AT_ONCE = 4096  # lines converted at a time, to save memory
 
 
 class Scan(msgspec.Struct, frozen=True, eq=False):
-    """Measured lines of one scan in the base frame, k of them."""
+    """Lines (k) measured in one scan, in the base frame."""
 
     rows: Array  # (k, 7): r [m], psi [rad], R as 00, 01, 11, both ends [m] along the tangent (-sin psi, cos psi)
 
     @classmethod
     def of(cls, z: Array, R: Array, ends: Array) -> Scan:
-        """Return the scan of lines z (k, 2), R (k, 2, 2), ends (k, 2)."""
+        """Return the scan of lines z (k, 2) with covariances R (k, 2, 2) and ends (k, 2)."""
         return cls(rows_of(z, R, ends))
 
     @property
     def z(self) -> Array:
-        """The lines (k, 2): r [m], psi [rad]."""
+        """Return the lines (k, 2): r [m], psi [rad]."""
         return self.rows[:, :2]
 
     @property
     def R(self) -> Array:
-        """Covariances of (r, psi), (k, 2, 2) [m^2, rad^2]."""
+        """Return the covariances of (r, psi), (k, 2, 2) [m^2, rad^2]."""
         R: Array = self.rows[:, (2, 3, 3, 4)].reshape(-1, 2, 2)
         return R
 
     @property
     def ends(self) -> Array:
-        """Both ends of each line, (k, 2) [m along its tangent]."""
+        """Return both ends of each line, (k, 2) [m along its tangent]."""
         return self.rows[:, 5:]
 
 
 class Scans:
-    """Collects the laser's measurements scan by scan, in the order of time."""
+    """Converts laser measurements to tables of lines, in parts, in the order of time."""
 
     def __init__(self) -> None:
         self._of: Measurements | None = None
@@ -60,7 +59,7 @@ class Scans:
         self._rows: Array = np.zeros((0, LINE_COLUMNS))
 
     def read(self, m: Measurements, first: int, last: int) -> Array:
-        """Return rows first:last as one table (k, 7)."""
+        """Return the lines first:last of m as a table (k, 7)."""
         if m is not self._of or first < self._begin or last > self._end:
             self._of, self._begin, self._end = m, first, max(last, min(first + LINES_AT_ONCE, len(m.z)))
             at = slice(self._begin, self._end)
@@ -68,34 +67,34 @@ class Scans:
         return self._rows[first - self._begin : last - self._begin]
 
 
-MAX_ROLLED_M, MAX_TURNED_RAD = 0.001, math.radians(0.1)  # since the first scan: encoders tremble by a tick
-SAME_D2 = 25.0  # squared distance within which two lines of two scans are one
-SAME_LENGTH = 0.5  # share of the longer one's length that two sights of one line have in common
-SAME_SHARE = 0.5  # share of the seen length that must be the same: less, and something has moved
+MAX_ROLLED_M, MAX_TURNED_RAD = 0.001, math.radians(0.1)  # motion since the first scan that counts as rest
+SAME_D2 = 25.0  # largest squared Mahalanobis distance between lines of two scans that are equal
+SAME_LENGTH = 0.5  # least common length of equal lines, as share of the longer one
+SAME_SHARE = 0.5  # least share of line length that must be equal at rest
 
 
 class Standing:
-    """The scans since the robot stopped, averaged. A scan is a table (k, 7)."""
+    """Averages the scans since the robot stopped; a scan is a table of lines (k, 7)."""
 
     def __init__(self) -> None:
         self._rolled = (0.0, 0.0, 0.0)  # x, y [m], theta [rad] by the wheels since the first scan
-        self._scans = 0  # at rest; 0: none yet
-        self._first: Array | None = None
-        self._lines = np.zeros((0, 4))  # r, psi and ends: of the first scan, and what others showed beside them
-        self._sums = np.zeros((0, 2))  # of the scans since the last use, off these
-        self._counts: Ints = np.zeros(0, np.intp)
+        self._scans = 0  # at rest
+        self._first: Array | None = None  # (k, 7) first scan at rest
+        self._lines = np.zeros((0, 4))  # r, psi and ends: of the first scan, and new lines of later scans
+        self._sums = np.zeros((0, 2))  # sums of (r, psi) minus `_lines`, over the scans since the last used one
+        self._counts: Ints = np.zeros(0, np.intp)  # number of summands
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Add wheel motion: x, y [m], theta [rad]. Motion this small may be summed by component."""
+        """Add a motion by wheel odometry: x, y [m], theta [rad]. Small motions are summed by component."""
         x, y, theta = self._rolled
         self._rolled = (x + u[0], y + u[1], theta + u[2])
 
     def forget(self) -> None:
-        """Forget all scans."""
+        """Drop all scans."""
         self._first = None
 
     def take(self, rows: Array) -> Array | None:
-        """Return the scan, or at rest the mean since the last use; None if it only repeats."""
+        """Return the scan itself if the robot moves, a mean of scans at rest, or None for an unused scan."""
         x, y, theta = self._rolled
         drives = x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD
         if drives or self._first is None:
@@ -103,25 +102,22 @@ class Standing:
             self._scans, self._first = 1, rows
             return rows
         if self._scans == 1:
-            self._begin_sums(self._first)
+            self._lines = self._first[:, (0, 1, 5, 6)]
+            self._sums, self._counts = np.zeros((len(self._first), 2)), np.zeros(len(self._first), np.intp)
         same = self._same(rows)
         length = rows[:, 6] - rows[:, 5]
         if float(length[same >= 0].sum()) < SAME_SHARE * float(length.sum()):
-            return rows  # somebody stands before the laser, or the robot was carried away
+            return rows  # a person stands before the laser, or the robot was carried
         self._add(rows, same)
-        if self._scans & (self._scans - 1):  # the 1st, 2nd, 4th, 8th ... counts
+        if self._scans & (self._scans - 1):  # only the 1st, 2nd, 4th, 8th ... is used
             return None
         mean = rows.copy()
         mean[:, :2] = self._lines[same, :2] + self._sums[same] / self._counts[same, None]
         self._sums[:], self._counts[:] = 0.0, 0
         return mean
 
-    def _begin_sums(self, rows: Array) -> None:
-        self._lines = rows[:, (0, 1, 5, 6)]
-        self._sums, self._counts = np.zeros((len(rows), 2)), np.zeros(len(rows), np.intp)
-
     def _add(self, rows: Array, same: Ints) -> None:
-        """Add a scan's lines to the sums of earlier equal lines, `same` (k,); -1 starts a new sum."""
+        """Add the lines of a scan to the sums of equal earlier lines `same` (k,); -1 starts a new sum."""
         new = np.flatnonzero(same < 0)
         if len(new):
             same[new] = len(self._lines) + np.arange(len(new))
@@ -130,14 +126,15 @@ class Standing:
             self._counts = np.append(self._counts, np.zeros(len(new), np.intp))
         off = rows[:, :2] - self._lines[same, :2]
         off[:, 1] = wrap_all(off[:, 1])
-        self._sums[same] += off  # each repeats another one
+        self._sums[same] += off  # the indices are unique
         self._counts[same] += 1
         self._scans += 1
 
     def _same(self, rows: Array) -> Ints:
-        """Return for each line of a scan (k,) the index of the earlier equal line, -1 for none.
+        """Return for each line of a scan (k,) the index of the equal earlier line; -1 without one.
 
-        Both are each other's nearest, within SAME_D2, and have a share of the longer in common.
+        Two lines are equal if each is the other's nearest, within SAME_D2, and their common length is large
+        enough.
         """
         known, k = self._lines, np.arange(len(rows))
         if not len(rows) or not len(known):

@@ -1,13 +1,13 @@
-"""Slips of the wheels, and the recent scans that confirm or contradict the motion by the wheels.
+"""Wheel slips: detection by the map and by scan matching, and the recent scans that confirm a slip.
 
-A slip turns the robot. The map shows by how much: headings near the old one are tried on the belief itself.
-In clutter a few short lines match at some heading, and while the robot turns a clock that is off looks like a
-slip. So the next scans are awaited; then the scan at hand is matched with the last one that was used, and a slip
-counts where it has turned more than the wheels report and fits the map better so. Where the two do not match, all
-scans since must fit the map much better. Until then no scan corrects pose or map.
+A slip changes the heading. The scan is matched with the map at several headings near the predicted one. In clutter
+a few short lines match at some heading, and during a turn a clock offset looks like a slip. Therefore the decision
+waits for the next scans. Then the current scan is matched with the last used scan: a slip is accepted if the robot
+turned more than the wheels report and the map fits better. If the two scans cannot be matched, all scans since
+then must fit the map much better. Until the decision no scan corrects pose or map.
 
-A candidate place of a lost robot must explain all scans of its `Trail`. In a room whose halves look alike a
-single scan fits twice; as the robot drives on, one of the two places shows walls that are not there.
+A candidate pose of a lost robot must agree with all scans of its `Trail`. In a symmetric room a single scan fits
+at two poses; later scans contradict one of them.
 """
 
 from __future__ import annotations
@@ -28,38 +28,39 @@ from .line_map import Association, LineMap
 from .scan import Scan
 
 STRIDE_M, TURN_RAD = 0.2, math.radians(15.0)  # m, rad between two scans that are kept
-# scans, rad: over 6 m, or around a corner, the wheels have drifted
+# limits of the trail: wheel odometry drifts over 6 m and in turns
 MAX_SCANS, MAX_TURNED_RAD = 30, math.radians(90.0)
 MIN_LINES = 2
-SAME_ANGLE_RAD, SAME_OFFSET_M = math.radians(4.0), 0.1  # a line is where the wheels expect it within these
-MIN_TRAIL_SHARE = 0.6  # share of the seen length that must be: less, and the robot is being carried
+SAME_ANGLE_RAD, SAME_OFFSET_M = math.radians(4.0), 0.1  # largest difference of a line from its predicted position
+MIN_TRAIL_SHARE = 0.6  # least share of line length at the predicted position; below, the robot is being carried
 MAX_SLIPS = 1000  # slips that are tried; two scans of 30 lines have fewer
 MAX_NUMBERS = 1 << 22  # numbers at a time: two scans of 2000 lines would need terabytes
 MAX_SLIP_RAD = math.radians(30.0)
-MIN_SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
-# m, rad: what is left to correct after a slip's heading was found
+MIN_SLIP_SHARE = 0.6  # share of line length that must match at the corrected heading, with at least two lines
+# m, rad: uncertainty of the pose after the correction of a slip
 SLIP_SIGMA_M, SLIP_SIGMA_RAD = 0.03, math.radians(1.5)
 MAX_CANDIDATES = 8
 RECENT_SCANS = 60  # scans
 DECIDING_SCANS = 3  # scans until a slip is decided
-# shares that must match beyond the old heading's: of a turn that matched scans measure, and by the map alone
+# least increase of the matched share by a slip: if scan matching measured the turn, and by the map alone
 MIN_GAIN, SURE_GAIN = 0.2, 0.5
-SMALL_RAD = math.radians(5.0)  # a heading may be off by so much without a slip: below, no further scans are asked
-AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by matched scans
-CARRIED_SCANS = 6  # scans in a row that ask for a slip: the robot is carried
-CONTINUING_SHARE = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
+SMALL_RAD = math.radians(5.0)  # a smaller slip is decided at once, without further scans
+AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by scan matching
+CARRIED_SCANS = 6  # consecutive scans that suggest a slip: the robot is being carried
+CONTINUING_SHARE = 0.4  # share of line length at the position predicted by earlier scans: no jump
 
 
 class Trail:
-    """Scans along the path by the wheels."""
+    """Recent scans along the path, with poses by wheel odometry."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[Array, Scan]] = deque(maxlen=MAX_SCANS)  # pose by the wheels, scan
 
     def note(self, pose: Array, scan: Scan) -> bool:
-        """Keep a scan with lines, if its pose (3,) by the wheels differs from the last one's.
+        """Add a scan if the robot moved since the last one; return whether the scan was added.
 
-        Where the walls moved otherwise than the wheels, the robot is still carried: earlier scans are dropped.
+        If the walls are not where wheel odometry predicts them, the robot is being carried: earlier scans are
+        dropped.
         """
         if len(scan.z) < MIN_LINES:
             return False
@@ -74,11 +75,11 @@ class Trail:
         return True
 
     def forget(self) -> None:
-        """Forget all scans and start again."""
+        """Drop all scans."""
         self._seen.clear()
 
     def back_from(self, pose: Array) -> Iterator[tuple[Array, Scan]]:
-        """Yield the scans, newest first, with their poses (3,) relative to `pose`."""
+        """Yield the poses (3,) of the scans relative to `pose`, and the scans, newest first."""
         for there, scan in reversed(self._seen):
             step = np.asarray(se2.between(pose, there))
             if abs(se2.wrap(float(step[2]))) > MAX_TURNED_RAD:
@@ -87,14 +88,14 @@ class Trail:
 
 
 def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> float:
-    """Return the share of a scan's line length that an earlier scan and a step (3,) predict.
+    """Return the share of a scan's line length that lies where an earlier scan and a motion (3,) predict it.
 
-    With the heading change of up to `slip` [rad] that suits it best: wheels slip.
+    A heading change of at most `slip` [rad] is allowed: the best one counts.
     """
     r, psi = before.z.T
     near = np.abs(scan.z[:, 0, None] - (r - step[0] * np.cos(psi) - step[1] * np.sin(psi))) < SAME_OFFSET_M
     turn = se2.wrap_all(scan.z[:, 1, None] - psi + step[2])  # (k, lines before)
-    slips = np.append(_few(turn[np.abs(turn) < slip]), 0.0)
+    slips = np.append(_subsampled(turn[np.abs(turn) < slip]), 0.0)
     i, j = np.nonzero(near)
     lines, first = np.unique(i, return_index=True)
     found = np.zeros((len(slips), len(scan.z)), np.bool_)
@@ -107,33 +108,33 @@ def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> 
     return float((found @ length).max() / length.sum())
 
 
-def _few(slips: Array) -> Array:
-    """Return at most MAX_SLIPS of the slips (n,) [rad], evenly spread."""
+def _subsampled(slips: Array) -> Array:
+    """Return at most MAX_SLIPS of the slips (n,) [rad], evenly spaced."""
     if len(slips) <= MAX_SLIPS:
         return slips
-    some: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
-    return some
+    subsampled: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
+    return subsampled
 
 
-Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the wheels alone put the robot
+Seen = tuple[float, Pose, Scan]  # time [s], pose by wheel odometry alone, scan
 
 
 class Series:
-    """Scans in a row that each suggest a slip."""
+    """Counts consecutive scans that suggest a slip, to detect that the robot is being carried."""
 
     def __init__(self) -> None:
         self.begun = 0.0  # s
         self._scans = 0
-        self._before: Sequence[Seen] = ()  # scans from before the first one
+        self._before: Sequence[Seen] = ()  # scans before the first one of the series
 
-    def ends(self) -> None:
-        """End the series: the next scan that suggests a slip is the first."""
+    def reset(self) -> None:
+        """End the series."""
         self._scans = 0
 
-    def goes_on(self, now: Seen, before: Sequence[Seen]) -> bool:
-        """Add a scan that suggests a slip; return whether there are so many that the robot is being carried.
+    def add(self, now: Seen, before: Sequence[Seen]) -> bool:
+        """Add a scan that suggests a slip; return whether the series shows that the robot is being carried.
 
-        Where the walls from before them are where the wheels expect them, it is not carried.
+        The robot is not carried if walls from before the series are where wheel odometry predicts them.
         """
         if not self._scans:
             self.begun, self._before = now[0], before
@@ -145,32 +146,32 @@ class Series:
 
 
 class Slide:
-    """A slip of both wheels ahead that the last scans show, until enough of them in a row do."""
+    """Translational slip of both wheels, measured by consecutive scans until it is certain."""
 
     def __init__(self) -> None:
         self._scans = 0
-        self._ahead = 0.0  # m, of the last scan
-        self._off: Array = np.zeros(2)  # m, not yet taken back
-        self._first_line = 0  # the number of the first line born since it began
+        self._ahead = 0.0  # m, forward slip of the last scan
+        self._off: Array = np.zeros(2)  # m, slip not yet corrected
+        self._first_line = 0  # id of the first line added since the slip began
 
     @property
     def begun(self) -> bool:
-        """Whether the last scan showed it."""
+        """Return whether the last scan showed a slip."""
         return self._scans > 0
 
-    def ends(self) -> None:
-        """Forget it: the last scan did not show it."""
+    def reset(self) -> None:
+        """End the slip: the last scan did not show it."""
         self._scans = 0
 
-    def goes_on(self, step: Array, next_line: int) -> tuple[Array, int] | None:
-        """Add the slip (3,) since the last scan; None until it is sure.
+    def add(self, step: Array, next_line: int) -> tuple[Array, int] | None:
+        """Add the slip (3,) since the last scan; return None until the slip is certain.
 
-        Then return the error (2,) [m] of the pose, and the number of the first map line born since the slip began.
-        `next_line` is the number of the next map line. A robot cannot slip ahead and back at once. A slip that is
-        sure continues with each scan.
+        Then return the position error (2,) [m], and the id of the first map line added since the slip began.
+        `next_line` is the id of the next map line. A change of direction ends the slip. Once certain, the slip is
+        corrected with every further scan.
         """
         if step[0] * self._ahead < 0.0:
-            self.ends()
+            self.reset()
         if not self._scans:
             self._off, self._first_line = np.zeros(2), next_line
         self._scans += 1
@@ -183,77 +184,73 @@ class Slide:
 
 
 class Suspicion:
-    """A slip suggested by a scan, until the next scans are compared with both headings."""
+    """Suspected heading slip: compares the next scans with the map at the old and the corrected heading."""
 
     def __init__(self, turn: float) -> None:
-        """Begin with the turn [rad] by which the scan fits the map."""
+        """Begin with the heading change `turn` [rad] by which the scan fits the map."""
         self.turn = turn
         self.looks = 0
-        self._gain = 0.0  # shares of the seen length that match at the turned heading beyond those at the old one
+        self._gain = 0.0  # sum of the increases of the matched share by the corrected heading
 
-    def look(self, kept: float, turned: float) -> None:
-        """Add a scan with its matched shares at the old and at the turned heading."""
+    def add(self, kept: float, turned: float) -> None:
+        """Add the matched shares of a scan at the old heading (`kept`) and at the corrected one (`turned`)."""
         self.looks += 1
         self._gain += turned - kept
 
-    @staticmethod
-    def waits(turn: float) -> bool:
-        """Return whether a turn [rad] is so large that the next scans must confirm it."""
-        return abs(turn) >= SMALL_RAD
-
     @property
     def decided(self) -> bool:
-        """Whether enough scans have been compared."""
+        """Return whether enough scans have been compared."""
         return self.looks >= DECIDING_SCANS
 
     def confirmed(self, gain: float, by_scans: bool) -> bool:
-        """Return whether a slip is confirmed; `gain` is the growth of the last scan's matched share.
+        """Return whether the slip is confirmed; `gain` is the increase of the matched share of the last scan.
 
-        A little is enough where matched scans measured it (`by_scans`); else all scans since then must gain much.
+        The least increase is MIN_GAIN if scan matching measured the slip (`by_scans`), else SURE_GAIN for all
+        scans.
         """
         return gain >= MIN_GAIN if by_scans else min(gain, self._gain / self.looks) >= SURE_GAIN
 
 
-def agree(by_scans: float | None, turn: float) -> bool:
-    """Return whether matched scans show about the same turn [rad]; None: they do not match."""
-    return by_scans is not None and abs(se2.wrap(by_scans - turn)) <= AGREE_RAD
+def agree(by_scans: float, turn: float) -> bool:
+    """Return whether the turns of a slip by scan matching and by the map [rad] are about equal."""
+    return abs(se2.wrap(by_scans - turn)) <= AGREE_RAD
 
 
 def continues(
     before: Sequence[Seen], now: Seen, share: float = CONTINUING_SHARE, slip: float = MAX_SLIP_RAD
 ) -> bool:
-    """Return whether this scan shows walls where an earlier scan and the wheels predict them."""
+    """Return whether the walls of a scan are where an earlier scan and wheel odometry predict them."""
     _, here, scan = now
     steps = ((old, se2.between(np.array(there), np.array(here))) for _, there, old in before if len(old.z))
     return any(expected_share(scan, old, step, slip) >= share for old, step in steps)
 
 
 def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[], Association]) -> float | None:
-    """Return the heading change [rad] with which most of the scan matches; None without one.
+    """Return the heading change [rad] with which most of the scan matches the map; None without one.
 
-    Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
-    `again` associates the scan with the belief as it is now.
+    Each heading is tried with the full data association, on the shifted belief. `again` associates the scan with
+    the present belief.
     """
     recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT_SCANS)
     least, found = MIN_SLIP_SHARE, None
     for turn in _turns(scan, lines, recent, belief):
-        there = with_slip(belief, turn, again)
-        share = there.share()
-        if share >= least and there.matches() >= 2:
+        association = with_slip(belief, turn, again)
+        share = association.share()
+        if share >= least and association.matches() >= 2:
             least, found = share + 1e-9, turn
     return found
 
 
 def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]) -> Association:
-    """Return the association of the present scan with the heading turned by a slip [rad]."""
+    """Return the association of the present scan after a heading change of `turn` [rad]."""
     with tried(belief, (0.0, 0.0, turn), SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2):
         return again()
 
 
 @contextmanager
 def tried(belief: JointBelief, step: Pose, xy: float, theta: float) -> Iterator[None]:
-    """Shift the belief by a step (3,) with variances xy [m^2], theta [rad^2] inside this context, unrecorded."""
-    # in place: `shift` would make copies of the pose (gyro, pose, twist) exact copies again, and record it
+    """Shift the belief by `step` (3,) and add variances xy [m^2], theta [rad^2], within a `with` block only."""
+    # not by `belief.shift`, which records an event and resets copies of the pose (gyro, pose, twist)
     pose, variances = belief.state[:3], np.einsum("ii->i", belief.covariance[:3, :3])
     before = pose.copy(), variances.copy()
     pose += step
@@ -265,7 +262,7 @@ def tried(belief: JointBelief, step: Pose, xy: float, theta: float) -> Iterator[
 
 
 def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> list[float]:
-    """Return the distinct heading changes that align a seen line with a recent one, most supported first."""
+    """Return heading changes [rad] that align a line of the scan with a recent map line, most supported first."""
     beta = lines.values(belief)[recent, 1]
     turns = se2.wrap_all(beta[None, :] - belief.theta - scan.z[:, 1, None])
     length = np.broadcast_to((scan.ends[:, 1] - scan.ends[:, 0])[:, None], turns.shape)

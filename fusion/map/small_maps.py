@@ -1,7 +1,8 @@
-"""Small maps: the frozen lines of a map that was left, and the walls that connect it to the next map.
+"""Submaps: frozen lines of the submaps that the robot left, and the walls shared by one submap and the next.
 
-Seen from the robot, all walls share the error of its pose. It is kept in the covariance: how the walls lie to each
-other is known far better than how they lie to the robot, and the next map begins with just that.
+In the robot's frame, the errors of all walls are correlated by the pose error. The joint covariance keeps this:
+the position of the walls relative to each other is known much better than relative to the robot. The next submap
+begins with these walls and their joint covariance.
 """
 
 from __future__ import annotations
@@ -18,22 +19,22 @@ from .line_map import COLUMN_NAMES, LineMap
 from .scan import Scan
 from .way import Way
 
-# m^2, rad^2; of a variance: what is known exactly can be inverted beside the rest
+# m^2, rad^2; share of a variance: both keep covariances invertible
 MIN_VARIANCE, MIN_VARIANCE_SHARE = 1e-18, 1e-9
 
 
-class Bridge(NamedTuple):
-    """k walls in the robot's frame, as predicted."""
+class SharedWalls(NamedTuple):
+    """Walls (k) of the submap that the robot leaves, in the robot's frame: the next submap begins with them."""
 
     r: Array  # (k,) m, from the robot
     psi: Array  # (k,) rad, base frame
     ends: Array  # (k, 2) m along the tangent (-sin psi, cos psi)
     hits: Ints  # (k,) how often each was seen
-    P: Array  # (2k, 2k) covariance of r and psi of all of them, wall by wall
+    P: Array  # (2k, 2k) joint covariance of (r, psi), wall by wall
 
 
-def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
-    """Return the walls `at` (k,) of a map, which are states, in the robot's frame, with their covariance."""
+def shared_walls(lines: LineMap, at: Ints, belief: JointBelief) -> SharedWalls:
+    """Return the walls with indices `at` (k,), which are states, in the robot's frame, with their covariance."""
     rho, beta = lines.values(belief)[at].T
     c, s = np.cos(beta), np.sin(beta)
     dx, dy = (np.array([belief.x, belief.y]) - lines.anchor[at]).T
@@ -46,13 +47,13 @@ def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
     H = by.reshape(2 * len(at), -1)
     states = np.concatenate((np.arange(3), lines.states(at)))
     P = H @ belief.covariance[np.ix_(states, states)] @ H.T
-    return Bridge(r, beta - belief.theta, ends, lines.hits[at], 0.5 * (P + P.T))
+    return SharedWalls(r, beta - belief.theta, ends, lines.hits[at], 0.5 * (P + P.T))
 
 
 def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
-    """Return the sigma of the heading [rad] relative to the walls `at` (k,).
+    """Return the standard deviation of the heading [rad] relative to the walls with indices `at` (k,).
 
-    That is the accuracy of the last scans, without what robot and walls have drifted together.
+    This is the accuracy of the last scans, without the common drift of robot and walls.
     """
     states = np.append(2, lines.states(at))
     P = belief.covariance[np.ix_(states, states)]
@@ -61,60 +62,60 @@ def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
     return float(size[0] / np.sqrt(np.linalg.inv(unit)[0, 0]))
 
 
-def cross(bridge: Bridge, lines: LineMap, belief: JointBelief, scan: int) -> None:
-    """Start a map with the walls of a bridge and the pose exactly 0; `scan` is the number of the last scan.
+def begin_submap(shared: SharedWalls, lines: LineMap, belief: JointBelief, scan: int) -> None:
+    """Begin a submap with the shared walls and the pose exactly 0; `scan` is the number of the last scan.
 
-    Each wall's anchor is the middle of what was seen of it, so rho about it is 0 and beta is psi.
+    The anchor point of each wall is the middle of its seen part, so rho is 0 and beta is psi.
     """
-    c, s = np.cos(bridge.psi), np.sin(bridge.psi)
-    middle, half = bridge.ends.mean(axis=1), 0.5 * np.diff(bridge.ends, axis=1)[:, 0]
-    anchors = np.stack((bridge.r * c - middle * s, bridge.r * s + middle * c), axis=-1)
-    values = np.stack((np.zeros(len(c)), bridge.psi), axis=-1)
+    c, s = np.cos(shared.psi), np.sin(shared.psi)
+    middle, half = shared.ends.mean(axis=1), 0.5 * np.diff(shared.ends, axis=1)[:, 0]
+    anchors = np.stack((shared.r * c - middle * s, shared.r * s + middle * c), axis=-1)
+    values = np.stack((np.zeros(len(c)), shared.psi), axis=-1)
     T = np.eye(2 * len(c))
     k = 2 * np.arange(len(c))
     T[k, k + 1] = -middle
-    P = T @ bridge.P @ T.T
+    P = T @ shared.P @ T.T
     first = belief.augment(values.reshape(-1), np.zeros((2 * len(c), 3)), P)
     for j, (anchor, value) in enumerate(zip(anchors, values, strict=True)):
         own = slice(2 * j, 2 * j + 2)
         lines.append(anchor, value, P[own, own], first + 2 * j, (-float(half[j]), float(half[j])), scan)
-    lines.hits[:] = bridge.hits
+    lines.hits[:] = shared.hits
 
 
 class FrozenMap(NamedTuple):
-    """A map in the frame of its anchor."""
+    """Submap that the robot left, in the frame of its anchor."""
 
-    anchor: int  # in the graph
-    lines: LineMap  # none of them is a state
+    anchor: int  # index in the graph
+    lines: LineMap  # no line is a state
     way: Way
-    box: tuple[Array, Array]  # (2,) m: what the lines and the way lie within
-    origin: Array  # (3,) where it began, the anchor's own place but for a first map that is the map frame's
-    joint: Array  # (2J, 2J) covariance of rho and beta of all lines, line by line
+    box: tuple[Array, Array]  # (2,) m: least and greatest x, y of the lines and the path
+    origin: Array  # (3,) pose of the robot where the submap began
+    joint: Array  # (2J, 2J) joint covariance of (rho, beta), line by line
 
 
 def frozen(lines: LineMap, belief: JointBelief) -> LineMap:
-    """Return a copy of the lines with their own values and covariances."""
+    """Return a copy of the lines that holds their values and covariances itself, not as states of the belief."""
     own = {name: getattr(lines, name).copy() for name in COLUMN_NAMES if name != "P"}
     own |= {"column": np.full(len(lines), -1, np.int64), "value": np.array(lines.values(belief))}
     return LineMap(**own, next_id=lines.next_id, P=np.array(lines.covariances(belief)))
 
 
 def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
-    """Load kept lines into `lines` as states that begin at column `first_column`."""
+    """Copy the lines of a frozen submap into `lines` as states, the first at column `first_column`."""
     for name in ("ids", "anchor", "lo", "hi", "hits", "value", "P"):
         setattr(lines, name, getattr(kept, name).copy())
     lines.column = first_column + 2 * np.arange(len(kept))
 
 
 def joint_covariance(lines: LineMap, belief: JointBelief) -> Array:
-    """Return the covariance (2J, 2J) of rho and beta of all lines."""
+    """Return the joint covariance (2J, 2J) of (rho, beta) of all lines."""
     at = lines.states(np.s_[:])
     P: Array = belief.covariance[np.ix_(at, at)]
     return P
 
 
 def box_of(lines: LineMap, way: Way) -> tuple[Array, Array]:
-    """Return the least and the greatest x, y of lines and path, (2,) each [m]."""
+    """Return the least and the greatest x, y [m] of lines and path, (2,) each."""
     points = np.vstack(
         (ends_of(lines, lines.value).reshape(-1, 2), *[sight.pose[None, :2] for sight in way.sights])
     )
@@ -122,7 +123,7 @@ def box_of(lines: LineMap, way: Way) -> tuple[Array, Array]:
 
 
 def ends_of(lines: LineMap, values: Array) -> Array:
-    """Return both ends of every line, (J, 2, 2) [m]; values (J, 2) are rho and beta about the anchors."""
+    """Return both end points of every line, (J, 2, 2) [m]; values (J, 2) are (rho, beta) about the anchors."""
     n = np.stack((np.cos(values[:, 1]), np.sin(values[:, 1])), axis=-1)
     tangent = np.stack((-n[:, 1], n[:, 0]), axis=-1)
     foot = lines.anchor + values[:, :1] * n
@@ -130,7 +131,7 @@ def ends_of(lines: LineMap, values: Array) -> Array:
 
 
 def as_scan(lines: LineMap, least_hits: int) -> Scan:
-    """Return a map as one scan from the origin of its frame: (rho, beta) there, with the ends along each line."""
+    """Convert lines seen at least `least_hits` times to a scan from the origin, with (r, psi) = (rho, beta)."""
     at, values, P = np.flatnonzero(lines.hits >= least_hits), lines.value, lines.P
     c, s = np.cos(values[at, 1]), np.sin(values[at, 1])
     ax, ay = lines.anchor[at].T

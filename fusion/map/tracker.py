@@ -1,11 +1,10 @@
-"""The line map inside one run: scans correct the pose and the map; and the small maps of a building.
+"""Line map and pose in one run: corrections by scans, growth of the map, and submaps of a building.
 
-`LineTracker` keeps one map. `AtlasTracker` keeps small maps, one after another, held together by a graph of
-anchors: a map that the robot has left is frozen, and the next one begins at an anchor. The map frame moves on
-to the pose (fusion.ekf.map_frame), so that what one scan costs does not grow with the building. Where the map
-at hand is found to be a part of an earlier one, the loop is closed: all anchors are solved anew, and
-the pose jumps. Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of Lu and Milios
-(1997).
+`LineTracker` has one map. `AtlasTracker` has a sequence of submaps, connected by a graph of anchors: a submap that
+the robot left is frozen, and the next one begins at a new anchor. The map frame moves to the pose
+(fusion.ekf.map_frame), so that the cost of a scan does not grow with the building. If the present submap is
+recognised as part of an earlier one, the loop is closed: the graph is solved again, and the pose jumps.
+Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of Lu and Milios (1997).
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from locfuse.fusion.data import (
     SeenAgain,
 )
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.map_frame import Pose, by_frame
+from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
@@ -58,17 +57,16 @@ from .line_map import (
     seat_of,
     untidy,
 )
-from .place_search import INSISTING_LOOKS, Closure, Here, Looks, find_closure, is_open
+from .place_search import INSISTING_LOOKS, Closure, Looks, MapWithPath, find_closure, is_unknown
 from .scan import Scan, Scans, Standing
 from .small_maps import (
-    Bridge,
     FrozenMap,
+    begin_submap,
     box_of,
-    cross,
     frozen,
     heading_among,
     joint_covariance,
-    seen_from_here,
+    shared_walls,
     thaw,
 )
 from .way import Way, WayByScans
@@ -76,24 +74,24 @@ from .way import Way, WayByScans
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
 )
-REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
-# rad: 1 sigma of the heading among the walls in view, with which a map may be left; times the reach, beyond which
-# it must be: the next map keeps for good what of its frame is wrong when it begins
+REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next submap begins
+# the next submap begins if the heading relative to the seen walls is this certain, or beyond this factor times
+# REACH_M: an error of its frame at the begin stays
 MAX_HEADING_SIGMA_RAD, MAX_REACH_FACTOR = math.radians(0.5), 1.5
-# m of way in a map before it is looked for in earlier ones, and between two looks
+# m of path in a submap before the first search for the submap in earlier ones, and between two searches
 FIRST_LOOK_M, LOOK_AGAIN_M = 3.0, 1.5
-BACK_REACH_SHARE = 0.8  # share of the reach within which the robot returns to a map that it left
-BACK_SIGMA_M, BACK_SIGMA_RAD = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
-MAX_WORSE_CHI2 = 30.0  # chi-square by which a closure may make all others worse
-RECENT_SCANS = 3  # scans: what was seen in them leads over to the next map
-# what adds to the variances of where a map ends: neighbouring beams and scans share errors that no filter counts,
-# and clutter is taken for walls. In one real building (aces) headings there were 2 degrees wrong at 0.4 claimed
+BACK_REACH_SHARE = 0.8  # share of REACH_M within which the robot returns to a submap that it left
+BACK_SIGMA_M, BACK_SIGMA_RAD = 0.3, math.radians(3.0)  # m, rad: largest standard deviations of its relative pose
+MAX_WORSE_CHI2 = 30.0  # largest increase of the graph's chi-square by a closure
+RECENT_SCANS = 3  # walls seen in this many last scans are shared with the next submap
+# increase of the pose variances at the end of a submap: errors of neighbouring beams and scans are correlated, and
+# clutter is extracted as walls. In one real building (aces) headings were wrong by 2 degrees at 0.4 claimed
 ADDED_P_SHARE, MIN_ADDED_VARIANCES = 8.0, np.square((0.02, 0.02, math.radians(0.3)))
-MIN_GAIN_SHARE = 1e-3  # share by which a variance must have fallen to count as measured by another sensor
+MIN_GAIN_SHARE = 1e-3  # share by which a variance must have decreased to count as measured by another sensor
 
 
 class LineTracker(Model):
-    """Association, extents and growth of the line map; `mode` is its use in the filter."""
+    """Filter model of the laser: data association with a line map that grows; `mode` is the use of the map."""
 
     local = True
     leads = True
@@ -104,7 +102,7 @@ class LineTracker(Model):
         self.map = LineMap()
         self.joint = mode != "first-scan"
         self.maps = mode != "given"
-        # only a map that holds what was seen since can show that something is wrong
+        # other modes have no lines of newly seen walls, so their scans cannot contradict the map
         self._jumps: list[Jump] = []
         self.guard = Guard(self._jumps) if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
@@ -114,24 +112,24 @@ class LineTracker(Model):
         self._scan = 0
         self._scans = Scans()
         self._standing = Standing()
-        self._sight: Association | None = None  # the scan at hand, where it is seen as expected
-        self._found: Association | None = None  # the scan at hand; None: the map begins with it
-        self._seen: Scan  # the same in the base, by the mount as it was predicted
-        self._rows = np.zeros((0, 7))  # its lines, in the base as configured: at rest the mean since the last use
-        self._teach = True
-        self._fitted = -1  # the reading that was used last
-        self._asked = -1  # the reading that `innovations` was asked for last
-        self._of: Measurements | None = None  # whose numbers these are:
+        self._sight: Association | None = None  # association at the predicted pose, reused from scan to scan
+        self._found: Association | None = None  # association of the present scan; None: the map begins with it
+        self._seen: Scan  # present scan in the base frame, by the predicted mount
+        self._rows = np.zeros((0, 7))  # its lines in the base frame by the configured mount; at rest a mean
+        self._usable = True  # whether the present scan may change the map
+        self._fitted = -1  # last used reading
+        self._asked = -1  # last reading for `innovations`
+        self._of: Measurements | None = None  # the measurements of the next two:
         self._first: list[int] = []
         self._t: list[float] = []
-        self._walls = ((0.0, 0.0),) * 3  # variances [m^2, rad^2]: uneven, floor, bend
+        self._walls = ((0.0, 0.0),) * 3  # variances [m^2, rad^2]: of uneven walls, least, largest increase
 
     def blocks(self) -> list[Block]:
-        """Return the uncertain parts of the laser's mount."""
+        """Return the states of the laser's mount, if it is estimated."""
         return self.mount.blocks() if self.mount is not None else []
 
     def begin(self, given: Sequence[MapLine], belief: Any) -> None:
-        """Load a given map: its lines are considered, so their covariance counts and their values stay."""
+        """Load a given map; its lines are considered states: their covariance is used, their values stay."""
         if self.mode != "given":
             return
         if not given:
@@ -147,26 +145,26 @@ class LineTracker(Model):
         self._first_map = list(given)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether scan i is the first with lines, or the first after the whole map was lost."""
+        """Return whether the map is empty and scan i has lines."""
         return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Add the wheels' motion: scans at rest repeat each other."""
+        """Add a motion by wheel odometry, to detect scans at rest."""
         self._standing.rolled(u)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Association:
         """Associate the lines of scan i (eq. 13, 17, 18): each gets a verdict; matching ones correct the pose."""
         first, last = self._bounds(m, i)
-        if self._found is not None:  # of another scan at this instant, whose rows are still to be used
+        if self._found is not None:  # a second scan at this update time: the rows of the first are still in use
             self._sight = None
-        self._asked, self._found, self._teach = i, None, True
+        self._asked, self._found, self._usable = i, None, True
         if first == last:
             return []
         if len(self.map.ids) == 0:
             self._standing.forget()
         rows = self._standing.take(self._scans.read(m, first, last))
         if rows is None:
-            self._teach = False
+            self._usable = False
             return [Innovation.unpredicted(row, REPEATED, 2, self.gate) for row in range(first, last)]
         self._rows = rows
         if len(self.map.ids) == 0:
@@ -177,12 +175,14 @@ class LineTracker(Model):
         shared = self._shared(m, first, last)
         found = self._sight
         share = found.compare(belief, self.map, rows, shared)
-        scan = self._seen = _in_base(rows, None if self.mount is None else found.moved())
+        scan = self._seen = _in_base(rows, None if self.mount is None else found.mount_offset())
         if self.guard is not None:
             again = partial(associate, rows, self.map, belief, found, shared)
             slipped = partial(beyond_wheels, m, self._fitted, i)
-            found, self._teach = self.guard.watch(self._t[i], scan, share, found, self.map, belief, again, slipped)
-        if not self._teach:
+            found, self._usable = self.guard.watch(
+                self._t[i], scan, share, found, self.map, belief, again, slipped
+            )
+        if not self._usable:
             self._standing.forget()
             return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
         if self.mode == "grow":
@@ -193,32 +193,32 @@ class LineTracker(Model):
         return found
 
     def _bounds(self, m: Measurements, i: int) -> tuple[int, int]:
-        """Return the rows first:last of scan i's lines; a new log's columns are loaded first."""
+        """Return first and last + 1 of the lines of scan i; at a new log, load its columns."""
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
-            uneven, floor = self.loosened(m)
+            uneven, floor = self.wall_noise(m)
             self._walls = _pair(uneven), _pair(floor), _pair(bend(uneven))
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
-        """Return the shared errors of rows first:last (k, 2, s)."""
+        """Return the shared errors (k, 2, s) of the lines first:last."""
         if not self.joint or "shared" not in m.extra:
             return NO_SHARES
         return np.ascontiguousarray(m.extra["shared"][first:last], np.float64)
 
     def _scan_in_base(self, belief: Any) -> Scan:
-        """Return the present scan in the base by the estimated mount."""
+        """Return the present scan in the base frame, by the estimated mount."""
         return _in_base(self._rows, None if self.mount is None else moved_mount(self.mount, belief))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Extend matched lines, and add new ones: all of the first scan, later ones only in `grow`."""
+        """Update the map by scan i: extend matched lines, and add new lines (mode `grow`, or first scan)."""
         first, last = self._first[i], self._first[i + 1]
         if self.guard is not None and last > first:
-            self.guard.stood(belief.pose())
-        if i != self._asked:  # two scans at one instant: what is known of matches is of the last one
+            self.guard.note_corrected(belief.pose())
+        if i != self._asked:  # two scans at one update time: the association is that of the last one
             return
         found, self._found = self._found, None
-        if first == last or not self._teach or self.mode == "given":
+        if first == last or not self._usable or self.mode == "given":
             return
         self._scan += 1
         if found is None:
@@ -234,7 +234,7 @@ class LineTracker(Model):
             self._revise(found, belief)
 
     def _revise(self, found: Association, belief: JointBelief) -> None:
-        """Add variance to uneven walls; in `grow` add new lines, now and then drop rare lines, merge doubles."""
+        """Add variance of uneven walls; in mode `grow` add new lines, remove rare lines, merge duplicates."""
         uneven, floor, bent = self._walls
         if uneven[0] > 0.0 or uneven[1] > 0.0:
             found.bend(belief, uneven, bent)
@@ -249,11 +249,12 @@ class LineTracker(Model):
         if floor[0] > 0.0 or floor[1] > 0.0:
             self.map.keep_floor(belief, floor)
 
-    def loosened(self, m: Measurements) -> tuple[Array, Array]:
-        """Return process noise for uneven walls and the smallest variance of a line, (2,) each [m^2, rad^2].
+    def wall_noise(self, m: Measurements) -> tuple[Array, Array]:
+        """Return the process noise of seen lines and the least variance of all lines, (2,) each [m^2, rad^2].
 
-        Of a wall that is not flat another part is seen next, so lines that were seen are loosened; where no wall
-        is measured as uneven, all lines keep a floor: no wall is a plane to less. Considered lines stay.
+        The next scan sees another part of an uneven wall, so seen lines get process noise. Without a measured
+        unevenness, all lines have a least variance instead, since no wall is an exact plane. Considered lines have
+        neither.
         """
         if self.mode == "consider":
             return np.zeros(2), np.zeros(2)
@@ -264,24 +265,24 @@ class LineTracker(Model):
     # ---- results ----
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan and the map now."""
+        """Return the map after the first scan and the present map."""
         return self._first_map, self.map.lines(belief)
 
     def jumps(self) -> list[Jump]:
-        """Return the slips, relocalisations and loops that moved the pose."""
+        """Return the corrections of the pose by slips, relocalisations and loop closures."""
         return self._jumps
 
     def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return when the robot was lost, (start, end) [s]."""
+        """Return the time intervals in which the robot was lost, (start, end) [s]."""
         return self.guard.intervals() if self.guard is not None else []
 
     def notes(self, belief: Any) -> list[str]:
-        """Return notes: the actions of the guard, and the estimated mount of the laser."""
+        """Return notes for the user: slips and relocalisations, and the estimated mount of the laser."""
         words = self.guard.words() if self.guard is not None else []
         return words + (self.mount.words(belief) if self.mount is not None else [])
 
     def _add(self, scan: Scan, k: int, belief: JointBelief) -> None:
-        """Add a line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
+        """Add line k of a scan to the map; its anchor point is the middle of the segment."""
         r, psi = map(float, scan.z[k])
         beta = se2.wrap(psi + belief.theta)
         c, s = math.cos(beta), math.sin(beta)
@@ -295,7 +296,9 @@ class LineTracker(Model):
         G_z = np.array([[1.0, u], [0.0, 1.0]])
         noise = G_z @ scan.R[k] @ G_z.T
         columns: tuple[int, ...] = ()
-        if self.mount is not None:  # what the reading is predicted to be falls by what the line in the base rises
+        if (
+            self.mount is not None
+        ):  # the predicted reading has the opposite derivative of the line in the base frame
             columns = self.mount.columns(belief)
             G = np.hstack((G, -G_z @ by_mount(self.mount, belief, psi)))
         column, P = -1, np.zeros((2, 2))
@@ -309,89 +312,81 @@ class LineTracker(Model):
 
 
 class AtlasTracker(LineTracker):
-    """Submaps along the path, and their poses."""
+    """Filter model of the laser with submaps along the path, and the graph of their poses."""
 
     def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
         super().__init__(mode, gate, recover, mount)
         self._anchors = Anchors()
         self._frozen: list[FrozenMap] = []
         self._way = Way()
-        self._at = 0  # the anchor of the map at hand
-        self._origin: Array = np.zeros(3)
-        self._now: tuple[Measurements, int] | None = None  # the reading at hand
-        self._along: WayByScans | None = None  # from where this map began; None: it was taken up again
-        self._left: tuple[Array, Array] | None = None  # where in the map before the next one began, and P
+        self._at = 0  # anchor of the present submap
+        self._origin: Array = np.zeros(3)  # pose at which the present submap began
+        self._now: tuple[Measurements, int] | None = None  # present reading
+        self._along: WayByScans | None = None  # path in the present submap; None after a return to a frozen submap
+        self._left: tuple[Array, Array] | None = None  # pose at which the last submap was left, and its covariance
         self._full = False
-        self._asked_at = 0.0  # m of way
-        self._looks = Looks()  # at the frozen maps, from this one
+        self._searched_at = 0.0  # m of path
+        self._looks = Looks()  # candidate closures of the present submap
         self._loops: list[Edge] = []
-        # frozen map in which this one was seen -> m of way to look again
-        self._ask_known_at: dict[int, float] = {}
+        # anchor of a frozen submap with a closure -> m of path until the next search there
+        self._search_again_at: dict[int, float] = {}
         self.closed: list[SeenAgain] = []
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Update the present submap, search for it in earlier ones, and leave it once its anchor is far away."""
+        """Update the present submap by scan i, extend its path, search for it in earlier ones."""
         begins = not len(self.map.ids)
         super().learn(m, i, belief)
         self._now = m, i
-        if self._first[i] == self._first[i + 1] or not self._teach or self.mode != "grow":
+        if self._first[i] == self._first[i + 1] or not self._usable or self.mode != "grow":
             return
         pose = belief.pose()
         if begins and len(self.map.ids):
             self._enter(np.array(pose), belief)
         elif self._along is not None:
-            self._along.went(i, pose)
-        self._go_on(i, pose, belief)
-
-    def _go_on(self, i: int, pose: Pose, belief: JointBelief) -> None:
-        """Add to the path, search for the present map in earlier ones, and note whether it is full."""
-        if self._way.goes(pose):
+            self._along.add(i, pose)
+        if self._way.extend(pose):
             self._way.keep(self._t[i], pose, self._seen)
-        if self._way.length - self._asked_at >= (LOOK_AGAIN_M if self._asked_at else FIRST_LOOK_M):
-            self._asked_at = self._way.length
-            self._look(self._t[i], belief)
+        if self._way.length - self._searched_at >= (LOOK_AGAIN_M if self._searched_at else FIRST_LOOK_M):
+            self._searched_at = self._way.length
+            self._search(self._t[i], belief)
         away = math.hypot(pose[0] - self._origin.item(0), pose[1] - self._origin.item(1))
         self._full = away > REACH_M or len(self.map.ids) > MAX_LINES
 
     # ---- from one map to the next ----
 
     def begin_next_map(self, belief: JointBelief) -> bool:
-        """Leave a map that is full; the next one begins at once, where a scan has just corrected the pose."""
+        """Leave a full submap and begin the next one; return whether a submap was begun."""
         if self.guard is not None and self.guard.gives_up():
-            self._leave(belief, bridges=False)  # the next scan begins a map of unknown place
+            self._leave(belief, connected=False)  # the next scan begins a submap of unknown pose
             self.guard.leave()
             self._full = False
             return False
         full, self._full = self._full, False
         if not full:
             return False
-        back = self._beside(belief)
+        back = self._neighbour(belief)
         if back is not None:
-            self._leave(belief, bridges=False)
+            self._leave(belief, connected=False)
             self._return_to(back, belief)
             return True
-        leading = self._seen_last()
-        if not len(leading) or not self._may_turn(leading, belief):
-            return False  # no wall leads over yet, or this scan has not fixed the heading
-        bridge = seen_from_here(self.map, leading, belief)
-        self._leave(belief, bridges=True)
-        self._begin_next(bridge, belief)
-        return True
-
-    def _begin_next(self, bridge: Bridge, belief: JointBelief) -> None:
-        """Begin a submap at the pose, with walls relative to it."""
+        recent = np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
+        if not len(recent) or not self._may_begin_next(recent, belief):
+            return False  # no wall connects both submaps yet, or the heading is too uncertain
+        shared = shared_walls(self.map, recent, belief)
+        self._leave(belief, connected=True)
         belief.begin_frame()
         self._enter(np.array(belief.pose()), belief)
-        cross(bridge, self.map, belief, self._scan)
+        begin_submap(shared, self.map, belief, self._scan)
+        return True
 
-    def _leave(self, belief: JointBelief, bridges: bool) -> None:
-        """Freeze the present submap; the pose becomes the next one's anchor if walls connect both."""
-        self._take_in_absolutes(belief)
+    def _leave(self, belief: JointBelief, connected: bool) -> None:
+        """Freeze the present submap; if `connected`, the next one begins at the pose with shared walls."""
+        self._add_absolute_edge(belief)
         lines = frozen(self.map, belief)
         box = box_of(lines, self._way)
         joint = joint_covariance(self.map, belief)
         self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
-        if bridges:
+        if connected:
             belief.loosen(np.arange(3), ADDED_P_SHARE * np.diagonal(belief.matrix()) + MIN_ADDED_VARIANCES)
             if self._along is not None:
                 self._along.end(self.mount, belief)
@@ -400,20 +395,16 @@ class AtlasTracker(LineTracker):
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
 
-    def _seen_last(self) -> Ints:
-        """Return the walls of the last scan."""
-        return np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
-
-    def _may_turn(self, leading: Ints, belief: JointBelief) -> bool:
-        """Return whether the heading is well known among the connecting walls, or waiting must end."""
+    def _may_begin_next(self, recent: Ints, belief: JointBelief) -> bool:
+        """Return whether the heading relative to the recent walls is certain, or the reach is exceeded."""
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
         return (
             math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
-            or heading_among(self.map, leading, belief) < MAX_HEADING_SIGMA_RAD
+            or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD
         )
 
-    def _beside(self, belief: JointBelief) -> FrozenMap | None:
-        """Return the neighbouring submap in the graph that contains the robot; None if there is none."""
+    def _neighbour(self, belief: JointBelief) -> FrozenMap | None:
+        """Return the neighbouring frozen submap in which the robot is; None without one."""
         if not belief.framed:
             return None
         beside, best, found = self._anchors.beside(self._at), BACK_REACH_SHARE * REACH_M, None
@@ -428,9 +419,10 @@ class AtlasTracker(LineTracker):
         return found
 
     def _return_to(self, old: FrozenMap, belief: JointBelief) -> None:
-        """Load a map again: its lines become states again, and the pose in it is that of the graph.
+        """Continue in a frozen submap: its lines become states; the graph gives its relative pose.
 
-        G o q stays what it is: G goes back by R, which leads from the old anchor to the last one, and q on by R.
+        The pose in the map, G o q, does not change: R is the pose of the present anchor relative to the old one,
+        so G becomes G o R^-1 and q becomes R o q.
         """
         R, P = self._anchors.relative(old.anchor, self._at)
         q, frame = np.array(belief.pose()), belief.frame_pose()
@@ -452,30 +444,31 @@ class AtlasTracker(LineTracker):
         self._frozen = [one for one in self._frozen if one is not old]
         self._at, self._way, self._origin, self._along = old.anchor, old.way, old.origin, None
         self._way.resume()
-        self._asked_at, self._looks, self._ask_known_at = self._way.length, Looks(), {}
+        self._searched_at, self._looks, self._search_again_at = self._way.length, Looks(), {}
         if self.guard is not None:
             self.guard.enter_map()
 
     def _enter(self, pose: Array, belief: JointBelief) -> None:
-        """Begin a map at a new anchor of the graph; the map frame is the anchor's pose."""
+        """Begin a submap at a new anchor of the graph; the map frame is the anchor's pose."""
         frame = belief.frame_pose()
         if self._left is None:
             own = np.zeros((3, 3)) if frame is None else belief.frame_covariance()
-            self._at = self._anchors.first(np.zeros(3) if frame is None else np.array(frame), own)
+            self._at = self._anchors.append(NOWHERE, np.zeros(3) if frame is None else np.array(frame), own)
         else:
             z, P = self._left
-            still = frame is None  # the pose was known exactly: the map frame is the map's
-            self._at = self._anchors.next(self._at, 0.0 * z if still else z, 0.0 * P if still else P)
+            if frame is None:  # the map frame is the map itself
+                z, P = 0.0 * z, 0.0 * P
+            self._at = self._anchors.append(self._at, z, P)
             if frame is not None:
                 self._anchors.pose[-1] = frame
-        self._way, self._origin, self._asked_at, self._looks = Way(), pose, 0.0, Looks()
+        self._way, self._origin, self._searched_at, self._looks = Way(), pose, 0.0, Looks()
         if self._now is not None:
             m, i = self._now
             self._along = WayByScans(m, i, (pose[0], pose[1], pose[2]))
-        self._ask_known_at = {}
+        self._search_again_at = {}
 
-    def _take_in_absolutes(self, belief: JointBelief) -> None:
-        """Add an edge to the graph with the information of other sensors on the map frame since it began."""
+    def _add_absolute_edge(self, belief: JointBelief) -> None:
+        """Add an edge with the information that absolute sensors gave on the map frame since its begin."""
         frame = belief.frame_pose()
         if frame is None:
             return
@@ -494,9 +487,9 @@ class AtlasTracker(LineTracker):
 
     # ---- loops ----
 
-    def _look(self, t: float, belief: JointBelief) -> None:
-        """Search for the present submap in frozen ones."""
-        here = Here(frozen(self.map, belief), self._way)
+    def _search(self, t: float, belief: JointBelief) -> None:
+        """Search for the present submap in the frozen ones, and close loops."""
+        here = MapWithPath(frozen(self.map, belief), self._way)
         at, beside = self._at, self._anchors.beside(self._at)
         known = {e.of if e.to == at else e.to for e in self._loops if at in (e.of, e.to)}
         low, high = box_of(here.lines, here.way)
@@ -504,25 +497,25 @@ class AtlasTracker(LineTracker):
         for old in self._frozen:
             k = old.anchor
             expected, P = self._anchors.relative(k, at)
-            unknown = is_open(P)
+            unknown = is_unknown(P)
             if k in beside and k not in known and not unknown:
                 continue
-            if self._way.length < self._ask_known_at.get(k, 0.0):
+            if self._way.length < self._search_again_at.get(k, 0.0):
                 continue
             slack = 3.0 * math.sqrt(max(float(P[0, 0] + P[1, 1]), 0.0))
             there = se2.transform(expected, corners)
             if (there.min(axis=0) > old.box[1] + slack).any() or (there.max(axis=0) < old.box[0] - slack).any():
                 continue
-            found = find_closure(Here(old.lines, old.way), here, expected, P)
-            if self._looks.agree(k, found, unknown, self._anchors):
+            found = find_closure(MapWithPath(old.lines, old.way), here, expected, P)
+            if self._looks.add(k, found, unknown, self._anchors):
                 assert found is not None
                 self._close(t, old, at, found, belief)
 
     def _close(self, t: float, seen: FrozenMap, at: int, found: Closure, belief: JointBelief) -> None:
-        """Add a closure to the graph, unless it contradicts the others, and correct the pose."""
+        """Add a loop closure to the graph, unless it contradicts the others; correct the pose."""
         if not belief.framed:
             return
-        self._take_in_absolutes(belief)
+        self._add_absolute_edge(belief)
         of, poses = seen.anchor, self._anchors.pose.copy()
         edge = Edge(of, at, found.pose, inverted(found.P))
         old = [e for e in self._loops if (e.of, e.to) == (of, at)]
@@ -542,7 +535,7 @@ class AtlasTracker(LineTracker):
             self._anchors.loosen(of, at, worse / 3.0)
             self._anchors.add(edge)
             self._anchors.solve()
-        self._ask_known_at[of] = 2.0 * self._way.length
+        self._search_again_at[of] = 2.0 * self._way.length
         self._loops = [e for e in self._loops if all(e is not o for o in old)] + [edge]
         if not old:
             here = se2.compose(found.pose, np.array(belief.pose()))
@@ -551,26 +544,26 @@ class AtlasTracker(LineTracker):
         before_loop = in_map(belief)
         belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
         self._jumps.append(jump(t, LOOP_TAKEN, before_loop, in_map(belief)))
-        if self.guard is not None and not is_open(self._anchors.relative(0, at)[1]):
+        if self.guard is not None and not is_unknown(self._anchors.relative(0, at)[1]):
             self.guard.recognised(t)
 
     # ---- results ----
 
     def closed_loops(self) -> list[SeenAgain]:
-        """Return the places that were recognised, in order of time."""
+        """Return the recognised places, in order of time."""
         return self.closed
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan, and all submaps at their present poses."""
+        """Return the map after the first scan, and the lines of all submaps at their present poses."""
         first, now = super().lines(belief)
-        left = [line for old in self._frozen for line in old.lines.placed_at(*self._place(old))]
+        left: list[MapLine] = []
+        for old in self._frozen:
+            pose, P = self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,))
+            left += old.lines.placed_at(pose, P)
         return first, left + now
 
-    def _place(self, old: FrozenMap) -> tuple[Any, Array]:
-        return self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,))
-
     def notes(self, belief: Any) -> list[str]:
-        """Return notes: how many submaps there are, and how many loops were closed."""
+        """Return notes for the user: also the number of submaps and of closed loops."""
         words = super().notes(belief)
         if self._frozen:
             n, loops = len(self._frozen) + 1, len(self.closed)
@@ -585,5 +578,5 @@ def _pair(values: Array) -> tuple[float, float]:
 
 
 def _in_base(rows: Array, offset: tuple[float, float, float] | None) -> Scan:
-    """Return lines in the base by the configured mount, moved by an offset x, y [m], yaw [rad] of it, if any."""
+    """Return lines in the base frame by the configured mount, moved by the mount's offset x, y [m], yaw [rad]."""
     return Scan(rows if offset is None else rows_in_base(rows, *offset))

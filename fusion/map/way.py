@@ -1,9 +1,9 @@
-"""The path through one submap: scans along it, and the pose by matching them when the submap is left.
+"""Path through one submap: its scans, and the pose by scan matching when the robot leaves the submap.
 
-A small map and the pose in it drift together where few walls are long, or clutter is taken for walls. A chain
-of matched scans, in which all that was seen counts, gives the way better. It is taken in where the map is left:
-the next map then begins where both agree. The variances of the pose have grown before by what no filter counts
-(tracker.ADDED_P_SHARE), since the lines and the matches are of the same scans.
+If few walls are long, or clutter is extracted as walls, submap and pose drift together. A chain of matched scans,
+which uses all points, is more accurate. It corrects the pose when the robot leaves the submap, before the next one
+begins. Lines and matches come from the same scans, so the variances of the pose are increased first
+(tracker.ADDED_P_SHARE).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from locfuse.fusion.data import Array, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.key_scans import KeyScans, key_scans
+from locfuse.fusion.scan_matching.key_scans import key_scans
 from locfuse.fusion.scan_matching.neighbours import by_wheels
 from locfuse.fusion.scan_matching.solve import Edges, Problem, relative
 from locfuse.fusion.sensor import Equation
@@ -30,20 +30,22 @@ from .anchors import MIN_STEP, inverted
 from .scan import Scan
 
 STRIDE_M, TURN_RAD = 0.75, math.radians(45.0)  # m, rad between two scans that are kept
-MAX_SIGHTS = 60  # of a map: more add nothing
-# along a way: with fewer it is inexact, and a map in which the robot stayed longer holds together better than it
+MAX_SIGHTS = 60  # kept scans of one submap
+# key scans of a path: fewer are inexact; over more, the submap is more accurate than the chain of matches
 MIN_KEYS, MAX_KEYS = 4, 100
-FILTER_P = np.square(np.diag((0.02, 0.02, np.radians(0.3))))  # of the filter's way to the next key scan, variances
+FILTER_P = np.square(
+    np.diag((0.02, 0.02, np.radians(0.3)))
+)  # covariance of the filter's motion to the next key scan
 MAX_CHI2 = chi_square(0.999, 3)
-KERNEL_WIDTH_FACTORS = (1e6, 100.0, 1.0)  # of the kernels of the matches: the first counts all of them
-# rad per metre, 1 sigma: the heading of matched scans drifts with the way, since a laser looks a little down, or
-# its angles are not quite what it says. On two real robots it was 0.05 degrees
+KERNEL_WIDTH_FACTORS = (1e6, 100.0, 1.0)  # graduated kernel widths of the matches: the first uses all matches
+# rad per metre, 1 sigma: heading drift of scan matching by a tilted laser or wrong beam angles; 0.05 degrees on
+# two real robots
 DRIFT_RAD_PER_M = np.radians(0.05)
 DERIVATIVE_STEP = 1e-6  # m, rad: step of a numerical derivative
 
 
 class Sight(NamedTuple):
-    """A scan with its time and its pose in the submap."""
+    """A scan with its time and the pose of the robot in the submap."""
 
     t: float  # s
     pose: Array  # (3,)
@@ -51,20 +53,20 @@ class Sight(NamedTuple):
 
 
 class Way:
-    """Scans along the path through a submap: what is visible from where."""
+    """Path through a submap, with scans from poses along the path."""
 
     def __init__(self) -> None:
         self.sights: list[Sight] = []
         self.length = 0.0  # m
         self._last: Pose | None = None
-        self._kept: Pose = (0.0, 0.0, 0.0)  # where the last scan was kept
+        self._kept: Pose = (0.0, 0.0, 0.0)  # pose of the last kept scan
 
     def resume(self) -> None:
-        """Continue a path that was left; the time between is not part of it."""
+        """Continue the path after a time in other submaps, without adding the distance driven there."""
         self._last = None
 
-    def goes(self, pose: Pose) -> bool:
-        """Add the next pose, and return whether a scan from there should be kept."""
+    def extend(self, pose: Pose) -> bool:
+        """Extend the path to the next pose; return whether to keep a scan from this pose."""
         x, y, theta = pose
         if self._last is not None:
             self.length += math.hypot(x - self._last[0], y - self._last[1])
@@ -77,30 +79,30 @@ class Way:
         return math.hypot(x - a, y - b) >= STRIDE_M or abs(se2.wrap(theta - turn)) >= TURN_RAD
 
     def keep(self, t: float, pose: Pose, scan: Scan) -> None:
-        """Keep a scan that was taken at a pose."""
+        """Keep a scan taken at a pose."""
         self.sights.append(Sight(t, np.array(pose), scan))
         self._kept = pose
 
     def nearest(self, place: Array) -> Sight:
-        """Return the scan that was taken nearest to a place (2,) [m] of its map."""
+        """Return the scan taken nearest to a position (2,) [m] in the submap."""
         return min(self.sights, key=lambda sight: math.hypot(*(sight.pose[:2] - place)))
 
 
 class WayByScans:
-    """The path through one submap, and the filter's pose in it at the readings since it began."""
+    """Path through one submap by scan matching, and the filter's poses to compare it with."""
 
     def __init__(self, m: Measurements, reading: int, pose: Pose) -> None:
         self._m, self._readings, self._poses = m, array("q", (reading,)), array("d", pose)
 
-    def went(self, reading: int, pose: Pose) -> None:
-        """Add the robot's pose in the submap at the next reading."""
+    def add(self, reading: int, pose: Pose) -> None:
+        """Add the filter's pose in the submap at the next reading."""
         self._readings.append(reading)
         self._poses.extend(pose)
 
     def end(self, mount: Mount | None, belief: JointBelief) -> None:
-        """Correct the belief by the matches between the first and the last key scan in the submap.
+        """Correct the belief by the scan-matched motion between the first and the last key scan in the submap.
 
-        What lies before the one and behind the other, half a metre at most, the filter knows well.
+        For the path before the first and after the last key scan (at most 0.5 m), the filter's poses are used.
         """
         if self._m.points is None:
             return
@@ -112,27 +114,23 @@ class WayByScans:
         first, last = np.searchsorted(keys.readings, readings[on_key[[0, -1]]]).tolist()
         if not MIN_KEYS <= last - first < MAX_KEYS:
             return
-        z, R = end_of_way(*way_between(keys, first, last))
+        matches = keys.matches.take((keys.matches.i >= first) & (keys.matches.j <= last))
+        z, R = end_of_way(keys.steps[first:last], replace(matches, i=matches.i - first, j=matches.j - first))
         equation = compared(z, R + 2.0 * FILTER_P, begin, se2.between(np.array(belief.pose()), end), mount, belief)
         S = equation.H @ belief.covariance[np.ix_(equation.columns, equation.columns)] @ equation.H.T + equation.R
         worse = float(equation.y @ np.linalg.solve(S, equation.y)) / 3.0
-        if worse > MAX_CHI2 / 3.0:  # both claim too little: the variance factor, as in Anchors.loosen
+        if worse > MAX_CHI2 / 3.0:  # both are overconfident: increase both covariances, as in Anchors.loosen
             belief.loosen(np.arange(3), (worse - 1.0) * np.diagonal(belief.matrix()))
             equation = equation._replace(R=worse * equation.R)
         y, columns, H, R = (part.tolist() for part in equation)
         belief.know(y, R, columns, H)
 
 
-def way_between(keys: KeyScans, first: int, last: int) -> tuple[Array, Edges]:
-    """Return the steps (n, 3) from key `first` to key `last`, and the matches among these n + 1 keys."""
-    found = keys.matches.take((keys.matches.i >= first) & (keys.matches.j <= last))
-    return keys.steps[first:last], replace(found, i=found.i - first, j=found.j - first)
-
-
 def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:
-    """Return the last key of a path relative to the first, (3,), and its covariance (3, 3), by all matches.
+    """Return the pose (3,) of the last key scan relative to the first, and its covariance (3, 3), by all matches.
 
-    The steps (n, 3) hold the keys loosely. A match that contradicts the others loses its weight.
+    The motions `steps` (n, 3) between neighbours get a low weight. Matches that contradict the others are
+    down-weighted.
     """
     n = len(steps)
     k = np.arange(n)
@@ -142,34 +140,34 @@ def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:
         se2.chain(steps), Edges.joined(loose, matches), KERNEL_WIDTH_FACTORS, MIN_STEP
     )
     z, R = relative(x[[0, n]], normal.joint(np.array([0, n])), np.array([0]), np.array([1]))
-    drift = _bent(x) - z[0]
+    drift = _end_with_drift(x) - z[0]
     return z[0], R[0] + np.outer(drift, drift)
 
 
-def _bent(x: Array) -> Array:
-    """Return the end pose of a path x (n, 3) whose headings drift by DRIFT_RAD_PER_M."""
+def _end_with_drift(x: Array) -> Array:
+    """Return the last pose of a path x (n, 3) after a heading drift of DRIFT_RAD_PER_M."""
     steps = se2.between(x[:-1], x[1:])
     steps[:, 2] += DRIFT_RAD_PER_M * np.hypot(steps[:, 0], steps[:, 1])
     return np.asarray(se2.compose(x[0], se2.chain(steps)[-1]))
 
 
 def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None, belief: JointBelief) -> Equation:
-    """Return the equation by which a path z (3,) from scans, with covariance R, corrects pose and mount.
+    """Return the measurement equation of pose and mount by a scan-matched motion z (3,) with covariance R (3, 3).
 
-    It led from `begin` (3,) in the map to `back` (3,), which is seen from the pose. The scans are of a base on
-    which the laser is mounted as configured; the belief may have another mount.
+    The motion leads from the pose `begin` (3,) in the submap to a pose `back` (3,) relative to the present one.
+    The scans are in the base frame by the configured laser mount; the mount in the belief may differ.
     """
     free, columns = ([], ()) if mount is None else (list(mount.free), mount.columns(belief))
-    place, sits = np.array(belief.pose()), np.zeros(3) if mount is None else np.array(mount.now(belief))
+    place, mounted = np.array(belief.pose()), np.zeros(3) if mount is None else np.array(mount.now(belief))
     configured = np.zeros(3) if mount is None else np.array(mount.configured)
 
     def way(x: Array) -> Array:
-        now = sits.copy()
+        now = mounted.copy()
         now[free] = x[3:]
         aside = se2.compose(now, se2.inverse(configured))
         return se2.between(aside, se2.compose(se2.between(begin, se2.compose(x[:3], back)), aside))
 
-    x = np.append(place, sits[free])
+    x = np.append(place, mounted[free])
     H = np.stack(
         [(way(x + d) - way(x - d)) / (2.0 * DERIVATIVE_STEP) for d in DERIVATIVE_STEP * np.eye(len(x))], axis=-1
     )

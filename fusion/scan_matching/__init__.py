@@ -1,1 +1,1 @@
-"""Scans as points with surfaces, matched with each other (point to line)."""
+"""Scan matching: point clouds with surface normals, point-to-line matching, key scans, pose-graph solver."""

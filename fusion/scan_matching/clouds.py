@@ -1,6 +1,6 @@
-"""Scans as points with the direction of the surface at each.
+"""Point clouds of scans, with the surface normal at each point.
 
-A point's surface is the line through its neighbours among the beams, where they lie on one.
+The surface at a point is the line fitted to the points of the neighbouring beams, if they lie on a line.
 """
 
 from __future__ import annotations
@@ -15,47 +15,47 @@ from msgspec.structs import astuple
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements
 
-MAX_BEAMS = 360  # of a scan that are matched: more cost time and add nothing
-NEIGHBOUR_BEAMS = 3  # beams to either side that make a surface
-MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # how many, and how far off their line at most
-MAX_GAP_M, GAP_SPACINGS = 0.25, 5.0  # neighbours further apart are of different surfaces
+MAX_BEAMS = 360  # matched beams of a scan
+NEIGHBOUR_BEAMS = 3  # beams at each side to which a surface is fitted
+MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # of a surface: least number of neighbours, largest distance from the line
+MAX_GAP_M, GAP_SPACINGS = 0.25, 5.0  # neighbours further apart (m, beam spacings) belong to different surfaces
 MAX_RANGE_M = 30.0
-CELL_M = 0.05  # of a cloud of many scans one point in each such square is kept
+CELL_M = 0.05  # grid cell in which `thinned` keeps one point
 
 
 class Columns(msgspec.Struct, frozen=True):
-    """A table of arrays of one length."""
+    """A record of arrays with equal length, like a table."""
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(astuple(self)[0])
 
     def take(self, at: Any) -> Self:
-        """Return the rows at these positions, or where a mask is true."""
+        """Return the rows at the indices `at`, or where a mask `at` is true."""
         return type(self)(*(column[at] for column in astuple(self)))
 
     @classmethod
     def joined(cls, *parts: Self) -> Self:
-        """Return several tables as one."""
+        """Return several tables as one, row after row."""
         return cls(*(np.concatenate(columns) for columns in zip(*map(astuple, parts), strict=True)))
 
 
 class Clouds(msgspec.Struct, frozen=True):
-    """Points of n clouds one after another: cloud i owns the rows first[i]:first[i + 1]."""
+    """Points of n clouds in one array: cloud i has the rows first[i]:first[i + 1]."""
 
     first: Ints  # (n + 1,)
     xy: Array  # (m, 2) [m], each cloud in its own frame
-    normal: Array  # (m, 2) unit vectors from the surface to the side that was seen; NaN where there is none
+    normal: Array  # (m, 2) unit vectors from the surface to its seen side; NaN without a surface
 
     @classmethod
     def of_scans(cls, scans: Sequence[Array], origin: Array) -> Clouds:
-        """Return scans (k, 2) [m], in beam order, as clouds with surfaces; `origin` (2,) is the laser."""
+        """Build clouds with normals from scans (k, 2) [m] in beam order; `origin` (2,) is the laser's position."""
         first = np.concatenate(([0], np.cumsum([len(p) for p in scans]))).astype(np.int64)
         xy = np.concatenate([np.zeros((0, 2)), *scans])
         return cls(first, xy, normals(xy, np.repeat(np.arange(len(scans)), np.diff(first)), origin))
 
     def kept(self, rows: Ints) -> Clouds:
-        """Return the same clouds with some of their points, at increasing rows (k,)."""
+        """Return clouds with only the points at the increasing rows (k,)."""
         first = np.concatenate(([0], np.cumsum(np.bincount(self.owner[rows], minlength=len(self)))))
         return Clouds(first, self.xy[rows], self.normal[rows])
 
@@ -65,11 +65,11 @@ class Clouds(msgspec.Struct, frozen=True):
 
     @property
     def owner(self) -> Ints:
-        """The cloud of each point, (m,)."""
+        """Return the index of the cloud of each point, (m,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.first))
 
     def rows(self, clouds: Ints) -> tuple[Ints, Ints]:
-        """Return the rows of these clouds (p,) in order, and the position in `clouds` of each."""
+        """Return the rows of the points of clouds with indices (p,), and for each row its index into `clouds`."""
         counts = np.diff(self.first)[clouds]
         ends = np.cumsum(counts)
         position = np.repeat(np.arange(len(clouds)), counts)
@@ -77,7 +77,7 @@ class Clouds(msgspec.Struct, frozen=True):
 
 
 def clouds_of(m: Measurements, readings: Ints) -> Clouds:
-    """Return the points and surfaces of these readings of a laser."""
+    """Return the point clouds with normals of laser readings (n,)."""
     if m.points is None:
         return Clouds.of_scans([np.zeros((0, 2))] * len(readings), np.zeros(2))
     origin = m.points.mount[:2]
@@ -86,9 +86,9 @@ def clouds_of(m: Measurements, readings: Ints) -> Clouds:
 
 
 def normals(xy: Array, owner: Ints, origin: Array) -> Array:
-    """Return unit normals (m, 2), towards the laser, at points (m, 2) in the order of the beams.
+    """Return unit normals (m, 2) towards the laser, at points (m, 2) in beam order.
 
-    They are NaN where there is no line.
+    `owner` (m,) is the index of the scan of each point. Normals are NaN without a surface.
     """
     m = len(xy)
     if not m:
@@ -119,7 +119,7 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
 
 
 def _median_of_each(values: Array, owner: Ints) -> Array:
-    """Return for each value (k,) the median of its scan; values of one scan (owner) follow each other."""
+    """Return for each value (k,) the median of all values of its scan; `owner` (k,) is sorted."""
     order = np.lexsort((values, owner))
     first = np.flatnonzero(np.diff(owner, prepend=-1))
     counts = np.diff(np.append(first, len(owner)))
@@ -128,7 +128,7 @@ def _median_of_each(values: Array, owner: Ints) -> Array:
 
 
 def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
-    """Return one cloud for each group of clouds (k,); poses (k, 3) place each cloud in the group's frame."""
+    """Merge each group of clouds into one cloud; `poses` (k, 3) are those of the group's clouds in its frame."""
     xy, normal, counts = [np.zeros((0, 2))], [np.zeros((0, 2))], [0]
     for group, pose in zip(groups, poses, strict=True):
         rows, position = clouds.rows(group)
@@ -140,10 +140,9 @@ def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
 
 
 def thinned(clouds: Clouds) -> Clouds:
-    """Return for every cloud one point on a surface in each square of CELL_M: overlapping scans repeat it."""
+    """Return for every cloud one surface point per grid cell of CELL_M: overlapping scans repeat surfaces."""
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     square = np.floor(clouds.xy[rows] / CELL_M).astype(np.int64) + (1 << 20)
     of = clouds.owner[rows]
-    _, some = np.unique((of << 42) + (square[:, 0] << 21) + square[:, 1], return_index=True)
-    keep = rows[np.sort(some)]
-    return clouds.kept(keep)
+    _, unique = np.unique((of << 42) + (square[:, 0] << 21) + square[:, 1], return_index=True)
+    return clouds.kept(rows[np.sort(unique)])

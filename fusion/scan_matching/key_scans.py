@@ -1,7 +1,7 @@
-"""Key scans along a drive and their matches with earlier ones: matched once for all runs.
+"""Key scans along a drive, and matches with earlier key scans, computed once for all runs.
 
-A match knows its two scans and the wheels between them, nothing else: a filter that has come to key b may use all
-matches among the keys up to b.
+A match depends only on its two scans and the wheel odometry between them. So a causal filter at key b may use all
+matches between keys up to b.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from .match import Matches, Targets, match, sources_of
 from .neighbours import REACH_M, SLIP_INLIERS, STEP_P, by_wheels, further_scans, good, scan_by_scan
 from .solve import Edges
 
-STRIDE_M, TURN_RAD = 0.5, np.radians(30.0)  # between two keys
-MATCH_WIDTH = 4.0  # sigmas beyond which a match loses its weight
-FURTHER_STEPS = (2, 4)  # keys further on that a key is matched with, beside the next one
-MAX_APART_M = 6.0
-MAX_TURN_RAD = np.radians(10.0)  # to and fro from key to key: beyond, all scans between them are matched
+STRIDE_M, TURN_RAD = 0.5, np.radians(30.0)  # path length or turn between two keys
+MATCH_WIDTH = 4.0  # sigmas, width of the robust kernel
+FURTHER_STEPS = (2, 4)  # a key is matched with the next key and with the keys this many steps later
+MAX_APART_M = 6.0  # largest distance of matched keys
+MAX_TURN_RAD = np.radians(10.0)  # if the turns between two keys sum up to more, all scans between them are matched
 
 _matched: WeakKeyDictionary[Points, KeyScans] = WeakKeyDictionary()
 
 
 class KeyScans(msgspec.Struct, frozen=True):
-    """n keys and the matches among them."""
+    """Key scans (n) of a laser, and the matches among them."""
 
-    t: Array  # (all readings,) s, when they were taken
-    readings: Ints  # (n,) which of them are keys, increasing
-    steps: Array  # (n - 1, 3) from key to key, by the match, or the scans between, or else by the wheels
-    matches: Edges  # among the keys
+    t: Array  # (all readings,) s
+    readings: Ints  # (n,) indices of the keys among the readings, increasing
+    steps: Array  # (n - 1, 3) motion from key to key, by the match, else by the scans between, else by the wheels
+    matches: Edges  # between keys
 
 
 def key_scans(m: Measurements) -> KeyScans:
-    """Return the key scans of a laser's readings, matched at the first call."""
+    """Return the key scans of a laser's readings; computed at the first call and cached."""
     assert m.points is not None
     known = _matched.get(m.points)
     if known is None or not np.array_equal(known.t, m.t):
-        known = _matched[m.points] = _made(m, m.points)
+        known = _matched[m.points] = _match_keys(m, m.points)
     return known
 
 
 def spaced(way: Array, heading: Array, stride: float, turn: float) -> Ints:
-    """Return which of n poses lie `stride` [m] of path or `turn` [rad] after the one before."""
+    """Return indices of poses that lie `stride` [m] of path or `turn` [rad] after the chosen one before."""
     chosen, last_way, last_heading = [], -np.inf, 0.0
     for k, (s, theta) in enumerate(zip(way.tolist(), heading.tolist(), strict=True)):
         if s - last_way >= stride or abs(theta - last_heading) >= turn:
@@ -57,7 +57,7 @@ def spaced(way: Array, heading: Array, stride: float, turn: float) -> Ints:
     return np.array(chosen, dtype=np.int64)
 
 
-def _made(m: Measurements, points: Points) -> KeyScans:
+def _match_keys(m: Measurements, points: Points) -> KeyScans:
     u = points.moved(m.t[:-1], m.t[1:])
     way = np.append(0.0, np.cumsum(np.hypot(*u[:, :2].T)))
     heading = np.append(0.0, np.cumsum(u[:, 2]))
@@ -77,9 +77,9 @@ def _made(m: Measurements, points: Points) -> KeyScans:
 def _next(
     m: Measurements, points: Points, readings: Ints, turns: NDArray[np.bool_], targets: Targets, sources: Clouds
 ) -> tuple[Ints, Matches, Array]:
-    """Match every key with the next one: return the matched pairs, the matches, and all steps (n - 1, 3).
+    """Match every key with the next one; return indices of matched keys, matches, and all motions (n - 1, 3).
 
-    Where the robot `turns` (n - 1,), and where two do not match at once, the scans between give the way.
+    If the robot `turns` (n - 1,), or two keys do not match directly, the scans between them are matched.
     """
     steps = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
     i = np.flatnonzero(np.hypot(*steps[:, :2].T) < MAX_APART_M)
@@ -91,6 +91,6 @@ def _next(
         prior = np.broadcast_to(np.linalg.inv(STEP_P), (len(k), 3, 3))
         again = match(targets, k, sources, k + 1, steps[k], prior, REACH_M)
         matches.put(doubtful, again)
-    sure = good(matches)
-    steps[i[sure]] = matches.pose[sure]
-    return i[sure], matches.take(sure), steps
+    reliable = good(matches)
+    steps[i[reliable]] = matches.pose[reliable]
+    return i[reliable], matches.take(reliable), steps

@@ -1,11 +1,11 @@
-"""Scan matching: many pairs of clouds at once, point to line, with a prior for directions that no wall constrains.
+"""Point-to-line scan matching of many pairs of clouds at once, with a prior for unconstrained directions.
 
-Nothing in a corridor fixes the place along it: there the prior (the wheels) holds, and without one a match slides
-(Censi 2008, "An ICP variant using a point-to-line metric"). The nearest points of all pairs are found by one
-search: each cloud lies in a layer of its own, far from all others.
+In a corridor the points do not constrain the position along it, so a prior from wheel odometry is needed (Censi
+2008, "An ICP variant using a point-to-line metric"). One search tree finds the nearest points of all pairs: each
+cloud has its own layer, far from all others.
 
-Frames: the pose of a pair is that of cloud j in the frame of cloud i, (x, y, theta); its information is that of
-these three numbers, so in the frame of i.
+Frames: the pose of a pair is that of cloud j in the frame of cloud i, (x, y, theta); its information is in the
+frame of i too.
 """
 
 from __future__ import annotations
@@ -19,51 +19,51 @@ from locfuse.fusion.data import Array, Ints
 
 from .clouds import Clouds, Columns
 
-LAYER_M = 1e4  # between two clouds in the search
-NOWHERE_M = 1e6
-RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # how far a point's partner may be, iteration by iteration
-SIGMA_M = 0.03  # of one point about its line
-DEPENDENT_POINTS = 16.0  # neighbouring points are not independent: so many count as one
-FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # no pair is known better
-MIN_FACING = 0.7  # cosine between the normals of two points that are paired, at least: a wall has two sides
-INLIER_M = 0.1  # a point closer to its line fits
-# m, rad: 1 sigma of a weak prior: a direction that no point shows (along a corridor) has no solution without it
+LAYER_M = 1e4  # distance of two clouds in the search tree
+NOWHERE_M = 1e6  # coordinate out of reach of all points
+RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # largest distance of matched points in each iteration
+SIGMA_M = 0.03  # standard deviation of a point's distance from its line
+DEPENDENT_POINTS = 16.0  # errors of neighbouring points are correlated: this many count as one
+FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # least standard deviations of a match
+MIN_FACING = 0.7  # least cosine between the normals of matched points: a wall has two sides
+INLIER_M = 0.1  # largest distance of an inlier from its line
+# m, rad: 1 sigma of a weak prior, which gives a solution in directions without points (along a corridor)
 MAX_ALONE_SIGMAS = (0.3, 0.3, np.radians(10.0))
-MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, add little
+MATCHED_POINTS = 120  # of one cloud
 POINTS_AT_ONCE = 1_000_000
-SETTLED_M = 2e-4
+SETTLED_M = 2e-4  # m, rad: a pair with a smaller step has converged
 
 
 class Matches(Columns, frozen=True):
-    """Relative poses of p pairs of clouds."""
+    """Matches of p pairs of clouds: relative poses and quality."""
 
     pose: Array  # (p, 3)
-    alone: Array  # (p, 3) by the points without the prior, for a graph that has the prior as an edge of its own
+    alone: Array  # (p, 3) pose without the prior, for a graph in which the prior is a separate edge
     information: Array  # (p, 3, 3) of `alone`
-    inliers: Array  # (p,) share of the points within reach of the other cloud that fit
-    overlap: Array  # (p,) share of all points that have a partner
-    rms: Array  # (p,) m, of those that fit
+    inliers: Array  # (p,) share of inliers among the matched points
+    overlap: Array  # (p,) share of matched points among all points
+    rms: Array  # (p,) m, rms distance of the inliers from their lines
 
     def put(self, at: Ints, others: Matches) -> None:
-        """Replace the pairs at these positions."""
+        """Replace the matches at the indices `at` (k,) by others."""
         for column, other in zip(astuple(self), astuple(others), strict=True):
             column[at] = other
 
 
 class Targets:
-    """Clouds to which others are matched: all their surfaces in one search tree."""
+    """Clouds to which other clouds are matched: their surface points in one search tree."""
 
     def __init__(self, clouds: Clouds) -> None:
         from scipy.spatial import cKDTree
 
         rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
         self.xy, self.normal, layer = clouds.xy[rows], clouds.normal[rows], LAYER_M * clouds.owner[rows]
-        if not len(rows):  # one surface out of reach of all points, so that none is found
+        if not len(rows):  # an empty tree is not possible: add a surface out of reach
             self.xy, self.normal, layer = np.full((1, 2), NOWHERE_M), np.zeros((1, 2)), np.zeros(1)
         self._tree = cKDTree(np.column_stack((self.xy, layer)))
 
     def nearest(self, xy: Array, clouds: Ints, reach: float) -> tuple[Array, Ints]:
-        """Return distance and row of the surface nearest to each point (m, 2) in its cloud; inf beyond `reach`."""
+        """Return distance and row of the nearest surface point of its cloud for points (m, 2); inf without one."""
         distance, row = self._tree.query(
             np.column_stack((xy, LAYER_M * clouds)), distance_upper_bound=reach, workers=1
         )
@@ -71,7 +71,7 @@ class Targets:
 
 
 def sources_of(clouds: Clouds, most: int = MATCHED_POINTS) -> Clouds:
-    """Return the points to match: those on a surface, evenly thinned to at most about `most` per cloud."""
+    """Return the surface points to match, evenly thinned to at most about `most` per cloud."""
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     owner = clouds.owner[rows]
     counts = np.bincount(owner, minlength=len(clouds))
@@ -82,9 +82,9 @@ def sources_of(clouds: Clouds, most: int = MATCHED_POINTS) -> Clouds:
 def match(
     targets: Targets, i: Ints, sources: Clouds, j: Ints, guess: Array, prior: Array, reach: float = RADII_M[0]
 ) -> Matches:
-    """Match clouds j (p,) of `sources` with clouds i (p,) of the targets, from poses `guess` (p, 3).
+    """Match clouds j (p,) of `sources` with clouds i (p,) of `targets`, from initial poses `guess` (p, 3).
 
-    `prior` (p, 3, 3): information of the guess, in the frame of i.
+    `prior` (p, 3, 3) is the information of the guess, in the frame of i.
     """
     counts = np.diff(sources.first)[j]
     cuts = np.flatnonzero(np.diff(np.cumsum(counts) // POINTS_AT_ONCE)) + 1
@@ -96,7 +96,7 @@ def match(
 
 
 def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:
-    """Return the share (p,) of the points of clouds j that have a partner in clouds i, seen from poses (p, 3)."""
+    """Return the share (p,) of the points of clouds j at poses (p, 3) that have a nearest point in clouds i."""
     return _Pairs.made(targets, i, sources, j, pose, reach).quality(np.diff(sources.first)[j])[1]
 
 
@@ -108,7 +108,7 @@ def _match(
     for radius in RADII_M:
         pairs = _Pairs.made(targets, i[moving], sources, j[moving], pose[moving], max(radius * scale, RADII_M[-1]))
         H, g = pairs.normal_equations()
-        off = se2_difference(guess[moving], pose[moving])
+        off = se2.difference(guess[moving], pose[moving])
         Lambda = prior[moving]
         step = np.linalg.solve(
             H + Lambda + 1e-6 * np.eye(3), (g + np.einsum("nij,nj->ni", Lambda, off))[..., None]
@@ -120,33 +120,25 @@ def _match(
             break
     last = _Pairs.made(targets, i, sources, j, pose, RADII_M[0])
     H, _ = last.normal_equations()
-    pulled = np.einsum("nij,nj->ni", prior, se2_difference(pose, guess))
+    pulled = np.einsum("nij,nj->ni", prior, se2.difference(pose, guess))
     alone = pose + np.linalg.solve(H + np.diag(1.0 / np.square(MAX_ALONE_SIGMAS)), pulled[..., None])[..., 0]
     return Matches(pose, alone, floored(H), *last.quality(np.diff(sources.first)[j]))
 
 
-def se2_difference(a: Array, b: Array) -> Array:
-    """Return a - b of poses (n, 3) number by number, the angle wrapped."""
-    d = a - b
-    d[:, 2] = se2.wrap_all(d[:, 2])
-    return d
-
-
 def floored(information: Array) -> Array:
-    """Return information (p, 3, 3) with the floors added to its covariance; singular ones stay singular."""
+    """Add least variances to the covariances of information matrices (p, 3, 3); singular ones stay singular."""
     floor = np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
     out: Array = information @ np.linalg.inv(np.eye(3) + floor @ information)
     return 0.5 * (out + out.transpose(0, 2, 1))
 
 
 class _Pairs(msgspec.Struct, frozen=True):
-    """Points of all pairs with their partners; points without a partner are left out."""
+    """Matched points of all pairs of clouds; points without a nearest point within reach are left out."""
 
     n: int  # number of pairs of clouds
-    of: Ints  # (k,) which pair of clouds
-    e: Array  # (k,) signed distance from the partner's line [m]
-    row: Array  # (k, 3) its derivative by the pose
-    distance: Array  # (k,)
+    of: Ints  # (k,) index of the pair of clouds
+    e: Array  # (k,) signed distance from the line at the matched point [m]
+    row: Array  # (k, 3) derivative of e by the pose
 
     @classmethod
     def made(cls, targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> _Pairs:
@@ -164,10 +156,10 @@ class _Pairs(msgspec.Struct, frozen=True):
         of, arm, at, normal, partner = of[near], arm[near], at[near], normal[near], partner[near]
         e = ((at - targets.xy[partner]) * normal).sum(axis=1)
         by_turn = normal[:, 1] * arm[:, 0] - normal[:, 0] * arm[:, 1]
-        return cls(len(i), of, e, np.column_stack((normal, by_turn)), distance[near])
+        return cls(len(i), of, e, np.column_stack((normal, by_turn)))
 
     def normal_equations(self) -> tuple[Array, Array]:
-        """Return H (n, 3, 3) and g (n, 3) of the pairs: Cauchy weights, since people and doors are outliers."""
+        """Return H (n, 3, 3) and g (n, 3) with Cauchy weights, since people and doors are outliers."""
         w = 1.0 / (1.0 + (self.e / (2.0 * SIGMA_M)) ** 2) / (DEPENDENT_POINTS * SIGMA_M**2)
         H, g = np.empty((self.n, 3, 3)), np.empty((self.n, 3))
         for a in range(3):
@@ -178,7 +170,7 @@ class _Pairs(msgspec.Struct, frozen=True):
         return H, g
 
     def quality(self, counts: Ints) -> tuple[Array, Array, Array]:
-        """Return share of the partnered points that fit, share of all points with a partner, rms of what fits."""
+        """Return share of inliers among matched points, share of matched points, rms distance of inliers."""
         paired = np.bincount(self.of, minlength=self.n)
         fits = np.abs(self.e) < INLIER_M
         good = np.bincount(self.of, fits, self.n)

@@ -1,7 +1,7 @@
-"""Matches of scans with the next ones, from the wheels' motion; where wheels slipped, the slip is searched.
+"""Matches of consecutive scans, starting from wheel odometry, with a search for wheel slips.
 
-Where the robot turns, all scans between two are matched one with the next: shortly after one another they show the
-same surfaces. Half a metre or half a turn later something else may be taken for them.
+If the robot turns, all scans between two key scans are matched one by one, since consecutive scans show the same
+surfaces. After half a metre or half a turn, a point may be matched with a wrong surface.
 """
 
 from __future__ import annotations
@@ -16,20 +16,21 @@ from .clouds import Clouds, clouds_of
 from .match import Matches, Targets, match, sources_of
 
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
-MAX_SIGMA_RAD = np.radians(3.0)  # of the heading among the walls: known worse, a match is none
+MAX_SIGMA_RAD = np.radians(3.0)  # largest standard deviation of the heading of a reliable match
 SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
-SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # where fewer points fit a slip is looked for; it must let so many more fit
-STEP_P = np.diag([0.05**2, 0.05**2, np.radians(1.0) ** 2])  # variances of a guess, per step that it goes over
-REACH_M = 0.3  # of a match from such a guess
-LOOSE_INFORMATION = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])  # the wheels' prior while one is looked for
-# m, rad: standard deviations of the wheels' way from scan to scan, for they slip; the share of a turn that adds
+SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # share of inliers below which a slip is searched; least increase by the slip
+STEP_P = np.diag([0.05**2, 0.05**2, np.radians(1.0) ** 2])  # covariance of an initial pose, per step
+REACH_M = 0.3  # largest distance of matched points from such an initial pose
+# prior information during the search for a slip
+LOOSE_INFORMATION = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])
+# m, rad: standard deviations of wheel odometry between two scans, with slip; added share of the turn
 SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, np.radians(2.0), 0.1
 
 
 def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array, information: Array) -> Matches:
-    """Match scans j (p,) with scans i from the wheels' motions (p, 3); search for a slip if that fits badly.
+    """Match scans j (p,) with scans i, starting from wheel odometry (p, 3); search for a slip if a match is bad.
 
-    `information` (p, 3, 3) is that of the motions, in the frame of i.
+    `information` (p, 3, 3) is that of the wheel odometry, in the frame of i.
     """
     found = match(targets, i, clouds, j, wheels, information)
     bad = np.flatnonzero(found.inliers < SLIP_INLIERS)
@@ -49,9 +50,9 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
 
 
 def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: float) -> tuple[Ints, Matches]:
-    """Match every scan with the n-th before it if closer than `apart` [m]; return earlier scans and matches.
+    """Match every scan with the n-th before it, if nearer than `apart` [m]; return reliable matches.
 
-    `x` (k, 3) are the poses that shorter steps led to. Only matches that are to be believed are returned.
+    Also return the indices of the earlier scans. `x` (k, 3) are the poses by matches over fewer steps.
     """
     i = np.arange(max(len(x) - n, 0))
     guess = se2.between(x[i], x[i + n])
@@ -59,12 +60,12 @@ def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: flo
     i, guess = i[near], guess[near]
     prior = np.broadcast_to(np.linalg.inv(n * STEP_P), (len(i), 3, 3))
     found = match(targets, i, clouds, i + n, guess, prior, REACH_M)
-    sure = good(found)
-    return i[sure], found.take(sure)
+    reliable = good(found)
+    return i[reliable], found.take(reliable)
 
 
 def by_wheels(moved: Array) -> Array:
-    """Return the information (n, 3, 3) of motions (n, 3) by the wheels from scan to scan."""
+    """Return the information (n, 3, 3) of wheel-odometry motions (n, 3) between scans."""
     information = np.zeros((len(moved), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = SLIP_M**-2
     information[:, 2, 2] = 1.0 / (SLIP_RAD**2 + (SLIP_SHARE * moved[:, 2]) ** 2)
@@ -72,18 +73,18 @@ def by_wheels(moved: Array) -> Array:
 
 
 def good(found: Matches) -> NDArray[np.bool_]:
-    """Return which matches are reliable, (p,)."""
+    """Return which matches (p,) are reliable, by inliers, overlap, residuals and heading uncertainty."""
     fits = (found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M)
     return np.asarray(fits & (found.information[:, 2, 2] > MAX_SIGMA_RAD**-2))
 
 
-SCANS_AT_ONCE = 1024  # whose points are held
+SCANS_AT_ONCE = 1024  # scans whose points are in memory at once
 
 
 def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Array:
-    """Return readings `end` (n,) relative to earlier readings `begin`, (n, 3).
+    """Return poses (n, 3) of readings `end` (n,) relative to earlier readings `begin`, by matching all between.
 
-    Where a match on the way is not good, the step is that of the wheels.
+    A step without a reliable match is that of the wheels.
     """
     counts = end - begin
     first = np.cumsum(counts) - counts
@@ -94,7 +95,7 @@ def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Arr
 
 
 def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
-    """Return the pose of each scan's next scan relative to it, (k, 3): matched, else by the wheels."""
+    """Return the pose (k, 3) of the next scan relative to each scan: by matching, else by the wheels."""
     u = points.moved(m.t[scans], m.t[scans + 1])
     readings, at = np.unique(np.concatenate((scans, scans + 1)), return_inverse=True)
     clouds = clouds_of(m, readings)
@@ -104,9 +105,9 @@ def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
 
 
 def beyond_wheels(m: Measurements, a: int, b: int) -> Array | None:
-    """Return the motion from reading a to b by scan matching, minus that by the wheels: (3,) m, m, rad.
+    """Return the motion from reading a to b by scan matching minus that by the wheels, (3,) m, m, rad.
 
-    In the frame of a; None where they do not match.
+    In the frame of reading a; None without a reliable match.
     """
     if m.points is None or a < 0:
         return None

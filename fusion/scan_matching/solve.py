@@ -1,8 +1,8 @@
-"""Sparse least squares over poses: Gauss-Newton with a direct factorisation (Dellaert and Kaess 2006).
+"""Pose-graph solver: sparse Gauss-Newton with a direct factorisation (Dellaert and Kaess 2006).
 
-Variables are poses (x, y, theta) in the map and the states of sensors behind them. An edge is the pose j seen
-from pose i: e = between(x_i, x_j) - z, angle wrapped, information in the frame of pose i. From NOWHERE it is the
-pose itself: e = x_j - z.
+The variables are poses (x, y, theta) in the map, followed by states of sensors. An edge measures pose j in the
+frame of pose i: e = between(x_i, x_j) - z, angle wrapped, information in the frame of pose i. With i = NOWHERE it
+measures the pose in the map: e = x_j - z.
 """
 
 from __future__ import annotations
@@ -17,44 +17,44 @@ from locfuse.fusion.data import Array, Ints
 
 from .clouds import Columns
 
-NOWHERE = -1  # instead of a pose: the origin of the map
-MAX_STEPS, STEPS_BETWEEN = 10, 2  # at the last width of the kernels, and at those before
-MIN_STEP = 1e-4  # m, rad: a step that changes less is the last
-COLUMNS_AT_ONCE = 384
-# systematic errors of a drive, and how large they may be (1 sigma): a heading that drifts with the way, and a
-# laser that is mounted a little turned, so that it sees the robot go sideways: left out, either bends the building
+NOWHERE = -1  # index i of an edge from the origin of the map
+MAX_STEPS, STEPS_BETWEEN = 10, 2  # Gauss-Newton steps with the last kernel width, and with those before
+MIN_STEP = 1e-4  # m, rad: Gauss-Newton stops after a smaller step
+COLUMNS_AT_ONCE = 384  # columns of the covariance computed at once, to save memory
+# prior standard deviations of the systematic errors of a drive: heading drift along the path, and yaw error of the
+# laser mount (the robot seems to move sideways). Without these states the map would be bent
 SYSTEMATIC_SIGMAS = (np.radians(0.1), np.radians(1.0))  # rad per metre; rad
-MAX_DENSE_STATES = 3600  # states: up to here the whole inverse is the quickest way to covariances
+MAX_DENSE_STATES = 3600  # states up to which the dense inverse is faster
 
 
 class Edges(Columns, frozen=True):
-    """m relative poses; `width` is the residual in sigmas from which the robust kernel acts, inf for none."""
+    """Relative poses (m) with robust kernels of `width` [sigmas]; inf: no kernel."""
 
     i: Ints  # (m,)
     j: Ints  # (m,)
-    z: Array  # (m, 3) pose j seen from pose i
+    z: Array  # (m, 3) pose j in the frame of pose i
     information: Array  # (m, 3, 3) in the frame of i
     width: Array  # (m,)
-    by: Array  # (m, 3, 2) what z owes to the systematic errors of a drive (SYSTEMATIC_SIGMAS), per unit
+    by: Array  # (m, 3, 2) derivative of z by the systematic errors of the drive (SYSTEMATIC_SIGMAS)
 
     @classmethod
     def none(cls) -> Edges:
-        """Return no edges."""
+        """Return an empty table of edges."""
         nothing = np.zeros(0, np.int64)
         return cls.of(nothing, nothing, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.inf)
 
     @classmethod
     def of(cls, i: Ints, j: Ints, z: Array, information: Array, width: float) -> Edges:
-        """Return edges with the same kernel width and without systematic errors."""
+        """Return edges with equal kernel width and no effect of systematic errors."""
         return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC_SIGMAS))))
 
     @classmethod
     def known(cls, j: int, pose: Array, information: Array) -> Edges:
-        """Return a prior on one pose."""
+        """Return a prior on pose j, as an edge from NOWHERE."""
         return cls.of(np.array([NOWHERE]), np.array([j]), pose[None], information[None], np.inf)
 
     def errors(self, x: Array, systematic: Array | None = None) -> Array:
-        """Return e (m, 3) at poses x (n, 3) and systematic errors (2,)."""
+        """Return the errors e (m, 3) at poses x (n, 3) and systematic errors (2,)."""
         e: Array = se2.between(self._from(x), x[self.j]) - self.z
         if systematic is not None:
             e += self.by @ systematic
@@ -62,13 +62,13 @@ class Edges(Columns, frozen=True):
         return e
 
     def chi2(self, x: Array, systematic: Array | None = None) -> Array:
-        """Return e' Omega e of every edge, (m,)."""
+        """Return the squared error e' Omega e of every edge, (m,)."""
         e = self.errors(x, systematic)
         found: Array = np.einsum("ni,nij,nj->n", e, self.information, e)
         return found
 
     def weights(self, x: Array, systematic: Array | None = None, graduation: float = 1.0) -> Array:
-        """Return weights (m,) of a Geman-McClure kernel, convex for a large `graduation` (Yang et al. 2020)."""
+        """Return Geman-McClure weights (m,); the kernel is convex for a large `graduation` (Yang et al. 2020)."""
         c2 = graduation * self.width**2
         with np.errstate(invalid="ignore"):
             w = (c2 / (c2 + self.chi2(x, systematic))) ** 2
@@ -81,30 +81,29 @@ class Edges(Columns, frozen=True):
         return by_i, by_j
 
     def _from(self, x: Array) -> Array:
-        """Return the poses that the edges start from, (m, 3)."""
+        """Return the poses at which the edges start, (m, 3); zero for NOWHERE."""
         return np.where((self.i == NOWHERE)[:, None], 0.0, x[self.i])
 
 
 def chi2_of(poses: Array, expected: Array, P: Array) -> Array:
-    """Return the squared Mahalanobis distances (n,) of poses (n, 3) from `expected`, with covariance P of both."""
-    off = poses - expected
-    off[:, 2] = se2.wrap_all(off[:, 2])
+    """Return squared Mahalanobis distances (n,) of poses (n, 3) from `expected` (3,), with joint covariance P."""
+    off = se2.difference(poses, expected)
     found: Array = np.einsum("ni,nij,nj->n", off, np.broadcast_to(np.linalg.inv(P), (len(off), 3, 3)), off)
     return found
 
 
 class Rows(msgspec.Struct, frozen=True):
-    """Linear terms beside the edges: ready-made blocks of the normal equations about the present poses."""
+    """Blocks of the normal equations for terms other than edges, linearised at the present poses."""
 
-    at: Ints  # (k, d) columns of the state that each block concerns; equal ones are summed
+    at: Ints  # (k, d) state columns of each block; blocks at equal columns are added
     H: Array  # (k, d, d)
-    g: Array  # (k, d) the right side: H dx = g
+    g: Array  # (k, d) right side: H dx = g
 
 
 class Normal:
-    """The normal equations about poses x and systematic errors s: their factorisation gives steps, covariances.
+    """Factorised normal equations at poses x and systematic errors s, which give steps and covariances.
 
-    The state is the poses (3 n), the systematic errors (2), then the states of other sensors.
+    The state has the poses (3 n), the systematic errors (2), and the states of other sensors.
     """
 
     def __init__(self, x: Array, s: Array, edges: Edges, weights: Array, rows: list[Rows], states: int) -> None:
@@ -136,12 +135,12 @@ class Normal:
         self._lu = splu(self._H, **how)
 
     def step(self) -> Array:
-        """Return the Gauss-Newton step, (n,)."""
+        """Return the Gauss-Newton step (n,) of the state."""
         found: Array = self._lu.solve(self.g)
         return found
 
     def columns(self, poses: Ints) -> Array:
-        """Return the covariance of all states (n,) with these poses (k,): (n, 3 k)."""
+        """Return the covariance (n, 3 k) of all states with the poses of indices (k,)."""
         at = (3 * poses[:, None] + np.arange(3)).ravel()
         unit = np.zeros((self.n, len(at)))
         unit[at, np.arange(len(at))] = 1.0
@@ -149,7 +148,7 @@ class Normal:
         return found
 
     def joint(self, poses: Ints) -> Array:
-        """Return the joint covariance of these poses (k,), (k, 3, k, 3)."""
+        """Return the joint covariance (k, 3, k, 3) of the poses of indices (k,)."""
         at = (3 * poses[:, None] + np.arange(3)).ravel()
         found, few = np.empty((len(at), len(at))), COLUMNS_AT_ONCE // 3
         for first in range(0, len(poses), few):  # all columns of all states together take hundreds of MB
@@ -157,7 +156,7 @@ class Normal:
         return found.reshape(len(poses), 3, len(poses), 3)
 
     def chain(self, n: int) -> tuple[Array, Array]:
-        """Return each pose's covariance (n, 3, 3), and that with the pose after it, (n - 1, 3, 3)."""
+        """Return the covariances of poses (n, 3, 3), and cross covariances with the next pose (n - 1, 3, 3)."""
         if self.n <= MAX_DENSE_STATES:
             return self._dense(n)
         own, after = np.empty((n, 3, 3)), np.empty((max(n - 1, 0), 3, 3))
@@ -171,7 +170,7 @@ class Normal:
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
     def _dense(self, n: int) -> tuple[Array, Array]:
-        """Return the covariances of all poses and of neighbours by inverting H in place, to save memory."""
+        """Return the same as `chain`, by inverting H in place to save memory."""
         from scipy.linalg import cho_factor
         from scipy.linalg.lapack import dpotri
 
@@ -184,22 +183,22 @@ class Normal:
         return own, blocks[k[:-1], :, k[1:], :]
 
 
-class Beside(Protocol):
-    """Other terms of the key poses, such as other sensors' readings; they may have states of their own."""
+class OtherTerms(Protocol):
+    """Terms of the least-squares problem other than edges, such as sensor readings, with states of their own."""
 
     states: int
 
     def rows(self, x: Array) -> list[Rows]:
-        """Return the terms' part of the normal equations at poses x (n, 3) and the terms' present states."""
+        """Return the terms' blocks of the normal equations at key poses x (n, 3) and the terms' present states."""
 
     def move(self, step: Array) -> None:
-        """Add a step (states,) to the terms' states."""
+        """Add a step (states,) to the states of the terms."""
 
 
 def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
-    """Return poses j (c,) relative to poses i (c,), (c, 3), and their covariances (c, 3, 3).
+    """Return poses j (c,) relative to poses i (c,), as (c, 3), and their covariances (c, 3, 3).
 
-    `joint` (n, 3, n, 3) is the covariance of x.
+    `joint` (n, 3, n, 3) is the joint covariance of the poses x (n, 3).
     """
     A, B = se2.between_jacobians(x[i], x[j])
     At, Bt = A.transpose(0, 2, 1), B.transpose(0, 2, 1)
@@ -209,18 +208,18 @@ def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
 
 
 class Problem:
-    """The common part of every solve: the start, other sensors, and the systematic errors."""
+    """Pose-graph problem: prior on the start, other sensors, and systematic errors, for several solves."""
 
-    def __init__(self, start: Edges | None = None, beside: Beside | None = None) -> None:
-        self.start, self.beside = Edges.none() if start is None else start, beside
+    def __init__(self, start: Edges | None = None, others: OtherTerms | None = None) -> None:
+        self.start, self.others = Edges.none() if start is None else start, others
         self.systematic = np.zeros(len(SYSTEMATIC_SIGMAS))
 
     def solve(
         self, x: Array, edges: Edges, graduations: tuple[float, ...] = (1.0,), min_step: float = MIN_STEP
     ) -> tuple[Array, Normal]:
-        """Return the least-squares poses (n, 3) from poses x (n, 3), and the normal equations there.
+        """Return the least-squares poses (n, 3), starting from poses x (n, 3), and the normal equations there.
 
-        `graduations`: how wide the robust kernels are, one after another; the last is 1.
+        `graduations` are factors on the kernel widths, applied one after another; the last is 1.
         """
         x, n, edges = x.copy(), 3 * len(x), Edges.joined(self.start, edges)
         for graduation in graduations:
@@ -228,17 +227,17 @@ class Problem:
                 step = self._normal(x, edges, graduation).step()
                 x += step[:n].reshape(-1, 3)
                 self.systematic = self.systematic + step[n : n + len(SYSTEMATIC_SIGMAS)]
-                if self.beside is not None:
-                    self.beside.move(step[n + len(SYSTEMATIC_SIGMAS) :])
+                if self.others is not None:
+                    self.others.move(step[n + len(SYSTEMATIC_SIGMAS) :])
                 if np.abs(step[:n]).max() < min_step:
                     break
         return x, self._normal(x, edges, graduations[-1])
 
     def normal(self, x: Array, edges: Edges) -> Normal:
-        """Return the normal equations at poses x (n, 3)."""
+        """Return the normal equations at poses x (n, 3), without solving."""
         return self._normal(x, Edges.joined(self.start, edges), 1.0)
 
     def _normal(self, x: Array, edges: Edges, graduation: float) -> Normal:
-        rows, states = ([], 0) if self.beside is None else (self.beside.rows(x), self.beside.states)
+        rows, states = ([], 0) if self.others is None else (self.others.rows(x), self.others.states)
         weights = edges.weights(x, self.systematic, graduation)
         return Normal(x, self.systematic, edges, weights, rows, states)

@@ -1,1 +1,1 @@
-"""Wheel motion: reading and repairing wheels, exact arcs, noise, calibration; motion by scans without wheels."""
+"""Wheel odometry: reading and repair of wheel data, motion model, noise, calibration; scan-matched odometry."""

@@ -1,10 +1,11 @@
-"""Wheel noise and wheel geometry from logs with truth: the paper's experiment for delta, by likelihood.
+"""Calibration of wheel noise and wheel geometry from logs with ground truth, by maximum likelihood.
 
-Drives are cut into straight runs and turns on the spot, and these into pieces. Over each piece the motion by the
-truth is compared with that by the wheels. Ground noise is white along the way, so the errors of pieces are
-independent, with the covariance k Q of wheels/motion.py. Closed forms: straight D: var(along) = k D/2, var(yaw) =
-2 k D/L^2, var(across) = 2 k D^3/(3 L^2); turn phi: var(yaw) = k |phi|/L. Wheel scales and track enter linearly and
-are fitted jointly, so that a systematic error is not taken for noise.
+This generalises the paper's experiment for delta. Drives are cut into straight runs and turns on the spot, and
+these into pieces. For each piece, the motion by the truth is compared with the motion by the wheels. Wheel noise
+is white along the path, so the errors of pieces are independent, with the covariance k Q of wheels/motion.py.
+Closed forms: straight D: var(along) = k D/2, var(yaw) = 2 k D/L^2, var(across) = 2 k D^3/(3 L^2); turn phi:
+var(yaw) = k |phi|/L. Wheel scales and track enter linearly and are fitted jointly, so that a systematic error does
+not count as noise.
 """
 
 from __future__ import annotations
@@ -24,19 +25,18 @@ from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, stretch
 
 from .motion import Wheels
 
-# ---- the size of a noise of known shape: restricted likelihood with linear nuisance parameters ----
-#
-# e_i = X_i p + noise, noise ~ N(0, s Q_i + T_i), p ~ N(0, P0): p is integrated out, so that what p explains is not
-# counted as noise (Patterson and Thompson 1971). With T = 0 and a vague prior, s is the sum of squares over its
-# degrees of freedom, and the interval is the chi-square one.
+# ---- noise scale by restricted likelihood with linear nuisance parameters ----  e_i = X_i p + noise, noise ~ N(0,
+# s Q_i + T_i), p ~ N(0, P0): p is integrated out, so that systematic errors do not count as noise (Patterson and
+# Thompson 1971). With T = 0 and a vague prior, s is the sum of squares over its degrees of freedom, and the
+# interval is the chi-square interval.
 
 CONFIDENCE = 0.95
-S_BOUNDS = (1e-10, 10.0)  # where s is looked for
+S_BOUNDS = (1e-10, 10.0)  # search interval of s
 LN_S_TOLERANCE = 1e-6  # of ln s
 
 
 class Figure(msgspec.Struct, frozen=True):
-    """An estimate with its interval at CONFIDENCE."""
+    """An estimate with its confidence interval at CONFIDENCE."""
 
     value: float
     low: float
@@ -48,12 +48,12 @@ class Residuals(msgspec.Struct, frozen=True):
 
     e: Array  # (n, d)
     X: Array  # (n, d, p)
-    Q: Array  # (n, d, d) per unit of the scale that is looked for
-    T: Array  # (n, d, d) known
+    Q: Array  # (n, d, d) covariance per unit of the noise scale to be estimated
+    T: Array  # (n, d, d) known covariance
     prior: Array  # (p,) standard deviations of the nuisance parameters
 
     def parameters(self, scale: float) -> tuple[Array, Array]:
-        """Return the best nuisance parameters (p,) and their covariance (p, p) for a given noise scale."""
+        """Return the estimated nuisance parameters (p,) and their covariance (p, p), for a noise scale."""
         V = scale * self.Q + self.T
         VX = np.linalg.solve(V, self.X)
         M = np.diag(self.prior**-2.0) + np.einsum("nij,nik->jk", self.X, VX)
@@ -61,13 +61,13 @@ class Residuals(msgspec.Struct, frozen=True):
         return np.linalg.solve(M, b), np.linalg.inv(M)
 
     def squares(self, scale: float, p: Array) -> Array:
-        """Return the squared Mahalanobis distance of each piece, (n,)."""
+        """Return the squared Mahalanobis distance of each piece (n,), for a noise scale and parameters p (p,)."""
         r = self.e - self.X @ p
         distances: Array = np.einsum("ni,ni->n", r, np.linalg.solve(scale * self.Q + self.T, r[..., None])[..., 0])
         return distances
 
     def ln_likelihood(self, scale: float) -> float:
-        """Return ln of the likelihood of a scale, up to a constant."""
+        """Return the log likelihood of a noise scale, up to a constant."""
         V = scale * self.Q + self.T
         p, spread = self.parameters(scale)
         Ve = np.linalg.solve(V, self.e[..., None])[..., 0]
@@ -77,7 +77,7 @@ class Residuals(msgspec.Struct, frozen=True):
         return -0.5 * (quadratic + determinants)
 
     def best(self) -> tuple[float, float]:
-        """Return the likeliest scale, and ln of its likelihood."""
+        """Return the maximum-likelihood noise scale and its log likelihood."""
         from scipy.optimize import minimize_scalar
 
         bounds = tuple(map(math.log, S_BOUNDS))
@@ -88,13 +88,13 @@ class Residuals(msgspec.Struct, frozen=True):
         return math.exp(found.x), -float(found.fun)
 
     def fit(self) -> tuple[Figure, float]:
-        """Return the likeliest scale with its likelihood-ratio interval, and ln of its likelihood."""
+        """Return the maximum-likelihood noise scale with its likelihood-ratio interval, and its log likelihood."""
         scale, top = self.best()
-        low, high = (math.exp(self._edge(math.log(scale), math.log(end), top)) for end in S_BOUNDS)
+        low, high = (math.exp(self._interval_end(math.log(scale), math.log(end), top)) for end in S_BOUNDS)
         return Figure(scale, low, high), top
 
-    def _edge(self, inside: float, outside: float, top: float) -> float:
-        """Return ln(scale) at the edge of the likelihood interval, searched between two values."""
+    def _interval_end(self, inside: float, outside: float, top: float) -> float:
+        """Return ln(scale) at the end of the likelihood interval, searched between `inside` and `outside`."""
         from scipy.optimize import brentq
 
         drop = 0.5 * chi_square(CONFIDENCE, 1)
@@ -107,33 +107,33 @@ class Residuals(msgspec.Struct, frozen=True):
 
 
 STRAIGHT, TURN = 0, 1
-WINDOW_S = 0.3  # s over which the motion is looked at
-STANDSTILL_MPS = 0.01  # m/s at the rim: below, nothing moves
-MAX_OTHER_SHARE = 0.2  # at most this share of the rim's motion may be of the other kind
-MAX_BEND_RAD_PER_M = 0.7  # rad/m: a straight run may wobble, but not turn more than that
+WINDOW_S = 0.3  # s, window in which the motion is classified
+STANDSTILL_MPS = 0.01  # m/s of the wheel rim below which the robot is at rest
+MAX_OTHER_SHARE = 0.2  # largest share of turning in a straight run, and of translation in a turn
+MAX_BEND_RAD_PER_M = 0.7  # rad/m: largest curvature of a straight run
 MIN_RUNS = (0.5, math.radians(45.0))  # m, rad: shorter runs are not used
-PAPER_PERIOD_S = 0.1  # s, the paper's sampling time: what its delta refers to
-# relative, of mean scale, scale difference, track: wide enough to say nothing
+PAPER_PERIOD_S = 0.1  # s, the sampling time for which the paper gives delta
+# weak prior, relative: mean scale, scale difference, track
 PRIOR_SIGMAS = np.array([0.1, 0.1, 0.3])
-FIXED_SIGMA = 1e-9  # prior of what the log cannot tell
-UNSEEN_VARIANCE = 1e6  # m^2, rad^2: variance of what the truth does not say
+FIXED_SIGMA = 1e-9  # prior of parameters that are not observable in the log
+UNSEEN_VARIANCE = 1e6  # m^2, rad^2: variance of components that the truth does not measure
 FROM_PARAMETERS = np.array([[1.0, -0.5, 0.0], [1.0, 0.5, 0.0], [0.0, 0.0, 1.0]])  # to left, right, track
-OUTLIER_CONFIDENCE = 0.99999  # a piece less likely than this is a slip or a jump of the truth
+OUTLIER_CONFIDENCE = 0.99999  # a piece beyond this quantile is a slip or a jump of the truth
 CHI_SQUARE_MEDIANS = {1: 0.4549, 3: 2.3660}  # of chi-square, by degrees of freedom
-MIN_PIECES = 4  # pieces
-MIN_STANDSTILL_S = 0.5  # s of standstill that tell the truth's noise
+MIN_PIECES = 4
+MIN_STANDSTILL_S = 0.5  # s of standstill from which the truth's noise is estimated
 USUAL_NOISE = 4e-4  # m: variance per metre that a wheel rolls
 
 
 class Sigma(NamedTuple):
-    """The truth's own noise."""
+    """Standard deviations of the ground truth's noise."""
 
     xy: float  # m, per axis
     theta: float  # rad
 
 
 class Pieces(msgspec.Struct, frozen=True):
-    """Measurements of the wheels and the true motion, over n pieces."""
+    """Motions by wheels and by truth over n pieces: errors, derivatives and covariances."""
 
     kind: Ints  # (n,)
     size: Array  # (n,) m or rad
@@ -142,50 +142,51 @@ class Pieces(msgspec.Struct, frozen=True):
     Q: Array  # (n, 3, 3) covariance per k [m]
     Q_delta: Array  # (n, 3, 3) covariance per delta
     T: Array  # (n, 3, 3) covariance of the truth
-    dof: Ints  # (n,) components of e that the truth can tell
+    dof: Ints  # (n,) number of components of e that the truth measures
 
     def take(self, keep: NDArray[np.bool_]) -> Pieces:
-        """Return some of the pieces."""
+        """Return the pieces selected by a mask (n,)."""
         return Pieces(*(getattr(self, name)[keep] for name in self.__struct_fields__))
 
     @classmethod
     def joined(cls, parts: Sequence[Pieces]) -> Pieces:
-        """Return the pieces of several drives."""
+        """Return the pieces of several drives as one table."""
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in cls.__struct_fields__))
 
     @property
     def prior(self) -> Array:
-        """The prior sigma of each parameter; FIXED_SIGMA if no piece shows it."""
+        """Return the prior standard deviation of each parameter (3,); FIXED_SIGMA if no piece shows it."""
         straight, turn = self.kind == STRAIGHT, self.kind == TURN
-        tells = (straight.any(), ((self.dof > 1) & (straight | turn)).any(), turn.any())
-        return np.where(tells, PRIOR_SIGMAS, FIXED_SIGMA)
+        observable = (straight.any(), ((self.dof > 1) & (straight | turn)).any(), turn.any())
+        return np.where(observable, PRIOR_SIGMAS, FIXED_SIGMA)
 
     def residuals(self, Q: Array) -> Residuals:
-        """Return the residuals; their covariances are a scale times `Q` plus the truth's noise."""
+        """Return the residuals for a noise covariance `Q` (n, 3, 3) per unit of the noise scale."""
         return Residuals(self.e, self.X, Q, self.T, self.prior)
 
 
 class WheelCalibration(msgspec.Struct, frozen=True):
-    """Wheel calibration by straight runs and turns, relative to the configured geometry: 0 = it was right."""
+    """Wheel calibration by straight runs and turns, relative to the configured geometry (0: no change)."""
 
     k: Figure  # m: variance per metre rolled
-    delta: Figure  # the paper's, for its period
-    prefers_k: float  # ln of how much likelier noise per metre makes the drives than the paper's delta
+    delta: Figure  # of the paper, for PAPER_PERIOD_S
+    prefers_k: float  # log likelihood ratio of noise per metre over the paper's noise model
     parameters: Array  # (3,) mean scale, scale difference (right - left), track
-    sigmas: Array  # (3,) NaN where the drives cannot tell
-    pieces: dict[str, int]  # kind -> how many were used
+    sigmas: Array  # (3,) NaN for parameters that are not observable in the drives
+    pieces: dict[str, int]  # kind -> number of used pieces
     outliers: int
     straight_m: float
     turned_rad: float
 
 
 def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
-    """Fit noise and geometry over all straight runs and turns on the spot of one robot's drives.
+    """Estimate wheel noise and geometry from straight runs and turns on the spot of one robot's drives.
 
-    Raises LocfuseError where a drive has no truth or there are too few pieces.
+    Raises LocfuseError if a drive has no truth or there are too few pieces.
     """
     moved = np.zeros(3)  # left, right, track, relative
-    sideways = any(drive.wheels.twist[:, 1].any() for drive in drives)  # an odometry's poses: no wheels to move
+    # poses of an odometry: no wheels to correct
+    sideways = any(drive.wheels.twist[:, 1].any() for drive in drives)
     for _ in range(1 if sideways else 3):  # Gauss-Newton: a track error of 10 % is not linear in the turn
         found = Pieces.joined([find_pieces(drive, moved) for drive in drives])
         used = without_outliers(found)
@@ -211,7 +212,7 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
 
 
 def find_pieces(drive: Drive, moved: Array) -> Pieces:
-    """Return the pieces of one drive, with left scale, right scale and track changed by (3,), relative."""
+    """Return the pieces of a drive, with left scale, right scale and track changed by `moved` (3,), relative."""
     truth = drive.truth
     if truth is None:
         raise LocfuseError(
@@ -224,14 +225,14 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
     stamps, pose = truth.t[inside], body[inside]
     sigma = truth_sigma(truth, wheels)
     kind, a, b = cut_runs(find_runs(wheels), wheels, stamps, piece_length(sigma, wheels))
-    if truth.theta is None:  # a turn cannot be seen
+    if truth.theta is None:  # turns are not measured
         kind, a, b = (column[kind == STRAIGHT] for column in (kind, a, b))
     motions = replace(wheels, noise=1.0).between(stamps[a], stamps[b], parameters=True)
     seen = se2.between(pose[a], pose[b])
     if truth.theta is None:
         e, T = _lengths(seen, motions.u, sigma)
     else:
-        e = np.column_stack((seen[:, :2] - motions.u[:, :2], se2.wrap_all(seen[:, 2] - motions.u[:, 2])))
+        e = se2.difference(seen, motions.u)
         T = _truth_noise(seen, sigma)
     # eq. 9: the variance of a wheel's way in one period is delta (omega dt R)^2, so per metre delta v dt
     per_period = wheels.rolled**2 * (PAPER_PERIOD_S / np.diff(wheels.t))[:, None]
@@ -248,7 +249,7 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
 
 
 def without_outliers(pieces: Pieces) -> Pieces:
-    """Drop pieces that are far from the median piece: a slip, or a jump of the truth."""
+    """Remove pieces with a large error compared with the median: slips, or jumps of the truth."""
     for _ in range(2):
         if len(pieces.e) < MIN_PIECES:
             break
@@ -263,7 +264,7 @@ def without_outliers(pieces: Pieces) -> Pieces:
 
 
 def adjusted(wheels: Wheels, moved: Array) -> Wheels:
-    """Return the wheels with left scale, right scale and track changed by (3,), relative."""
+    """Return the wheels with left scale, right scale and track changed by `moved` (3,), relative."""
     if not moved.any():
         return wheels
     left, right = (np.append(0.0, np.cumsum(side)) for side in (wheels.rolled * (1.0 + moved[:2])).T)
@@ -271,7 +272,7 @@ def adjusted(wheels: Wheels, moved: Array) -> Wheels:
 
 
 def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
-    """Return the truth's noise: as configured, else its scatter while the robot stands."""
+    """Return the noise of the truth: the configured value, else its scatter while the robot is at rest."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
     still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL_MPS * np.diff(wheels.t)
     xy, theta = [np.zeros(0)], [np.zeros(0)]
@@ -288,15 +289,15 @@ def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
 
 
 def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
-    """Return how long pieces must be (m, rad) for the truth's noise to be a small part of their error."""
-    noise = wheels.noise or USUAL_NOISE  # none was assumed
+    """Return the least length of pieces (m, rad) for which the truth's noise is small beside the wheels'."""
+    noise = wheels.noise or USUAL_NOISE  # the configured noise may be 0
     straight = 16.0 * sigma.xy**2 / noise
     turn = 8.0 * sigma.theta**2 * wheels.track / noise
     return max(MIN_RUNS[STRAIGHT], straight), max(MIN_RUNS[TURN], turn)
 
 
 def _truth_noise(seen: Array, sigma: Sigma) -> Array:
-    """Covariance (n, 3, 3) of the truth's relative poses (n, 3), by the noise of both poses."""
+    """Return the covariance (n, 3, 3) of the truth's relative poses `seen` (n, 3), by the noise of both poses."""
     T = np.zeros((len(seen), 3, 3))
     lever = np.stack((seen[:, 1], -seen[:, 0], -np.ones(len(seen))), axis=-1)
     T += sigma.theta**2 * lever[:, :, None] * lever[:, None, :]
@@ -305,7 +306,7 @@ def _truth_noise(seen: Array, sigma: Sigma) -> Array:
 
 
 def _lengths(seen: Array, u: Array, sigma: Sigma) -> tuple[Array, Array]:
-    """Errors and covariances of straight pieces for a truth without heading: only their length is known."""
+    """Return errors and covariances of straight pieces for a truth without heading: only lengths are compared."""
     e = np.zeros_like(u)
     e[:, 0] = np.sign(u[:, 0]) * (np.hypot(seen[:, 0], seen[:, 1]) - np.hypot(u[:, 0], u[:, 1]))
     return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN_VARIANCE, UNSEEN_VARIANCE]), (len(u), 1, 1))
@@ -322,7 +323,7 @@ def _too_few(n: int) -> str:
 # ---- straight runs and turns on the spot ----
 
 
-Run = tuple[int, float, float]  # of one motion in one direction: STRAIGHT or TURN, start and end [s]
+Run = tuple[int, float, float]  # motion in one direction: STRAIGHT or TURN, start and end [s]
 
 
 def find_runs(wheels: Wheels) -> list[Run]:
@@ -340,7 +341,7 @@ def find_runs(wheels: Wheels) -> list[Run]:
 
 
 def _labels(wheels: Wheels) -> Ints:
-    """Label every wheel interval: +-1 straight forward or backward, +-2 turning left or right, 0 anything else."""
+    """Label each wheel interval: +-1 straight forward/backward, +-2 left/right turn, 0 other motion or rest."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
     way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.twist[:, [0, 2]], axis=0)))
     before, after = (
@@ -359,9 +360,9 @@ def _labels(wheels: Wheels) -> Ints:
 def cut_runs(
     runs: Sequence[Run], wheels: Wheels, stamps: Array, least: tuple[float, float]
 ) -> tuple[Ints, Ints, Ints]:
-    """Cut runs at `stamps` (m,) [s] into equal pieces of about `least` (m, rad), or leave them whole.
+    """Cut runs at times `stamps` (m,) [s] into equal pieces of about `least` (m, rad) each.
 
-    Returns (kind, first stamp, last stamp) of each piece, (k,) each; pieces follow each other and do not overlap.
+    Returns (kind, index of first stamp, index of last stamp) of each piece, (k,) each; pieces do not overlap.
     """
     rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(np.abs(wheels.twist[:, [0, 2]]), axis=0)))
     way = [np.interp(stamps, wheels.t, column) for column in rolled.T]

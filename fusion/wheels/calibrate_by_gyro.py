@@ -1,18 +1,18 @@
-"""Track, ratio and noise of the wheels by a gyro, without truth or laser.
+"""Calibration of track, wheel ratio and wheel noise by a gyro, without truth or laser.
 
 Over a window of length W a robot turns by
 
     turn = (1 + d/2) right / track - (1 - d/2) left / track + bias W
 
-with what either wheel rolled, d the difference of their scales and the gyro's bias. Windows that do not overlap
-are fitted by least squares. The metre of the wheels stays as it was set: a gyro knows no lengths. On a robot that
-skids the track found is the one by which it turns, which is wider than the distance between its wheels.
-What the windows leave over, at lengths from 0.1 to 10 s, is the noise of the wheels at these scales: encoders
-scatter over the short ones, slip adds up over the long ones.
+with the distances that the right and left wheel rolled, the relative difference d of the wheel scales, and the
+gyro's bias. Non-overlapping windows are fitted by least squares. The mean wheel scale is not changed, since a gyro
+measures no lengths. The residuals of windows of 0.1 to 10 s give the noise of the wheels at these time scales:
+encoder noise in short windows, slip in long ones.
 
-A robot that skids turns as if its wheels stood further apart than they do: they slide by half the difference of
-both tracks times the turn. A gyro sees what the two sides slide differently, not what they slide together. So what
-a wheel slides in a window counts as uniform between nothing and twice the mean, with variance slide^2 / 3.
+On a skid-steered robot the effective track is wider than the distance between the wheels. The wheels slide by half
+the difference of both tracks times the turn. A gyro measures the difference of the slides of both sides, not their
+mean. So the slide of a wheel in a window is modelled as uniform between zero and twice the mean, with variance
+slide^2 / 3.
 """
 
 from __future__ import annotations
@@ -29,34 +29,34 @@ from locfuse.fusion.data import Array, LocfuseError
 from .calibrate import Figure
 from .motion import Wheels
 
-WINDOW_S = 2.0  # s: long beside the delay between two clocks, short beside a drive
+WINDOW_S = 2.0  # s: longer than clock delays, shorter than a drive
 LAGS_S = np.arange(-1.2, 1.21, 0.02)  # of the gyro's clock
 NOISE_WINDOWS_S = (0.1, 0.3, 1.0, 3.0, 10.0)
-MIN_WINDOWS, MIN_MOVED_M, MIN_TURNED_RAD = 20, 0.02, math.radians(180.0)  # windows, m a window, rad in all
-MIN_EXPLAINED = 0.9  # share of the turning that wheels explain: less is another motion
-SKIDS = 1.25  # track by the turns over the track that is set: more is no error of a measuring tape
+MIN_WINDOWS, MIN_MOVED_M, MIN_TURNED_RAD = 20, 0.02, math.radians(180.0)  # number, m per window, rad in total
+MIN_EXPLAINED = 0.9  # least share of the turns that the wheels explain
+SKID_RATIO = 1.25  # estimated over configured track from which the robot is skid-steered
 
 
 class GyroCalibration(msgspec.Struct, frozen=True):
-    """Wheel parameters by a gyro, relative to the configured ones: 0 = as configured."""
+    """Wheel parameters by a gyro, relative to the configured ones (0: no change)."""
 
-    parameters: Array  # (3,) mean scale (0: a gyro cannot tell), scale difference (right - left), track
+    parameters: Array  # (3,) mean scale (always 0), scale difference (right - left), track
     sigmas: Array  # (3,) NaN for the mean scale
     noise: dict[float, float]  # window [s] -> variance per metre rolled [m]
-    k: Figure  # m: the noise at the longest window
+    k: Figure  # m: noise in the longest windows
     delay: float  # s to add to the gyro's stamps
     turned_rad: float
     windows: int
-    slides: float  # m per radian of turn that a wheel slides; 0 where the robot does not skid
+    slides: float  # m per radian of turn that a wheel slides; 0 if the robot is not skid-steered
 
 
 def calibrate_by_gyro(
     drives: Sequence[tuple[Wheels, Array, Array]], scale_sigma: float, white: float
 ) -> GyroCalibration:
-    """Fit track, ratio and noise to the wheels of each drive and the turns (n,) [rad] of a gyro at times (n,) [s].
+    """Fit track, wheel ratio and noise to wheels and to gyro turns (n,) [rad] at times (n,) [s], per drive.
 
     `scale_sigma` is the relative error of the gyro's rate, `white` its noise [rad / sqrt(s)]. All drives are of
-    one robot. Raises LocfuseError where they turn too little, or not as the wheels say.
+    one robot. Raises LocfuseError if the robot turns too little, or the wheels do not explain the turns.
     """
     track = drives[0][0].track
     delays = [_delay(*drive) for drive in drives]
@@ -81,7 +81,7 @@ def calibrate_by_gyro(
     of_track = float(np.sqrt(np.array([1.0, -1.0]) @ covariance @ np.array([1.0, -1.0]))) / (a - b)
     of_ratio = float(np.sqrt(np.array([1 / a, -1 / b]) @ covariance @ np.array([1 / a, -1 / b])))
     difference = 2.0 * (ratio - 1.0) / (ratio + 1.0)
-    slides = 0.5 * (found - track) if found > SKIDS * track else 0.0
+    slides = 0.5 * (found - track) if found > SKID_RATIO * track else 0.0
     noise, windows = _noise(drives, delays, (a, b), slides, white)
     k, spread = list(noise.values())[-1], SIGMAS_95 * math.sqrt(2.0 / windows)
     return GyroCalibration(
@@ -97,7 +97,7 @@ def calibrate_by_gyro(
 
 
 def _delay(wheels: Wheels, t: Array, own: Array) -> float:
-    """Return the time to add to the gyro's stamps so that the wheels explain most of its turning [s]."""
+    """Return the time [s] to add to the gyro's stamps with which the wheels explain the gyro's turns best."""
     explained = []
     for delay in LAGS_S.tolist():
         rows = _windows(wheels, t, own, delay, 0.5 * WINDOW_S)
@@ -106,7 +106,7 @@ def _delay(wheels: Wheels, t: Array, own: Array) -> float:
 
 
 def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) -> tuple[Array, Array]:
-    """Return windows with motion: the gyro's turns (n,), and (n, 4) right [m], left [m], s, both [m]."""
+    """Return gyro turns (n,) [rad] and wheel data (n, 4) of windows with motion: right, left [m], s, both [m]."""
     first, last = max(t[0], wheels.t[0] - delay), min(t[-1], wheels.t[-1] - delay)
     start = np.arange(first, last - length, length)
     turn = np.interp(start + length, t, own) - np.interp(start, t, own)
@@ -121,7 +121,7 @@ def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) 
 
 
 def _fit(rows: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
-    """Return the turn per metre of either wheel (2,), its covariance (2, 2), and the explained share."""
+    """Fit gyro turns by the wheels: return turn per metre of right and left (2,), covariance, explained share."""
     own = np.concatenate([turn for turn, _ in rows])
     by = np.zeros((len(own), 2 + len(rows)))
     at = 0
@@ -143,10 +143,10 @@ def _noise(
     slides: float,
     white: float,
 ) -> tuple[dict[float, float], int]:
-    """Return the wheels' noise for each window length, {s: m}, and how many windows of the longest there are.
+    """Return the wheel noise for each window length, {s: m}, and the number of longest windows.
 
-    The noise is a variance per metre that one wheel rolls [m^2/m], without the gyro's own noise. `by` is the turn
-    per metre of the right and the left wheel [rad/m].
+    The noise is the variance per metre that one wheel rolls [m^2/m], minus the gyro's noise. `by` is the turn per
+    metre of the right and the left wheel [rad/m].
     """
     found: dict[float, float] = {}
     track = 2.0 / (by[0] - by[1])

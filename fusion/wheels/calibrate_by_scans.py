@@ -1,16 +1,16 @@
-"""Wheels and laser mount from wheels and laser alone: no truth, no map, no measured lengths.
+"""Calibration of wheels and laser mount by matching laser scans, without truth, map or measured lengths.
 
-Over an interval the robot moves by u, by its wheels, and the laser by s, by matching its scans. With the laser at
-l on the robot both say the same,
+In an interval the robot moves by u according to its wheels, and the laser by s according to its scans. With the
+laser mount l on the robot,
 
     s = (-)l (+) u (+) l
 
-Where the wheels' scales and track and the mount l are unknown, intervals of different curvature tell all of them
-(Censi, Franchi, Marchionni and Oriolo, IEEE T-RO 2013). Their closed form gives the first mount: turns tell how
-far the wheels roll apart, and then (b, l_x, l_y, cos, sin) is linear up to cos^2 + sin^2 = 1. From there all
-parameters, the laser's delay among them, are fitted by weighted least squares: wheel noise by the way, matches by
-their covariance, the scale of either by restricted likelihood (fusion.wheels.calibrate). The laser's metre is
-taken for the right one.
+Intervals of different curvature determine wheel scales, track and mount (Censi, Franchi, Marchionni and Oriolo,
+IEEE T-RO 2013). Their closed form gives the initial values: turns give the ratio of track and scale, and then the
+problem is linear in (b, l_x, l_y, cos, sin) up to cos^2 + sin^2 = 1. From there all parameters, including the
+laser's delay, are fitted by weighted least squares: with wheel noise along the path, the covariance of the
+matches, and the scale of both by restricted likelihood (fusion.wheels.calibrate). The laser's distance scale
+counts as correct.
 """
 
 from __future__ import annotations
@@ -31,62 +31,63 @@ from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE, 
 from .motion import Wheels
 
 NAMES = ("scale", "difference", "track", "x", "y", "yaw", "delay")
-# of numerical derivatives; that by the delay is long, so that it is of the motion and not of the wheels' noise
+# of numerical derivatives; large for the delay, so that wheel noise does not matter
 STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 0.15])
-PRIOR = np.array([0.1, 0.1, 0.3, 0.5, 0.5, 1.0, 0.5])  # 1 sigma: relative (3), m (2), rad, s; wide, to say nothing
-BY_WAY, BY_TURN = [0, 3, 4, 5], [2, 3, 4]  # what only ways tell of: scale and mount; only turns: track, x, y
-UNTOLD = 0.3  # share of the prior's sigma that is left where a drive does not tell
-# an interval ends when the laser moved so far, or so long after
+PRIOR = np.array([0.1, 0.1, 0.3, 0.5, 0.5, 1.0, 0.5])  # weak prior, 1 sigma: relative (3), m (2), rad, s
+# parameters that only translations determine: scale and mount; that only turns determine: track, x, y
+BY_WAY, BY_TURN = [0, 3, 4, 5], [2, 3, 4]
+UNOBSERVED_SHARE = 0.3  # share of the prior's sigma from which a parameter counts as not determined
+# motion of the laser, or time, after which an interval ends
 WAY_M, TURN_RAD, SPAN_S = 0.4, np.radians(25.0), 3.0
-MOVED_M, MOVED_RAD = 0.03, np.radians(1.5)  # less is standing still, which tells nothing
+MOVED_M, MOVED_RAD = 0.03, np.radians(1.5)  # intervals with less motion are not used
 MIN_INTERVALS = 12
 DELAYS_S = sorted(np.linspace(-1.0, 1.0, 41).tolist(), key=abs)  # tried for the first guess, the smallest first
-NEAR_BASE = np.diag([0.0, 1e-3, 1e-3])  # without turns nothing says where the laser sits: at the middle, then
-MIN_TURN_RATIO = 0.2  # of the laser's turns over the wheels': less, and they do not tell of the track
-MATCH_SCALES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the matches' covariance, which is no more than a guess
-# 1 sigma that no drive goes below: matches repeat errors of about 1 cm per radian of turn, and of 0.4 % of the way
-REPEATED = np.array([0.004, 0.002, 0.004, 0.015, 0.015, 0.005, 0.005])
-FLOOR = np.diag([0.001**2, 0.001**2, np.radians(0.02) ** 2])  # m^2, rad^2: no match is better
-ROUNDS, SETTLED = 10, 1e-2  # Gauss-Newton steps at most; sigmas of a step that is none
-MAX_SCALE = 0.6  # of a wheel: one that is further off is another unit
+NEAR_BASE = np.diag([0.0, 1e-3, 1e-3])  # weak prior on a laser at the middle of the base, for drives without turns
+MIN_TURN_RATIO = 0.2  # least ratio of the laser's turns to the wheels' with which the track is initialised
+MATCH_SCALES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors tried on the covariance of the matches
+# least standard deviations: matches have correlated errors of about 1 cm per radian of turn, and 0.4 % of the path
+CORRELATED_SIGMAS = np.array([0.004, 0.002, 0.004, 0.015, 0.015, 0.005, 0.005])
+FLOOR = np.diag([0.001**2, 0.001**2, np.radians(0.02) ** 2])  # m^2, rad^2: least covariance of a match
+ROUNDS, MIN_STEP_SIGMAS = 10, 1e-2  # Gauss-Newton: largest number of steps; it stops after a smaller step
+MAX_SCALE = 0.6  # largest relative change of a wheel's scale: a larger one is another unit
 
 
 class Motion(NamedTuple):
-    """The motion of wheels and laser in one drive, on one clock."""
+    """Motions of wheels and laser in one drive, on one clock."""
 
     wheels: Wheels  # the robot, as configured
-    laser: Wheels  # the laser, by its scans: a frame that looks along its first beam's zero
+    laser: Wheels  # the laser, by its scans, in the laser frame
     delay: float  # s to add to the laser's times
 
 
 class LaserCalibration(msgspec.Struct, frozen=True):
-    """Calibration from the drives; units of the NAMES: three relative, two in m, then rad and s."""
+    """Calibrated parameters in the order of NAMES (three relative, two in m, then rad and s)."""
 
     parameters: Array  # (7,)
-    sigmas: Array  # (7,) NaN where the drives cannot tell
-    noise: float  # m: wheel noise per metre that fits best
+    sigmas: Array  # (7,) NaN for parameters that the drives do not determine
+    noise: float  # m: maximum-likelihood wheel noise per metre
     intervals: int
     outliers: int
     way_m: float
     turned_rad: float
 
     def undetermined(self) -> list[str]:
-        """Return the names of parameters that the drives do not determine."""
+        """Return the names of the parameters that the drives do not determine."""
         return [name for name, sigma in zip(NAMES, self.sigmas.tolist(), strict=True) if np.isnan(sigma)]
 
 
 class Intervals(msgspec.Struct, frozen=True):
-    """Times (n,) between which wheels and laser are compared, and the laser's motions in between."""
+    """Intervals (n,) in which wheels and laser are compared, with the laser's motion in each."""
 
     motion: Motion
     t_from: Array
     t_to: Array
-    s: Array  # (n, 3) the laser's motion, seen from where it was
-    T: Array  # (n, 3, 3) its covariance
+    s: Array  # (n, 3) motion of the laser in its frame at the begin
+    T: Array  # (n, 3, 3) covariance of s
 
     @classmethod
     def of(cls, motion: Motion) -> Intervals:
-        """Cut a drive into intervals in which the laser moved far enough; intervals at rest are left out."""
+        """Cut a drive into intervals of WAY_M or TURN_RAD; leave out intervals at rest."""
         t, pose = motion.laser.t, motion.laser.pose
         a, b = _cut(t, pose)
         inside = (t[a] + motion.delay > motion.wheels.t[0]) & (t[b] + motion.delay < motion.wheels.t[-1])
@@ -98,30 +99,27 @@ class Intervals(msgspec.Struct, frozen=True):
         return cls(motion, t_from + motion.delay, t_to + motion.delay, found.u, found.Q)
 
     def predicted(self, p: Array) -> Array:
-        """Return the laser's motions (n, 3) predicted by the wheels and parameters p (7,)."""
+        """Return the laser's motions (n, 3) predicted by wheel odometry, for parameters p (7,)."""
         wheels = corrected(self.motion.wheels, p[:3])
         u = wheels.relative(self.t_from + p[6], self.t_to + p[6])
         mount = np.broadcast_to(p[3:6], u.shape)
         return se2.between(mount, se2.compose(u, mount))
 
     def errors(self, p: Array) -> Array:
-        """Return the laser's motions less the predicted ones, (n, 3)."""
-        e = self.s - self.predicted(p)
-        return np.column_stack((e[:, :2], se2.wrap_all(e[:, 2])))
+        """Return the laser's motions minus the predicted ones, (n, 3), for parameters p (7,)."""
+        return se2.difference(self.s, self.predicted(p))
 
     def derivative(self, p: Array) -> Array:
-        """Return d predicted / dp, (n, 3, 7), by central differences."""
+        """Return the derivative (n, 3, 7) of `predicted` by the parameters p, by central differences."""
         columns = []
         for k, h in enumerate(STEPS.tolist()):
             step = np.zeros(7)
             step[k] = h
-            d = self.predicted(p + step) - self.predicted(p - step)
-            d[:, 2] = se2.wrap_all(d[:, 2])
-            columns.append(d / (2.0 * h))
+            columns.append(se2.difference(self.predicted(p + step), self.predicted(p - step)) / (2.0 * h))
         return np.stack(columns, axis=-1)
 
     def wheel_noise(self, p: Array) -> Array:
-        """Return the covariance (n, 3, 3) of the predicted motions per metre^2 of wheel noise."""
+        """Return the covariance (n, 3, 3) of the predicted motions per unit of wheel noise."""
         wheels = replace(corrected(self.motion.wheels, p[:3]), noise=1.0)
         found = wheels.between(self.t_from + p[6], self.t_to + p[6])
         J = np.broadcast_to(np.eye(3), found.Q.shape).copy()
@@ -132,14 +130,14 @@ class Intervals(msgspec.Struct, frozen=True):
         return out
 
     def take(self, keep: NDArray[np.bool_]) -> Intervals:
-        """Return some of the intervals."""
+        """Return the intervals selected by a mask (n,)."""
         return Intervals(self.motion, self.t_from[keep], self.t_to[keep], self.s[keep], self.T[keep])
 
 
 def calibrate(motions: Sequence[Motion]) -> LaserCalibration:
-    """Fit wheels, mount and delay over the drives of one robot.
+    """Calibrate wheels, laser mount and laser delay from the drives of one robot.
 
-    Raises LocfuseError where the drives are too short, or wheels and laser tell of different motions.
+    Raises LocfuseError if the drives are too short, or the motions of wheels and laser differ too much.
     """
     every = [Intervals.of(motion) for motion in motions]
     n = sum(len(one.t_from) for one in every)
@@ -152,19 +150,19 @@ def calibrate(motions: Sequence[Motion]) -> LaserCalibration:
     first = first_guess(every)
     _refuse_another_unit(first)
     p, _, _ = _fitted(every, first, first)
-    inside = [_inside(one, p) for one in every]
+    inside = [_inliers(one, p) for one in every]
     used = [one.take(keep) for one, keep in zip(every, inside, strict=True)]
     p, spread, scale = _fitted(used, p, first)
-    sigmas = np.hypot(np.sqrt(np.diagonal(spread)), REPEATED)
-    if _on_the_spot(_moved(used, float(p[6]))):  # a mount turned about the axle looks the same
+    sigmas = np.hypot(np.sqrt(np.diagonal(spread)), CORRELATED_SIGMAS)
+    if _on_the_spot(_wheel_motions(used, float(p[6]))):  # mounts rotated about the axle give the same motions
         sigmas[BY_WAY] = np.inf
     s = np.concatenate([one.s for one in used])
-    if _straight(s):  # what looks like turns is the noise of wheels and matches
+    if _straight(s):  # measured turns are only noise
         sigmas[BY_TURN] = np.inf
-    _refuse_another_unit(np.where(sigmas < UNTOLD * PRIOR, p, 0.0))
+    _refuse_another_unit(np.where(sigmas < UNOBSERVED_SHARE * PRIOR, p, 0.0))
     return LaserCalibration(
         parameters=p,
-        sigmas=np.where(sigmas < UNTOLD * PRIOR, sigmas, np.nan),
+        sigmas=np.where(sigmas < UNOBSERVED_SHARE * PRIOR, sigmas, np.nan),
         noise=scale,
         intervals=len(s),
         outliers=n - len(s),
@@ -186,7 +184,8 @@ def _refuse_another_unit(p: Array) -> None:
 def corrected(wheels: Wheels, p: Array) -> Wheels:
     """Return the wheels with mean scale, scale difference and track changed by p (3,), relative.
 
-    Of an odometry, whose poses also move sideways, the way is scaled, and the turn by wheels of that track.
+    For an odometry with sideways motion, the translation is scaled, and the turn changes as with wheels of its
+    track.
     """
     left, right, track = (FROM_PARAMETERS @ p).tolist()
     if not wheels.twist[:, 1].any():
@@ -201,13 +200,13 @@ def corrected(wheels: Wheels, p: Array) -> Wheels:
 
 
 def first_guess(every: Sequence[Intervals]) -> Array:
-    """Return parameters (7,) by the closed form: delay and turns first, then scale and mount together.
+    """Return initial parameters (7,) in closed form: first the delay and the turns, then scale and mount.
 
-    R(yaw) s = b u + (R(turn) - 1) l with u the way by the wheels and b its scale: linear in (b, l, cos, sin).
+    R(yaw) s = b u + (R(turn) - 1) l with the wheels' translation u and its scale b: linear in (b, l, cos, sin).
     """
     s = np.concatenate([one.s for one in every])
     delay = min(DELAYS_S, key=lambda delay: _turn_mismatch(every, s, delay))
-    u = _moved(every, delay)
+    u = _wheel_motions(every, delay)
     if _on_the_spot(u):
         return np.append(np.zeros(6), delay)
     turns = float(u[:, 2] @ s[:, 2]) / max(float(u[:, 2] @ u[:, 2]), 1e-12)
@@ -216,38 +215,38 @@ def first_guess(every: Sequence[Intervals]) -> Array:
     B = -np.stack((np.stack((s[:, 0], -s[:, 1]), axis=-1), np.stack((s[:, 1], s[:, 0]), axis=-1)), axis=1)
     A, B = A.reshape(-1, 3), B.reshape(-1, 2)
     solved = np.linalg.solve(A.T @ A + NEAR_BASE, A.T @ B)
-    way = np.linalg.eigh(B.T @ B - (A.T @ B).T @ solved)[1][:, 0]  # cos and sin of the yaw, up to their sign
-    b, x, y = -solved @ way
-    way, x, y = (way, x, y) if b > 0.0 else (-way, -x, -y)
-    tells = turns > MIN_TURN_RATIO and not _straight(s)
-    track = abs(float(b)) / turns - 1.0 if tells else 0.0
-    return np.array([abs(float(b)) - 1.0, 0.0, track, x, y, np.arctan2(way[1], way[0]), delay])
+    yaw = np.linalg.eigh(B.T @ B - (A.T @ B).T @ solved)[1][:, 0]  # its cos and sin, up to their sign
+    b, x, y = -solved @ yaw
+    yaw, x, y = (yaw, x, y) if b > 0.0 else (-yaw, -x, -y)
+    has_turns = turns > MIN_TURN_RATIO and not _straight(s)
+    track = abs(float(b)) / turns - 1.0 if has_turns else 0.0
+    return np.array([abs(float(b)) - 1.0, 0.0, track, x, y, np.arctan2(yaw[1], yaw[0]), delay])
 
 
-def _moved(every: Sequence[Intervals], delay: float) -> Array:
-    """Return the robot's motions (n, 3) by the configured wheels, with the laser's times moved by a delay [s]."""
+def _wheel_motions(every: Sequence[Intervals], delay: float) -> Array:
+    """Return the robot's motions (n, 3) by the configured wheels, for a delay [s] of the laser's stamps."""
     return np.concatenate([one.motion.wheels.relative(one.t_from + delay, one.t_to + delay) for one in every])
 
 
 def _on_the_spot(u: Array) -> bool:
-    """Return whether the robot hardly moved its centre in its motions (n, 3)."""
+    """Return whether the mean translation of motions u (n, 3) is below MOVED_M."""
     return bool(np.hypot(u[:, 0], u[:, 1]).mean() < MOVED_M)
 
 
 def _straight(s: Array) -> bool:
-    """Return whether the laser hardly turned in its motions (n, 3)."""
+    """Return whether the mean turn of motions s (n, 3) is below MOVED_RAD."""
     return bool(np.abs(s[:, 2]).mean() < MOVED_RAD)
 
 
 def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
-    """Return the sum of squares [rad^2] of the laser's turns s (n, 3) not explained by the wheels' turns."""
-    turn = _moved(every, delay)[:, 2]
-    left = s[:, 2] - turn * (float(turn @ s[:, 2]) / max(float(turn @ turn), 1e-12))
-    return float(left @ left)
+    """Return the sum of squares [rad^2] of laser turns in s (n, 3) that are not explained by the wheels' turns."""
+    turn = _wheel_motions(every, delay)[:, 2]
+    rest = s[:, 2] - turn * (float(turn @ s[:, 2]) / max(float(turn @ turn), 1e-12))
+    return float(rest @ rest)
 
 
 def _cut(t: Array, pose: Array) -> tuple[Array, Array]:
-    """Return the first and last scan of every interval, (n,) each."""
+    """Return the indices of the first and the last scan of every interval, (n,) each."""
     cuts, at = [0], 0
     way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
     turn = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(pose[:, 2])))))
@@ -259,7 +258,7 @@ def _cut(t: Array, pose: Array) -> tuple[Array, Array]:
 
 
 def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
-    """Return the linearised least squares about p: errors, derivatives, covariances."""
+    """Return the least-squares problem linearised at parameters p (7,): errors, derivatives, covariances."""
     return Residuals(
         np.concatenate([one.errors(p) for one in every]),
         np.concatenate([one.derivative(p) for one in every]),
@@ -270,35 +269,35 @@ def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
 
 
 def _scaled(residuals: Residuals, match: float) -> Residuals:
-    """Return the problem with the matches' covariance scaled."""
+    """Return the problem with the covariance of the matches multiplied by `match`."""
     return replace(residuals, T=match * residuals.T + FLOOR)
 
 
 def _noise(residuals: Residuals) -> tuple[float, float]:
-    """Return the likeliest scale of the matches' covariance and wheel noise [m]."""
+    """Return the maximum-likelihood factor on the matches' covariance, and wheel noise [m]."""
     tried = [(_scaled(residuals, match).best(), match) for match in MATCH_SCALES]
     (noise, _), match = max(tried, key=lambda one: one[0][1])
     return match, noise
 
 
 def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, Array, float]:
-    """Return parameters (7,), their covariance (7, 7), and the wheel noise [m], from p on.
+    """Fit parameters from the start p (7,): return parameters, covariance (7, 7), and wheel noise [m].
 
-    The prior holds what nothing tells of at the guess.
+    The prior keeps undetermined parameters near `guess` (7,).
     """
-    for _ in range(2):  # the noise is known once the parameters nearly are
+    for _ in range(2):  # the noise estimate needs good parameters
         match, noise = _noise(_residuals(every, p))
         for _ in range(ROUNDS):
             step, spread = _scaled(_residuals(every, p), match).parameters(noise)
             step = step - spread @ ((p - guess) / PRIOR**2)
             p = p + step
-            if (np.abs(step) < SETTLED * np.sqrt(np.diagonal(spread))).all():
+            if (np.abs(step) < MIN_STEP_SIGMAS * np.sqrt(np.diagonal(spread))).all():
                 break
     return p, spread, noise
 
 
-def _inside(one: Intervals, p: Array) -> NDArray[np.bool_]:
-    """Return which intervals (n,) are plausible, compared with the median: no slip, no wrong match."""
+def _inliers(one: Intervals, p: Array) -> NDArray[np.bool_]:
+    """Return which intervals (n,) are no outliers by their residuals (slips, wrong matches)."""
     residuals = _residuals([one], p)
     match, noise = _noise(residuals)
     squares = _scaled(residuals, match).squares(noise, np.zeros(7))

@@ -1,8 +1,8 @@
-"""A tricycle's size and steering from encoders and truth, laser or gyro: nonlinear least squares.
+"""Calibration of a tricycle's size and steering from encoders and truth, laser or gyro: nonlinear least squares.
 
-First what the reference moves in short windows is fitted, from several steering gains, since a gain that is far
-off has local minima. A truth does not drift: with it the whole path is fitted then, with its start. A laser tells
-where it sits and how late it is; a gyro tells turns only, so that the wheel's radius stays as it was set.
+First the motions of the reference in short windows are fitted, starting from several steering gains, since a wrong
+gain leads to local minima. A truth does not drift, so then the whole path and its start are fitted. With a laser,
+its mount and delay are estimated too. A gyro measures turns only, so the wheel radius is not changed.
 """
 
 from __future__ import annotations
@@ -25,43 +25,44 @@ from .motion import dead_reckoning
 from .steered import Encoders, read_encoders, rolled_by
 
 By = Literal["truth", "lrf", "gyro"]
-# of all parameters: scale of the radius, gain [rad per tick], zero [rad], wheelbase [m]; place and heading of what
-# is tracked; pose of the body at the reference's first reading; delay [s] of the reference; bias [rad/s] of a gyro
+# indices of the parameters: scale of the radius, gain [rad per tick], zero [rad], wheelbase [m]; pose of the
+# tracked point on the body; pose of the body at the reference's first reading; delay [s] of the reference; gyro
+# bias [rad/s]
 SCALE, GAIN, ZERO, BASE, POINT, BEGIN, DELAY, BIAS = 0, 1, 2, 3, slice(4, 7), slice(7, 10), 10, 11
 FREE: dict[By, list[int]] = {
     "truth": [*range(7)],
     "lrf": [*range(7), DELAY],
     "gyro": [GAIN, ZERO, BASE, DELAY, BIAS],
 }
-WINDOW_S = 1.0  # s of the reference that are compared at first
-GAIN_FACTORS = (1.0, 0.3, 3.0, 8.0, -1.0)  # of the steering gain that was set
-OUTLIER_M = 0.05  # m, rad: residuals beyond count less: a tracker jumps, a match goes wrong
-MIN_ROWS, MAX_ROWS = 50, 3000  # readings of the reference; more windows say no more
-MIN_TURN_RAD = math.radians(180.0)  # in all, of a gyro
-ASSUMED_TICKS = 1000.0  # per turn of a wheel of unknown size: only its radius by these can be seen
+WINDOW_S = 1.0  # s, windows of the first fit
+GAIN_FACTORS = (1.0, 0.3, 3.0, 8.0, -1.0)  # start values of the steering gain, relative to the configured one
+OUTLIER_M = 0.05  # m, rad: larger residuals are down-weighted (jumps of a tracker, wrong matches)
+MIN_ROWS, MAX_ROWS = 50, 3000  # readings of the reference; number of windows
+MIN_TURN_RAD = math.radians(180.0)  # least total turn
+ASSUMED_TICKS = 1000.0  # per revolution, if not configured: only radius over ticks is observable
 ASSUMED_RADIUS_M = 0.05  # m
-MAX_SPEED_RATIO = 3.0  # of a wheel and of what is tracked
+MAX_SPEED_RATIO = 3.0  # of a wheel and of the tracked point
 
 
 class Reference(NamedTuple):
-    """The reference for the encoders: poses of one body on its own clock, or headings alone."""
+    """Reference motion for the encoders: poses of one body on its own clock, or headings alone."""
 
     by: By
     t: Array  # (n,) s
-    pose: Array  # (n, 3) of the tracked point, or of the laser; of a gyro only the heading counts
+    pose: Array  # (n, 3) of the tracked point or the laser; for a gyro only the heading is used
 
 
 class TricycleCalibration(msgspec.Struct, frozen=True):
-    """Parameters of a tricycle by a drive: values with 95 % intervals by the keys of robot.toml."""
+    """Calibrated tricycle parameters with 95 % intervals, by keys of robot.toml."""
 
     wheels: dict[str, Figure]  # radius, servo_gain, servo_offset, wheelbase
     by: By
     mount: dict[str, Figure]  # x, y of the truth's point; x, y, yaw_deg, time_offset of a laser
-    rms: float  # that is left over: of the whole path [m], of a laser's windows [m], of a gyro's turns [rad]
+    rms: float  # residual of the whole path [m], of a laser's windows [m], or of a gyro's turns [rad]
 
 
 def of_truth(truth: Truth) -> Reference:
-    """Return a truth as a reference. Raises LocfuseError if it has no heading."""
+    """Return a ground truth as reference. Raises LocfuseError if the truth has no heading."""
     if truth.theta is None:
         raise LocfuseError("a steered tricycle needs a truth with heading", role="calibrate")
     return Reference("truth", truth.t, np.column_stack((truth.xy, truth.theta)))
@@ -70,9 +71,9 @@ def of_truth(truth: Truth) -> Reference:
 def calibrate_tricycle(
     found: Encoders, settings: WheelSettings, reference: Reference, shift: float
 ) -> TricycleCalibration:
-    """Fit size and steering to the reference; `shift` [s] moves the encoders' times to its clock.
+    """Fit size and steering to the reference; `shift` [s] converts the encoders' times to its clock.
 
-    Raises LocfuseError where it has too few readings, or turns too little.
+    Raises LocfuseError if the reference has too few readings, or turns too little.
     """
     from scipy.optimize import least_squares
 
@@ -86,7 +87,7 @@ def calibrate_tricycle(
     moved, spans = se2.between(pose[first], pose[later[first]]), stamps[later[first]] - stamps[first]
 
     def point(p: Array) -> Array:
-        """Poses (k, 3) of the tracked point, relative to the start of the body."""
+        """Return poses (k, 3) of the tracked point relative to the body's start, for parameters p."""
         ds = np.diff(found.rolled) * p[SCALE]
         angle = (found.steering - settings.servo_offset) * p[GAIN] + p[ZERO]
         way = dead_reckoning(rolled_by(ds, angle, p[BASE]))
@@ -95,12 +96,12 @@ def calibrate_tricycle(
 
     def of_windows(p: Array) -> Array:
         at = point(p)
-        e = _residual(se2.between(at[first], at[later[first]]), moved)
+        e = se2.difference(se2.between(at[first], at[later[first]]), moved)
         return np.asarray(e[:, 2] + p[BIAS] * spans if by == "gyro" else e.ravel())
 
     def of_path(p: Array) -> Array:
         at = point(p)
-        return _residual(se2.compose(np.broadcast_to(p[BEGIN], at.shape), at), pose).ravel()
+        return se2.difference(se2.compose(np.broadcast_to(p[BEGIN], at.shape), at), pose).ravel()
 
     def fit(residual: Callable[[Array], Array], start: Array, free: list[int], steps: int) -> tuple[Array, Any]:
         def put(x: Array) -> Array:
@@ -113,7 +114,8 @@ def calibrate_tricycle(
         return put(solved.x), solved
 
     fits = [fit(of_windows, start, FREE[by], 40) for start in _starts(settings)]
-    # driven backwards with the wheel turned by half a turn the same path fits: then the point looks backwards
+    # the same path fits a tricycle that drives backwards with the wheel turned by 180 degrees: prefer a forward
+    # mount
     best, solved = min(fits, key=lambda one: (np.cos(one[0][POINT][2]) < 0.0, float(one[1].cost)))
     free, rest = FREE[by], of_windows(best).reshape(len(first), -1)
     if by == "truth":
@@ -121,7 +123,7 @@ def calibrate_tricycle(
         free = [*free, *range(10)[BEGIN]]
         best, solved = fit(of_path, best, free, 100)
         rest = of_path(best).reshape(-1, 3)
-    # neighbours share their errors: as many residuals count as parameters could bend
+    # residuals of neighbours are correlated, so only as many degrees of freedom as free parameters count
     sigmas = np.zeros(len(best))
     sigmas[free] = np.sqrt(
         np.diag(np.linalg.pinv(solved.jac.T @ solved.jac)) * 2.0 * float(solved.cost) / len(free)
@@ -133,10 +135,10 @@ def calibrate_tricycle(
 
 
 def nominal(stream: MergedStream, settings: WheelSettings, reference: Reference, shift: float) -> WheelSettings:
-    """Return settings from which `calibrate_tricycle` converges; what is set stays.
+    """Return settings from which `calibrate_tricycle` converges; configured values are kept.
 
-    The way of the reference gives the radius, and the middle and the range of the steering its zero and, taken as
-    one radian, its gain. `shift` [s] moves the encoders' times to the reference's clock.
+    The path length of the reference gives the radius. The middle of the steering values is the zero, and their
+    range counts as one radian for the gain. `shift` [s] converts the encoders' times to the reference's clock.
     """
     rows = np.unique(np.searchsorted(reference.t, np.arange(reference.t[0], reference.t[-1], WINDOW_S)))
     ways = np.hypot(*np.diff(reference.pose[rows, :2], axis=0).T)
@@ -168,18 +170,12 @@ def _starts(settings: WheelSettings) -> list[Array]:
     return [*starts]
 
 
-def _residual(a: Array, b: Array) -> Array:
-    e = a - b
-    e[:, 2] = se2.wrap_all(e[:, 2])
-    return e
-
-
 def _figure(value: float, sigma: float) -> Figure:
     return Figure(value, value - SIGMAS_95 * abs(sigma), value + SIGMAS_95 * abs(sigma))
 
 
 def _wheels(p: Array, sigmas: Array, settings: WheelSettings) -> dict[str, Figure]:
-    """Return the fitted parameters as keys of [wheels]."""
+    """Return the fitted wheel parameters with intervals, by their keys in [wheels]."""
     scale, gain, offset, base = p[:4].tolist()
     radius, zero = settings.radius or 0.0, settings.servo_offset - offset / gain
     values: Sequence[tuple[str, float, float]] = (
@@ -192,7 +188,7 @@ def _wheels(p: Array, sigmas: Array, settings: WheelSettings) -> dict[str, Figur
 
 
 def _mount(by: By, p: Array, sigmas: Array) -> dict[str, Figure]:
-    """Return the fitted mount of the truth's point or of the laser, and the laser's delay, by their keys."""
+    """Return the fitted mount of tracked point or laser, and the laser's delay, with intervals, by their keys."""
     found = {"x": (4, 1.0), "y": (5, 1.0), "yaw_deg": (6, math.degrees(1.0)), "time_offset": (DELAY, 1.0)}
     keys = {"truth": ("x", "y"), "lrf": (*found,), "gyro": ()}[by]
     return {

@@ -1,4 +1,4 @@
-"""Wheel radius and track by comparing wheel angles with the odometry that the robot computed from them."""
+"""Wheel radius and track, by comparing wheel angles with an odometry that the robot computed from them."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from .read import SIGNS, WheelReading, read_wheels
 from .repairs import repaired
 from .sources import Counters, read_counters
 
-WINDOW_S = 0.5  # s over which both are compared
-ASSUMED_RADIUS_M = 0.05  # m: radius under which jumps of the counters are looked for
+WINDOW_S = 0.5  # s, window in which both are compared
+ASSUMED_RADIUS_M = 0.05  # m: radius assumed while jumps of the counters are repaired
 MIN_WINDOWS, MIN_CORRELATION = 40, 0.95  # windows; correlation
-AS_GOOD = 1e-3  # of a correlation: on a circle every sense of counting fits up to rounding
-MIN_TURN_RAD = 0.5  # rad, rms sum of turns, from which the track is estimated
+EQUAL_CORRELATION = 1e-3  # correlations that differ by less are equal: on a circle all combinations of signs fit
+MIN_TURN_RAD = 0.5  # rad, root of the sum of squared turns, from which the track is estimated
 
 
 class Geometry(NamedTuple):
-    """The wheel geometry that the robot's own odometry used."""
+    """Wheel radius and track with which the robot's odometry was computed."""
 
     radius: float  # m; of ticks: metres per tick times ticks_per_revolution / 2 pi, one tick taken as a radian
-    track: float | None  # m; None where the robot hardly turned
-    mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
-    sigmas: tuple[float, float] = (0.0, 0.0)  # of radius and track, 1 sigma, by what the motion leaves over
+    track: float | None  # m; None if the robot hardly turned
+    mirrored: Mirrored = "none"  # wheels that count backwards while the robot drives forward
+    sigmas: tuple[float, float] = (0.0, 0.0)  # standard deviations of radius and track, by the residuals
 
 
 def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> Geometry | None:
-    """Return radius and track with which the wheel angles give the odometry; None if they do not agree."""
+    """Fit radius and track to wheel angles and the motion of an odometry; None if they do not agree."""
     try:
         return by_motion(counters, read_wheels(odometry, WheelSettings()), settings)
     except LocfuseError:
@@ -40,28 +40,28 @@ def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> 
 
 
 def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -> Geometry | None:
-    """Return radius and track with which the wheel angles give a motion; None if they do not agree.
+    """Fit radius and track to wheel angles and a body motion `theirs`; None if they do not agree.
 
-    Raises LocfuseError where the counters cannot be read.
+    Raises LocfuseError if the counters cannot be read.
     """
     known = msgspec.structs.replace(settings, ticks_per_revolution=settings.ticks_per_revolution or None)
     both = read_counters(counters, known)
     t, left, right = _angles(both, known)
     offset = (theirs.epoch_ns - both.zero_ns) * 1e-9
     begin, end = max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1])
-    windows = np.unique(np.floor((t - begin) / WINDOW_S))  # with a reading: clocks may be years apart in a log
+    windows = np.unique(np.floor((t - begin) / WINDOW_S))  # only with readings: clocks may be years apart
     start = begin + WINDOW_S * windows
     start = start[(windows >= 0.0) & (start < end - WINDOW_S)]
     if len(start) < MIN_WINDOWS:
         return None
-    # as twists: along an arc the way is what the wheels roll, not the chord's part ahead
+    # as twists: the wheels roll along the arc, not along the chord
     moved = se2.log(theirs.wheels.relative(start - offset, start - offset + WINDOW_S))
     rolled = [np.interp(start + WINDOW_S, t, side) - np.interp(start, t, side) for side in (left, right)]
     return _best(rolled[0], rolled[1], moved)
 
 
 def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Array]:
-    """Return times and the angles of both wheels (n,) [rad]."""
+    """Return times (n,) [s] and the repaired angles of both wheels (n,) [rad]."""
     turn = 2.0 * np.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
     left, right = (
         repaired(s, ASSUMED_RADIUS_M * turn, settings.rollover, settings.max_speed)
@@ -76,12 +76,12 @@ def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Arra
 
 
 def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
-    """Return the geometry with the signs that fit best; the configured signs if they fit as well."""
+    """Fit the geometry with the best signs of the wheels; the configured signs if they fit equally well."""
     agrees = {
         mirrored: _correlation(0.5 * (s_left * left + s_right * right), moved[:, 0])
         for mirrored, (s_left, s_right) in SIGNS.items()
     }
-    best = max(agrees, key=lambda mirrored: agrees[mirrored] + (AS_GOOD if mirrored == "none" else 0.0))
+    best = max(agrees, key=lambda mirrored: agrees[mirrored] + (EQUAL_CORRELATION if mirrored == "none" else 0.0))
     s_left, s_right = SIGNS[best]
     found = _fitted(0.5 * (s_left * left + s_right * right), s_right * right - s_left * left, moved)
     return None if found is None else found._replace(mirrored=best)

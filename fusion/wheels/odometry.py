@@ -1,8 +1,8 @@
-"""The body's motion as computed by others: increments of poses, or speeds.
+"""Body motion from an odometry topic: increments of its poses, or its speeds.
 
-Of poses only increments count, so that a first pose far from 0 does not matter. Some drivers put wheel turns
-without their sign into the pose, while the twist still knows that the robot backs up: then the pose moves ahead
-wherever the twist is negative (fr079: 513 messages).
+Only increments of poses are used, so the first pose does not matter. Some drivers ignore the sign of the wheel
+turns in the pose, but not in the twist: then the pose moves forward while the twist is negative (fr079: 513
+messages).
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import gap_limit
 
-from .repairs import MAX_SPEED_MPS, Mask, limits, restarted, spikes, times
+from .repairs import MAX_SPEED_MPS, Mask, limits, spikes, times, without_restarts
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 
 
 def pose_fields(prefix: str, position: str = "position", orientation: str = "orientation") -> tuple[str, ...]:
-    """Return the six fields of a planar pose: x, y, and a quaternion x, y, z, w."""
+    """Return the names of the six fields of a planar pose: x, y, and a quaternion x, y, z, w."""
     return (
         *(f"{prefix}.{position}.{axis}" for axis in "xy"),
         *(f"{prefix}.{orientation}.{axis}" for axis in "xyzw"),
@@ -32,7 +32,7 @@ def pose_fields(prefix: str, position: str = "position", orientation: str = "ori
 
 
 TURTLESIM = "turtlesim/msg/Pose"
-# Message type -> fields of its pose: x, y and a quaternion (6).
+# Message type -> fields of the pose: x, y and a quaternion (6).
 POSE: Mapping[str, tuple[str, ...]] = {
     ODOMETRY: pose_fields("pose.pose"),
     TRANSFORM: pose_fields("transform", "translation", "rotation"),
@@ -47,7 +47,7 @@ PLANAR: Mapping[str, tuple[str, str, str]] = {
     "geometry_msgs/msg/Pose2D": ("x", "y", "theta"),
     TURTLESIM: ("x", "y", "theta"),
 }
-# Message type -> fields of its forward speed [m/s] and turning rate [rad/s].
+# Message type -> fields of the forward speed [m/s] and the turning rate [rad/s].
 SPEED: Mapping[str, tuple[str, str]] = {
     ODOMETRY: ("twist.twist.linear.x", "twist.twist.angular.z"),
     "geometry_msgs/msg/TwistStamped": ("twist.linear.x", "twist.angular.z"),
@@ -58,13 +58,13 @@ SPEED: Mapping[str, tuple[str, str]] = {
     "autoware_auto_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
     "autoware_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
 }
-# Speed and the angle of the front wheels: they turn the body by speed * tan(angle) / wheelbase. Some drivers put a
-# turning rate or the heading there instead (wheels.steering).
+# Message type -> fields of the speed and the steering angle: turning rate = speed * tan(angle) / wheelbase. Some
+# drivers write a turning rate or the heading instead of the angle (wheels.steering).
 STEERED: Mapping[str, tuple[str, str]] = {
     "ackermann_msgs/msg/AckermannDriveStamped": ("drive.speed", "drive.steering_angle"),
     "ackermann_msgs/msg/AckermannDrive": ("speed", "steering_angle"),
 }
-SCANS = "sensor_msgs/msg/LaserScan"  # matched with each other (fusion.wheels): their fields are big
+SCANS = "sensor_msgs/msg/LaserScan"  # odometry by scan matching (motion_by_scans)
 BODY_READS: Mapping[str, tuple[str, ...]] = {
     **{
         kind: tuple(field for fields in (POSE, PLANAR, SPEED, STEERED) for field in fields.get(kind, ()))
@@ -72,36 +72,37 @@ BODY_READS: Mapping[str, tuple[str, ...]] = {
     },
     SCANS: (),
 }
-MIN_STEP_M = 1e-3  # m: steps below say nothing about a direction
-MAX_STEP_RATIO = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion
-MIN_AGREEING_SHARE = 0.8  # share of the moving steps that must agree before the twist is believed
-# words of topics of poses and speeds that the body was asked for
+MIN_STEP_M = 1e-3  # m: smaller steps have no direction
+MAX_STEP_RATIO = 3.0  # largest ratio of |pose step| and |twist| dt that agree
+MIN_AGREEING_SHARE = 0.8  # least share of agreeing steps with which the twist is used
+# words in names of topics with commands, and of topics with measurements although their type is for commands
 COMMANDED = ("cmd", "command", "control", "target", "setpoint", "goal", "initial", "waypoint", "teleop", "joy")
-MEASURED = ("state", "status", "feedback", "report", "measured", "actual", "odom")  # of a type of commands
-MAX_HOLD_S = 1.0  # s that a command lasts at most: drivers stop the robot when nothing more comes
-MAX_TURN_RADPS = 1e6  # faster than any body, in whatever unit
+MEASURED = ("state", "status", "feedback", "report", "measured", "actual", "odom")
+MAX_HOLD_S = 1.0  # s, longest duration of a command: then drivers stop the robot
+MAX_TURN_RADPS = 1e6  # faster than any body, in any unit
 SPEED_SETTING = "wheels.max_speed [m/s] limits a step"
-MAX_FRAME_SHARE = 0.5  # of the misfit to the body's axes: a speed that fits those of the frame so much better
-MIN_BODY_MISFIT = 0.3  # of the way that they say: a smaller misfit to the body's axes is none
-MAX_SIDEWAYS_MPS = 3.0  # m/s, 95th percentile: no base drives sideways faster
-MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and the share of the steps that may be one
-MAX_REVERSE_SHARE = 0.1  # share of backing up that the pose may know of and still be called blind to it
+# misfit to the axes of the poses' frame, as share of that to the body's, for speeds in this frame
+MAX_FRAME_SHARE = 0.5
+MIN_BODY_MISFIT = 0.3  # least misfit to the body's axes, as share of the distance, for speeds in the poses' frame
+MAX_SIDEWAYS_MPS = 3.0  # m/s, limit of the 95th percentile of the sideways speed
+MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and largest share of jumps among the steps
+MAX_REVERSE_SHARE = 0.1  # largest share of reverse steps in the pose, relative to missing ones
 
 
 class Way(NamedTuple):
-    """The motion as an odometry topic gives it."""
+    """Motion given by an odometry topic."""
 
     keep: Mask  # (n,) readings used
     twist: Array  # (k-1, 3) forward, left [m], turn [rad] between the readings used
     spikes: int
     notes: tuple[str, ...]
-    doubt: str = ""  # why no robot moves like this
+    doubt: str = ""  # why the motion is impossible for a robot
 
 
 def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
-    """Return (n, 5) x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s]; missing values are zero.
+    """Read (n, 5) x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s]; missing values are zero.
 
-    Raises LocfuseError where a steering angle turns the body by a wheelbase that is not known.
+    Raises LocfuseError if a steering angle needs a wheelbase that is not configured.
     """
     kind = stream.msgtype
     columns = cast("dict[str, Array]", stream.columns(*BODY_READS[kind]))
@@ -117,7 +118,7 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
         speed, steered = (columns[name].astype(np.float64) for name in STEERED[kind])
         values[:, 3] = speed
         if settings.steering == "heading":
-            values[:, :3] = _headed(stream.t_ns * np.float64(1e-9), speed, steered)
+            values[:, :3] = _poses_by_heading(stream.t_ns * np.float64(1e-9), speed, steered)
         elif settings.steering == "rate":
             values[:, 4] = steered
         else:
@@ -126,14 +127,14 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
 
 
 def has_pose(msgtype: str, settings: WheelSettings) -> bool:
-    """Return whether messages of this type hold poses, or speed and heading, which give poses."""
+    """Return whether messages of this type have poses, or speed and heading, which can be integrated to poses."""
     return msgtype in POSE or msgtype in PLANAR or (msgtype in STEERED and settings.steering == "heading")
 
 
-def _headed(t: Array, speed: Array, heading: Array) -> Array:
-    """Return the poses (n, 3) of a body with this speed [m/s] and heading [rad] at t (n,) [s], joined by arcs.
+def _poses_by_heading(t: Array, speed: Array, heading: Array) -> Array:
+    """Integrate poses (n, 3) from speeds [m/s] and headings [rad] at times t (n,) [s], along arcs.
 
-    An arc of length s that turns by d has the chord s sin(d / 2) / (d / 2), in the direction of its middle.
+    An arc of length s that turns by d has the chord s sin(d / 2) / (d / 2), in the direction of the mean heading.
     """
     finite = np.isfinite(speed) & np.isfinite(heading)
     out = np.full((len(t), 3), np.nan)
@@ -148,9 +149,9 @@ def _headed(t: Array, speed: Array, heading: Array) -> Array:
 
 
 def commanded(topic: str, msgtype: str) -> bool:
-    """Return whether a topic holds commands instead of measurements: by its name or its type.
+    """Return whether a topic has commands instead of measurements, by its name and type.
 
-    An Odometry is none, whoever publishes it: /husky_velocity_controller/odom is measured.
+    Odometry messages are always measurements: /husky_velocity_controller/odom.
     """
     name = topic.lower()
     if msgtype in STEERED and not any(word in name for word in MEASURED):
@@ -159,10 +160,10 @@ def commanded(topic: str, msgtype: str) -> bool:
 
 
 def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
-    """Return the motion of a body that follows commands (n, 2) of speed [m/s] and rate [rad/s] at t (n,) [s].
+    """Return the motion of a body that follows commands (n, 2): speed [m/s], rate [rad/s] at times t (n,) [s].
 
-    A command lasts until the next one, MAX_HOLD_S at most; then the body stands. Returns times (m,) and the twists
-    (m-1, 3) between them.
+    A command lasts until the next one, at most MAX_HOLD_S; then the body is at rest. Returns times (m,) and the
+    twists (m-1, 3) between them.
     """
     span = np.diff(t)
     lasts = np.minimum(span, MAX_HOLD_S)
@@ -173,7 +174,7 @@ def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
 
 
 def wheelbase_of(stream: Stream, settings: WheelSettings) -> float:
-    """Return the distance between the axles [m]. Raises LocfuseError if it is not known."""
+    """Return the configured distance between the axles [m]. Raises LocfuseError if there is none."""
     if not settings.wheelbase or settings.wheelbase <= 0.0:
         raise LocfuseError(
             f"{stream.topic} gives a steering angle, so the distance between the axles must be known.",
@@ -185,13 +186,13 @@ def wheelbase_of(stream: Stream, settings: WheelSettings) -> float:
 
 
 def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, posed: bool = True) -> Way:
-    """Return the motion by poses (n, 5); the twist is used only for its sign, or if the place never changes.
+    """Return the motion by poses (n, 5); the speeds give only the sign, or the motion if the position is constant.
 
-    `posed` is whether the messages have a pose at all.
+    `posed` is whether the messages have a pose.
     """
     placed = posed and not (np.ptp(values[:, :2], axis=0).max() <= 0.0 and values[:, 3:].any())
-    if posed and not placed and np.ptp(values[:, 2]) > 0.0:  # the heading is known, and the speed along it
-        values = np.column_stack((_headed(t, values[:, 3], values[:, 2]), values[:, 3:]))
+    if posed and not placed and np.ptp(values[:, 2]) > 0.0:  # heading and speed are known
+        values = np.column_stack((_poses_by_heading(t, values[:, 3], values[:, 2]), values[:, 3:]))
     elif not placed:
         notes = ("its pose never changes: its twist is used",) if posed else ()
         keep = possible(values[:, 3:], max_speed)
@@ -201,11 +202,11 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
     twist = _steps(values)
     far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
     doubt = unlike_a_robot(t, twist, far)
-    steps = restarted(t, twist, far)
-    # over a gap the speeds at its ends say nothing about the way between
-    said = 0.5 * (values[1:, 3] + values[:-1, 3]) * np.where(np.diff(t) > gap_limit(t), 0.0, np.diff(t))
-    in_frame = bool(said.any()) and along_the_frame(steps[:, 0], np.diff(values[:, 0]), said)
-    backing = backing_up(steps, said) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
+    steps = without_restarts(t, twist, far)
+    # over a gap the speeds at its ends do not give the distance
+    by_speed = 0.5 * (values[1:, 3] + values[:-1, 3]) * np.where(np.diff(t) > gap_limit(t), 0.0, np.diff(t))
+    in_frame = bool(by_speed.any()) and along_the_frame(steps[:, 0], np.diff(values[:, 0]), by_speed)
+    backing = backing_up(steps, by_speed) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0
     words = [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
@@ -214,9 +215,9 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
 
 
 def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
-    """Return why steps (n-1, 3) are impossible for a robot, else ""; `far` marks outlier steps."""
+    """Return why the steps `twist` (n-1, 3) are impossible for a robot, else ""; `far` marks outliers."""
     dt = np.diff(t)
-    dt = np.maximum(dt, np.median(dt)) if len(dt) else dt  # a burst of messages has tiny dt
+    dt = np.maximum(dt, np.median(dt)) if len(dt) else dt  # dt may be tiny in a burst of messages
     sideways = float(np.percentile(np.abs(twist[:, 1]) / dt, 95.0)) if len(dt) else 0.0
     if sideways > MAX_SIDEWAYS_MPS:
         return f"it moves sideways at {sideways:.0f} m/s: its heading is not that of the body"
@@ -242,35 +243,36 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
     return words
 
 
-def backing_up(steps: Array, said: Array) -> Mask:
-    """Mark steps (n-1, 3) that go forward while the twist `said` (n-1,) [m] says backward.
+def backing_up(steps: Array, by_speed: Array) -> Mask:
+    """Mark steps (n-1, 3) that go forward while the distance by the speeds (n-1,) [m] is negative.
 
-    None where the twist is not to be believed (it disagrees with most steps), or where the pose does know how to
-    back up, so that a disagreement is something else.
+    Marks no step if the speeds disagree with most steps, or if the poses have reverse motion, so that the reason
+    of the disagreement is another one.
     """
     ahead = steps[:, 0]
-    moving = (np.abs(ahead) > MIN_STEP_M) & (np.abs(said) > MIN_STEP_M)
-    wrong = moving & (said < 0.0) & (ahead > 0.0)
+    moving = (np.abs(ahead) > MIN_STEP_M) & (np.abs(by_speed) > MIN_STEP_M)
+    wrong = moving & (by_speed < 0.0) & (ahead > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.abs(said / ahead)
+        ratio = np.abs(by_speed / ahead)
     agrees = moving & (ratio < MAX_STEP_RATIO) & (ratio > 1.0 / MAX_STEP_RATIO)
-    forward = moving & (said > 0.0) & (ahead > 0.0)
-    known = moving & (said < 0.0) & (ahead < 0.0)
-    believed = agrees.sum() >= MIN_AGREEING_SHARE * moving.sum() and forward.sum() > wrong.sum()
-    blind = known.sum() <= MAX_REVERSE_SHARE * wrong.sum()
-    found: Mask = (said < 0.0) & (ahead > 0.0) & bool(believed and blind and wrong.any())
+    forward = moving & (by_speed > 0.0) & (ahead > 0.0)
+    reverse = moving & (by_speed < 0.0) & (ahead < 0.0)
+    reliable = agrees.sum() >= MIN_AGREEING_SHARE * moving.sum() and forward.sum() > wrong.sum()
+    no_reverse = reverse.sum() <= MAX_REVERSE_SHARE * wrong.sum()
+    found: Mask = (by_speed < 0.0) & (ahead > 0.0) & bool(reliable and no_reverse and wrong.any())
     return found
 
 
-def along_the_frame(ahead: Array, dx: Array, said: Array) -> bool:
-    """Return whether speeds are in the frame of the poses, not of the body (REP 103 requires the body's).
+def along_the_frame(ahead: Array, dx: Array, by_speed: Array) -> bool:
+    """Return whether speeds are along the x axis of the poses' frame, instead of the body's (REP 103).
 
-    `said` (n,) [m] is how far they say that the body went; `ahead` and `dx` are the poses' ways ahead and along x.
+    `by_speed` (n,) [m] is the distance by the speeds; `ahead` and `dx` are the poses' distances forward and along
+    x.
     """
-    most = MAX_STEP_RATIO * np.maximum(np.abs(said), np.abs(ahead))  # a jump of the pose decides nothing
-    ways = dx, np.copysign(ahead, said)
-    in_frame, in_body = (float(np.minimum(np.abs(way - said), most).sum()) for way in ways)
-    return in_frame < MAX_FRAME_SHARE * in_body and in_body > MIN_BODY_MISFIT * float(np.abs(said).sum())
+    most = MAX_STEP_RATIO * np.maximum(np.abs(by_speed), np.abs(ahead))  # limits the effect of jumps
+    ways = dx, np.copysign(ahead, by_speed)
+    in_frame, in_body = (float(np.minimum(np.abs(way - by_speed), most).sum()) for way in ways)
+    return in_frame < MAX_FRAME_SHARE * in_body and in_body > MIN_BODY_MISFIT * float(np.abs(by_speed).sum())
 
 
 def _steps(values: Array) -> Array:
@@ -285,13 +287,13 @@ def _limits(t: Array, values: Array, max_speed: float | None) -> Array:
 
 
 def possible(speeds: Array, max_speed: float | None) -> Mask:
-    """Mark speeds [m/s] and turning rates [rad/s] (n, 2) that are possible for a body."""
+    """Mark pairs (n, 2) of speed [m/s] and turning rate [rad/s] that are possible for a body."""
     most = MAX_SPEED_MPS if max_speed is None else max_speed
     return (np.abs(speeds[:, 0]) <= most) & (np.abs(speeds[:, 1]) <= MAX_TURN_RADPS)
 
 
 def _integrated(t: Array, speeds: Array) -> Array:
-    """Twists (n-1, 3) of speed and turning rate (n, 2)."""
+    """Return twists (n-1, 3) from speeds and turning rates (n, 2) at times t (n,): the trapezoidal rule."""
     dt = np.diff(t)
     ds, turn = (0.5 * (speeds[1:, i] + speeds[:-1, i]) * dt for i in (0, 1))
     return np.stack((ds, np.zeros_like(ds), turn), axis=-1)

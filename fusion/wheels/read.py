@@ -1,4 +1,4 @@
-"""Reading wheels: joint angles, ticks, or another odometry's poses become one chain of body motion."""
+"""Reading of wheel motion from joint angles, ticks, poses of an odometry, or steered wheels."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .sources import (
 )
 from .steered import MOTOR, is_tricycle, motor_speeds, read_encoders, twists_of
 
-# In order of preference: angles of the wheels before somebody else's dead reckoning.
+# In order of preference: wheel angles before computed odometry.
 WHEEL_READS: Mapping[str, tuple[str, ...]] = {
     JOINTS: ("name", "position"),
     **TICKS,
@@ -40,7 +40,7 @@ WHEEL_READS: Mapping[str, tuple[str, ...]] = {
     **odometry.BODY_READS,
     **{kind: (field,) for kind, field in MOTOR.items()},
 }
-MIN_LENGTH_M = 1e-6  # no wheel is smaller, and no two stand closer
+MIN_LENGTH_M = 1e-6  # least radius and track
 SIGNS: Mapping[Mirrored, tuple[float, float]] = {
     "none": (1.0, 1.0),
     "left": (-1.0, 1.0),
@@ -50,27 +50,27 @@ SIGNS: Mapping[Mirrored, tuple[float, float]] = {
 
 
 class WheelReading(NamedTuple):
-    """The wheel motion of a log, and its source."""
+    """Wheel motion of a log, with notes on its repairs."""
 
     wheels: Wheels
-    epoch_ns: int  # the first reading used, time offset applied
+    epoch_ns: int  # stamp of the first used reading, plus the time offset
     dropped: dict[str, int]  # readings that are not used, by reason
-    notes: tuple[str, ...]  # repairs in words, each with the setting that controls it
-    doubt: str = ""  # why no robot moves like this, in words
+    notes: tuple[str, ...]  # repairs, each with the setting that controls it
+    doubt: str = ""  # why the motion is impossible for a robot
 
     def with_noise(self, noise: float) -> WheelReading:
-        """Return the same motion of wheels with another noise, m per metre rolled."""
+        """Return the same motion with another noise, as variance per metre rolled [m]."""
         return self._replace(wheels=replace(self.wheels, noise=noise), dropped=dict(self.dropped))
 
 
 def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
-    """Return the wheel motion. Raises LocfuseError if readings or geometry are not enough."""
+    """Read the wheel motion of a stream. Raises LocfuseError if readings or geometry are insufficient."""
     if stream.msgtype == odometry.SCANS:
         raise LocfuseError(f"{stream.topic} holds scans, whose motion has to be matched first", role="wheels")
     if stream.msgtype in odometry.BODY_READS:
         posed = odometry.has_pose(stream.msgtype, settings)
-        asked = not posed and odometry.commanded(stream.topic, stream.msgtype)
-        return _from_body(stream, odometry.pose_and_speed(stream, settings), settings, posed, asked)
+        commands = not posed and odometry.commanded(stream.topic, stream.msgtype)
+        return _from_body(stream, odometry.pose_and_speed(stream, settings), settings, posed, commands)
     if isinstance(stream, MergedStream) and is_tricycle(stream):
         return _from_tricycle(stream, settings)
     if stream.msgtype in MOTOR:
@@ -91,7 +91,7 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
 
 
 def _from_tricycle(stream: MergedStream, settings: WheelSettings) -> WheelReading:
-    """Use the encoders of a steered front wheel."""
+    """Read the motion of a tricycle from the encoders of its steered front wheel."""
     found = read_encoders(stream, settings)
     require_two(stream.topic, len(found.t), len(stream.parts[0].t_ns))
     twist = twists_of(found, settings, stream)
@@ -105,7 +105,7 @@ def _from_tricycle(stream: MergedStream, settings: WheelSettings) -> WheelReadin
 def _rolled(
     counters: Counters, metres: float, settings: WheelSettings
 ) -> tuple[Array, Array, Array, tuple[str, ...]]:
-    """Return times and the repaired distances of either wheel (n,) [m], at the same instants."""
+    """Return times (n,) and the repaired distances of left and right wheel (n,) [m] at these times, and notes."""
     left, right = (
         repaired(side, metres, settings.rollover, settings.max_speed) for side in (counters.left, counters.right)
     )
@@ -113,7 +113,7 @@ def _rolled(
     t_left, t_right = counters.left.t[left.keep], counters.right.t[right.keep]
     if counters.left.t is counters.right.t:
         t = np.intersect1d(t_left, t_right)
-    else:  # of two topics the instants of the left one
+    else:  # two topics: at the times of the left wheel
         t = t_left[(t_left >= t_right[0]) & (t_left <= t_right[-1])]
     s_left, s_right = (s * share for s, share in zip(SIGNS[settings.mirrored], settings.shares, strict=True))
     ways = s_left * np.interp(t, t_left, left.rolled), s_right * np.interp(t, t_right, right.rolled)
@@ -121,7 +121,7 @@ def _rolled(
 
 
 def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
-    """Return radius and track. Raises LocfuseError if one is missing or the size of a tick is not known."""
+    """Return wheel radius and track. Raises LocfuseError if one is missing, or the ticks per revolution."""
     missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
     if missing:
         raise LocfuseError(
@@ -152,20 +152,22 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
 
 
 def counts_ticks(msgtype: str) -> bool:
-    """Return whether a message type holds whole counts, never angles."""
+    """Return whether a message type has integer counts, never angles."""
     return msgtype in TICKS or NUMBERS.get(msgtype, 0) > 0 or ARRAYS.get(msgtype, 0) > 0
 
 
-def _from_body(stream: Stream, values: Array, settings: WheelSettings, posed: bool, asked: bool) -> WheelReading:
-    """Return wheel motion made of the body's own motion (n, 5); a virtual track scales its noise.
+def _from_body(
+    stream: Stream, values: Array, settings: WheelSettings, posed: bool, commands: bool
+) -> WheelReading:
+    """Read the body's motion from poses and speeds (n, 5); without a track, a virtual one scales the noise.
 
-    `posed` is whether the messages have poses, `asked` whether their speeds were only commanded.
+    `posed` is whether the messages have poses, `commands` whether the speeds are commands.
     """
     dropped = dict(stream.dropped)
     keep = usable(stream.t_ns, values, dropped)
     require_two(stream.topic, len(keep), len(stream.t_ns))
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
-    if asked:
+    if commands:
         can = odometry.possible(values[keep, 3:], settings.max_speed)
         count_dropped(dropped, spike=~can)
         t, twist = odometry.obeyed(t[can], values[keep[can], 3:])

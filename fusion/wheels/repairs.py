@@ -1,4 +1,4 @@
-"""A wheel's counter repaired: without rollovers, spikes and restarts, with notes on the repairs."""
+"""Repair of wheel counters: rollovers, spikes and restarts are removed, with notes on the repairs."""
 
 from __future__ import annotations
 
@@ -11,52 +11,52 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
 
-WINDOW_STEPS = 11  # steps whose median speed is the speed of the moment
-JUMP_FACTOR = 8.0  # times the speed of the moment ...
-JUMP_SLACK_MPS = 0.5  # ... plus this much [m/s] ...
-MIN_JUMP_M = 0.02  # ... plus this much [m]: less is no jump
-MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in whatever unit
-MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # what returns later than this did not spike
-COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # widths of counters seen in the wild
-MAX_FRACTION_QUANTA = 0.02  # quanta by which a step of a counter may miss a whole number
+WINDOW_STEPS = 11  # steps whose median speed is the present speed
+# a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
+JUMP_FACTOR, JUMP_SLACK_MPS, MIN_JUMP_M = 8.0, 0.5, 0.02
+MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
+MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
+COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # known widths of counters
+MAX_FRACTION_QUANTA = 0.02  # largest deviation of a counter's step from a multiple of its quantum
 
 Mask = NDArray[np.bool_]
 
 
 class Side(NamedTuple):
-    """Readings of one wheel, finite and in strictly increasing time."""
+    """Readings of one wheel: finite values at strictly increasing times."""
 
     name: str  # left or right
     t: Array  # (n,) s
     value: Array  # (n,) in the message's unit
-    likely: tuple[float, ...] = ()  # moduli that the message's type suggests
+    likely: tuple[float, ...] = ()  # moduli suggested by the message type
 
 
 class Repaired(NamedTuple):
-    """One wheel's distance, and the repairs that were made."""
+    """Repaired distance of one wheel, and notes on the repairs."""
 
-    keep: Ints  # (k,) readings that are not spikes
+    keep: Ints  # (k,) indices of the readings without spikes
     rolled: Array  # (k,) m since the first reading
     spikes: int
     notes: tuple[str, ...]
 
 
 def repaired(side: Side, metres: float, modulus: float | None, max_speed: float | None) -> Repaired:
-    """Return the distance rolled by a wheel; `metres` is one unit of its readings.
+    """Return the distance rolled by a wheel, without rollovers, spikes and restarts.
 
-    `modulus` and `max_speed` are wheels.rollover and wheels.max_speed.
+    `metres` is the distance per unit of the readings; `modulus` and `max_speed` are wheels.rollover and
+    wheels.max_speed.
     """
     count = unrolled(side.value, modulus, side.likely)
     rolled = count.values * metres
     bad = spikes(side.t, rolled[:, None], limits(side.t, np.diff(rolled), max_speed))
-    if bad.any():  # a spike may have hidden the modulus, or looked like a rollover
+    if bad.any():  # spikes may have disturbed the search for the modulus
         count = unrolled(side.value[~bad], modulus, side.likely)
     keep = np.flatnonzero(~bad)
     t, rolled = side.t[keep], count.values * metres
     steps = np.diff(rolled)
-    start_anew = np.abs(steps) > limits(t, steps, max_speed)
-    way = np.concatenate(([0.0], np.cumsum(restarted(t, steps[:, None], start_anew))))
-    jumps = steps[start_anew] / metres
+    restarts = np.abs(steps) > limits(t, steps, max_speed)
+    way = np.concatenate(([0.0], np.cumsum(without_restarts(t, steps[:, None], restarts))))
+    jumps = steps[restarts] / metres
     return Repaired(keep, way, int(bad.sum()), tuple(_words(side.name, count, int(bad.sum()), jumps.tolist())))
 
 
@@ -82,12 +82,12 @@ def _words(name: str, count: Unrolled, spiked: int, jumps: Sequence[float]) -> l
 
 
 def times(n: int) -> str:
-    """Return "once", "twice", "3 times"."""
+    """Return "once", "twice", or "3 times" for a number n."""
     return {1: "once", 2: "twice"}.get(n, f"{n} times")
 
 
 def gaps_of(n: int, longest_s: float) -> str:
-    """Return "a gap of 1.2 s", "3 gaps, the longest 1.2 s"."""
+    """Return "a gap of 1.2 s", or "3 gaps, the longest 1.2 s"."""
     return f"a gap of {longest_s:.1f} s" if n == 1 else f"{n} gaps, the longest {longest_s:.1f} s"
 
 
@@ -95,33 +95,34 @@ def gaps_of(n: int, longest_s: float) -> str:
 
 
 class Unrolled(NamedTuple):
-    """A counter without its rollovers."""
+    """Counter values without rollovers."""
 
     values: Array  # (n,)
-    modulus: float | None  # the counter's own unit; None where nothing rolled over
-    turns: int  # how often
+    modulus: float | None  # in counter units; None without a rollover
+    turns: int  # number of rollovers
 
 
 def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float] = ()) -> Unrolled:
-    """Return `values` (n,) unwrapped at the ends of their range.
+    """Return counter `values` (n,) with rollovers removed.
 
-    `modulus`: as set; 0 never; None finds it: one of `likely`, a turn in radians or degrees, or a power of two of
-    the step that the values come in. It must explain every long step and hold all values within one range.
+    `modulus`: the configured one; 0: no rollovers; None: search among `likely`, a turn in radians or degrees, and
+    powers of two of the smallest step. The modulus must explain every long step, and all values must lie within
+    it.
     """
     steps = np.diff(values)
     if modulus is None:
-        modulus = _found(values, steps, likely)
+        modulus = _find_modulus(values, steps, likely)
     if not modulus:
         return Unrolled(values, None, 0)
     turns = np.rint(steps / modulus)
-    often = int(np.count_nonzero(turns))
-    if not often:
+    rollovers = int(np.count_nonzero(turns))
+    if not rollovers:
         return Unrolled(values, None, 0)
-    return Unrolled(values - modulus * np.concatenate(([0.0], np.cumsum(turns))), modulus, often)
+    return Unrolled(values - modulus * np.concatenate(([0.0], np.cumsum(turns))), modulus, rollovers)
 
 
-def _found(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
-    """Return the smallest plausible modulus with which every long step is a rollover; None without one."""
+def _find_modulus(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
+    """Return the smallest plausible modulus that explains every long step as a rollover; None without one."""
     if not len(steps):
         return None
     longest = float(np.abs(steps).max())
@@ -131,7 +132,7 @@ def _found(values: Array, steps: Array, likely: Sequence[float]) -> float | None
 
 
 def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool:
-    """Return whether this modulus turns all long steps into ordinary ones and covers all values."""
+    """Return whether a modulus makes all long steps ordinary, and is at least the `span` of the values."""
     if not 0.5 * modulus < longest < modulus or span > modulus * (1.0 + 1e-6):
         return False
     long = np.abs(steps) > 0.5 * modulus
@@ -141,7 +142,7 @@ def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool
 
 
 def _powers(steps: Array, longest: float) -> list[float]:
-    """Return candidate moduli: 2^bits times the smallest step, if all steps are multiples of that."""
+    """Return candidate moduli: powers of two times the smallest step, if all steps are multiples of it."""
     sizes = np.abs(steps[steps != 0.0])
     quantum = float(sizes.min()) if len(sizes) else 0.0
     if quantum <= 1e-12 * longest:
@@ -151,17 +152,17 @@ def _powers(steps: Array, longest: float) -> list[float]:
     if not short.any() or np.abs(sizes / quantum - wholes)[short].max() > MAX_FRACTION_QUANTA:
         return []
     quantum = float(sizes[short].sum() / wholes[short].sum())
-    # several ticks may pass in every step, so that the quantum seen is a multiple of the counter's own
+    # every step may have several ticks, so the smallest step is a multiple of the counter's quantum
     return [quantum / part * 2.0**bits for bits in COUNTER_BITS for part in (1, 2, 3, 4, 5)]
 
 
-# ---- steps that no wheel can make: readings that leave and return, and values that restart ----
+# ---- impossible steps: spikes and restarts ----
 
 
 def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
-    """Return the largest plausible step (n-1,) [m]: generously more than at the present speed, or `max_speed`.
+    """Return the largest plausible steps (n-1,) [m]: by the present speed with a margin, or by `max_speed`.
 
-    A burst of messages has tiny dt, so that a step is never judged by less than the usual dt.
+    At least the median dt is used, since dt may be tiny in a burst of messages.
     """
     dt = np.diff(t)
     if not len(dt):
@@ -177,7 +178,7 @@ def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
 
 
 def _speeds(speed: Array, at: Ints) -> Array:
-    """Median of `speed` (n,) over the WINDOW_STEPS steps around, or nearest to, each position `at` (k,)."""
+    """Return the median of `speed` (n,) over the WINDOW_STEPS steps around each index `at` (k,)."""
     if not len(at):
         return np.zeros(0)
     window = min(WINDOW_STEPS, len(speed))
@@ -187,7 +188,7 @@ def _speeds(speed: Array, at: Ints) -> Array:
 
 
 def spikes(t: Array, values: Array, limit: Array) -> Mask:
-    """Mark readings that jump away and return: values (n, k), steps longer than `limit` (n-1,) are jumps."""
+    """Mark readings that jump away and return soon: values (n, k), largest plausible steps `limit` (n-1,)."""
     out = np.zeros(len(t), dtype=bool)
     jumps = np.flatnonzero(_length(np.diff(values, axis=0)) > limit)
     at = 0
@@ -202,7 +203,7 @@ def spikes(t: Array, values: Array, limit: Array) -> Mask:
 
 
 def _return_of(t: Array, values: Array, limit: Array, jumps: Ints, at: int) -> int | None:
-    """Return the later jump that takes the value back to that before jump `at`."""
+    """Return the index in `jumps` of the jump back to the value before jump `at`; None without one."""
     before = int(jumps[at])
     for later in range(at + 1, len(jumps)):
         after = int(jumps[later]) + 1
@@ -214,10 +215,10 @@ def _return_of(t: Array, values: Array, limit: Array, jumps: Ints, at: int) -> i
     return None
 
 
-def restarted(t: Array, steps: Array, jumps: Mask) -> Array:
-    """Replace jumping steps (n-1, k) by the mean speed of the steps around them.
+def without_restarts(t: Array, steps: Array, jumps: Mask) -> Array:
+    """Replace steps (n-1, k) at restarts by the mean speed of the neighbouring steps.
 
-    A counter that restarts says nothing about the motion between its last old and its first new value.
+    The motion between the last value before a restart and the first one after it is not measured.
     """
     out = steps.copy()
     dt = np.diff(t)

@@ -1,12 +1,12 @@
-"""How well a motion agrees with a laser: the share of a scan that lies on the scan one second before.
+"""Agreement of a motion with a laser: the share of a scan's points that lie on the scan one second before.
 
-Some pairs of scans are drawn from the whole log. A motion moves the later scan of each pair into the frame of the
-earlier one; a point that comes to lie within 10 cm of a point there agrees. The mean share over all pairs, s, is
-one number for each motion: of the wheels, of a standing robot, and of the matching of the scans themselves.
+Pairs of scans are chosen from the whole log. A motion converts the later scan of each pair to the frame of the
+earlier one; a point within 10 cm of a point of the earlier scan agrees. The mean share of agreeing points, s, is
+computed for the motion by the wheels, for a robot at rest, and for the motion by matching the scans.
 
-What it does not see: a reversed motion looks like a laser that is turned by 180 degrees, and one that turns the
-other way like a laser that is upside-down. So the best of four directions of the laser counts, each also mirrored.
-Along a single wall every motion agrees.
+A reversed motion is equivalent to a laser turned by 180 degrees, and a motion with the opposite turns to an
+upside-down laser. So s is the maximum over four directions of the laser, each also mirrored. With a single wall
+every motion along it agrees.
 """
 
 from __future__ import annotations
@@ -29,44 +29,45 @@ from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, source
 from .motion_by_scans import STANDING
 from .read import WheelReading
 
-PAIRS, MIN_MOVING = 60, 20  # pairs that are looked at; so many that move: standing ones are not needed
-PAIR_S, MAX_PAIR_S = 1.0, 3.0  # s from the earlier to the later scan of a pair; scans further apart make none
-MOVES_M, MOVES_RAD = 0.05, np.radians(3.0)  # of a pair that moves
-NEAR_M = 0.1  # a point that lies so near to one of the earlier scan agrees
+PAIRS, MIN_MOVING = 60, 20  # number of pairs; with so many moving pairs, pairs at rest are not used
+PAIR_S, MAX_PAIR_S = 1.0, 3.0  # s, wanted and largest time between the scans of a pair
+MOVES_M, MOVES_RAD = 0.05, np.radians(3.0)  # least motion of a moving pair
+NEAR_M = 0.1  # largest distance of an agreeing point from a point of the earlier scan
 POINTS, SURFACE_POINTS = 90, 360  # of the later and of the earlier scan
-MATCHED_POINTS = 40  # of a scan between
-SEARCH_STRIDE = 4  # while clock and mount are searched, every such point counts
-# turn [rad] of the laser beside its mount, whether it is upside-down, lag [s] of its clock, x offset [m]
+MATCHED_POINTS = 40  # of a scan between both
+SEARCH_STRIDE = 4  # every fourth point is used while clock and mount are searched
+# laser parameters of the search: turn [rad] and mirroring relative to the mount, lag [s] of the clock, x offset
+# [m]
 AS_CONFIGURED, LAG, AHEAD = np.zeros(4), np.eye(4)[2], np.eye(4)[3]
 TURNS = np.array([(turn, side, 0.0, 0.0) for side in (0.0, 1.0) for turn in np.radians([0.0, 90.0, 180.0, -90.0])])
 LAGS_S, FINER_S = np.linspace(-0.5, 0.5, 11), np.array([-0.05, 0.05])  # of the laser's clock
-AHEAD_M = np.array([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])  # of the laser on a base of which nothing says where it is
-STEP_S = 0.2  # s from scan to scan while the scans between a pair are matched
-STEP_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(12.0) ** -2])  # of a step of which nothing is known
-BETWEEN_PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # of steps that were matched one by one
+AHEAD_M = np.array([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])  # x offsets tried if the laser's position is not configured
+STEP_S = 0.2  # s between matched scans within a pair
+STEP_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(12.0) ** -2])  # weak prior of a step
+BETWEEN_PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # prior of a pair after its steps were matched
 STEP_REACH_M, REACH_M = 0.6, 0.3
 CHI_SQUARE_MEDIAN = 0.4549  # of one degree of freedom
-LANE_M = 1e4  # between two scans in the search tree
+LANE_M = 1e4  # offset between two scans in the common search tree
 
 
 class ScanPairs(msgspec.Struct, frozen=True, dict=True):
-    """Pairs of scans of one laser, and the scores of motions over them."""
+    """Pairs of scans of one laser, which give the agreement s of a motion."""
 
     stream: Stream
     laser: Laser
     t: Array  # (n,) s of all scans, since the first
-    first: Ints  # (p,) the earlier scan of each pair
-    later: Ints  # (p,)
-    surface: list[Array]  # p of (k, 2) m: what the earlier scan saw, in the laser's frame
-    points: list[Array]  # p of (k, 2) m: what the later one saw
+    first: Ints  # (p,) index of the earlier scan of each pair
+    later: Ints  # (p,) index of the later scan
+    surface: list[Array]  # p of (k, 2) m: points of the earlier scan, in the laser's frame
+    points: list[Array]  # p of (k, 2) m: points of the later scan
 
     @property
     def judge(self) -> bool:
-        """Whether any pair of scans has points."""
+        """Return whether any pair of scans has points."""
         return any(len(p) for p in self.points) and any(len(p) for p in self.surface)
 
     def share(self, moved: Array, stride: int = 1) -> float:
-        """Return the share s for motions of the laser (p, 3): the later scan relative to the earlier one."""
+        """Return the share s for laser motions `moved` (p, 3): the later scan relative to the earlier one."""
         points = [p[::stride] for p in self.points]
         counts = [len(p) for p in points]
         lane = np.repeat(np.arange(len(counts)), counts)
@@ -80,23 +81,23 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def still(self) -> float:
-        """The share s for a robot at rest."""
+        """Return the share s for a robot at rest."""
         return self.share(np.zeros((len(self.first), 3)))
 
     def of(self, motion: WheelReading) -> float:
-        """Return the share s of a motion of the wheels, with the best direction, clock and mount of the laser."""
-        return self.share(self._by(motion, self._fitted(motion)))
+        """Return the share s for a wheel motion, with the best direction, clock and mount of the laser."""
+        return self.share(self._by(motion, self._best_laser(motion)))
 
     def misfit(self, motion: WheelReading) -> float:
-        """Return how far a motion turns from the matching of the scans, in sigmas: the median of all pairs."""
-        how = self._fitted(motion)
+        """Return the median difference [sigmas] between the turns by a wheel motion and by scan matching."""
+        how = self._best_laser(motion)
         off = se2.wrap_all(self._by(motion, how)[:, 2] - self._poses[:, 2])
         begin, end = self._within(motion, how[2])
         variance = motion.wheels.between(begin, end).Q[:, 2, 2] + FLOOR_RAD**2
         return float(np.sqrt(np.median(off**2 / variance) / CHI_SQUARE_MEDIAN))
 
-    def _fitted(self, motion: WheelReading) -> Array:
-        """Search turn [rad], mirroring, lag [s] and x offset [m] of the laser that fit a motion best, in turn."""
+    def _best_laser(self, motion: WheelReading) -> Array:
+        """Search for the laser's turn [rad], mirroring, lag [s] and x offset [m] with the largest share s."""
         best, placed = AS_CONFIGURED, self.laser.mount[:2].any()
         share = self.share(self._by(motion, best), SEARCH_STRIDE)
         searched = [TURNS, *(lags[:, None] * LAG for lags in (LAGS_S, FINER_S))]
@@ -108,16 +109,16 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return best
 
     def of_path(self, motion: WheelReading) -> float:
-        """Return the share s of the laser's own scan-matched path, which needs no clock or mount fit."""
+        """Return the share s for the laser's own scan-matched path, which needs no clock or mount search."""
         return self.share(self._by(motion, AS_CONFIGURED))
 
     def matched(self) -> float:
-        """Return the share s of the motion by matching the scans of each pair."""
+        """Return the share s for the motion by matching the scans of each pair."""
         return self.share(self._poses)
 
     @cached_property
     def _poses(self) -> Array:
-        """The laser's motion over each pair (p, 3) by its scans: by short steps, then at once."""
+        """Return the laser's motion over each pair (p, 3) by scan matching: in short steps, then directly."""
         chains = [self._rows_between(i, j) for i, j in zip(self.first.tolist(), self.later.tolist(), strict=True)]
         rows, at = np.unique(np.concatenate(chains), return_inverse=True)
         clouds = Clouds.of_scans(_points(self.stream, self.laser, rows, POINTS * 2), np.zeros(2))
@@ -141,7 +142,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return cKDTree(np.column_stack((np.concatenate(self.surface), LANE_M * lane)))
 
     def _by(self, motion: WheelReading, how: Array) -> Array:
-        """Return the laser's motion over each pair (p, 3) by the wheels, for one of the ways of `_fitted`."""
+        """Return the laser's motion over each pair (p, 3) by a wheel motion, for laser parameters `how` (4,)."""
         turn, mirrored, lag, ahead = how.tolist()
         mount = self.laser.mount + np.array([ahead, 0.0, turn])
         body = motion.wheels.relative(*self._within(motion, lag))
@@ -150,17 +151,17 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return moved * [1.0, -1.0, -1.0] if mirrored else moved
 
     def _within(self, motion: WheelReading, lag: float) -> tuple[Array, Array]:
-        """Return begin and end of each pair (p,) on the clock of a motion, within its range."""
+        """Return begin and end time of each pair (p,) on the clock of a motion, limited to its range."""
         return _times(self.stream, motion, self.t[self.first] + lag, self.t[self.later] + lag)
 
     def _rows_between(self, i: int, j: int) -> Ints:
-        """Return the scans from i to j, STEP_S apart."""
+        """Return the indices of scans from i to j, STEP_S apart."""
         wanted = np.arange(self.t[i], self.t[j] - 0.5 * STEP_S, STEP_S)
         return np.unique(np.append(np.clip(np.searchsorted(self.t, wanted), i, j - 1), j))
 
 
 def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) -> ScanPairs | None:
-    """Return pairs of scans during which one of the motions moves; None with less than two scans."""
+    """Choose pairs of scans during which one of the motions moves; None without pairs."""
     t: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9) if len(stream.t_ns) else np.zeros(0)
     later = np.searchsorted(t, t + PAIR_S - 1e-3)
     first = np.flatnonzero(later < len(t))
@@ -174,20 +175,20 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
         u = motion.wheels.relative(*_times(stream, motion, t[first], t[later]))
         moves |= (np.hypot(u[:, 0], u[:, 1]) > MOVES_M) | (np.abs(u[:, 2]) > MOVES_RAD)
     of = np.flatnonzero(moves) if moves.sum() >= MIN_MOVING else np.arange(len(first))
-    some = of[np.unique(np.linspace(0, len(of) - 1, min(PAIRS, len(of))).astype(np.int64))]
-    first, later = first[some], later[some]
+    chosen = of[np.unique(np.linspace(0, len(of) - 1, min(PAIRS, len(of))).astype(np.int64))]
+    first, later = first[chosen], later[chosen]
     both = np.concatenate((first, later))
     rows, at = np.unique(np.concatenate((both, np.maximum(both - 1, 0))), return_inverse=True)
     found = _points(stream, laser, rows, SURFACE_POINTS)
     surface, points, *before = ([found[k] for k in part.tolist()] for part in np.split(at, 4))
-    # a scan that repeats the one before is older than its stamp, or the robot stands: it tells nothing
+    # a scan equal to the one before is older than its stamp, or the robot is at rest: not used
     seen = zip(both.tolist(), (*surface, *points), chain(*before), strict=True)
     new = np.array([row == 0 or not np.array_equal(scan, last) for row, scan, last in seen])
-    told = np.flatnonzero(new.reshape(2, -1).all(axis=0)).tolist()
-    if not told:
+    used = np.flatnonzero(new.reshape(2, -1).all(axis=0)).tolist()
+    if not used:
         return None
-    surface, points = [surface[k] for k in told], [points[k][:: max(1, len(points[k]) // POINTS)] for k in told]
-    return ScanPairs(stream, laser, t, first[told], later[told], surface, points)
+    surface, points = [surface[k] for k in used], [points[k][:: max(1, len(points[k]) // POINTS)] for k in used]
+    return ScanPairs(stream, laser, t, first[used], later[used], surface, points)
 
 
 def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> tuple[Array, Array]:
@@ -198,7 +199,7 @@ def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> 
 
 
 def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:
-    """Return the points of some scans in the laser's frame, about `most` each, in the order of beams."""
+    """Return the points of scans `rows` in the laser's frame, about `most` each, in the order of beams."""
     plain = laser._replace(mount=np.zeros(3), deskew=False)
     scans = ScanPoints(stream, SCAN_FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
     near = (p[np.hypot(*p.T) < MAX_RANGE_M] for p in scans.read(np.arange(len(rows))))

@@ -1,4 +1,4 @@
-"""Sources of wheel readings: joint angles or speeds, tick messages, and pairs of bare numbers on two topics."""
+"""Sources of wheel readings: joint angles or speeds, tick messages, arrays, and pairs of number topics."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ TICKS: Mapping[str, tuple[str, str]] = {
     "turtlebot3_msgs/msg/SensorState": ("left_encoder", "right_encoder"),
     KOBUKI: ("left_encoder", "right_encoder"),
 }
-TICK_BITS = {KOBUKI: 16}  # of the counters; 32 where nothing is said
+TICK_BITS = {KOBUKI: 16}  # of the counters; 32 by default
 # Message type -> fields of the left and the right wheel's speed [rad/s].
 SPEEDS: Mapping[str, tuple[str, str]] = {
     "irobot_create_msgs/msg/WheelVels": ("velocity_left", "velocity_right"),
 }
-# One wheel per topic -> bits of its counter; 0: a number that may be an angle.
+# Message type with one wheel per topic -> bits of the counter; 0: the number may be an angle.
 NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Int16": 16,
     "std_msgs/msg/UInt16": 16,
@@ -38,19 +38,19 @@ NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Float64": 0,
     "duckietown_msgs/msg/WheelEncoderStamped": 32,
 }
-# Both wheels in one array -> bits of its counters; 0: numbers that may be angles.
+# Message type with both wheels in an array -> bits of the counters; 0: the numbers may be angles.
 ARRAYS: Mapping[str, int] = {
     f"{kind}MultiArray": bits for kind, bits in NUMBERS.items() if kind.startswith("std_msgs/msg/")
 }
 USUAL_TICKS = {
     "irobot_create_msgs/msg/WheelTicks": 508.8,  # Create 3, and the TurtleBot 4 on it
     "turtlebot3_msgs/msg/SensorState": 4096.0,  # the TurtleBot 3's Dynamixels
-    KOBUKI: 2578.33,  # the TurtleBot 2's Kobuki base: 52 ticks a turn of the motor, gear 49.58
+    KOBUKI: 2578.33,  # the TurtleBot 2's Kobuki base: 52 ticks per motor revolution, gear 49.58
     "duckietown_msgs/msg/WheelEncoderStamped": 135.0,  # the Duckiebot DB21's Hall encoders
 }
-SIDE_LETTERS = {"left": {"l", "fl", "rl", "bl"}, "right": {"r", "fr", "rr", "br"}}  # of joints that are wheels
+SIDE_LETTERS = {"left": {"l", "fl", "rl", "bl"}, "right": {"r", "fr", "rr", "br"}}  # in names of wheel joints
 REAR_WORDS, REAR_LETTERS = ("rear", "back"), {"rl", "rr", "bl", "br"}
-NO_DRIVE = ("caster", "steer", "drop", "suspension")  # joints of a wheel that say nothing of the way it rolls
+NO_DRIVE = ("caster", "steer", "drop", "suspension")  # in names of wheel joints other than the rolling one
 LIMBS = (
     *("hip", "knee", "thigh", "calf", "ankle", "leg", "foot"),
     *("arm", "shoulder", "elbow", "wrist", "finger", "gripper"),
@@ -58,17 +58,17 @@ LIMBS = (
 
 
 class Counters(NamedTuple):
-    """Both wheels' readings, and the counts of readings not used."""
+    """Readings of both wheels, and the number of unused readings by reason."""
 
     left: Side
     right: Side
-    zero_ns: int  # the sides' times are seconds after it
+    zero_ns: int  # stamp from which the times of both sides count
     dropped: dict[str, int]
     notes: tuple[str, ...] = ()
 
 
 def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
-    """Return both wheels' counters from their source. Raises LocfuseError if there is none."""
+    """Read the counters of both wheels from a stream. Raises LocfuseError if it has none."""
     if isinstance(stream, MergedStream):
         return _pair(stream, settings)
     dropped = dict(stream.dropped)
@@ -101,9 +101,10 @@ def _two(stream: Stream, fields: tuple[str, str]) -> Array:
 
 
 def _of_array(stream: Stream, settings: WheelSettings) -> Array:
-    """Return the numbers (n, 2) of the left and the right wheel in arrays, NaN for arrays of another length.
+    """Return the numbers (n, 2) of left and right wheel from arrays; NaN for arrays of unusual length.
 
-    Two numbers are left and right. Of more, `[wheels] left` and `right` say which they are: "0" is the first.
+    Arrays of two numbers are left and right. For longer arrays, `[wheels] left` and `right` are the indices ("0"
+    is the first).
     """
     rows = cast("Ragged", stream.columns("data")["data"])
     long = int(np.median(rows.lengths)) if len(rows) else 0
@@ -125,7 +126,7 @@ def _of_array(stream: Stream, settings: WheelSettings) -> Array:
 
 
 def _rolled_by(t: Array, speeds: Array) -> Array:
-    """Return the angles (n, 2) [rad] that wheels of these speeds (n, 2) [rad/s] turn by: the trapezoidal rule."""
+    """Integrate wheel speeds (n, 2) [rad/s] to angles (n, 2) [rad] by the trapezoidal rule."""
     steps = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(t)[:, None]
     return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
 
@@ -139,13 +140,13 @@ class _Found(NamedTuple):
 
 
 def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
-    """Return the rows that are finite and later than the row before; count the others in `dropped`."""
+    """Return the indices of rows that are finite and have increasing stamps; count the others in `dropped`."""
     finite = np.isfinite(values).all(axis=1)
     count_dropped(dropped, not_finite=~finite)
     rows = np.flatnonzero(finite)
     if len(rows) == 0:
         return rows
-    # of several readings with one stamp the last one counts: a repeat carries the newest value
+    # of several readings with one stamp the last one is used
     last = np.append(t_ns[rows[1:]] > t_ns[rows[:-1]], True)
     same = (values[rows[1:]] == values[rows[:-1]]).all(axis=1) & ~last[:-1]
     count_dropped(dropped, repeat=same, same_stamp=~last[:-1] & ~same)
@@ -154,7 +155,7 @@ def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
 
 
 def require_two(topic: str, found: int, n: int) -> None:
-    """Raise LocfuseError if less than two readings are left."""
+    """Raise LocfuseError if fewer than two readings are usable."""
     if found < 2:
         raise LocfuseError(f"{topic} has {found} usable readings of {n}; two are the least", role="wheels")
 
@@ -164,7 +165,7 @@ def _revolution(settings: WheelSettings) -> tuple[float, ...]:
 
 
 def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
-    """Two topics with one bare number each: they are not synchronised, and have only the recording time."""
+    """Read both wheels from two topics of numbers, which are not synchronised and have only recording times."""
     dropped: dict[str, int] = {}
     zero_ns = int(max(part.t_ns[0] if len(part.t_ns) else 0 for part in stream.parts))
     sides = []
@@ -183,13 +184,13 @@ def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
 
 
 def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> _Found:
-    """Return the wheels' joints, matched by name only; messages of other joints (an arm) are left out."""
+    """Return the positions or speeds of the two wheel joints; messages without these joints are left out."""
     columns = stream.columns("name", "position")
     names, positions = cast("list[tuple[str, ...]]", columns["name"]), cast("Ragged", columns["position"])
     joints = joint_names(names, stream.topic, settings)
     values, held = _by_name(names, positions, joints)
     speeds = not np.isfinite(values).any()
-    if speeds:  # no angle at all: drivers of velocity interfaces leave the array empty, or fill it with NaN
+    if speeds:  # no angles: drivers with a velocity interface leave the positions empty or NaN
         values, held = _by_name(names, cast("Ragged", stream.columns("velocity")["velocity"]), joints)
     left, right = joints
     if not held.any() or (speeds and not np.isfinite(values).any()):
@@ -204,7 +205,7 @@ def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) ->
 
 
 def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[str]) -> tuple[Array, Mask]:
-    """Return (n, 2) positions of two joints, NaN where missing, and which messages (n,) hold either."""
+    """Return the positions (n, 2) of two joints, NaN if missing, and which messages (n,) have one of them."""
     out = np.full((len(names), 2), np.nan)
     layouts = {row: i for i, row in enumerate(dict.fromkeys(names))}
     layout = np.zeros(len(names), np.int64)
@@ -224,10 +225,10 @@ def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[s
 
 
 def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSettings) -> tuple[str, str]:
-    """Return the joints of the left and right wheel: as configured, else the pair with matching names.
+    """Return the names of the left and right wheel joint: the configured ones, else a pair of similar names.
 
-    Of two pairs that is the rear one: the wheels of one side of a robot that skids turn alike, and those of a
-    car's rear axle never steer.
+    Of a front and a rear pair, the rear one is used: on a skid-steered robot both are equal, and on a car the rear
+    wheels are not steered.
     """
     known = sorted({joint for row in set(names) for joint in row})
     sides = {side: _guesses(known, side) for side in SIDE_LETTERS}
@@ -256,14 +257,14 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
 
 
 def _guesses(joints: Sequence[str], side: str) -> list[str]:
-    """Return the joints named like a wheel of this side; else all that are not named like a limb."""
+    """Return the joints whose names fit a wheel on this side; else those that fit this side and no limb."""
     found = [j for j in joints if side in j.lower() and not any(word in j.lower() for word in LIMBS)]
     wheels = [j for j in joints if "wheel" in j.lower() and not any(word in j.lower() for word in NO_DRIVE)]
     return [j for j in wheels if j in found or _letters(j) & SIDE_LETTERS[side]] or found
 
 
 def _letters(joint: str) -> set[str]:
-    """Return the words of a joint's name: "fl_wheel_joint" is fl, wheel and joint."""
+    """Return the words in a joint's name: "fl_wheel_joint" gives fl, wheel, joint."""
     return set(re.split(r"[^a-z]+", joint.lower()))
 
 

@@ -1,8 +1,8 @@
-"""Wheels as states (`wheels.estimate`): what the filter estimates of radius, ratio and track.
+"""Wheel parameters as filter states (`wheels.estimate`): radius, ratio and track.
 
-The states a, b, q are corrections in which the motion is linear: the wheels roll (1 + a) and (1 + b) times what
-is configured, and a difference of distances turns the robot by (1 + s - q) / track, with s the mean of a and b.
-Reported are radius, ratio and track: where robot.toml has the track 15 % too small, q is 13 %.
+The motion is linear in the states a, b, q: the left and right wheel roll (1 + a) and (1 + b) times the configured
+distance, and a difference of distances turns the robot by (1 + s - q) / track, where s is the mean of a and b.
+Reports give radius, ratio and track: if the configured track is 15 % too small, q is 13 %.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ WHEEL_STATES: dict[str, Sequence[Component]] = {
         Component("track, to first order", "%", 100.0),
     )
 }
-MAX_PRIOR_SHARE = 0.7  # a scale whose standard deviation keeps more of its prior's was not seen
-MAX_PRIOR_SIGMAS = 2.0  # prior standard deviations: beyond, wheels and sensor do not mean the same metre
+MAX_PRIOR_SHARE = 0.7  # a state with a larger share of its prior standard deviation is not identifiable
+MAX_PRIOR_SIGMAS = 2.0  # prior standard deviations beyond which the distance scales of wheels and sensors differ
 
 
 def wheel_block(wheels: WheelSettings) -> Block:
-    """Return the states, zero at the start: corrections of the left wheel, the right wheel, and the track."""
+    """Return the wheel states with their prior: corrections of left wheel, right wheel and track, initially 0."""
     variance = np.array([wheels.sigma_scale, wheels.sigma_scale, wheels.sigma_track]) ** 2
     return Block(WHEELS, np.zeros(3), np.diag(variance), np.zeros(3))
 
 
 def geometry(x: Array) -> Array:
-    """Return the relative corrections of (radius, ratio right / left, track) for states x (3,), (3,)."""
+    """Return the relative corrections (3,) of radius, ratio right / left, and track, for states x (3,)."""
     s, q = 0.5 * (x[0] + x[1]), x[2]
     return np.array([s, (1.0 + x[1]) / (1.0 + x[0]) - 1.0, (1.0 + s) / (1.0 + s - q) - 1.0])
 
 
 def derivative(x: Array) -> Array:
-    """Return d geometry / dx, (3, 3)."""
+    """Return the derivative (3, 3) of `geometry` by the states x (3,)."""
     a, b, q = x.tolist()
     s = 0.5 * (a + b)
     by_scale, by_turn = -0.5 * q / (1.0 + s - q) ** 2, (1.0 + s) / (1.0 + s - q) ** 2
@@ -53,9 +53,9 @@ def derivative(x: Array) -> Array:
 def wheel_words(
     settings: WheelSettings, x: Array, P: Array, sensors: Sequence[str], metric: Mapping[str, str | None]
 ) -> list[str]:
-    """Return notes on the wheel states x (3,) with covariance P (3, 3), and on those not determined.
+    """Return notes for the user on the estimated wheel states x (3,) with covariance P (3, 3).
 
-    `metric`: those of them that measure metres, and the setting, where there is one, by which theirs are scaled.
+    `metric`: the sensors that measure distances, with the setting for their distance scale if there is one.
     """
     found, G = geometry(x), derivative(x)
     sigma = np.sqrt(np.maximum(np.diagonal(G @ P @ G.T), 0.0))
@@ -69,12 +69,14 @@ def wheel_words(
     elif sigma[2] > MAX_PRIOR_SHARE * settings.sigma_track:
         words.append("the track is not identifiable: the robot hardly turned")
     elif abs(found[0]) > MAX_PRIOR_SIGMAS * prior:
-        words += _metres(settings, found, prior, metric)
+        words += _scale_words(settings, found, prior, metric)
     return words
 
 
-def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping[str, str | None]) -> list[str]:
-    """Return notes on a distance scale that differs between wheels and sensors: only the ratio is observed."""
+def _scale_words(
+    settings: WheelSettings, found: Array, prior: float, metric: Mapping[str, str | None]
+) -> list[str]:
+    """Return notes for the user if wheels and sensors differ in distance scale: only the ratio is observed."""
     if not metric:
         return []
     scale, _, track = found.tolist()
@@ -93,7 +95,7 @@ def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping
 
 
 def _estimate_words(settings: WheelSettings, found: Array, sigma: Array) -> str:
-    """Return a sentence with the estimated radius, ratio and track; as changes in % if not configured."""
+    """Return a sentence with the estimated radius, ratio and track; in % if they are not configured."""
     parts = []
     for key, change, s in zip(("radius", "ratio", "track"), found.tolist(), sigma.tolist(), strict=True):
         value = getattr(settings, key)

@@ -1,12 +1,13 @@
-"""Steered wheels: a car's motor and its steering, and the encoders of a tricycle's front wheel.
+"""Steered wheels: motor and steering of a car, and encoders of a tricycle's front wheel.
 
-The VESC, a car's motor controller, counts electrical revolutions per minute (erpm). With those of 1 m/s, which
-its driver calls speed_to_erpm_gain, they are a speed v; the front wheels' angle d turns the car by
-v tan(d) / wheelbase. The angle is an Ackermann command, or the position of the servo, gain * angle + offset.
+The VESC, a motor controller of cars, counts electrical revolutions per minute (erpm). Divided by those of 1 m/s
+(speed_to_erpm_gain of its driver), they give the speed v; with the angle d of the front wheels, the turning rate
+is v tan(d) / wheelbase. The angle is an Ackermann command, or follows from the servo position, gain * angle +
+offset.
 
-The front wheel of a tricycle rolls ds in the direction phi, so that the middle of the rear axle goes ds cos(phi)
-and turns by ds sin(phi) / wheelbase. One tick of the traction is 2 pi radius / ticks_per_revolution; the steering
-reads servo_gain * phi + servo_offset, in its own ticks, and rolls over once a turn of its encoder.
+The front wheel of a tricycle rolls ds in the direction phi, so the middle of the rear axle moves by ds cos(phi)
+and turns by ds sin(phi) / wheelbase. One tick of the traction encoder is 2 pi radius / ticks_per_revolution; the
+steering encoder reads servo_gain * phi + servo_offset in ticks, and rolls over once per turn.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from locfuse.fusion.streams import MergedStream
 from .odometry import STEERED, wheelbase_of
 from .repairs import Side, repaired, unrolled
 
-# Message type -> field of the motor's speed [erpm].
+# Message type -> field of the motor speed [erpm].
 MOTOR: Mapping[str, str] = {
     "vesc_msgs/msg/VescStateStamped": "state.speed",
     "vesc_msgs/msg/VescState": "speed",
 }
-SERVO = "std_msgs/msg/Float64"  # its position, 0 to 1
+SERVO = "std_msgs/msg/Float64"  # servo position, 0 to 1
 GAIN_HINT = "speed_to_erpm_gain of vesc.yaml"
-COUNTER_RANGES = (2.0**16, 2.0**32)  # at which a traction counter rolls over, whatever its message could hold
+COUNTER_RANGES = (2.0**16, 2.0**32)  # possible moduli of traction counters, independent of the message type
 STEERING_WORD = "steer"
 
 
 def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
-    """Return (n, 5) zeros, forward speed [m/s] and turning rate [rad/s] at the motor's readings.
+    """Return (n, 5) zeros (no pose), forward speed [m/s] and turning rate [rad/s] at the motor's readings.
 
-    The steering is the newest that came before; before the first it is the first. Raises LocfuseError where a
-    setting is missing, or nothing was steered.
+    Each motor reading gets the last steering reading before it, or the first one. Raises LocfuseError if a setting
+    or the steering is missing.
     """
     motor, steering = stream.parts
     if not settings.erpm_per_mps:
@@ -60,7 +61,7 @@ def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
 
 
 def _angles(steering: Stream, settings: WheelSettings) -> Array:
-    """Return the steering angles (n,) [rad] of the front wheels."""
+    """Return the steering angles (n,) [rad] of the front wheels, from commands or servo positions."""
     field = STEERED[steering.msgtype][1] if steering.msgtype in STEERED else "data"
     steered = cast("dict[str, Array]", steering.columns(field))[field].astype(np.float64)
     if steering.msgtype in STEERED:
@@ -76,23 +77,23 @@ def _angles(steering: Stream, settings: WheelSettings) -> Array:
 
 
 class Encoders(NamedTuple):
-    """Readings of both encoders of a tricycle, at the times of the traction."""
+    """Readings of both encoders of a tricycle, at the times of the traction encoder."""
 
     t: Array  # (n,) s since the first reading
     zero_ns: int
-    rolled: Array  # (n,) m that the front wheel has rolled
-    steering: Array  # (n,) ticks, counted on over the ends of their range
+    rolled: Array  # (n,) m, distance rolled by the front wheel
+    steering: Array  # (n,) ticks, without rollovers
     spikes: int
     notes: tuple[str, ...]
 
 
 def is_tricycle(stream: Stream) -> bool:
-    """Return whether two topics of numbers are traction and steering, not a left and a right wheel."""
+    """Return whether two topics of numbers are traction and steering, instead of left and right wheel."""
     return isinstance(stream, MergedStream) and STEERING_WORD in stream.parts[-1].topic.lower()
 
 
 def read_encoders(stream: MergedStream, settings: WheelSettings) -> Encoders:
-    """Return both encoders. Raises LocfuseError if the size of the wheel or of a tick is not known."""
+    """Read both encoders of a tricycle. Raises LocfuseError without wheel radius or ticks per revolution."""
     traction, steering = stream.parts
     if not (settings.radius and settings.ticks_per_revolution):
         raise LocfuseError(
@@ -114,9 +115,9 @@ def read_encoders(stream: MergedStream, settings: WheelSettings) -> Encoders:
 
 
 def twists_of(found: Encoders, settings: WheelSettings, stream: Stream) -> Array:
-    """Return the twists (n-1, 3) of the rear axle's middle.
+    """Return the twists (n-1, 3) of the rear axle's middle, from the encoders of a tricycle.
 
-    Raises LocfuseError where it is not known how the steering's ticks become an angle, or the wheelbase.
+    Raises LocfuseError if the gain of the steering or the wheelbase is not configured.
     """
     if not settings.servo_gain:
         raise LocfuseError(

@@ -1,20 +1,19 @@
-"""Noise of the wheels for a filter that has velocities as states, such as that of robot_localization.
+"""Wheel noise for a filter with velocities as states, such as robot_localization.
 
-Here noise grows with the way (docs/paper.md, eq. 9): a wheel that rolls s metres has the variance k |s|, so per
-second
+In locfuse, noise grows with the path (docs/paper.md, eq. 9): a wheel that rolls s metres has the variance k |s|,
+so per second
 
     forward   k (|v_left| + |v_right|) / 4         m^2 / s
     turn      k (|v_left| + |v_right|) / track^2   rad^2 / s
 
-at the speeds of the drive. In such a filter a twist is measured every T seconds with the variance R, and
-the velocity itself wanders with the process noise q per second. R T is what a reading adds to the pose per second,
-so R = needed / T.
+at the speeds of the drive. A filter with velocities as states gets a twist every T seconds with the variance R,
+and the velocity is a random walk with process noise q per second. A reading adds R T per second to the pose
+variance, so R = needed / T.
 
-Only noise that differs from reading to reading belongs into R: slip that lasts does not show in an odometry's own
-readings, and with so large an R a filter averages over real changes of speed. Of z_k = v_k + noise with a
-wandering v, the steps d_k = z_{k+1} - z_k have E d_k d_{k+1} = -R (covariance matching; Mehra 1970), and q is what
-makes the readings most likely in a filter whose only state is v (`random_walk`). What `needed` has beyond that R
-goes into the process noise of the pose.
+But only independent noise of the readings belongs into R: lasting slip is not visible in consecutive readings, and
+with a large R the filter would average over real changes of speed. For z_k = v_k + noise with a random walk v, the
+steps d_k = z_{k+1} - z_k have E d_k d_{k+1} = -R (covariance matching; Mehra 1970). q is the maximum-likelihood
+value of a filter whose only state is v (`random_walk`). The rest of `needed` becomes process noise of the pose.
 """
 
 from __future__ import annotations
@@ -28,25 +27,25 @@ from locfuse.fusion.data import Array
 
 from .motion import Wheels
 
-MIN_SHARE = 0.01  # of the steps' variance: R and q stay above it, or a filter divides by next to nothing
+MIN_SHARE = 0.01  # least R as share of the steps' variance, for numerical stability
 MIN_VARIANCE = 1e-12
 LN_RATIOS, LN_TOLERANCE = (-16.0, 16.0), 0.005  # ln of q T / R
 MAX_READINGS = 4000
-MAX_PERIODS = 1.5  # a longer pause between two readings is no step
+MAX_PERIODS = 1.5  # steps over longer gaps are not used
 
 
 class VelocityNoise(NamedTuple):
-    """Variances of forward speed and turning rate, (2,) each: in m and rad."""
+    """Noise of forward speed and turning rate, (2,) each: in m and rad."""
 
     period: float  # s, T
-    reading: Array  # R: of one reading, (m/s)^2 and (rad/s)^2
-    walk: Array  # q: of the velocity's own random walk, per second
-    pose: Array  # of way and turn beyond R, m^2 and rad^2 per second
-    needed: Array  # of way and turn in all, m^2 and rad^2 per second
+    reading: Array  # R: variance of one reading, (m/s)^2 and (rad/s)^2
+    walk: Array  # q: process noise of the velocity, per second
+    pose: Array  # process noise of distance and turn in addition to R, m^2 and rad^2 per second
+    needed: Array  # total noise of distance and turn, m^2 and rad^2 per second
 
 
 def velocity_noise(wheels: Wheels) -> VelocityNoise:
-    """Return the noise of the wheels per reading and per second, at the speeds of this drive."""
+    """Return the wheel noise per reading and per second, at the speeds of this drive."""
     dt = np.diff(wheels.t)
     period = float(np.median(dt))
     grown = _grown(wheels)
@@ -65,9 +64,9 @@ def velocity_noise(wheels: Wheels) -> VelocityNoise:
 
 
 def random_walk(z: Array, variance: float, period: float) -> float:
-    """Return the process noise per second of a value z (n,) that is read every `period` s, with this variance.
+    """Return the process noise per second of a value read as z (n,) every `period` s with noise `variance`.
 
-    By maximum likelihood: the prior variance p of the one state settles where p = p R / (p + R) + q T.
+    By maximum likelihood: in steady state the prior variance p satisfies p = p R / (p + R) + q T.
     """
     from scipy.optimize import minimize_scalar
 
@@ -91,7 +90,7 @@ def random_walk(z: Array, variance: float, period: float) -> float:
 
 
 def _grown(wheels: Wheels) -> Array:
-    """Return the variance of distance [m^2] and turn [rad^2] added in each interval, (n, 2)."""
+    """Return the variances of distance [m^2] and turn [rad^2] added in each wheel interval, (n, 2)."""
     if wheels.matched is not None:
         return np.stack((wheels.matched[:, 0, 0], wheels.matched[:, 2, 2]), axis=-1)
     noise = wheels.noise * np.abs(wheels.rolled).sum(axis=1)

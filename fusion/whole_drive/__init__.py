@@ -1,1 +1,1 @@
-"""The whole drive at once: smoothing backward, the graph of key poses with its loops, and references."""
+"""Whole-drive estimation: the smoother, the pose graph with loop closures, and reference trajectories."""

@@ -1,9 +1,9 @@
-"""Poses between two key poses: the wheels' path, corrected by both keys and by the scans on the way.
+"""Poses between two key poses: interpolated wheel odometry, corrected by the key poses and by scans.
 
-The keys stay where the graph put them. Between two of them the wheels' error is a random walk of small rigid
-motions xi about the key before, known at both ends (a Brownian bridge); turning both keys alike turns what lies
-between. Each scan on the way is matched with both keys. Forward and backward over the scans, all spans at once
-(Rauch, Tung and Striebel 1965).
+The key poses of the pose graph stay fixed. Between two key poses the odometry error is a random walk of small
+rigid motions xi in the frame of the earlier key pose. The error is known at both ends (a Brownian bridge). Each
+scan between two keys is matched with both key scans. One forward and one backward pass over the scans smooths the
+error, for all spans at once (Rauch, Tung and Striebel 1965).
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from locfuse.fusion.scan_matching.neighbours import good
 
 from .odometry import Odometry, by_lever, moved
 
-REST_P = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: a robot at rest has no bridge
-GAP_S = 0.09  # between two scans that are matched: more often adds little
-SCANS_AT_ONCE = 1024  # whose points are held before they are thinned
-KEYS_AT_ONCE = 500  # whose points stand in one search tree
-REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
-MAX_POINTS = 90  # of one scan that are matched
-# holds a match where the walls constrain nothing
+REST_P = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: keeps covariances invertible while the robot is at rest
+GAP_S = 0.09  # least time between two matched scans: matching more scans adds little accuracy
+SCANS_AT_ONCE = 1024  # scans whose full points are in memory at once, before thinning
+KEYS_AT_ONCE = 500  # keys in one search tree
+REST_S = 1.0  # a robot at rest this long before and after a scan did not move: wheel stamps may be late
+MAX_POINTS = 90  # matched points of one scan
+# prior of a match, for directions that the walls do not constrain
 PRIOR_INFORMATION = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])
 REACH_M = 0.4
-ROUND_COUNT = 2  # a scan that fits badly is asked again from the place by its neighbours
-# from scan to scan, even at rest: stamps are not exact
+ROUND_COUNT = 2  # a scan that fits badly is matched again, from the pose interpolated between its neighbours
+# process noise from scan to scan, even at rest: stamps are not exact
 STEP_P = np.diag([0.002**2, 0.002**2, np.radians(0.1) ** 2])
 KEY_INFORMATION = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
 
 
 class Spans(Columns, frozen=True):
-    """Stamps (n,) between keys: the key before each, and the wheels' motion from there."""
+    """Times (n,) between two key poses: the index of the earlier key and the odometry since this key."""
 
-    a: Ints  # (n,) key before, or the last but one
-    b: Ints  # (n,) key after
-    inside: NDArray[np.bool_]  # (n, 1, 1) whether the stamp lies between the two
-    beyond: NDArray[np.bool_]  # (n, 1, 1) whether it lies behind the last key
-    home: Array  # (n, 3) the odometry's origin seen from its pose at key a
-    u: Array  # (n, 3) the stamp seen from key a, by the wheels
-    C: Array  # (n, 3, 3) covariance of xi since key a
-    C_ab: Array  # (n, 3, 3) that from key a to key b
+    a: Ints  # (n,) index of the key before, at most the last but one
+    b: Ints  # (n,) index of the key after
+    inside: NDArray[np.bool_]  # (n, 1, 1) whether the time lies between keys a and b
+    beyond: NDArray[np.bool_]  # (n, 1, 1) whether the time lies after the last key
+    home: Array  # (n, 3) odometry's origin in the frame of key a
+    u: Array  # (n, 3) odometry pose at the time, in the frame of key a
+    C: Array  # (n, 3, 3) covariance of xi from key a to the time
+    C_ab: Array  # (n, 3, 3) covariance of xi from key a to key b
 
     @classmethod
     def of(cls, odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints) -> Spans:
-        """Return the spans of stamps whose last instant is k (n,), between the instants `keys` (m,)."""
+        """Return for times with odometry `stamps` the keys before and after, and the odometry since the former."""
         a = np.clip(np.searchsorted(keys, k, side="right") - 1, 0, max(len(keys) - 2, 0))
         b = np.minimum(a + 1, len(keys) - 1)
         home = se2.inverse(odometry.pose[keys[a]])
@@ -60,24 +60,24 @@ class Spans(Columns, frozen=True):
 
     @property
     def share(self) -> Array:
-        """The share of key b in the error at each stamp, (n, 3, 3)."""
+        """Share (n, 3, 3) of the odometry error from key a to key b that has accumulated at each time."""
         return np.where(self.inside, self.C @ np.linalg.inv(self.C_ab), np.where(self.beyond, np.eye(3), 0.0))
 
 
 class Fixes(Columns, frozen=True):
-    """Instants with a known wheel error since the previous key: the keys and the scans between them.
+    """Update times with a known odometry error since the previous key pose: the keys and the scans between them.
 
-    Sorted by key, then by instant; of every span the first row is its key (no error yet), the last the next one.
+    Sorted by key, then by time. The first row of every span is its key (zero error), the last row is the next key.
     """
 
-    a: Ints  # (f,) key before
-    instant: Ints  # (f,)
-    xi: Array  # (f, 3) error of the wheels since the key, seen from it
-    rest: Array  # (f, 3, 3) its covariance, were both keys exact
+    a: Ints  # (f,) index of the key before
+    instant: Ints  # (f,) index of the update time
+    xi: Array  # (f, 3) odometry error since the key, in the key's frame
+    rest: Array  # (f, 3, 3) covariance of xi if both key poses were exact
 
     @classmethod
     def of_keys(cls, odometry: Odometry, keys: Ints, x: Array) -> Fixes:
-        """Return the fixes of the keys alone: instants (m,), poses x (m, 3)."""
+        """Return the odometry errors at the key poses x (m, 3), whose update times are `keys` (m,)."""
         a = np.arange(len(keys) - 1)
         whole = se2.between(odometry.pose[keys[:-1]], odometry.pose[keys[1:]])
         error = se2.compose(se2.between(x[:-1], x[1:]), se2.inverse(whole))
@@ -87,7 +87,7 @@ class Fixes(Columns, frozen=True):
         return cls(np.repeat(a, 2), both, xi, np.zeros((len(xi), 3, 3)))
 
     def at(self, odometry: Odometry, k: Ints, spans: Spans) -> tuple[Array, Array]:
-        """Return the wheels' errors xi (n, 3) at stamps after instants k (n,), with covariances (n, 3, 3)."""
+        """Interpolate odometry errors xi (n, 3) and covariances (n, 3, 3) at times after update times k (n,)."""
         size = len(odometry.pose) + 1
         last = len(self.a) - 1
         f = np.searchsorted(self.a * size + self.instant, spans.a * size + k, side="right") - 1
@@ -98,7 +98,7 @@ class Fixes(Columns, frozen=True):
         since = spans.C - C_f
         share = np.where(spans.inside, since @ np.linalg.inv(C_fg), 0.0)
         xi = self.xi[f] + np.einsum("nij,nj->ni", share, self.xi[g] - self.xi[f])
-        nearer = np.clip(share[:, 2, 2], 0.0, 1.0)[:, None, None]  # errors of neighbouring scans are alike
+        nearer = np.clip(share[:, 2, 2], 0.0, 1.0)[:, None, None]  # errors of neighbouring scans are correlated
         rest = (1.0 - nearer) * self.rest[f] + nearer * self.rest[g] + since - share @ since
         return xi, rest
 
@@ -106,10 +106,11 @@ class Fixes(Columns, frozen=True):
 def bridged(
     odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints, x: Array, P: Array, after: Array, fixes: Fixes
 ) -> tuple[Array, Array]:
-    """Return poses (n, 3) and covariances (n, 3, 3) at stamps whose last instant is k (n,).
+    """Interpolate poses (n, 3) and covariances (n, 3, 3) between key poses, at times with odometry `stamps`.
 
-    `keys` (m,) are the instants of the key poses x (m, 3), with covariances P (m, 3, 3), and `after` (m - 1, 3, 3)
-    with the next one. The first is at or before all stamps; behind the last one the wheels lead on alone.
+    `k` (n,) are the last update times before. `keys` (m,) are the update times of the key poses x (m, 3), with
+    covariances P (m, 3, 3) and cross covariances `after` (m - 1, 3, 3) with the next key pose. The first key is
+    not after any stamp. After the last key, only odometry is used.
     """
     spans = Spans.of(odometry, stamps, k, keys)
     xi, rest = fixes.at(odometry, k, spans)
@@ -118,7 +119,7 @@ def bridged(
 
 
 def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: Array) -> Array:
-    """Return covariances of the poses' numbers, by those of both keys and of the wheels between them."""
+    """Return covariances (n, 3, 3) of poses (x, y, theta), from those of both key poses and of the odometry."""
     a, b = spans.a, spans.b
     arm = x[b, :2] - x[a, :2]
     P_a = P[a]
@@ -127,8 +128,8 @@ def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: A
     L = np.broadcast_to(np.eye(3), cross.shape).copy()
     L[:, 0, 2], L[:, 1, 2] = arm[:, 1], -arm[:, 0]
     cross = cross @ L.transpose(0, 2, 1)
-    same = (a == b)[:, None, None]
-    cross = np.where(same, P_a, cross)
+    only_one = (a == b)[:, None, None]
+    cross = np.where(only_one, P_a, cross)
     turn = se2.rotation(x[a, 2])
     S = turn @ spans.share @ turn.transpose(0, 2, 1)
     own = np.eye(3) - S
@@ -143,9 +144,9 @@ def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: A
 def scans_between(
     odometry: Odometry, drive: Drive, sensor: str, readings: Ints, clouds: Clouds, x: Array
 ) -> Fixes:
-    """Return the wheels' errors at the scans between the keys `readings` (m,), whose poses are x (m, 3).
+    """Return the odometry errors at the scans between the key scans `readings` (m,) with poses x (m, 3).
 
-    `clouds` are the keys'.
+    `clouds` are the points of the key scans.
     """
     m, instants = drive.measurements[sensor], drive.instant[sensor]
     keys = instants[readings]
@@ -157,23 +158,23 @@ def scans_between(
     spans = Spans.of(odometry, odometry.at(k), k, keys)
     sources = points_of(m, chosen)
     xi, information = np.zeros((len(k), 3)), np.zeros((len(k), 3, 3))
-    fixes, asked = ends, np.arange(len(k))
+    fixes, pending = ends, np.arange(len(k))
     for _ in range(ROUND_COUNT):
-        guess = fixes.at(odometry, k[asked], spans.take(asked))[0]
-        u = spans.u[asked]
-        found = matched(clouds, x, spans.a[asked], sources, asked, se2.compose(guess, u))
-        xi[asked], information[asked] = as_errors(found, u, guess)
+        guess = fixes.at(odometry, k[pending], spans.take(pending))[0]
+        u = spans.u[pending]
+        found = matched(clouds, x, spans.a[pending], sources, pending, se2.compose(guess, u))
+        xi[pending], information[pending] = as_errors(found, u, guess)
         fixes = smoothed(odometry, ends, spans.a, k, xi, information)
-        asked = np.flatnonzero(information[:, 2, 2] == 0.0)
-        if not len(asked):
+        pending = np.flatnonzero(information[:, 2, 2] == 0.0)
+        if not len(pending):
             break
     return fixes
 
 
 def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -> Ints:
-    """Return the indices of scans between the first and the last key scan that have wheel motion before and after.
+    """Return indices of the scans between the first and last key scan during which the robot moved.
 
-    t (N,) are the stamps of all instants [s].
+    t (N,) are all update times [s]. The robot moved if the wheels turned within REST_S of the scan.
     """
     way, turned = odometry.way(), np.append(0.0, np.cumsum(np.abs(np.diff(odometry.pose[:, 2]))))
     before = np.searchsorted(t, t[instants] - REST_S)
@@ -189,7 +190,7 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
 
 
 def points_of(m: Measurements, chosen: Ints) -> Clouds:
-    """Return the points of these readings for matching, read in parts so that few whole scans are in memory."""
+    """Return at most MAX_POINTS points of each chosen scan, for matching; read in parts to save memory."""
     cuts = np.arange(SCANS_AT_ONCE, len(chosen), SCANS_AT_ONCE)
     parts = [sources_of(clouds_of(m, part), MAX_POINTS) for part in np.split(chosen, cuts)]
     counts = np.concatenate([np.diff(part.first) for part in parts])
@@ -200,9 +201,9 @@ def points_of(m: Measurements, chosen: Ints) -> Clouds:
 
 
 def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: Array) -> Matches:
-    """Match scans j (n,) with the keys a (n,) and a + 1 before and after them, from poses `guess` (n, 3).
+    """Match scans j (n,) with the key scans a (n,) and a + 1, starting from the poses `guess` (n, 3).
 
-    a rises; the search tree of all keys would take hundreds of MB.
+    `a` must be sorted. Keys are processed in groups: one search tree of all keys would take hundreds of MB.
     """
     prior, parts = np.broadcast_to(PRIOR_INFORMATION, (len(a), 3, 3)), []
     for at in np.split(np.arange(len(a)), np.flatnonzero(np.diff(a // KEYS_AT_ONCE)) + 1):
@@ -213,7 +214,7 @@ def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: 
 
 
 def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
-    """Return a cloud for each key in its frame: its own points and those of the next key."""
+    """Return one point cloud per key: the points of the key scan and of the next one, in the key's frame."""
     steps = se2.between(x[keys], x[keys + 1])
     return merged(
         clouds, [np.array([k, k + 1]) for k in keys.tolist()], [np.vstack((np.zeros(3), step)) for step in steps]
@@ -221,7 +222,7 @@ def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
 
 
 def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
-    """Return the matches as errors xi (n, 3) of the wheels' ways u (n, 3), and their information (n, 3, 3)."""
+    """Convert scan matches to errors xi (n, 3) of the odometry u (n, 3), with information (n, 3, 3)."""
     xi = se2.compose(found.alone, se2.inverse(u))
     xi[:, 2] = guess[:, 2] + se2.wrap_all(xi[:, 2] - guess[:, 2])
     L = np.broadcast_to(np.eye(3), (len(u), 3, 3)).copy()
@@ -230,9 +231,9 @@ def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
 
 
 def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, information: Array) -> Fixes:
-    """Smooth the wheels' errors at keys and at scans (instants k (n,), between keys a (n,) and a + 1).
+    """Smooth the odometry errors at the keys and at scans, at update times k (n,) after keys a (n,).
 
-    xi (n, 3) with `information` (n, 3, 3) is the measurement of each scan.
+    xi (n, 3) with `information` (n, 3, 3) are the errors measured by the scans.
     """
     order = np.lexsort((np.concatenate((ends.instant, k)), np.concatenate((ends.a, a))))
     a, k = np.concatenate((ends.a, a))[order], np.concatenate((ends.instant, k))[order]
@@ -245,16 +246,16 @@ def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, infor
     mean, V = z.copy(), np.zeros((len(a), 3, 3))
     for step in range(1, int(lengths.max())):
         at = starts[lengths > step] + step
-        ahead = V[at - 1] + Q[at]
-        V[at] = _symmetric(np.linalg.solve(np.eye(3) + ahead @ L[at], ahead))
+        predicted = V[at - 1] + Q[at]
+        V[at] = _symmetric(np.linalg.solve(np.eye(3) + predicted @ L[at], predicted))
         gain = V[at] @ L[at]
         mean[at] = mean[at - 1] + np.einsum("nij,nj->ni", gain, z[at] - mean[at - 1])
     for step in range(int(lengths.max()) - 2, 0, -1):
         at = starts[lengths > step + 1] + step
-        ahead = V[at] + Q[at + 1]
-        G = V[at] @ np.linalg.inv(ahead)
+        predicted = V[at] + Q[at + 1]
+        G = V[at] @ np.linalg.inv(predicted)
         mean[at] += np.einsum("nij,nj->ni", G, mean[at + 1] - mean[at])
-        V[at] = _symmetric(V[at] + G @ (V[at + 1] - ahead) @ G.transpose(0, 2, 1))
+        V[at] = _symmetric(V[at] + G @ (V[at + 1] - predicted) @ G.transpose(0, 2, 1))
     return Fixes(a, k, mean, V)
 
 

@@ -1,4 +1,4 @@
-"""The path from key to key by wheels and matches of neighbouring scans, without loops."""
+"""Key poses without loop closures: wheel odometry and matches of neighbouring key scans."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from locfuse.fusion.scan_matching.solve import Edges, Problem
 
 from .odometry import Odometry, by_lever
 
-WHEEL_FLOOR_P = np.diag([0.005**2, 0.005**2, np.radians(0.3) ** 2])  # what wheels leave out: uneven floors
-# of the way: a laser whose mount is 2 degrees off sees the robot go sideways, and no wheel does
+WHEEL_FLOOR_P = np.diag([0.005**2, 0.005**2, np.radians(0.3) ** 2])  # m^2, rad^2: least variance (uneven floors)
+# sideways error per distance: with a mount yaw error of 2 degrees, the laser measures sideways motion
 SIDEWAYS_SHARE = 0.04
-WHEEL_WIDTH_SIGMAS = 3.0  # sigmas: slips are no noise
+WHEEL_WIDTH_SIGMAS = 3.0  # width of the robust kernel: wheel slips are outliers
 SCAN_WIDTH_SIGMAS = 4.0
-NEIGHBOUR_STEPS = (2, 3, 5, 8)  # keys further on that a key is matched with, beside the next one
+NEIGHBOUR_STEPS = (2, 3, 5, 8)  # a key is matched with the next key and with the keys this many steps later
 MAX_NEIGHBOUR_M = 5.0
-# of the matches' information: errors that neighbouring scans share were counted as their own
+# factor on the information of matches: errors of neighbouring scans are correlated
 INFORMATION_SHARE = 0.5
-MAX_VISITS_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5  # earlier visits that a key is matched with again, how near
+# matches of a key with earlier visits: their number, least path length between them, largest distance
+MAX_VISITS_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5
 
 
 def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
-    """Return the wheels' motions from key to key at `instants` (n,)."""
+    """Return graph edges from each key pose to the next by wheel odometry, at update times `instants` (n,)."""
     a = np.arange(len(instants) - 1)
     u, C = odometry.between(instants[:-1], instants[1:])
     Q = by_lever(C, -u[:, 1], u[:, 0]) + WHEEL_FLOOR_P
@@ -38,7 +39,7 @@ def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
 
 
 def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edges:
-    """Return matches of clouds j in the frames of clouds i as edges; along the `way` (n,) headings may drift."""
+    """Convert scan matches to graph edges; with path lengths `way` (n,) [m], headings may drift along the path."""
     edges = Edges.of(i, j, found.alone, INFORMATION_SHARE * found.information, SCAN_WIDTH_SIGMAS)
     if way is not None:
         edges.by[:, 2, 0] = way[j] - way[i]
@@ -48,27 +49,24 @@ def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edge
 def sequential(
     targets: Targets, clouds: Clouds, wheels: Edges, way: Array, problem: Problem
 ) -> tuple[Array, Edges]:
-    """Return the key poses without any loop, (n, 3), and the edges: wheels, then scans."""
+    """Return the key poses (n, 3) without loop closures, and the graph edges of the wheels and the scans."""
     found = next_scans(targets, wheels.i, clouds, wheels.j, wheels.z, wheels.information)
-    sure = good(found)
-    step = np.where(sure[:, None], found.pose, wheels.z)
+    reliable = good(found)
+    step = np.where(reliable[:, None], found.pose, wheels.z)
     x = se2.compose(problem.start.z[0], se2.chain(step))
-    scans = edges_of(wheels.i, wheels.j, found, way).take(sure)
+    scans = edges_of(wheels.i, wheels.j, found, way).take(reliable)
     x, _ = problem.solve(x, Edges.joined(wheels, scans), (100.0, 1.0))
-    further = [scans, *(skipping(targets, clouds, x, way, n) for n in NEIGHBOUR_STEPS)]
-    edges = Edges.joined(wheels, *further)
+    further = []
+    for n in NEIGHBOUR_STEPS:
+        i, found = further_scans(targets, clouds, x, n, MAX_NEIGHBOUR_M)
+        further.append(edges_of(i, i + n, found, way))
+    edges = Edges.joined(wheels, scans, *further)
     x, _ = problem.solve(x, edges, (100.0, 1.0))
     return x, edges
 
 
-def skipping(targets: Targets, clouds: Clouds, x: Array, way: Array, n: int) -> Edges:
-    """Match every key with the n-th after it, if that is near."""
-    i, found = further_scans(targets, clouds, x, n, MAX_NEIGHBOUR_M)
-    return edges_of(i, i + n, found, way)
-
-
 def again(targets: Targets, clouds: Clouds, x: Array, way: Array) -> Edges:
-    """Match every key with the nearest keys of earlier visits, after loops are closed (Lu and Milios 1997)."""
+    """Match each key scan with nearby key scans of earlier visits, after loop closure (Lu and Milios 1997)."""
     from scipy.spatial import cKDTree
 
     near = cKDTree(x[:, :2]).query_ball_point(x[:, :2], MAX_AGAIN_M, return_sorted=True)

@@ -1,12 +1,12 @@
-"""Loops: places that were seen before, in rounds from nearly certain ones to those of a wide search.
+"""Loop closure: finds pairs of submaps that show the same place, in rounds of growing search windows.
 
-Submaps, the keys of a stretch of a few metres as one cloud, are compared. Where the window is narrow they are
-matched at once; else one is laid on the other at every shift and turn, all shifts of one turn at once by the
-Fourier transform (what is compared: Olson 2009, "Real-time correlative scan matching").
+A submap is the point cloud of the key scans on a few metres of path. If the relative pose of two submaps is known
+well, they are matched directly. Otherwise a correlative search tries all shifts and turns; the Fourier transform
+computes all shifts of one turn at once (score: Olson 2009, "Real-time correlative scan matching").
 
-A candidate must fit (points on surfaces), must not look through walls, must agree with the graph within its
-covariance, and must agree with another candidate beside it: one look alone closes nothing. What is refused is
-asked again after each solve, since a loop that closes elsewhere narrows every window.
+A candidate is accepted if its points fit, if no scan looks through walls of the other submap, if it agrees with
+the graph within the covariance, and if it agrees with another candidate at neighbouring submaps. Rejected
+candidates are tested again after each solve, since each closed loop reduces the uncertainty of all others.
 """
 
 from __future__ import annotations
@@ -26,51 +26,54 @@ from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem, chi2_of, 
 
 from .odometry import Odometry
 
-SPACING_M, HALF_LENGTH_M = 3.0, 3.0  # between two submaps, and how far one reaches along the way to either side
-CELL_M, TURN_RAD = 0.25, np.radians(3.0)
+SPACING_M, HALF_LENGTH_M = (
+    3.0,
+    3.0,
+)  # path length between two submaps, and of one submap before and after its middle
+CELL_M, TURN_RAD = 0.25, np.radians(3.0)  # step of the correlative search
 REACH_M = 12.0  # points further from the middle are left out
-GRID_CELLS = 256  # cells of the transform: submap and window fit in without wrapping
+GRID_CELLS = 256  # cells per side of the transform: submap and search window fit without wrapping
 MAX_SHIFT_M = 0.5 * GRID_CELLS * CELL_M - 2.0 - REACH_M
 APART_M = 1.5  # two peaks further apart are two places
-ALIKE_SHARE = 0.93  # a second peak of this share of the best leaves it undecided
-MIN_WAY_M = 15.0  # two places this far apart along the way are a loop
+ALIKE_SHARE = 0.93  # if the second peak has this share of the best score, the search is undecided
+MIN_WAY_M = 15.0  # least path length of a loop
 MAX_APART_M = 5.0  # between the middles of two submaps that overlap
-NARROW_M, NARROW_RAD = 0.35, np.radians(4.0)  # 1 sigma: a match finds it without a search
-SEARCH_SIGMAS_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search, round by round
+NARROW_M, NARROW_RAD = 0.35, np.radians(4.0)  # 1 sigma up to which scan matching works without a search
+SEARCH_SIGMAS_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search in each round
 MAX_VISITS = 6  # candidates of one submap in a round
-MAX_SEARCHES = 100  # correlations in a round: those of the smallest windows
+MAX_SEARCHES = 100  # correlative searches in a round, smallest windows first
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.65, 0.4, 0.05
-MAX_THROUGH = 0.05  # share of the points that look through walls
-# free space: directions of a view; a point must lie so much before what was seen behind it; how many points of two
-# scans in each other's view decide, at least
+MAX_THROUGH = 0.05  # largest share of points in space that the other scans saw as free
+# free space: directions of a view; margin in m and as share of the range by which a point lies in free space;
+# least number of points for the test
 BIN_COUNT, MARGIN_M, MARGIN_SHARE, MIN_POINTS = 360, 0.3, 0.03, 20
-PAIRS_AT_ONCE = 2000  # of keys: the points of more take hundreds of MB
+PAIRS_AT_ONCE = 2000  # pairs of keys: the points of more take hundreds of MB
 MAX_CONDITION = 1e4
-MAX_CHI2 = 16.3  # of three numbers: 99.9 %
-GRAPH_P_FACTOR = 4.0  # the graph's covariance is taken for so much larger when a candidate is judged
-MOVED_M, MOVED_RAD = 0.05, np.radians(0.5)  # what was refused is asked again once the graph moved it so far
-NARROWER_SHARE = 0.7  # of the last window: only then a search may find something new
-CLOSURE_WIDTH_SIGMAS = 4.0  # sigmas
-MIN_KEPT_WEIGHT = 0.3  # weight below which a closure is given up after the solve
-SUPPORT_M, SUPPORT_RAD = 0.35, np.radians(2.5)  # two candidates beside each other must agree to this
-SUPPORT_WAY_M = 12.0
-# of a place that the filter recognised, half of what a match needs no search for: the keys lie beside it
+MAX_CHI2 = 16.3  # 99.9 % quantile, 3 degrees of freedom
+GRAPH_P_FACTOR = 4.0  # the graph's covariance is multiplied by this when a candidate is tested
+MOVED_M, MOVED_RAD = 0.05, np.radians(0.5)  # a rejected candidate is tested again if its guess moved this far
+NARROWER_SHARE = 0.7  # a search is repeated if its window shrank to this share
+CLOSURE_WIDTH_SIGMAS = 4.0  # width of the robust kernel
+MIN_KEPT_WEIGHT = 0.3  # a closure with a lower weight after the solve is removed
+SUPPORT_M, SUPPORT_RAD = 0.35, np.radians(2.5)  # largest disagreement of two candidates at neighbouring submaps
+SUPPORT_WAY_M = 12.0  # largest path length between neighbouring submaps
+# 1 sigma of a place that the filter recognised: half of NARROW_M, since key scans were taken near the place
 SIGMA_M, SIGMA_RAD = 0.5 * NARROW_M, 0.5 * NARROW_RAD
 KERNEL_WIDTH_FACTORS = (1e4, 1e3, 1e2, 10.0, 1.0)
 
 
 class Views(msgspec.Struct, frozen=True):
-    """The free range of every key scan in each direction.
+    """Free range of every key scan in each of BIN_COUNT directions.
 
-    If a scan looks through a wall that another scan saw, one of the two poses is wrong.
+    If a scan sees free space where another scan saw a wall, one of the two poses is wrong.
     """
 
     origin: Array  # (2,) the laser on the base
-    depth: Array  # (n, BIN_COUNT) m; NaN where nothing returned
+    depth: Array  # (n, BIN_COUNT) m; NaN without points
 
     @classmethod
     def of(cls, clouds: Clouds, origin: Array) -> Views:
-        """Return the views of scans; in each direction the shortest range there and beside it."""
+        """Return the free ranges of scans; in each direction the shortest range of three neighbouring bins."""
         depth = np.full((len(clouds), BIN_COUNT), np.inf)
         bins, ranges = _polar(clouds.xy - origin)
         np.minimum.at(depth, (clouds.owner, bins), ranges)
@@ -78,7 +81,7 @@ class Views(msgspec.Struct, frozen=True):
         return cls(origin, np.where(np.isfinite(nearest), nearest, np.nan))
 
     def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
-        """Count for pairs of keys (p,) the points of j that i looked through, and those within the view of i."""
+        """Count for each pair of keys (p,) the points of scan j in free space of scan i, and all in its view."""
         pieces = np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1)
         counts = [self._counted(clouds, i[some], j[some], pose[some]) for some in pieces]
         bad, judged = (np.concatenate(each) for each in zip(*counts, strict=True))
@@ -104,18 +107,18 @@ def _polar(points: Array) -> tuple[Ints, Array]:
 
 
 class Submaps(msgspec.Struct, frozen=True):
-    """One cloud for every middle key, in that key's frame."""
+    """Submaps: for each middle key, the point cloud of the keys around it in its frame."""
 
-    middle: Ints  # (s,) which key
-    members: list[Ints]  # keys of each
-    clouds: Clouds
-    keys: Clouds  # of the n keys themselves
-    views: Views  # of the keys
-    way: Array  # (n,) m, driven until each key
+    middle: Ints  # (s,) index of the middle key
+    members: list[Ints]  # indices of the keys of each submap
+    clouds: Clouds  # of the s submaps
+    keys: Clouds  # of the n single keys
+    views: Views  # of the n single keys
+    way: Array  # (n,) m, path length driven until each key
 
 
 def submaps_of(keys: Clouds, origin: Array, x: Array, way: Array) -> Submaps:
-    """Cut the keys at poses x (n, 3), `way` (n,) [m], into submaps that overlap by half."""
+    """Group keys at poses x (n, 3), with path lengths `way` (n,) [m], into submaps that overlap by half."""
     middle = np.flatnonzero(np.diff(np.floor(way / SPACING_M), prepend=-1.0) > 0)
     members = [np.flatnonzero(np.abs(way - way[k]) <= HALF_LENGTH_M) for k in middle.tolist()]
     poses = [se2.between(x[k], x[group]) for k, group in zip(middle.tolist(), members, strict=True)]
@@ -123,21 +126,21 @@ def submaps_of(keys: Clouds, origin: Array, x: Array, way: Array) -> Submaps:
 
 
 class Peak(msgspec.Struct, frozen=True):
-    """The best pose of one submap on another one."""
+    """Result of a correlative search: the best relative pose of two submaps and its score."""
 
     pose: Array  # (3,)
-    score: float  # share of its cells that meet a surface
-    second: float  # the best score elsewhere
-    edge: bool  # whether it lies at the edge of the window
+    score: float  # share of occupied cells that agree
+    second: float  # best score further than APART_M from the best pose
+    edge: bool  # whether the best pose lies at the edge of the search window
 
     @property
     def decided(self) -> bool:
-        """Whether no second pose fits nearly as well as the best one."""
+        """Return whether the best pose is unique: no other pose has a similar score."""
         return not self.edge and self.second < ALIKE_SHARE * self.score
 
 
 def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
-    """Return the best pose of the points `theirs` (k, 2) on the points `ours` (m, 2), within 3 sigma."""
+    """Search for the pose of points `theirs` (k, 2) in the frame of `ours` (m, 2), within 3 sigma of `guess`."""
     from scipy.fft import irfft2, rfft2
 
     target = rfft2(_raster(ours, spread=True))
@@ -167,7 +170,7 @@ def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
 
 
 def _raster(points: Array, spread: bool) -> NDArray[np.float32]:
-    """Return a grid (GRID_CELLS, GRID_CELLS) with 1 where points are; `spread`: 0.5 in neighbouring cells."""
+    """Rasterise points (k, 2) [m] to a grid with 1 in occupied cells; with `spread`, 0.5 in neighbouring cells."""
     cells = np.round(points[np.abs(points).max(axis=1) < REACH_M] / CELL_M).astype(np.int64) % GRID_CELLS
     grid = np.zeros((GRID_CELLS, GRID_CELLS), np.float32)
     grid[cells[:, 1], cells[:, 0]] = 1.0
@@ -178,34 +181,34 @@ def _raster(points: Array, spread: bool) -> NDArray[np.float32]:
 
 
 class Loops(msgspec.Struct):
-    """The closures of a drive as they are found, and the undecided candidates."""
+    """State of the loop search: closures found so far, undecided and rejected candidates."""
 
     edges: Edges = field(default_factory=Edges.none)  # between middle keys
-    pair: set[tuple[int, int]] = field(default_factory=set)  # submaps that are closed
-    undecided: dict[tuple[int, int], str] = field(default_factory=dict)  # submaps -> why not
-    asked: dict[tuple[int, int], float] = field(default_factory=dict)  # submaps -> window of the last search [m]
-    refused: dict[tuple[int, int], Array] = field(default_factory=dict)  # submaps -> the place that did not fit
+    pair: set[tuple[int, int]] = field(default_factory=set)  # pairs of submaps with a closure
+    undecided: dict[tuple[int, int], str] = field(default_factory=dict)  # pair -> reason
+    searched: dict[tuple[int, int], float] = field(default_factory=dict)  # pair -> 1 sigma of the last search [m]
+    rejected: dict[tuple[int, int], Array] = field(default_factory=dict)  # pair -> guess that did not fit
     searches: int = 0
 
 
 class Candidates(Columns, frozen=True):
-    """Pairs of submaps that may see the same place."""
+    """Pairs of submaps that may show the same place."""
 
-    a: Ints  # (c,) submap that came first
-    b: Ints
-    guess: Array  # (c, 3) middle key of b seen from that of a, by the graph
+    a: Ints  # (c,) earlier submap
+    b: Ints  # (c,) later submap
+    guess: Array  # (c, 3) middle key of b in the frame of that of a, by the graph
     P: Array  # (c, 3, 3) covariance of the guess, in the frame of a
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations of the guesses (c, 3) [m, m, rad]."""
+        """Return the standard deviations of the guesses (c, 3) [m, m, rad]."""
         return np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0))
 
 
 def close(x: Array, edges: Edges, problem: Problem, maps: Submaps, hints: Edges) -> tuple[Array, Edges, Loops]:
-    """Return the key poses with all loops closed, all edges, and the loops.
+    """Search and close loops; return the key poses (n, 3), all edges, and the loops.
 
-    `hints` between keys steer the search and are none of the edges.
+    `hints` are edges between keys that guide the search; they are not among the returned edges.
     """
     loops = Loops()
     x, normal = problem.solve(x, Edges.joined(edges, hints), KERNEL_WIDTH_FACTORS if len(hints) else (1.0,))
@@ -214,9 +217,9 @@ def close(x: Array, edges: Edges, problem: Problem, maps: Submaps, hints: Edges)
     for wide in SEARCH_SIGMAS_M:
         before = set(loops.pair)
         found = candidates(x, normal, maps, loops)
-        ready, start = placed(found, maps, wide, loops)
-        if len(ready.a):
-            new = judged(ready, start, targets, sources, maps, x, loops)
+        known, start = placed(found, maps, wide, loops)
+        if len(known.a):
+            new = judged(known, start, targets, sources, maps, x, loops)
             trial = Edges.joined(edges, hints, loops.edges, new)
             x, normal = problem.solve(x, trial, KERNEL_WIDTH_FACTORS)
             loops.edges = Edges.joined(loops.edges, new)
@@ -231,15 +234,15 @@ def close(x: Array, edges: Edges, problem: Problem, maps: Submaps, hints: Edges)
 
 
 def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candidates:
-    """Return the pairs of submaps that may overlap by the graph and are not closed yet."""
+    """Return the pairs of submaps without a closure that may overlap according to the graph."""
     middle, way = maps.middle, maps.way
     a, b = np.triu_indices(len(middle), 1)
     apart = np.hypot(*(x[middle[b], :2] - x[middle[a], :2]).T)
     closed = np.zeros((len(middle), len(middle)), bool)
     for pair in loops.pair:
         closed[pair] = True
-    asked = (way[middle[b]] - way[middle[a]] > MIN_WAY_M) & (apart < 2.0 * MAX_APART_M) & ~closed[a, b]
-    a, b, apart = a[asked], b[asked], apart[asked]
+    possible = (way[middle[b]] - way[middle[a]] > MIN_WAY_M) & (apart < 2.0 * MAX_APART_M) & ~closed[a, b]
+    a, b, apart = a[possible], b[possible], apart[possible]
     some, at = np.unique(np.concatenate((a, b)), return_inverse=True)
     guess, P = relative(x[middle[some]], normal.joint(middle[some]), at[: len(a)], at[len(a) :])
     sigma = np.sqrt(np.maximum(P[:, 0, 0] + P[:, 1, 1], 0.0))
@@ -250,59 +253,55 @@ def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candida
 
 
 def _nearest_visits(b: Ints, cost: Array) -> Ints:
-    """Return the positions of the MAX_VISITS cheapest candidates of each submap `b`."""
+    """Return the indices of the MAX_VISITS candidates with the lowest `cost` of each later submap b (c,)."""
     order = np.lexsort((cost, b))
     first = np.searchsorted(b[order], b[order])
     return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])
 
 
 def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple[Candidates, Array]:
-    """Return the candidates whose pose is known well enough for matching, and that pose, (c, 3)."""
+    """Return the candidates whose relative pose is known well enough for scan matching, and this pose (c, 3)."""
     sigma = found.sigma
     reach = np.hypot(sigma[:, 0], sigma[:, 1])
     narrow = (reach < NARROW_M) & (sigma[:, 2] < NARROW_RAD)
-    start, ready = found.guess.copy(), narrow.copy()
+    start, known = found.guess.copy(), narrow.copy()
     pairs = list(zip(found.a.tolist(), found.b.tolist(), strict=True))
-    news = np.array(
-        [r < NARROWER_SHARE * loops.asked.get(p, np.inf) for p, r in zip(pairs, reach, strict=True)], bool
+    narrower = np.array(
+        [r < NARROWER_SHARE * loops.searched.get(p, np.inf) for p, r in zip(pairs, reach, strict=True)], bool
     )
     moved = np.array(
-        [_moved(loops.refused.get(p), guess) for p, guess in zip(pairs, found.guess, strict=True)], bool
+        [_moved(loops.rejected.get(p), guess) for p, guess in zip(pairs, found.guess, strict=True)], bool
     )
-    ready &= moved
-    asked = np.flatnonzero(~narrow & (reach < wide) & news)
-    for c in asked[np.argsort(reach[asked], kind="stable")][:MAX_SEARCHES].tolist():
-        peak = _searched(found, c, maps)
+    known &= moved
+    searched = np.flatnonzero(~narrow & (reach < wide) & narrower)
+    for c in searched[np.argsort(reach[searched], kind="stable")][:MAX_SEARCHES].tolist():
+        ours, theirs = (
+            maps.clouds.xy[maps.clouds.first[s] : maps.clouds.first[s + 1]] for s in (found.a[c], found.b[c])
+        )
+        peak = correlate(ours, theirs, found.guess[c], sigma[c])
         loops.searches += 1
         pair = pairs[c]
-        loops.asked[pair] = float(reach[c])
+        loops.searched[pair] = float(reach[c])
         if peak.decided:
-            start[c], ready[c] = peak.pose, True
+            start[c], known[c] = peak.pose, True
         elif not peak.edge:
             loops.undecided[pair] = "two places fit alike"
-    at = np.flatnonzero(ready)
+    at = np.flatnonzero(known)
     return found.take(at), start[at]
 
 
-def _moved(refused: Array | None, guess: Array) -> bool:
-    """Return whether a pose differs from the rejected one: only then it is worth another test."""
-    if refused is None:
+def _moved(rejected: Array | None, guess: Array) -> bool:
+    """Return whether the guess of a rejected candidate changed enough to test the candidate again."""
+    if rejected is None:
         return True
-    step = se2.between(refused, guess)
+    step = se2.between(rejected, guess)
     return bool(np.hypot(step[0], step[1]) > MOVED_M or abs(se2.wrap(float(step[2]))) > MOVED_RAD)
-
-
-def _searched(found: Candidates, c: int, maps: Submaps) -> Peak:
-    ours, theirs = (
-        maps.clouds.xy[maps.clouds.first[s] : maps.clouds.first[s + 1]] for s in (found.a[c], found.b[c])
-    )
-    return correlate(ours, theirs, found.guess[c], found.sigma[c])
 
 
 def judged(
     c: Candidates, start: Array, targets: Targets, sources: Clouds, maps: Submaps, x: Array, loops: Loops
 ) -> Edges:
-    """Return the candidates that pass every test, as edges between the middles of their submaps."""
+    """Test candidates by scan matching; return the accepted ones as edges between the middle keys."""
     loose = np.diag([0.2**2, 0.2**2, np.radians(3.0) ** 2])
     prior = np.asarray(np.linalg.inv(c.P + loose), np.float64)
     found = match(targets, c.a, sources, c.b, start, prior, 1.0)
@@ -311,7 +310,7 @@ def judged(
     S = GRAPH_P_FACTOR * c.P + np.linalg.inv(found.information + 1e-3 * np.eye(3))
     fits &= chi2_of(found.pose, c.guess, S) < MAX_CHI2
     for k in np.flatnonzero(~fits).tolist():
-        loops.refused[int(c.a[k]), int(c.b[k])] = c.guess[k]
+        loops.rejected[int(c.a[k]), int(c.b[k])] = c.guess[k]
     at = np.flatnonzero(fits)
     at = at[through_walls(c.take(at), found.pose[at], maps, x) < MAX_THROUGH]
     c, found = c.take(at), found.take(at)
@@ -326,7 +325,7 @@ def judged(
 
 
 def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
-    """Return the share of points that scans of one submap look through, with the other at `pose` (c, 3)."""
+    """Return for candidates at `pose` (c, 3) the share of points of one submap in free space of the other."""
     pair, i, j, relative_poses = [], [], [], []
     for k, (a, b) in enumerate(zip(c.a.tolist(), c.b.tolist(), strict=True)):
         ours, theirs = maps.members[a], maps.members[b]
@@ -348,7 +347,7 @@ def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
 
 
 def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops) -> NDArray[np.bool_]:
-    """Return which candidates (c,) agree with another candidate or closure at neighbouring submaps."""
+    """Return which candidates (c,) agree with another candidate or a closure at neighbouring submaps."""
     way, i = maps.way, np.concatenate((maps.middle[c.a], loops.edges.i))
     j = np.concatenate((maps.middle[c.b], loops.edges.j))
     z = np.concatenate((found.pose, loops.edges.z))
@@ -360,19 +359,17 @@ def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops
         if not len(others):
             continue
         to_i, to_j = se2.between(x[i[k]], x[i[others]]), se2.between(x[j[k]], x[j[others]])
-        said = se2.compose(to_i, z[others])
-        own = se2.compose(z[k], to_j)
-        off = se2.between(own, said)
+        off = se2.between(se2.compose(z[k], to_j), se2.compose(to_i, z[others]))
         agree = np.hypot(off[:, 0], off[:, 1]) < SUPPORT_M
         out[k] = bool((agree & (np.abs(se2.wrap_all(off[:, 2])) < SUPPORT_RAD)).any())
     return out
 
 
 def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
-    """Return the places that a run of the filter recognised, as edges between keys (m,), instants of the run.
+    """Return the places that the filter recognised, as edges between the nearest keys (m,).
 
-    They steer the search: after a long loop many places would fit. A kernel gives up what the rest contradicts,
-    every loop must pass all tests, and the last solve is without them.
+    These edges guide the search, since many places fit after a long loop. A robust kernel removes edges that
+    contradict the others, every closure must still pass all tests, and the last solve is without these edges.
     """
     at = np.searchsorted(filtered.t, filtered.loops)
     at = np.minimum(at, len(filtered.t) - 1)
@@ -387,7 +384,7 @@ def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
 
 
 def _nearest(keys: Ints, at: Ints) -> Ints:
-    """Return which of the increasing keys (m,) is nearest to each instant (k, 2)."""
+    """Return the index of the nearest of the increasing keys (m,) to each update time `at` (k, 2)."""
     after = np.clip(np.searchsorted(keys, at), 1, len(keys) - 1)
     nearest: Ints = np.where(at - keys[after - 1] <= keys[after] - at, after - 1, after)
     return nearest

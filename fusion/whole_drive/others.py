@@ -1,7 +1,7 @@
-"""Every other sensor of a drive in the graph: its own model compares its readings with the key poses.
+"""Sensors other than the laser in the pose graph: their models compare readings with the key poses.
 
-A reading between two keys is seen from the key before, by the wheels. Nothing here knows what a sensor is: its
-model gives y, H and R, as it does in the filter.
+Wheel odometry gives the pose at a reading relative to the key pose before it. Every sensor is handled alike: its
+model gives y, H and R, as in the filter.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from .odometry import Odometry, by_lever
 
-READINGS_PER_KEY = 4  # of one sensor; no reading counts for one that is left out: its noise would too
+READINGS_PER_KEY = 4  # of one sensor; omitted readings are not replaced by a larger weight of the others
 WIDTH_SIGMAS = 3.0  # sigmas at which a reading loses weight (Cauchy)
-REFUSED_VERDICT = VERDICTS.index("disturbed")
+DISTURBED = VERDICTS.index("disturbed")
 
 
 class Seen(NamedTuple):
-    """One reading with its pose relative to a key."""
+    """One sensor reading, with the pose of the base relative to the key pose before it."""
 
     sensor: str
     reading: int
     key: int
-    u: Array  # (3,) the pose at the reading, seen from the key
-    C: Array  # (3, 3) its covariance
+    u: Array  # (3,) pose at the reading in the frame of the key pose
+    C: Array  # (3, 3) covariance of u
 
 
 class Others:
-    """The readings of sensors other than the laser, and their states (a compass's offset)."""
+    """Readings of the sensors other than the laser, and the states of their models (a compass's offset)."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Others:
         keys: Ints,
         audits: Mapping[str, Audit] | None = None,
     ) -> None:
-        """`audits` are those of a run of the filter: what it refused is no evidence here either."""
+        """Choose readings near the key poses; readings that the filter's `audits` rejected are not used."""
         self._drive = drive
         self._models: dict[str, Model] = {}
         for s in sensors:
@@ -67,15 +67,15 @@ class Others:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """The sensors that have readings."""
+        """Return the names of the sensors that have readings."""
         return tuple(dict.fromkeys(seen.sensor for seen in self._seen))
 
     def move(self, step: Array) -> None:
-        """Add a step to the states."""
+        """Add a step (states,) to the sensor states."""
         self.values = self.values + step
 
     def rows(self, x: Array) -> list[Rows]:
-        """Return the readings' part of the normal equations at key poses x (n, 3)."""
+        """Return the normal equations of all readings at key poses x (n, 3)."""
         belief, n = self._belief, 3 * len(x) + len(SYSTEMATIC_SIGMAS)
         belief.state[3:] = self.values
         blocks: dict[int, list[tuple[Array, Array, Array]]] = {}
@@ -85,7 +85,7 @@ class Others:
             m = self._drive.measurements[seen.sensor]
             found = self._models[seen.sensor].innovations(m, seen.reading, belief)
             for one in () if isinstance(found, Reading) else found[:1]:
-                if one.verdict == REFUSED_VERDICT or not one.numbers:
+                if one.verdict == DISTURBED or not one.numbers:
                     continue
                 y, states, by_state, R = belief.equation([one])
                 H = by_state[:, :3]
@@ -108,25 +108,27 @@ class Others:
 
 
 def _used(instants: Ints, audit: Audit | None) -> Ints:
-    """Return which readings (k,) of those at `instants` (n,) a run took; none if it refused most of them."""
+    """Return the indices (k,) of readings that the filter did not reject; none if it rejected most of them."""
     if audit is None:
         return np.arange(len(instants))
     refused, accepted = (audit.instant[audit.verdict == VERDICTS.index(v)] for v in ("gate", "accepted"))
     kept = np.flatnonzero(~np.isin(instants, np.setdiff1d(refused, accepted)))
-    # the few that it took of a wrong sensor are wrong too
+    # if most readings of a sensor are wrong, the accepted ones are probably wrong too
     return kept if 2 * len(kept) > len(instants) else kept[:0]
 
 
 def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Ints) -> list[Seen]:
-    """Return a few of the `used` readings after each key, evenly spread."""
+    """Choose at most READINGS_PER_KEY of the `used` readings after each key, evenly spaced."""
     instants = drive.instant[sensor]
     key = np.searchsorted(keys, instants[used], side="right") - 1
     found = []
     for k in np.unique(key[key >= 0]).tolist():
         rows = used[key == k]
-        some = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), READINGS_PER_KEY)).round().astype(int))]
-        at = instants[some]
+        picked = rows[
+            np.unique(np.linspace(0, len(rows) - 1, min(len(rows), READINGS_PER_KEY)).round().astype(int))
+        ]
+        at = instants[picked]
         u, C = odometry.between(np.full(len(at), keys[k]), at)
         C = by_lever(C, -u[:, 1], u[:, 0])
-        found += [Seen(sensor, int(r), k, u[n], C[n]) for n, r in enumerate(some.tolist())]
+        found += [Seen(sensor, int(r), k, u[n], C[n]) for n, r in enumerate(picked.tolist())]
     return found

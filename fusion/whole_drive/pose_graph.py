@@ -1,6 +1,7 @@
-"""The whole drive at once: keys, their neighbours, loops, one last solve; then the poses between the keys.
+"""Pose-graph optimisation of a whole drive: key poses, scan matches, loop closures, then all other poses.
 
-keys -> wheels and neighbouring scans -> loops, round by round -> every visit again -> key poses
+choose keys -> edges by wheels and neighbouring scans -> loop closures in rounds -> matches with all earlier visits
+-> solve -> interpolate the poses between the keys
 """
 
 from __future__ import annotations
@@ -33,49 +34,52 @@ from .walls import straightened
 
 LASER = "lrf"
 MIN_KEYS = 10
-KEY_WAY_M, KEY_TURN_RAD = 0.5, np.radians(20.0)  # between two keys
-START_FLOOR_P = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: a start that is known exactly
-MAX_STRAIGHT_RAD = np.radians(5.0)  # from key to key: what counts as straight ahead
-SPAN_GAP_S = 30.0  # closures further apart in time are listed apart
-MAX_EXTENT_VIEWS = 1.5  # extent of a drive over how far its scans reach, up to which there is no loop to close
+KEY_WAY_M, KEY_TURN_RAD = 0.5, np.radians(20.0)  # path length or turn between two keys
+START_FLOOR_P = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: least covariance of the start pose
+MAX_STRAIGHT_RAD = np.radians(5.0)  # largest turn between two keys that counts as driving straight
+SPAN_GAP_S = 30.0  # closures further apart in time are listed separately
+MAX_EXTENT_VIEWS = 1.5  # a drive whose extent is at most this many scan ranges needs no loop closure
 SAMPLE_SCANS = 20
-FAR_SHARE = 0.95  # of a scan's points that are nearer than how far it reaches
-SIGMA_PER_MEDIAN = 1.4826  # of a Gaussian over its median distance from zero
-MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the filter
+FAR_SHARE = 0.95  # the range of a scan is this quantile of its points' distances
+SIGMA_PER_MEDIAN = 1.4826  # standard deviation of a Gaussian over its median absolute value
+MIN_GAIN, MIN_GAIN_M = (
+    1.5,
+    0.01,
+)  # the graph is used if the filter's loop error is larger by this factor and offset
 
 
 class Graph(msgspec.Struct, frozen=True, dict=True):
-    """The key poses of a drive, with its edges and closures."""
+    """Solved pose graph of a drive: key poses, loop closures, and the data to interpolate all other poses."""
 
     drive: Drive
-    configured_mount: Array  # (3,) of the laser on the base: x, y [m], yaw [rad]
-    mount: Array  # (3,) as it was used: where the filter found it
+    configured_mount: Array  # (3,) laser on the base: x, y [m], yaw [rad]
+    mount: Array  # (3,) laser mount used here: the filter's estimate if it has one
     start: Start
-    odometry: Odometry  # with what the wheels' own noise leaves out
-    readings: Ints  # (m,) of the laser: the keys
+    odometry: Odometry  # with added variance for slips and uneven floors
+    readings: Ints  # (m,) indices of the key scans among the laser's readings
     x: Array  # (m, 3) key poses in the map
-    fixes: Fixes  # what the wheels miss between them
-    normal: Normal  # the normal equations there
+    fixes: Fixes  # odometry errors between the key poses
+    normal: Normal  # normal equations at the key poses
     loops: Loops
-    lag: float  # s by which the wheels' clock was moved
-    wheels: Array | None
+    lag: float  # s, delay of the wheels' clock that was corrected
+    wheels: Array | None  # (3,) corrections of both wheel radii and the track; None if not estimated
 
     @cached_property
     def keys(self) -> Ints:
-        """Instants of the key poses (m,)."""
+        """Return the indices of the update times of the key poses, (m,)."""
         return self.drive.instant[LASER][self.readings]
 
     @property
     def closures(self) -> Edges:
-        """The closed loops, as pairs of keys."""
+        """Return the loop closures as edges between key poses."""
         return self.loops.edges
 
     def poses(self) -> tuple[Array, Array]:
-        """Return pose (n, 3) and covariance (n, 3, 3) at every instant of the drive."""
+        """Return pose (n, 3) and covariance (n, 3, 3) at every update time of the drive."""
         return self._between(self.odometry, np.arange(len(self.drive.t)))
 
     def at_truth(self) -> tuple[Array | None, Array | None]:
-        """Return pose (q, 3) and covariance (q, 3, 3) at the truth's stamps; NaN outside the drive."""
+        """Return pose (q, 3) and covariance (q, 3, 3) at the stamps of the ground truth; NaN outside the drive."""
         drive = self.drive
         if drive.truth_motions is None or drive.truth_instant is None:
             return None, None
@@ -90,7 +94,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
-        """Return keys, poses, covariances and fixes, with the start as first key if no scan was taken there."""
+        """Return keys, poses, covariances and odometry errors, with the start pose as first key pose."""
         keys, x, (own, after), fixes = self.keys, self.x, self.spread, self.fixes
         if not keys[0]:
             return keys, x, own, after, fixes
@@ -102,63 +106,59 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def spread(self) -> tuple[Array, Array]:
-        """Covariance of each key pose (m, 3, 3), and that with the next one (m - 1, 3, 3)."""
+        """Return the covariance of each key pose (m, 3, 3), and that with the next key pose (m - 1, 3, 3)."""
         return self.normal.chain(len(self.x))
 
     def seen_again(self) -> tuple[Array, Array]:
-        """Return when places were first seen and recognised, (m, 2) [s], and the relative poses (m, 3).
+        """Return the two visit times of each closed loop (m, 2) [s], and the relative poses (m, 3).
 
-        That is where the second pose lies as seen from the first, which is the earlier one.
+        Each relative pose is that of the later visit in the frame of the earlier visit.
         """
         when = self.drive.t[self.keys][np.column_stack((self.closures.i, self.closures.j))]
         order = np.argsort(when[:, 1], kind="stable")
         return when[order], self.closures.z[order]
 
     def walls(self) -> list[MapLine]:
-        """Return the straightened map."""
+        """Return the map: walls seen by the key scans, placed at the key poses and merged."""
         seen_from = se2.compose(self.x, se2.compose(self.mount, se2.inverse(self.configured_mount)))
         return straightened(self.drive.measurements[LASER], self.readings, seen_from, self.spread[0])
 
-    def misfit(self, pose: Array) -> float:
-        """Return how far poses (n, 3) of the drive contradict the closures, rms [m]."""
-        return _rms(self.closures.errors(pose[self.keys]))
+    def _misfit(self, x: Array) -> float:
+        """Return the position error of the loop closures for key poses x (m, 3), rms [m]; 0 without closures."""
+        e = self.closures.errors(x)
+        return float(np.sqrt((e[:, :2] ** 2).sum(axis=1).mean())) if len(e) else 0.0
 
     def needed(self, filtered: Estimates) -> bool:
-        """Return whether the graph is better than the filter: closed loops contradict it, or it was lost.
+        """Return whether to use the graph: the filter was lost, or its poses contradict the loop closures.
 
-        Where it does, a backward pass through the filter is better than the graph: it weighs every line of every
-        scan. Both are judged by the same closures: how far apart they leave what two visits of a place saw.
+        Otherwise the smoother is more accurate than the graph: it uses every line of every scan. The position
+        error of the loop closures is compared for the poses of the filter and those of the graph.
         """
-        if not len(self.closures):
-            return bool(filtered.lost)
-        return bool(filtered.lost) or self.misfit(filtered.pose) > MIN_GAIN * self.misfit_of_keys() + MIN_GAIN_M
-
-    def misfit_of_keys(self) -> float:
-        """Return how far the graph's own poses contradict the closures, rms [m]."""
-        return _rms(self.closures.errors(self.x))
+        by_filter, by_graph = self._misfit(filtered.pose[self.keys]), self._misfit(self.x)
+        return bool(filtered.lost) or by_filter > MIN_GAIN * by_graph + MIN_GAIN_M
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
-        """Return notes: closed loops with times, undecided ones, and whether the graph was needed."""
+        """Return the notes for the user: closed loops with times, undecided loops, whether the graph was used."""
         return tuple(f"smoothing: {words}" for words in self._words(used))
 
     def _words(self, used: bool) -> list[str]:
         closed = len(self.closures)
         if not closed:
-            said = ["no loop was closed: no place was recognised as seen before"]
+            notes = ["no loop was closed: no place was recognised as seen before"]
         elif not used:
             return [f"the filter's own map holds its {closed} loops together; no loop had to be closed"]
         else:
-            said = [f"closed {closed} loops onto places seen before (at {self._when()})"]
+            notes = [f"closed {closed} loops onto places seen before (at {self._when()})"]
         if used and self.lag:
             side = "behind" if self.lag < 0 else "ahead of"
-            said.append(f"the laser's stamps run {abs(self.lag):.2f} s {side} the wheels', which was allowed for")
+            notes.append(f"the laser's stamps run {abs(self.lag):.2f} s {side} the wheels', which was allowed for")
         if self.loops.undecided:
             n, why = len(self.loops.undecided), "; ".join(sorted(set(self.loops.undecided.values())))
-            said.append(f"{n} possible loops stayed open ({why})")
-        return said
+            notes.append(f"{n} possible loops stayed open ({why})")
+        return notes
 
     def _when(self) -> str:
-        """Return the time intervals in which places were seen again."""
+        """Return the time intervals of the second visits, such as "12-30 s, 95 s"."""
         t = self.drive.t[self.keys]
         spans: list[list[float]] = []
         for at in sorted(t[self.closures.j].tolist()):
@@ -169,23 +169,19 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return ", ".join(f"{a:.0f}-{b:.0f} s" if b > a else f"{a:.0f} s" for a, b in spans)
 
 
-def _rms(errors: Array) -> float:
-    return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean())) if len(errors) else 0.0
-
-
 def whole_drive(
     drive: Drive, robot: Robot, sensors: Sequence[str], filtered: Estimates | None = None
 ) -> Graph | None:
-    """Return the graph of a drive with a laser; None where no loop can be found.
+    """Return the solved graph of a drive with a laser; None without a laser or a place to close a loop.
 
-    Of the filter's run it takes over the places that were recognised, and the wheels and the laser's mount where
-    they were estimated.
+    From the filter's run `filtered`, the graph uses the recognised places, and the estimates of the wheels and the
+    laser mount if there are any.
     """
     m = drive.measurements.get(LASER)
     if m is None or m.points is None or not room_for_loops(drive, robot, sensors):
         return None
     lag, configured = clock_lag(drive), m.points.mount
-    # a filter that knows of no late clock takes it for a mount further ahead: v times the lag
+    # without a clock offset as state, the filter estimates a late clock as a mount further ahead (speed times lag)
     mount = configured if filtered is None or lag else found_mount(LASER, configured, filtered.blocks)
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
     wheels = None if estimated is None else estimated[-1]
@@ -198,7 +194,7 @@ def whole_drive(
     scans = Scans(m, readings, mount)
     if not np.isfinite(scans.clouds.normal[:, 0]).any():
         return None
-    # a filter that was lost refuses what is right
+    # the audits of a lost filter reject correct readings
     audits = None if filtered is None or filtered.lost else filtered.audits
     others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys, audits)
     start = Start.of(robot, odometry, int(keys[0]))
@@ -211,7 +207,8 @@ def whole_drive(
         mount, scans = straighter, Scans(m, readings, straighter)
         x, edges = sequential(scans.targets, scans.sources, wheels_only, way, problem)
     drive = replace(drive, measurements={**drive.measurements, LASER: scans.m})
-    start = Start.of(robot, odometry.scaled(wheels_share(odometry, keys, x)), int(keys[0]))
+    scaled = replace(odometry, C=wheels_share(odometry, keys, x) * odometry.C)
+    start = Start.of(robot, scaled, int(keys[0]))
     problem.start = start.at_first_key
     maps = submaps_of(scans.clouds, mount[:2], x, way)
     hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
@@ -238,7 +235,7 @@ def whole_drive(
 
 
 class Scans:
-    """The scans of the keys `readings` (m,) as points of the base, for a `mount` (3,) of the laser."""
+    """Point clouds of the key scans `readings` (m,) in the base frame, for a laser `mount` (3,)."""
 
     def __init__(self, m: Measurements, readings: Ints, mount: Array) -> None:
         self.m = replace(m, points=m.points.mounted(mount)) if m.points is not None else m
@@ -247,10 +244,10 @@ class Scans:
 
 
 def straight_mount(found: Array, configured: Array, x: Array, u: Array) -> Array:
-    """Return the mount `found` (3,), or with the configured yaw if the robot then drives straighter.
+    """Return the laser mount `found` (3,), with the configured yaw if the robot then drives straighter.
 
-    Of the motions that scans show between key poses x (m, 3) with `found`; u (m - 1, 3) by the wheels. A filter
-    that drifts may take an error of its headings for one of the mount, and half a degree turns a whole drive.
+    Key poses x (m, 3) were computed with the mount `found`; u (m - 1, 3) are the motions between them by wheel
+    odometry. A filter with heading drift may estimate a wrong mount yaw; 0.5 degrees of it rotate a whole drive.
     """
     with_yaw = np.array([*found[:2], configured[2]])
     straight = np.abs(u[:, 2]) < MAX_STRAIGHT_RAD
@@ -262,22 +259,23 @@ def straight_mount(found: Array, configured: Array, x: Array, u: Array) -> Array
 
 
 def _halfway(u: Array) -> Array:
-    """Return the translations of motions u (n, 3) as seen in the middle of their turn, (n, 2)."""
+    """Return the translations (n, 2) of motions u (n, 3) in the frame of the mean heading."""
     return se2.rotated(-u[:, 2] / 2.0, u[:, :2])
 
 
 def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
-    """Return whether a drive's laser makes its own map, and cannot see all of it from the middle."""
+    """Return whether a drive may have loops to close: its laser builds a map, larger than one scan shows."""
     m = drive.measurements.get(LASER)
-    known = m is not None and m.points is not None
-    return LASER in sensors and known and robot.settings(LASER).map == "grow" and not in_one_view(drive)
+    has_scans = m is not None and m.points is not None
+    return LASER in sensors and has_scans and robot.settings(LASER).map == "grow" and not in_one_view(drive)
 
 
 def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
-    """Return the true variance of the wheels' turns, measured by scans, over the variance that they claim.
+    """Return the actual variance of wheel-odometry turns between keys, measured by scans, over the claimed one.
 
-    Wheels whose track is assumed claim an error of 5 degrees a metre; the true one is below 1 degree. Between keys
-    the scans correct it. Before the first key only the wheels are known, and their error turns the whole drive.
+    With an assumed track width the claimed error is 5 degrees per metre; the actual one is below 1 degree. Between
+    keys, scans correct the heading. Before the first key only wheel odometry is available, and its heading error
+    rotates the whole drive.
     """
     u, C = odometry.between(keys[:-1], keys[1:])
     off = se2.wrap_all((se2.between(x[:-1], x[1:]) - u)[:, 2])
@@ -286,7 +284,7 @@ def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
 
 
 def in_one_view(drive: Drive) -> bool:
-    """Return whether the whole drive lies within sight of its middle: then a filter's single map is enough."""
+    """Return whether the drive's extent is small beside the laser's range: the filter needs no loop closure."""
     m = drive.measurements[LASER]
     if m.points is None or not len(m.t):
         return False
@@ -298,23 +296,23 @@ def in_one_view(drive: Drive) -> bool:
 
 
 def clock_lag(drive: Drive) -> float:
-    """Return the delay of the wheels' stamps relative to the laser's [s], 0 if it is not clear."""
+    """Return the delay of the wheel stamps relative to the laser stamps [s]; 0 if it is not significant."""
     lag = clock_lags({LASER: drive.measurements[LASER]}, drive.wheels).get(LASER)
     return lag.offset if lag is not None and worth_saying(lag) else 0.0
 
 
 class Start(msgspec.Struct, frozen=True):
-    """The pose at the first instant, and its prediction by the wheels at the first key pose."""
+    """Start pose of the drive, and its prediction by wheel odometry at the first key pose."""
 
-    pose: Array  # (3,) at the first instant
+    pose: Array  # (3,) start pose
     P: Array  # (3, 3)
-    at_key: Array  # (3,) the first key's pose by the wheels
+    at_key: Array  # (3,) predicted first key pose
     P_at_key: Array  # (3, 3)
-    cross: Array  # (3, 3) covariance of the first instant with the first key
+    cross: Array  # (3, 3) covariance of the start pose with the predicted first key pose
 
     @classmethod
     def of(cls, robot: Robot, odometry: Odometry, key: int) -> Start:
-        """Return the start for a first key at instant `key`."""
+        """Return the configured start pose, predicted to the first key at update time `key`."""
         pose, P = np.array(robot.start.pose), np.diag(robot.start.variances) + START_FLOOR_P
         u, C = odometry.between(np.array([0]), np.array([key]))
         at_key = se2.compose(pose, u[0])
@@ -325,11 +323,11 @@ class Start(msgspec.Struct, frozen=True):
 
     @property
     def at_first_key(self) -> Edges:
-        """The first key's pose by this start, as a term of the graph."""
+        """Return a prior on the first key pose, as an edge of the graph."""
         return Edges.known(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return the smoothed start: pose, covariance, and cross covariance with the first `key` (3,)."""
+        """Return the smoothed start pose, its covariance, and that with the first key pose `key` (3,)."""
         G = self.cross @ np.linalg.inv(self.P_at_key)
         step = key - self.at_key
         step[2] = se2.wrap(float(step[2]))

@@ -1,6 +1,6 @@
-"""References of a drive without truth: its whole-drive solution, and those that leave one sensor out.
+"""References for a drive without ground truth: smoothed trajectories by all sensors, and without each sensor.
 
-drive, robot -> which sets of sensors to solve -> the whole drive with each (`smooth`) -> what judges what
+drive, robot -> sets of sensors to solve -> smoothed drive with each set -> the reference for each evaluation
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Subset = frozenset[str]
 
 
 def refuse(drive: Drive, robot: Robot) -> None:
-    """Raise UsageError if this log can have no reference."""
+    """Raise UsageError if no reference can be computed for this log."""
     if drive.truth is not None:
         raise UsageError(
             f"--reference: this log has a truth, {drive.truth.topic}, and is judged by that.",
@@ -40,7 +40,7 @@ def refuse(drive: Drive, robot: Robot) -> None:
 
 
 def possible(drive: Drive, robot: Robot) -> bool:
-    """Return whether this log can have a reference."""
+    """Return whether a reference can be computed for this log."""
     try:
         refuse(drive, robot)
     except UsageError:
@@ -49,9 +49,9 @@ def possible(drive: Drive, robot: Robot) -> bool:
 
 
 def sets(drive: Drive) -> list[tuple[str, ...]]:
-    """Return the sets of sensors to solve: all, and all without each one (and without those that need it).
+    """Return the sets of sensors to solve: all sensors, and all but one (and but those that need this one).
 
-    A set in which no sensor locates the robot, is none: a wrong wheel radius would judge the sensors.
+    A set is left out if none of its sensors measures the position: its distance scale would be that of the wheels.
     """
     present = _present(drive)
     found = [present, *(_without(s, present) for s in present)]
@@ -59,11 +59,11 @@ def sets(drive: Drive) -> list[tuple[str, ...]]:
 
 
 class References(msgspec.Struct, frozen=True):
-    """The references of one drive."""
+    """Reference trajectories of one drive, by set of sensors."""
 
     solved: Mapping[Subset, Reference]
     present: tuple[str, ...]
-    contradict: Sequence[tuple[str, str]] = ()  # sensors of which one must be wrong, unknown which
+    contradict: Sequence[tuple[str, str]] = ()  # pairs of sensors of which one must be wrong
 
     @classmethod
     def of(
@@ -74,34 +74,34 @@ class References(msgspec.Struct, frozen=True):
         noise: Mapping[str, float],
         contradict: Sequence[tuple[str, str]] = (),
     ) -> References | None:
-        """Return the references of a drive; None if its whole-drive solution is lost on the way.
+        """Compute the references of a drive; None if the robot is lost in the solution with all sensors.
 
-        Nor is a solution a reference that lies further from the filter's than both claim: one of them is wrong.
-        `known` are filtered and smoothed estimates that were made anyway, by their sensors. `noise`: by how much
-        the sigma of a sensor is too small, as its residuals show; references are solved with the larger one, else
-        they would be as wrong and as sure as the estimates that they judge.
+        A smoothed solution that contradicts the filter's within the covariances of both is not used: one is wrong.
+        `known`: filtered and smoothed estimates that were computed before, by set of sensors. `noise`: factor by
+        which the sigma of a sensor is too small according to its residuals. References are solved with the
+        corrected sigma, else they would be as overconfident as the estimates that they evaluate.
         """
         present = _present(drive)
         larger = {s: factor for s, factor in noise.items() if factor > 1.0}
-        honest = _noisier(drive, larger)
+        noisier = _noisier(drive, larger)
         solved: dict[Subset, Reference] = {}
         for sensors in sets(drive):
             subset = frozenset(sensors)
             found = known.get(subset) if subset.isdisjoint(larger) else None
-            filtered, e = found or fuse_and_smooth(honest, robot, sensors)
+            filtered, e = found or fuse_and_smooth(noisier, robot, sensors)
             if not e.lost and not are_contradictory(filtered, e):
                 solved[subset] = Reference.of(e, drive, tuple(s for s in present if s not in subset))
         return cls(solved, present, contradict) if frozenset(present) in solved else None
 
     @property
     def whole(self) -> Reference:
-        """The reference of all sensors, except a sensor that contradicts all others."""
+        """Return the reference of all sensors, without a sensor that contradicts all others."""
         every = frozenset(self.present)
         return self.solved.get(every - {self.outlier}) or self.solved[every]
 
     @property
     def outlier(self) -> str | None:
-        """The one sensor that contradicts all others, which agree with each other; None if there is none."""
+        """Return the sensor that contradicts all others, while these agree with each other; else None."""
         for sensor in self.present:
             others = {o for pair in self.contradict if sensor in pair for o in pair if o != sensor}
             if len(others) > 1 and others == {*self.present} - {sensor} and len(self.contradict) == len(others):
@@ -109,19 +109,19 @@ class References(msgspec.Struct, frozen=True):
         return None
 
     def without(self, sensor: str) -> Reference | None:
-        """Return a reference that does not use the sensor; None if there is none."""
+        """Return the reference without a sensor; None if there is none."""
         return self.solved.get(frozenset(_without(sensor, self.present)))
 
     def contradiction(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
-        """Return two sensors that contradict each other, if one judges with or against the other.
+        """Return two contradictory sensors among those of a reference and the `judged` ones; else None.
 
-        All others together may judge the one that contradicts them all.
+        A sensor that contradicts all others may be evaluated by a reference of the others.
         """
         known = {*reference.sensors, *(s for s in judged if s != self.outlier)}
         return next((pair for pair in self.contradict if set(pair) <= known), None)
 
     def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:
-        """Judge an evaluation by a reference, if possible one without its sensors; return both."""
+        """Evaluate an estimate, if possible by a reference of other sensors; return evaluation, reference."""
         others = [
             r
             for r in self.solved.values()
@@ -135,13 +135,13 @@ class References(msgspec.Struct, frozen=True):
 
 
 def _noisier(drive: Drive, factors: Mapping[str, float]) -> Drive:
-    """Return a drive whose sensors have sigmas larger by these factors."""
+    """Return a copy of the drive with the sigma of each sensor multiplied by its factor."""
     scaled = {s: replace(m, scale=m.scale * factors.get(s, 1.0)) for s, m in drive.measurements.items()}
     return replace(drive, measurements=scaled) if factors else drive
 
 
 def _present(drive: Drive) -> tuple[str, ...]:
-    """Return the sensors that measured something: a dead one gives no reference."""
+    """Return the names of the sensors that have readings."""
     return tuple(s for s in REGISTRY if s in drive.measurements and len(drive.measurements[s].z))
 
 

@@ -1,11 +1,12 @@
-"""Smoothing: every instant estimated from the whole drive, its end included (Rauch, Tung, Striebel 1965).
+"""Smoothing: poses at all update times, estimated from the whole drive (Rauch, Tung, Striebel 1965).
 
-One smoother for the user, two ways of solving it. Where a laser came back to places that the filter's own map does
-not hold together, the graph of key poses (whole_drive.pose_graph) closes these loops. Else the backward pass below
-is the better one: it weighs every line of every scan.
+There are two solvers. If a laser returned to places and the filter's map is inconsistent there, the pose graph
+(whole_drive.pose_graph) closes these loops. Otherwise the backward pass below is more accurate: it uses every line
+of every scan.
 
-Backward through the events of the filter: undo each prediction; map lines leave where they were born, and dropped
-ones return. Holds where the filter's gain is the optimal one: not for the frozen and the considered map.
+The backward pass processes the filter's events in reverse order: it smooths over each prediction, removes map
+lines where they were added, and restores dropped lines. It requires the optimal gain, so it is not possible with
+the map modes "first-scan" and "consider".
 """
 
 from __future__ import annotations
@@ -38,19 +39,19 @@ from locfuse.fusion.wheels.states import WHEELS
 from .pose_graph import LASER, Graph, room_for_loops, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
-MAX_WALLS = 300  # of a given map: each is two states, and each instant costs the square of their number
-MIN_EIGENVALUE_SHARE = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
+MAX_WALLS = 300  # of a given map: each is two states, and an update costs the square of their number
+MIN_EIGENVALUE_SHARE = 1e-12  # relative eigenvalue below which the wheel noise counts as singular
 
 
 def check_smoothing(robot: Robot, sensors: Sequence[str]) -> None:
-    """Raise UsageError if these sensors' filter is not optimal, or its map has too many walls to smooth."""
+    """Raise UsageError if a drive with these sensors cannot be smoothed (gain not optimal, too many walls)."""
     why = why_not_smoothed(robot, sensors)
     if why is not None:
         raise why
 
 
 def why_not_smoothed(robot: Robot, sensors: Sequence[str]) -> UsageError | None:
-    """Return the error that `check_smoothing` raises; None where these sensors can be smoothed."""
+    """Return the error that `check_smoothing` raises; None if a drive with these sensors can be smoothed."""
     if robot.preset == "paper":
         return UsageError(
             "--smooth: the filter as printed in the paper has no optimal gain; leave --preset paper out"
@@ -75,30 +76,24 @@ def why_not_smoothed(robot: Robot, sensors: Sequence[str]) -> UsageError | None:
 def fuse_and_smooth(
     drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = None
 ) -> tuple[Estimates, Estimates]:
-    """Run the filter and the smoother: (filtered, smoothed). Raises UsageError where the gain is not optimal."""
+    """Run the filter and the smoother: (filtered, smoothed). Raises UsageError if the gain is not optimal."""
     check_smoothing(robot, sensors)
-    if not room_for_loops(drive, robot, sensors):
-        return fuse_and_go_back(drive, robot, sensors, name)
-    filtered = fuse(drive, robot, sensors, name)  # its events are large, and the graph needs none of them
-    graph = whole_drive(drive, robot, sensors, filtered)
-    if graph is not None and graph.needed(filtered):
-        return filtered, by_graph(filtered, graph)
-    filtered, found = fuse_and_go_back(drive, robot, sensors, name)
+    graph = None
+    if room_for_loops(drive, robot, sensors):
+        # without events: they are large, and only the smoother needs them
+        filtered = fuse(drive, robot, sensors, name)
+        graph = whole_drive(drive, robot, sensors, filtered)
+        if graph is not None and graph.needed(filtered):
+            return filtered, by_graph(filtered, graph)
+    events = Events(backward=True)
+    filtered = fuse(drive, robot, sensors, name, events=events)
+    found = smoothed(drive, filtered, events)
     notes = () if graph is None else graph.notes(used=False)
     return filtered, replace(found, notes=(*found.notes, *notes))
 
 
-def fuse_and_go_back(
-    drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None
-) -> tuple[Estimates, Estimates]:
-    """Run the filter and its backward pass: (filtered, smoothed)."""
-    events = Events(backward=True)
-    filtered = fuse(drive, robot, sensors, name, events=events)
-    return filtered, smoothed(drive, filtered, events)
-
-
 def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
-    """Return the drive by the graph, with its map and its laser's mount. Other states are the filter's."""
+    """Return the estimates with poses, map and laser mount of the graph; other states are those of the filter."""
     pose, P = graph.poses()
     truth_pose, truth_P = graph.at_truth()
     loops, loop_poses = graph.seen_again()
@@ -120,7 +115,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
 
 
 def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
-    """Return the smoothed estimates of a run with recorded `events`; map and audits stay the filter's."""
+    """Run the backward pass over the recorded `events` of a filter run; map and audits stay the filter's."""
     back = Backward(drive, filtered, events)
     back.run(events)
     wheels = back.blocks.get(WHEELS)
@@ -139,19 +134,20 @@ def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
 
 
 class Backward:
-    """The backward pass: the smoothed state from the last instant to the first.
+    """Backward pass of the smoother, from the last update time to the first.
 
-    Before the first scan of a growing map, and without one, the frame is the map and known exactly: G = 0. A frame
-    that begins at instant k is that of `local[k]`, but `arrived[k]` is still of the frame before.
+    The state has the pose q in a local frame, and the pose G of this frame in the map. Without a growing map, or
+    before its first scan, the frame is the map: G = 0. If a new frame begins at update time k, `local[k]` is in
+    the new frame and `arrived[k]` in the frame before.
     """
 
     def __init__(self, drive: Drive, filtered: Estimates, events: Events) -> None:
         n = len(drive.t)
         self.local, self.frame = np.empty((n, 3)), np.zeros((n, 3))  # q and G
-        self.P = np.zeros((n, 6, 6))  # of both
-        self.arrived = np.zeros((n, 3))  # q as the motion ended: before a shift
-        self.arrived_P = np.zeros((n, 3, 6))  # its covariance with itself and with G
-        self.ahead = np.zeros((n, 3, 3))  # covariance of q at k (rows) and as it arrived at k + 1 (columns)
+        self.P = np.zeros((n, 6, 6))  # of (q, G)
+        self.arrived = np.zeros((n, 3))  # q at the end of the motion to k, before a change of frame
+        self.arrived_P = np.zeros((n, 3, 6))  # covariance of `arrived` with itself and with G
+        self.to_arrived = np.zeros((n, 3, 3))  # covariance of q at k (rows) with `arrived` at k + 1 (columns)
         self.blocks = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
         self.block_sigmas = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
         self._columns = {b: events.columns[b] for b in self.blocks}
@@ -159,16 +155,16 @@ class Backward:
         self._frame = frames[-1] if frames else None
         assert events.final is not None
         self._x, self._S = events.final.x.copy(), events.final.P.copy()
-        self._found = self._x[self._of_frame].copy()  # G by the whole drive: it does not move
-        self._swung = np.eye(6)  # from the errors of (q, G) as they were taken at an instant to those of `_found`
+        self._G = self._x[self._of_frame].copy()  # smoothed G: constant until the frame moves
+        self._to_G = np.eye(6)  # converts errors of (q, G) at an update time to errors about `_G`
 
     @property
     def pose(self) -> Array:
-        """Poses in the map, (n, 3)."""
+        """Return the smoothed poses in the map, (n, 3)."""
         return se2.compose(self.frame, self.local)
 
     def run(self, events: Events) -> None:
-        """Process the events from the last; those before the first instant are left out."""
+        """Process the events in reverse order, up to the motion from the first update time."""
         k = len(self.local) - 1
         self._note(k)
         for event in reversed(events.list):
@@ -182,21 +178,21 @@ class Backward:
                 self._frame = None if event.frame else self._frame
             elif isinstance(event, FrameTurned):
                 self._step(event.back)
-                self._swung[3, 5] -= event.dy
-                self._swung[4, 5] += event.dx
+                self._to_G[3, 5] -= event.dy
+                self._to_G[4, 5] += event.dx
             elif isinstance(event, FrameMoved):
-                self._found, self._swung = self._x[self._of_frame].copy(), np.eye(6)
+                self._G, self._to_G = self._x[self._of_frame].copy(), np.eye(6)
             elif isinstance(event, Dropped):
                 self._restore(event.back)
             elif isinstance(event, Changed | Loosened):
                 self._step(event.back)
 
     def _undo_motion(self, event: Moved, k: int) -> None:
-        """Smooth over the motion to instant k; store the values for `between_instants`."""
+        """Smooth over the motion to update time k; store the values for `between_instants`."""
         self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
         if self._frame is not None:
-            self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._swung[3:, 3:].T
-        self.ahead[k - 1] = self._step(event.back)[:3, :3]
+            self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._to_G[3:, 3:].T
+        self.to_arrived[k - 1] = self._step(event.back)[:3, :3]
 
     @property
     def _of_frame(self) -> slice:
@@ -231,7 +227,7 @@ class Backward:
         self.local[k], self.P[k, :3, :3] = x[:3], S[:3, :3]
         if self._frame is not None:
             at = [0, 1, 2, *range(self._frame, self._frame + 3)]
-            self.frame[k], self.P[k] = self._found, self._swung @ S[np.ix_(at, at)] @ self._swung.T
+            self.frame[k], self.P[k] = self._G, self._to_G @ S[np.ix_(at, at)] @ self._to_G.T
         for name, column in self._columns.items():
             where = slice(column, column + self.blocks[name].shape[1])
             self.blocks[name][k] = self._x[where]
@@ -241,23 +237,23 @@ class Backward:
 def between_instants(
     drive: Drive, events: Events, back: Backward, wheels: Array | None
 ) -> tuple[Array | None, Array | None]:
-    """Return smoothed poses (q, 3) and covariances at the truth's stamps; NaN outside the drive.
+    """Return smoothed poses (q, 3) and covariances (q, 3, 3) at the truth's stamps; NaN outside the drive.
 
-    A stamp lies on a bridge between two smoothed instants: the wheels' motion on the way there, plus the share
-    of what they missed over the whole interval that their noise assigns to the part before the stamp. All in the
-    local frame and about the filter's own poses, since across the wheels' direction the noise is micrometres and
-    bending is not. Then the frame puts it into the map.
+    Between two update times the odometry error is interpolated (a Brownian bridge): the motion up to the stamp
+    gets the share of the error of the whole interval that its noise has. All is linearised in the local frame
+    about the filter's poses: sideways the noise is micrometres, less than the error of another linearisation. Then
+    the result is converted to the map frame.
     """
     if drive.truth_motions is None or drive.truth_instant is None:
         return None, None
     k = np.maximum(drive.truth_instant, 0)
     after = np.minimum(k + 1, len(drive.t) - 1)
     u, v = drive.truth_motions.u, drive.motions.u[after]
-    if wheels is not None:  # their covariance is left out: over a part of an interval it is nothing
+    if wheels is not None:  # (3,) wheel states; their variance is negligible over a part of an interval
         u, v = u + drive.truth_motions.J @ wheels, v + drive.motions.J[after] @ wheels
     assert events.final is not None
     starts = [event.start for event in events.list if isinstance(event, Moved)]
-    start = np.array([*starts[1:], events.final.x[:3]])[k]  # of every motion, and where the last led
+    start = np.array([*starts[1:], events.final.x[:3]])[k]  # start of every motion, and the end of the last
     at, end = eq5_x(start, u), eq5_x(start, v)
     to_at, to_end, on = eq7_A(start, at), eq7_A(start, end), eq7_A(at, end)
     turn = se2.rotation(start[:, 2])
@@ -267,8 +263,8 @@ def between_instants(
     share[k == after] = 0.0
     near = to_at - share @ to_end
     out = at + _apply(near, back.local[k] - start) + _apply(share, back.arrived[after] - end)
-    cross = near @ back.ahead[k] @ share.transpose(0, 2, 1)
-    P = back.P[k]  # of q and G at k; from here on that of `out` and G
+    cross = near @ back.to_arrived[k] @ share.transpose(0, 2, 1)
+    P = back.P[k]  # covariance of (q, G) at k; below it becomes that of (`out`, G)
     to_frame = near @ P[:, :3, 3:] + share @ back.arrived_P[after, :, 3:]
     own = near @ P[:, :3, :3] @ near.transpose(0, 2, 1)
     own += share @ back.arrived_P[after, :, :3] @ share.transpose(0, 2, 1)

@@ -1,6 +1,6 @@
-"""The straightened map: walls seen by the key scans, placed at the whole drive's key poses and merged.
+"""Map of the pose graph: walls seen by the key scans, placed at the key poses and merged.
 
-A filter that came back to a place before it knew so has its walls twice. Here they are one.
+If the filter did not recognise a place at once, its map has the walls there twice. This map has them once.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, MapLine, Measurements
 
-SAME_TURN_RAD, SAME_OFFSET_M, SAME_GAP_M = np.radians(4.0), 0.12, 0.5  # sightings of one wall
+SAME_TURN_RAD, SAME_OFFSET_M, SAME_GAP_M = np.radians(4.0), 0.12, 0.5  # largest differences within one wall
 MIN_SIGHTINGS = 3
 
 
 def straightened(m: Measurements, readings: Ints, x: Array, P: Array) -> list[MapLine]:
-    """Return the walls seen by readings (n,) from poses x (n, 3) with covariances P (n, 3, 3)."""
+    """Return the merged walls seen by readings (n,) from poses x (n, 3) with covariances P (n, 3, 3)."""
     walls = _Walls()
     for k, reading in enumerate(readings.tolist()):
         at = slice(int(m.first[reading]), int(m.first[reading + 1]))
@@ -25,7 +25,7 @@ def straightened(m: Measurements, readings: Ints, x: Array, P: Array) -> list[Ma
 
 
 class _Walls:
-    """Merged walls: the mean direction and place of each, weighted by the sightings' information."""
+    """Walls merged from their sightings, as mean (rho, beta) weighted by information."""
 
     def __init__(self) -> None:
         self.middle = np.zeros((0, 2))
@@ -35,7 +35,7 @@ class _Walls:
         self.free: list[Array] = []
 
     def add(self, z: Array, R: Array, ends: Array, pose: Array, P: Array) -> None:
-        """Add a sighting (r, psi) with covariance R and extent in the frame of a pose with covariance P."""
+        """Add a sighting (r, psi) with covariance R and ends [m], seen from a pose with covariance P."""
         beta = float(z[1] + pose[2])
         n, t = np.array([np.cos(beta), np.sin(beta)]), np.array([-np.sin(beta), np.cos(beta)])
         along = float(t @ pose[:2])
@@ -60,7 +60,7 @@ class _Walls:
         self.span[k] = min(self.span[k, 0], reach.min()), max(self.span[k, 1], reach.max())
 
     def _same(self, beta: float, points: Array) -> int | None:
-        """Return the wall that a sighting belongs to, or None."""
+        """Return the index of the wall that a sighting belongs to; None if it is a new wall."""
         if not len(self.beta):
             return None
         turn = np.abs(se2.wrap_all(beta - self.beta))
@@ -76,7 +76,7 @@ class _Walls:
         return int(np.where(same, off, np.inf).argmin())
 
     def lines(self) -> list[MapLine]:
-        """Return the walls that were seen often enough, each the mean of its sightings."""
+        """Return the walls with at least MIN_SIGHTINGS sightings, each the mean of its sightings."""
         found: list[MapLine] = []
         for k, seen in enumerate(self.seen):
             if len(seen) < MIN_SIGHTINGS:
@@ -90,7 +90,7 @@ class _Walls:
 
 
 def _mean(seen: list[tuple[float, float, Array]]) -> tuple[float, float, Array]:
-    """Return the sightings' mean (rho, beta) and its covariance, which is not below their scatter."""
+    """Return the weighted mean (rho, beta) and its covariance, scaled up if the sightings scatter more."""
     values = np.array([(rho, beta) for rho, beta, _ in seen])
     weights = np.array([np.linalg.inv(R) for _, _, R in seen])
     total = np.linalg.inv(weights.sum(axis=0))

@@ -88,7 +88,7 @@ def test_lines_of_a_growing_map_know_what_they_have_to_do_with_their_frame(seed:
     root, first = 0.05 * rng.normal(size=(belief.n, belief.n)), belief.frame
     assert belief.framed
     belief.covariance[:] += root @ root.T  # everything has to do with everything
-    assert lines.columns() == [6, 8, 10]
+    assert lines.column.tolist() == [6, 8, 10]
     for j, line in enumerate(lines.lines(belief)):
         at = np.array([*(lines.column[j] + np.arange(2)), *(first + np.arange(3))])
         np.testing.assert_array_equal(lines.covariances(belief)[j], belief.covariance[np.ix_(at[:2], at[:2])])

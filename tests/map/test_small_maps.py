@@ -16,9 +16,10 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.map.anchors import Anchors, Edge, inverted
 from locfuse.fusion.map.line_map import LineMap
-from locfuse.fusion.map.place_search import Here, find_closure, left_open
-from locfuse.fusion.map.small_maps import cross, heading_among, seen_from_here
+from locfuse.fusion.map.place_search import MapWithPath, find_closure, rival_spread
+from locfuse.fusion.map.small_maps import begin_submap, heading_among, shared_walls
 from locfuse.fusion.map.way import Way
+from locfuse.fusion.scan_matching.solve import NOWHERE
 
 P_STEP = np.diag(np.square((0.1, 0.05, 0.02)))
 
@@ -27,10 +28,10 @@ def square_with_a_closure() -> Anchors:
     """Four sides of 10 m driven with an error, and the start recognised at the end."""
     rng = np.random.default_rng(3)
     graph = Anchors()
-    at = graph.first(np.zeros(3), np.zeros((3, 3)))
+    at = graph.append(NOWHERE, np.zeros(3), np.zeros((3, 3)))
     for _ in range(4):
         z = np.array([10.0, 0.0, np.pi / 2]) + rng.normal(0.0, (0.1, 0.05, 0.02))
-        at = graph.next(at, z, P_STEP)
+        at = graph.append(at, z, P_STEP)
     return graph
 
 
@@ -74,10 +75,10 @@ def test_a_frame_that_is_known_better_teaches_the_rest_as_a_reading_of_it_would(
 def test_a_way_that_was_worse_than_claimed_is_loosened_until_its_error_is_an_ordinary_one() -> None:
     """The closure contradicts the way by 10 sigma; by the variance factor its chi-square becomes about 3."""
     graph = Anchors()
-    at = graph.first(np.zeros(3), np.zeros((3, 3)))
+    at = graph.append(NOWHERE, np.zeros(3), np.zeros((3, 3)))
     for _ in range(2):
-        at = graph.next(at, np.array([10.0, 0.0, 0.0]), P_STEP)
-    other = graph.next(at, np.array([5.0, 0.0, 0.0]), P_STEP)
+        at = graph.append(at, np.array([10.0, 0.0, 0.0]), P_STEP)
+    other = graph.append(at, np.array([5.0, 0.0, 0.0]), P_STEP)
     aside = graph.relative(at, other)[1].copy()
     z, P = graph.relative(0, at)
     z = z + 10.0 * np.sqrt(np.diagonal(P)) * (0.0, 1.0, 0.0)
@@ -144,25 +145,25 @@ def drawn() -> Array:
 
 def test_what_is_seen_from_the_pose_spreads_as_drawn_poses_and_walls_do(drawn: Array) -> None:
     belief, lines = drive()
-    bridge = seen_from_here(lines, np.arange(3), belief)
-    sigma = np.sqrt(np.diagonal(bridge.P))
-    assert np.stack((bridge.r, bridge.psi), axis=-1).reshape(-1) == pytest.approx(drawn.mean(axis=0), abs=1e-5)
-    assert bridge.P / np.outer(sigma, sigma) == pytest.approx(np.cov(drawn.T) / np.outer(sigma, sigma), abs=0.02)
+    shared = shared_walls(lines, np.arange(3), belief)
+    sigma = np.sqrt(np.diagonal(shared.P))
+    assert np.stack((shared.r, shared.psi), axis=-1).reshape(-1) == pytest.approx(drawn.mean(axis=0), abs=1e-5)
+    assert shared.P / np.outer(sigma, sigma) == pytest.approx(np.cov(drawn.T) / np.outer(sigma, sigma), abs=0.02)
 
 
 def test_the_next_map_knows_of_its_walls_what_the_last_one_knew() -> None:
     belief, lines = drive()
     ends = {int(line): lines.hi[k] - lines.lo[k] for k, line in enumerate(lines.ids)}
-    bridge = seen_from_here(lines, np.arange(3), belief)
+    shared = shared_walls(lines, np.arange(3), belief)
     belief.remove(lines.drop(np.arange(3)))
     belief.begin_frame()
-    cross(bridge, lines, belief, 4)
+    begin_submap(shared, lines, belief, 4)
     assert belief.pose() == (0.0, 0.0, 0.0)
-    again = seen_from_here(lines, np.arange(3), belief)
-    assert again.r == pytest.approx(bridge.r)
-    assert again.psi == pytest.approx(bridge.psi)
-    assert again.ends == pytest.approx(bridge.ends)
-    assert pytest.approx(bridge.P, rel=1e-9, abs=1e-18) == again.P
+    again = shared_walls(lines, np.arange(3), belief)
+    assert again.r == pytest.approx(shared.r)
+    assert again.psi == pytest.approx(shared.psi)
+    assert again.ends == pytest.approx(shared.ends)
+    assert pytest.approx(shared.P, rel=1e-9, abs=1e-18) == again.P
     assert lines.hits.tolist() == [7, 3, 9]
     assert (lines.hi - lines.lo).tolist() == pytest.approx(list(ends.values()))
 
@@ -180,7 +181,7 @@ def test_the_heading_among_walls_is_what_is_left_of_it_once_they_are_given() -> 
 SIGMA = np.diag(np.square((0.02, math.radians(0.3))))
 
 
-def map_of(walls: Array, frame: Array) -> Here:
+def map_of(walls: Array, frame: Array) -> MapWithPath:
     """Walls (k, 4) as a map seen from `frame` (3,), every one from the left of its direction."""
     lines = LineMap()
     back = se2.inverse(frame)
@@ -191,7 +192,7 @@ def map_of(walls: Array, frame: Array) -> Here:
         beta = math.atan2(along[1], along[0]) - math.pi / 2
         lines.append(middle, np.array([0.0, beta]), SIGMA, -1, (-half, half), 0)
     lines.hits = np.full(len(walls), 20)
-    return Here(lines, Way())
+    return MapWithPath(lines, Way())
 
 
 def corridor(doors: float) -> Array:
@@ -226,10 +227,10 @@ def test_two_directions_that_fit_alike_close_nothing() -> None:
 def test_what_stays_open_is_as_wide_as_the_farthest_rival_and_along_the_rivals(angle: float) -> None:
     along = np.array([math.cos(angle), math.sin(angle)])
     rivals = np.array([[*(step * along), 0.0] for step in (-2.0, 0.1, 2.0, 4.0)])
-    P = left_open(rivals)
+    P = rival_spread(rivals)
     np.testing.assert_allclose(along @ P[:2, :2] @ along, 16.0, rtol=1e-9)
     np.testing.assert_allclose(np.linalg.eigvalsh(P)[:2], 0.0, atol=1e-9)
-    assert not left_open(rivals[1:2]).any()
+    assert not rival_spread(rivals[1:2]).any()
 
 
 FAR = np.array((30.0, 0.0, 30.0, 0.0))

@@ -156,7 +156,7 @@ def on_from(m: Measurements, begin: int, poses: Array) -> WayByScans:
     """The same from a reading on."""
     along = WayByScans(m, begin, poses[0].tolist())
     for reading, pose in enumerate(poses[1:].tolist(), begin + 1):
-        along.went(reading, pose)
+        along.add(reading, pose)
     return along
 
 

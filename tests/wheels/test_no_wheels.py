@@ -24,14 +24,14 @@ from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.motion_by_scans import (
-    FORGOTTEN_S,
-    USUAL,
+    DECAY_S,
+    USUAL_VARIANCES,
     Scans,
     Velocity,
+    constrained,
+    initial_velocity,
     match_scans,
     read_scans,
-    seen,
-    standing,
 )
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
@@ -117,18 +117,18 @@ def test_along_a_corridor_p_says_that_nobody_knows_how_far_it_went() -> None:
 
 def test_a_velocity_goes_on_where_nothing_corrects_it_and_its_error_adds_up() -> None:
     """Against the closed form of an exponentially correlated speed: 2 sigma^2 tau T for T many tau."""
-    known, dt, total = Velocity(np.array([0.4, 0.0, 0.0]), np.diag(USUAL)), 0.1, 0.0
+    known, dt, total = Velocity(np.array([0.4, 0.0, 0.0]), np.diag(USUAL_VARIANCES)), 0.1, 0.0
     after = known.after(1.0)
-    assert after.v[0] == pytest.approx(0.4 * np.exp(-1.0 / FORGOTTEN_S[0]))
+    assert after.v[0] == pytest.approx(0.4 * np.exp(-1.0 / DECAY_S[0]))
     for _ in range(1000):
         before = known.after(dt)
         known = before.corrected(dt, np.zeros(3), np.zeros((3, 3)))
         total += known.spread(before, dt)[0, 0]
-    assert total == pytest.approx(2.0 * USUAL[0] * FORGOTTEN_S[0] * 100.0, rel=0.01)
+    assert total == pytest.approx(2.0 * USUAL_VARIANCES[0] * DECAY_S[0] * 100.0, rel=0.01)
 
 
 def test_a_velocity_that_every_pair_measures_errs_independently() -> None:
-    before = standing().after(0.1)
+    before = initial_velocity().after(0.1)
     H = np.diag([1e6, 1e6, 1e6])
     now = before.corrected(0.1, np.array([0.05, 0.0, 0.01]), H)
     np.testing.assert_allclose(now.v * 0.1, [0.05, 0.0, 0.01], atol=1e-4)
@@ -137,11 +137,11 @@ def test_a_velocity_that_every_pair_measures_errs_independently() -> None:
 
 def test_information_along_parallel_walls_is_none_and_that_across_stays() -> None:
     H = np.array([[[3.0, 0.0, 1.0], [0.0, 5000.0, 200.0], [1.0, 200.0, 900.0]]])
-    kept = seen(H)[0]
+    kept = constrained(H)[0]
     np.testing.assert_allclose(kept[0], 0.0, atol=0.5)  # by the direction's own lean
     assert kept[1, 1] == pytest.approx(5000.0, rel=1e-3)
     full = np.array([np.diag([4000.0, 5000.0, 900.0])])
-    np.testing.assert_array_equal(seen(full), full)
+    np.testing.assert_array_equal(constrained(full), full)
 
 
 def test_the_covariance_of_matches_adds_up_as_a_textbook_adds_it() -> None:

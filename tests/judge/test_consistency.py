@@ -25,11 +25,11 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
 from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
 from locfuse.fusion.judge.innovations import (
-    MAX_LISTENED_READINGS,
+    MAX_COMPARED_READINGS,
     STRETCH_READINGS,
     ComparedReadings,
     _agreement,
-    _some,
+    _sampled,
     compare_readings,
     own,
 )
@@ -502,12 +502,12 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
 
 
 def test_of_many_readings_some_stretches_of_neighbours_are_heard() -> None:
-    np.testing.assert_array_equal(_some(MAX_LISTENED_READINGS), np.arange(MAX_LISTENED_READINGS))
-    found = _some(MAX_LISTENED_READINGS + 1)
+    np.testing.assert_array_equal(_sampled(MAX_COMPARED_READINGS), np.arange(MAX_COMPARED_READINGS))
+    found = _sampled(MAX_COMPARED_READINGS + 1)
     assert found[0] == 0
-    assert found[-1] == MAX_LISTENED_READINGS
-    stretches = _some(100_000).reshape(-1, STRETCH_READINGS)
-    assert len(stretches) == MAX_LISTENED_READINGS // STRETCH_READINGS
+    assert found[-1] == MAX_COMPARED_READINGS
+    stretches = _sampled(100_000).reshape(-1, STRETCH_READINGS)
+    assert len(stretches) == MAX_COMPARED_READINGS // STRETCH_READINGS
     assert (np.diff(stretches, axis=1) == 1).all()
     assert stretches[-1, -1] == 99_999
     starts = np.diff(stretches[:, 0])

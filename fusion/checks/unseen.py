@@ -1,7 +1,7 @@
-"""Quantities that a drive cannot show with any sensors, and the manoeuvre that would show them.
+"""Quantities that a drive does not determine with any sensor, and the manoeuvre that would.
 
-A clock, a mount and the track all turn a robot that only turns one way by the same amount. Straight ways
-show distances, and standing shows the offset of a turning rate.
+If all turns have one direction, errors of a clock, a mount and the track cannot be separated. Straight paths show
+the distance scale, standstill shows a gyro's bias.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from locfuse.fusion.data import Array, Drive, stretches
 from .finding import Finding
 
 UNSEEN = "unseen"  # code of the findings
-MIN_TURN_RAD = math.radians(90.0)  # in all, to the left and to the right
-MAX_BEND_RAD, MIN_STRAIGHT_M = math.radians(5.0), 1.0  # of a straight way
-MAX_SPEED_MPS, MAX_RATE_RADPS, MIN_STAND_S = 0.005, 0.005, 5.0  # of a robot that stands
+MIN_TURN_RAD = math.radians(90.0)  # sum of turns, to the left and to the right
+MAX_BEND_RAD, MIN_STRAIGHT_M = math.radians(5.0), 1.0  # of a straight path
+MAX_SPEED_MPS, MAX_RATE_RADPS, MIN_STAND_S = 0.005, 0.005, 5.0  # of standstill
 
 
 def unseen(drive: Drive) -> list[Finding]:
@@ -30,7 +30,7 @@ def unseen(drive: Drive) -> list[Finding]:
 
 
 def _turning(heading: Array) -> str:
-    """Return a note if headings (n,) [rad, unwrapped] hardly turn to one side, else ""."""
+    """Return a note if headings (n,) [rad, unwrapped] hardly turn to one of the two sides, else ""."""
     turns = np.diff(heading)
     left, right = float(turns[turns > 0.0].sum()), float(-turns[turns < 0.0].sum())
     if min(left, right) >= MIN_TURN_RAD:
@@ -40,7 +40,7 @@ def _turning(heading: Array) -> str:
 
 
 def _straight(heading: Array, way: Array) -> str:
-    """Return a note if no metre of the path length (n,) [m] is driven straight, else ""."""
+    """Return a note if no metre of the path length `way` (n,) [m] is straight, else ""."""
     begin = way[way + MIN_STRAIGHT_M <= way[-1]]
     ahead = [np.interp(begin + part * MIN_STRAIGHT_M, way, heading) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
     if (np.ptp(ahead, axis=0) <= MAX_BEND_RAD).any():
@@ -49,7 +49,7 @@ def _straight(heading: Array, way: Array) -> str:
 
 
 def _standing(t: Array, heading: Array, way: Array) -> str:
-    """Return a note if the robot never stands long enough to measure a gyro's offset, else ""."""
+    """Return a note if the robot never stands still long enough to measure the gyro's bias, else ""."""
     period = np.diff(t)
     still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(np.diff(heading)) <= MAX_RATE_RADPS * period)
     longest = max((float(t[last + 1] - t[first]) for first, last in stretches(still)), default=0.0)

@@ -7,6 +7,7 @@ from functools import cache
 from statistics import NormalDist
 
 EXACT_DOF, STEPS = 300, 50
+CONFIDENCE = 0.95  # of consistency bounds
 SIGMAS_95 = 1.96  # standard deviations of a 95 % interval of a normal distribution
 MAD = 0.6745  # median absolute deviation of a normal distribution
 
@@ -55,8 +56,8 @@ def _upper_tail(x: float, dof: int) -> float:
     return total
 
 
-def mean_bounds(confidence: float, dof: float, count: float) -> tuple[float, float]:
-    """Return the two-sided `confidence` bounds for the mean of `count` chi-square values / dof."""
+def mean_bounds(dof: float, count: float) -> tuple[float, float]:
+    """Return the two-sided bounds, at CONFIDENCE, for the mean of `count` chi-square values / dof."""
     total = max(1, round(dof * count))
-    tail = 0.5 * (1.0 - confidence)
+    tail = 0.5 * (1.0 - CONFIDENCE)
     return chi_square(tail, total) / total, chi_square(1.0 - tail, total) / total

@@ -44,11 +44,6 @@ class LocfuseError(Exception):
         """Message and hint, without the role."""
         return f"{self.message} {self.hint}" if self.hint else self.message
 
-    @property
-    def brief(self) -> str:
-        """Message without the hint, for a caller that prints the fixes separately."""
-        return self.message.rstrip(".:;?") if self.hint else self.message
-
 
 class UsageError(LocfuseError):
     """Error in the command line: a wrong option, a wrong `--set`, a missing path."""

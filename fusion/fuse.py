@@ -23,7 +23,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, matrices
+from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Measurements, Motions, matrices
 from .progress import say_done
 from .robot import Robot
 from .sensor import GATE, Model, Reading
@@ -133,7 +133,8 @@ class Filter:
             passed = [self._compare(k, s, i, measurements[s]) for s, i in due]  # eq. 13, 17, 18, and the gate
             fits = self._queue(due, passed)
             belief.correct()  # eq. 10-12, once
-            self._note_fits(fits)
+            for n, (record, numbers, nis) in enumerate(fits):  # the joint NIS of the first is known only now
+                record.joint.extend((nis if n else belief.fit(numbers), numbers))
             self._learn(due, measurements)  # maps and clones
         self._track.note(belief)
 
@@ -177,11 +178,6 @@ class Filter:
         if listened:
             belief.listen(listened)
         return fits
-
-    def _note_fits(self, fits: Sequence[Fit]) -> None:
-        """Record the joint NIS of each reading with several rows; the first one's is from the correction."""
-        for n, (record, numbers, nis) in enumerate(fits):
-            record.joint.extend((nis if n else self.belief.fit(numbers), numbers))
 
     def _learn(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Update all models with their readings; start a new map if one is full."""
@@ -323,16 +319,12 @@ def _steps(motions: Motions, dt: Array) -> Steps:
 
 def due_readings(drive: Drive, sensors: Sequence[str]) -> Iterator[list[Due]]:
     """Yield for every update time its readings (sensor, i), in registry order."""
-    owners, n = {s: drive.instant[s] for s in REGISTRY if s in sensors}, len(drive.t)
-    for a in range(0, n, BLOCK_INSTANTS):
-        yield from _due(owners, a, min(a + BLOCK_INSTANTS, n))
-
-
-def _due(owners: Mapping[str, Ints], begin: int, end: int) -> list[list[Due]]:
-    """Return for each of the update times begin:end its readings (sensor, i)."""
-    due: list[list[Due]] = [[] for _ in range(end - begin)]
-    for sensor, instant in owners.items():
-        first, last = np.searchsorted(instant, (begin, end)).tolist()
-        for i, k in enumerate((instant[first:last] - begin).tolist(), first):
-            due[k].append((sensor, i))
-    return due
+    owners = {s: drive.instant[s] for s in REGISTRY if s in sensors}
+    for begin in range(0, len(drive.t), BLOCK_INSTANTS):
+        end = min(begin + BLOCK_INSTANTS, len(drive.t))
+        due: list[list[Due]] = [[] for _ in range(end - begin)]
+        for sensor, instant in owners.items():
+            first, last = np.searchsorted(instant, (begin, end)).tolist()
+            for i, k in enumerate((instant[first:last] - begin).tolist(), first):
+                due[k].append((sensor, i))
+        yield from due

@@ -119,10 +119,10 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
             found[LASER, "truth"] = _of_a_run(own, by_motion)
         found["truth", base] = by_motion
         found |= dict.fromkeys(_on_truths_clock(drive, robot, by_motion), AS_STAMPED)
-    return {pair: _known(lag, pair) for pair, lag in found.items() if lag is not None}
+    return {pair: _known(lag) for pair, lag in found.items() if lag is not None}
 
 
-def _known(lag: Lag, pair: Pair) -> Lag:
+def _known(lag: Lag) -> Lag:
     """Return a lag with a realistic sigma; a lag found only by speeds is set to 0 unless significant."""
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))

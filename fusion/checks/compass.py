@@ -76,10 +76,12 @@ def tilted(
         if stream.msgtype == IMU_TYPE:
             up = by_gravity(_vectors(stream, ACCELERATION_FIELDS))
         elif stream.msgtype == FIELD_TYPE and by_wheels:
-            up, by = by_field(stream, drive, configured), "the plane in which the field turns"
+            up, by = by_field(stream, drive), "the plane in which the field turns"
         if up is None or _apart(up, configured) < MIN_TILT_RAD:
             continue
-        if name == "gyro" and _apart(-up, configured) < MIN_TILT_RAD and _agrees((by_sensor or {}).get(name)):
+        turning = (by_sensor or {}).get(name)
+        agrees = turning is not None and turning.a > 0.0 > turning.b
+        if name == "gyro" and agrees and _apart(-up, configured) < MIN_TILT_RAD:
             words = (
                 f"{stream.topic} gives gravity with the other sign (down, not up): its turning fits the wheels'"
             )
@@ -92,11 +94,6 @@ def tilted(
         fixes = (f"{name}.roll_deg={roll}", f"{name}.pitch_deg={pitch}")
         found.append(Finding(name, "tilt", words, fixes, True))
     return found
-
-
-def _agrees(turning: Turning | None) -> bool:
-    """Return whether a sensor turns in the same direction as the wheels."""
-    return turning is not None and turning.a > 0.0 > turning.b
 
 
 def _apart(a: Array, b: Array) -> float:
@@ -118,7 +115,7 @@ def by_gravity(acceleration: Array) -> Array | None:
     return mean / g if GRAVITY_RANGE_MPS2[0] < g < GRAVITY_RANGE_MPS2[1] else None
 
 
-def by_field(stream: Stream, drive: Drive, configured: Array) -> Array | None:
+def by_field(stream: Stream, drive: Drive) -> Array | None:
     """Return the axis (3,) about which a magnetometer's field turns in the sensor frame: up if level; or None."""
     t = (stream.t_ns - drive.epoch_ns) * 1e-9
     inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])

@@ -47,7 +47,7 @@ class Finding(msgspec.Struct, frozen=True):
         return f"{self.role}: {self.sentence}" + "".join(f" --set {fix}" for fix in self.fixes)
 
 
-def of_error(error: LocfuseError, role: str, code: str, severe: bool = True) -> Finding:
-    """Return an error as the finding of a role."""
+def of_error(error: LocfuseError, role: str, code: str) -> Finding:
+    """Return an error as a severe finding of a role."""
     message = error.message if error.role in {role, ""} else f"{error.role}: {error.message}"
-    return Finding(role, code, message, error.fixes, severe, hint=error.hint)
+    return Finding(role, code, message, error.fixes, severe=True, hint=error.hint)

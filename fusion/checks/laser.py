@@ -76,11 +76,6 @@ class Motion(NamedTuple):
     by_slips: float = 0.0  # 1 sigma of the difference of `turns` between drives by slip
     bump: tuple[float, float] | None = None  # s, rad: time and size of a step of its yaw
 
-    @property
-    def turns_anywhere(self) -> float:
-        """Sigma of `turns` for any drive: at least the effect of slip, which may be constant within one drive."""
-        return max(self.turns_sigma, self.by_slips)
-
 
 def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motion | None:
     """Return errors of scale, yaw and turns by walls seen in two scans at times `t` (n,) [s]; or None."""
@@ -184,7 +179,9 @@ def of_radius(motion: Motion | None, robot: Robot, least: Least = WORTH_SAYING) 
     radius = robot.wheels.radius
     if motion is None or radius is None or motion.turns is None:
         return []
-    scales, sigmas = np.array((1.0 / motion.scale, motion.turns)), (motion.scale_sigma, motion.turns_anywhere)
+    scales = np.array((1.0 / motion.scale, motion.turns))
+    # slip may be constant within one drive, and is different on another one
+    sigmas = motion.scale_sigma, max(motion.turns_sigma, motion.by_slips)
     if not all(math.isfinite(s) and s > 0.0 for s in sigmas):
         return []
     weights = 1.0 / np.square(sigmas)

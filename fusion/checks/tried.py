@@ -177,7 +177,7 @@ def gain(before: Marks, after: Marks) -> float:
     if before.position is not None and after.position is not None:
         turned = WEIGHT_OF_HEADING * _turned(before, after)
         return (
-            _less(before, after)
+            math.log(max(before.position, MIN_GAIN_M) / max(after.position, MIN_GAIN_M))
             + turned
             + WEIGHT_OF_ANEES * (_off(before) - _off(after))
             + before.lost
@@ -194,13 +194,6 @@ def _turned(before: Marks, after: Marks) -> float:
         return 0.0
     small = abs(before.heading - after.heading) < max(MIN_TURN_DEG, MIN_GAIN * before.heading)
     return 0.0 if small else math.log(before.heading / max(after.heading, MIN_TURN_DEG))
-
-
-def _less(before: Marks, after: Marks) -> float:
-    """Return ln(position error before / after)."""
-    if before.position is None or after.position is None:
-        return 0.0
-    return math.log(max(before.position, MIN_GAIN_M) / max(after.position, MIN_GAIN_M))
 
 
 def _off(score: Marks) -> float:
@@ -517,7 +510,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
         pairs = judged_pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
         # a measured value need not improve a figure, but no configuration may get worse
-        sure = (candidate.proven or _by_prediction(pairs)) and not _any_loses(pairs)
+        by_prediction = all(one.position is None for one, _ in pairs.values())
+        sure = (candidate.proven or by_prediction) and not any(worsens(*pair) for pair in pairs.values())
         shown = candidate.measured and bool(pairs) and (shape or sure)
         if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
@@ -529,14 +523,6 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
                 continue
             options += [advice] if (shown and not shape) or worth(advice) > 0.0 else []
     return max(options, key=worth, default=replace(unfixed, harmless=harmless))
-
-
-def _by_prediction(pairs: Mapping[str, tuple[Marks, Marks]]) -> bool:
-    return all(before.position is None for before, _ in pairs.values())
-
-
-def _any_loses(pairs: Mapping[str, tuple[Marks, Marks]]) -> bool:
-    return any(worsens(*pair) for pair in pairs.values())
 
 
 def judged_pairs(

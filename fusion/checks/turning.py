@@ -64,17 +64,12 @@ def turnings(drive: Drive) -> dict[str, Turning]:
         if heading is None:
             continue
         t, own = heading
-        turning = explain(
-            t, own, drive.wheels, _turns_without_lines(own) if sensor.heading_holds else np.zeros(len(t))
-        )
+        # turns of exactly zero so far: scans without matching lines
+        unknown = np.cumsum(np.diff(own, prepend=np.nan) == 0.0) if sensor.heading_holds else np.zeros(len(t))
+        turning = explain(t, own, drive.wheels, unknown.astype(np.float64))
         if turning is not None:
             found[name] = turning
     return found
-
-
-def _turns_without_lines(heading: Array) -> Array:
-    """Return the cumulative number (n,) of turns that are exactly zero: scans without matching lines."""
-    return np.cumsum(np.diff(heading, prepend=np.nan) == 0.0).astype(np.float64)
 
 
 def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> Turning | None:

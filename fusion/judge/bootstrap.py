@@ -68,7 +68,7 @@ class Errors(msgspec.Struct, frozen=True):
         if not own.any():
             return 0.0
         freedom = float(own.sum() ** 2 / (own**2 / n).sum())  # Welch and Satterthwaite
-        return math.asinh(student_t(CONFIDENCE, max(1.0, freedom - 1.0)) * math.sqrt(max(variance, 0.0)))
+        return math.asinh(student_t(max(1.0, freedom - 1.0)) * math.sqrt(max(variance, 0.0)))
 
 
 def effective_samples(deviation: Array) -> float:
@@ -142,12 +142,12 @@ def by_chance(move: float, n: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def student_t(confidence: float, freedom: float) -> float:
-    """Return the two-sided quantile of Student's t at a confidence, with `freedom` degrees of freedom."""
+def student_t(freedom: float) -> float:
+    """Return the two-sided quantile of Student's t at CONFIDENCE, with `freedom` degrees of freedom."""
     a, cosine = _quarter_turn()  # with x = sqrt(f) tan(a) the density is cos(a)^(f - 1) da
     density = cosine ** (freedom - 1.0)
     mass = np.concatenate(([0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))))
-    return math.sqrt(freedom) * math.tan(float(np.interp(confidence * mass[-1], mass, a)))
+    return math.sqrt(freedom) * math.tan(float(np.interp(CONFIDENCE * mass[-1], mass, a)))
 
 
 @cache

@@ -19,7 +19,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Evaluation
 from locfuse.fusion.sensors.registry import needed
 
-from .bootstrap import CONFIDENCE, MIN_REPLICATES, Errors, by_chance, student_t
+from .bootstrap import MIN_REPLICATES, Errors, by_chance, student_t
 
 Verdict = Literal["helps", "seems to help", "no effect seen", "seems to hurt", "hurts", "no verdict"]
 
@@ -283,7 +283,7 @@ def _mean_effect(effects: Sequence[Effect | None]) -> Effect | None:
     values = np.array([e.value for e in known])
     half = math.nan
     if len(values) >= MIN_REPLICATES:
-        half = student_t(CONFIDENCE, len(values) - 1.0) * float(values.std(ddof=1)) / math.sqrt(len(values))
+        half = student_t(len(values) - 1.0) * float(values.std(ddof=1)) / math.sqrt(len(values))
     expected = [e.expected for e in known if e.expected is not None]
     mean = float(values.mean())
     return Effect(

@@ -354,7 +354,6 @@ def _mean(values: Array) -> float | None:
 
 MAX_INTERVALS = 80
 MIN_MEASUREMENTS = 8  # accepted measurements in one interval, at least
-CONFIDENCE = 0.95
 STATES = ("x", "y", "theta")
 
 
@@ -369,7 +368,7 @@ def running_nis(audit: Audit, t: Array) -> RunningNis:
     counts = np.bincount(place, minlength=intervals)
     sums = np.bincount(place, weights=nis, minlength=intervals)
     mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    bounds = np.array([mean_bounds(CONFIDENCE, dof, int(c)) if c else (np.nan, np.nan) for c in counts])
+    bounds = np.array([mean_bounds(dof, int(c)) if c else (np.nan, np.nan) for c in counts])
     return RunningNis(0.5 * (edges[1:] + edges[:-1]), mean, bounds[:, 0], bounds[:, 1])
 
 
@@ -377,9 +376,8 @@ class CovarianceCheck(msgspec.Struct, frozen=True):
     """ANEES of one configuration: mean of squared error over predicted variance; above 1 is overconfident."""
 
     anees: float
-    bounds: tuple[float, float]  # of a consistent filter's ANEES at CONFIDENCE, on a drive like this
+    bounds: tuple[float, float]  # of a consistent filter's ANEES 95 %, on a drive like this
     states: Mapping[str, float] = field(default_factory=dict)  # ANEES of x, y and theta alone
-    state_bounds: tuple[float, float] = (0.0, math.inf)
     independent: float = math.nan  # effective number of independent errors
     words: str = ""
 
@@ -404,10 +402,9 @@ def covariance_check(judged: Evaluation) -> CovarianceCheck | None:
         return None
     unit = e[good] / sigma[good]
     independent = effective_samples(unit)
-    bounds = mean_bounds(CONFIDENCE, unit.shape[1], independent)
+    bounds = mean_bounds(unit.shape[1], independent)
     states = dict(zip(STATES, (unit**2).mean(axis=0).tolist(), strict=False))
-    alone = mean_bounds(CONFIDENCE, 1, independent)
-    return CovarianceCheck(anees, bounds, states, alone, independent, _words(anees, bounds))
+    return CovarianceCheck(anees, bounds, states, independent, _words(anees, bounds))
 
 
 def _words(anees: float, bounds: tuple[float, float]) -> str:

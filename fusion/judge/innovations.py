@@ -23,7 +23,6 @@ from locfuse.fusion.sensors.registry import REGISTRY
 ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
     VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
 )
-CONFIDENCE = 0.95
 MAX_LAG_READINGS = 5
 MIN_AUTOCORRELATION = 0.05  # a smaller autocorrelation counts as zero
 MAX_COMPARED_READINGS, STRETCH_READINGS = 1500, 150  # that are compared, in intervals of consecutive ones
@@ -38,7 +37,7 @@ class Own(NamedTuple):
     compared: int
     refused: float  # share
     nis: float  # mean per degree of freedom of what was accepted
-    bounds: tuple[float, float]  # of the mean NIS of a consistent filter, at CONFIDENCE
+    bounds: tuple[float, float]  # of the mean NIS of a consistent filter, 95 %
     bias: tuple[float, ...]  # mean in predicted standard deviations
     middle: tuple[float, ...]  # median innovation
     sure: tuple[float, ...]  # standard error of the median
@@ -115,7 +114,7 @@ def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float
     if len(nis):
         order = np.argsort(audit.landmark[used], kind="stable")
         repeats = _memory(np.append(1.0, _whiteness((nis - nis.mean())[order, None], audit.landmark[used][order])))
-    bounds = mean_bounds(CONFIDENCE, d, max(1.0, len(nis) / repeats))
+    bounds = mean_bounds(d, max(1.0, len(nis) / repeats))
     at = (len(nis) + far) // 2
     scale = float(np.sort(nis)[at]) / chi_square(0.5, d) if at < len(nis) else math.inf
     return float(nis.mean()) / d if len(nis) else math.nan, bounds, scale

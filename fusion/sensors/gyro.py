@@ -103,7 +103,7 @@ class Gyro(Sensor):
         t, rate = t[good], rate[good]
         angle, piece = summed(t, rate)
         keep = last_of_periods(t, settings.period)
-        _check_against(t[keep], angle[keep], piece[keep], wheels, stream.topic, settings)
+        _check_against(t[keep], angle[keep], piece[keep], wheels, stream.topic)
         n = len(keep)
         return Measurements(
             t=t[keep],
@@ -260,9 +260,7 @@ def rests(where: Array, piece: Ints) -> Iterator[tuple[int, int]]:
         yield a, len(poses) - 1
 
 
-def _check_against(
-    t: Array, angle: Array, piece: Ints, wheels: WheelMotion, topic: str, settings: GyroSettings
-) -> None:
+def _check_against(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, topic: str) -> None:
     """Raise LocfuseError if the gyro's turns have another sign or unit than the wheels' turns."""
     if len(t) < 20:
         return

@@ -38,12 +38,6 @@ class Iron(msgspec.Struct, frozen=True):
     gap_deg: float  # largest part of the circle without a reading
     readings: int
 
-    def headings(self, field: Array) -> Array:
-        """Return the directions (n,) [rad] of fields (n, 2), corrected for iron."""
-        corrected = (field - self.hard) @ self.soft.T
-        angles: Array = np.arctan2(corrected[:, 1], corrected[:, 0])
-        return angles
-
 
 def fit_iron(field: Array) -> Iron:
     """Fit an ellipse to field readings (n, 2). Raises LocfuseError if they cover too little of a turn."""

@@ -24,7 +24,7 @@ END_OF_TIME = 2**62  # ns: later times are invalid; differences of valid times f
 
 
 class LocfuseError(Exception):
-    """Error in a file or a setting, as one line: what, where, the numbers, and what to try next.
+    """Error in a file or a setting: a message of one line with a hint and settings that fix it.
 
     `str()` is the whole line, "role: message hint"; its parts are attributes.
     """

@@ -61,9 +61,9 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
             if not 0.0 <= (getattr(self, key) or 0.0) < math.inf:
                 raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")
 
-    def sigmas(self, tells: bool) -> tuple[float, float, float]:
-        """Return the sigmas of x, y [m] and yaw [rad]; by default 0 unless the drive shows the mount (`tells`)."""
-        place, turn = (SIGMA_M, SIGMA_DEG) if tells else (0.0, 0.0)
+    def sigmas(self, observable: bool) -> tuple[float, float, float]:
+        """Return the sigmas of x, y [m] and yaw [rad]; by default above 0 only for an `observable` mount."""
+        place, turn = (SIGMA_M, SIGMA_DEG) if observable else (0.0, 0.0)
         x, y = (place if sigma is None else sigma for sigma in (self.sigma_x, self.sigma_y))
         return x, y, math.radians(turn if self.sigma_yaw_deg is None else self.sigma_yaw_deg)
 
@@ -78,10 +78,10 @@ def exact(settings: SensorSettings) -> SensorSettings:
 class Mount:
     """Mount of one sensor on the base, x [m], y [m], yaw [rad]; each uncertain component is a state block."""
 
-    def __init__(self, sensor: str, settings: MountedSettings, tells: bool = False) -> None:
-        """`tells`: the mount is observable, so it is a state unless configured as exact."""
+    def __init__(self, sensor: str, settings: MountedSettings, observable: bool = False) -> None:
+        """`observable`: the drive shows the mount, so it is a state unless configured as exact."""
         self.sensor, self.configured = sensor, settings.mount
-        sigmas = settings.sigmas(tells)
+        sigmas = settings.sigmas(observable)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
         self._names = {i: f"{sensor}_{PARTS[i]}" for i in self.free}
         self._variances = {i: sigmas[i] ** 2 for i in self.free}

@@ -56,17 +56,13 @@ class PathFollower:
         if self.at >= len(self.path.pose) - 1:
             return None
         x, y, theta = self.path.pose[self.at].tolist()
-        speed = self._speed()
+        sharpest = float(np.abs(self.path.curvature[self.at : self.at + self.SLOWING]).max())
+        speed = self.speed if self.speed * sharpest <= self.turning else self.turning / sharpest
         ahead = self.at + round(0.1 * speed / SPACING)
         curvature = float(self.path.curvature[min(ahead, len(self.path.curvature) - 1)])
         lateral, error = off_line(pose, (x, y, theta))
         omega = curvature - LATERAL * lateral - HEADING * error
         return Command(speed, speed * omega)
-
-    def _speed(self) -> float:
-        """Return the speed [m/s] for the curvature ahead."""
-        sharpest = float(np.abs(self.path.curvature[self.at : self.at + self.SLOWING]).max())
-        return self.speed if self.speed * sharpest <= self.turning else self.turning / sharpest
 
 
 class LegFollower:

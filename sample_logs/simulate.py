@@ -123,7 +123,10 @@ class Recorder:
         self.waiting: list[tuple[int, int, RawMessage]] = []
         self.issued = 0
         for fault in faults:
-            self._announce(fault)
+            for event, t in (("begin", fault.start), ("end", fault.end)):
+                if np.isfinite(t):
+                    ns, fields = nanoseconds(t), {"data": label(fault, event)}
+                    self._queue(RawMessage("/faults", "std_msgs/msg/String", ns, ns, "", fields))
 
     def until(self, now: float) -> list[RawMessage]:
         """Return the messages that arrived since the last call, until `now` [s]."""
@@ -152,12 +155,6 @@ class Recorder:
             stamp_ns = max(stamp_ns, self.dated[i] + 1)
         self.dated[i] = stamp_ns
         self._queue(RawMessage(sensor.topic, sensor.msgtype, self.last[i], stamp_ns, sensor.frame_id, fields))
-
-    def _announce(self, fault: Fault) -> None:
-        for event, t in (("begin", fault.start), ("end", fault.end)):
-            if np.isfinite(t):
-                ns, fields = nanoseconds(t), {"data": label(fault, event)}
-                self._queue(RawMessage("/faults", "std_msgs/msg/String", ns, ns, "", fields))
 
     def _queue(self, message: RawMessage) -> None:
         heapq.heappush(self.waiting, (message.log_ns, self.issued, message))

@@ -76,7 +76,7 @@ class Detector(msgspec.Struct, frozen=True):
         return Detection((picture.shape[0], picture.shape[1]), optics, found)
 
     def is_half_enough(self, shape: tuple[int, int]) -> bool:
-        """Return whether a picture (h, w) with colour at half resolution may be halved for detection."""
+        """Return whether detection at half size is exact enough for a picture (h, w) with coarse colour."""
         return self.chain == "fast" and self.optics(shape).outer >= MIN_HALF_RADIUS_PX
 
     def find_in_half(self, picture: Picture, shape: tuple[int, int]) -> Detection:

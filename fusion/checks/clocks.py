@@ -126,11 +126,13 @@ def _known(lag: Lag) -> Lag:
     """Return a lag with a realistic sigma; a lag found only by speeds is set to 0 unless significant."""
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
-    return lag._replace(offset=lag.offset if off_by(lag) else 0.0, sigma=SPEED_SIGMA_S)
+    clearly = 1.0 - lag.correlation <= MAX_MISFIT_RATIO * (1.0 - lag.without)
+    significant = abs(lag.offset) >= MIN_TRUTH_LAG_S and lag.correlation >= MIN_CORRELATION and clearly
+    return lag._replace(offset=lag.offset if significant else 0.0, sigma=SPEED_SIGMA_S)
 
 
 def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
-    """Return a run's lag with a larger sigma, since the run also contains part of the wheels' lag."""
+    """Return the lag of a run with a larger sigma, as the run may contain a part of the wheels' lag."""
     drawn = 0.0 if by_wheels is None else WHEEL_LAG_SHARE * by_wheels.offset
     return lag._replace(sigma=math.hypot(lag.sigma, drawn))
 
@@ -248,12 +250,6 @@ def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
     return Reference(
         partial(_interpolated, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading, wanders=False
     )
-
-
-def off_by(lag: Lag) -> bool:
-    """Return whether the lag of the truth is large and certain enough to be reported."""
-    clearly = 1.0 - lag.correlation <= MAX_MISFIT_RATIO * (1.0 - lag.without)
-    return abs(lag.offset) >= MIN_TRUTH_LAG_S and lag.correlation >= MIN_CORRELATION and clearly
 
 
 def truth_lag(drive: Drive) -> Lag | None:

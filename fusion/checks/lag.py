@@ -79,7 +79,11 @@ class _Turns(NamedTuple):
     def scores(self, heading: Heading, lags: Array) -> Array:
         """Return the correlations (k,) with another heading at lags (k,) [s]."""
         shift = lags[:, None]
-        return _correlations(self.angle, heading(self.end + shift) - heading(self.start + shift))
+        a, b = self.angle - self.angle.mean(), heading(self.end + shift) - heading(self.start + shift)
+        b = b - b.mean(axis=1, keepdims=True)
+        scale = np.sqrt((a @ a) * (b**2).sum(axis=1))
+        out: Array = np.divide(b @ a, scale, out=np.zeros(len(b)), where=scale > 0)
+        return out
 
 
 class _Fit(NamedTuple):
@@ -206,7 +210,7 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) 
 
 
 def _without(column: Array, others: Array) -> Array:
-    """Return a column (n,) minus its least-squares fit by other columns (n, k)."""
+    """Return a column (n,) minus the least-squares fit by other columns (n, k)."""
     x, *_ = np.linalg.lstsq(others, column, rcond=None)
     rest: Array = column - others @ x
     return rest
@@ -228,14 +232,6 @@ def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.boo
 def _rate(reference: Reference, t: Array) -> Array:
     """Return the turning rate [rad/s] of the wheels at times t (n,) [s]."""
     return (reference.wheels(t + RATE_SPAN_S / 2) - reference.wheels(t - RATE_SPAN_S / 2)) / RATE_SPAN_S
-
-
-def _correlations(a: Array, b: Array) -> Array:
-    """Return the correlations (k,) of a (n,) with every row of b (k, n)."""
-    a, b = a - a.mean(), b - b.mean(axis=1, keepdims=True)
-    scale = np.sqrt((a @ a) * (b**2).sum(axis=1))
-    out: Array = np.divide(b @ a, scale, out=np.zeros(len(b)), where=scale > 0)
-    return out
 
 
 def _vertex(left: float, middle: float, right: float) -> float:

@@ -126,7 +126,7 @@ def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
 
 
 def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
-    """Yield a finding if the path of the laser's own run has another size than the truth's path."""
+    """Yield a finding if a run with only the laser has a path of another size than the truth."""
     scale = path_scale(e, drive)
     if scale is None or abs(scale - 1.0) < MIN_SCALE:
         return

@@ -209,7 +209,7 @@ def _fastest(drive: Drive) -> float:
 
 
 def of_unit(drive: Drive) -> list[Finding]:
-    """Return a finding if the truth is not in metres: its distances are the wheels' times a power of ten.
+    """Return a finding if the truth is not in metres: its distances are a power of ten times the wheels'.
 
     (Not if the wheels' speed is implausible for a robot, as with a wrong radius.)
     """
@@ -351,7 +351,7 @@ def of_creep(found: Swing | None) -> list[Finding]:
 
 
 def of_ways(drive: Drive, run: Estimates) -> list[Finding]:
-    """Return a finding if distances of wheels and of the laser's own `run` differ."""
+    """Return a finding if distances of the wheels and of a `run` with only the laser differ."""
     rows = np.unique(drive.instant[run.sensors[0]])
     by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
     found = swing(by_laser, drive, axle_path(by_laser, drive.wheels))

@@ -308,7 +308,7 @@ def _of_run(o: Own | None, found: Consistency) -> Consistency:
 
 
 class Evidence:
-    """Innovations of every sensor in all runs, with and without the sensor; gives the verdict on each sensor."""
+    """Innovations of all sensors in all runs, from which the verdict on each sensor follows."""
 
     def __init__(self, runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()) -> None:
         self.robot, self.runs, self.overconfident = robot, runs, overconfident

@@ -240,7 +240,7 @@ class _Book(msgspec.Struct, frozen=True):
         return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees, beside)
 
     def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
-        """Return the sensors in whose company the effect "alone" of a sensor is measured."""
+        """Return the sensors that the effect "alone" is compared with: needed ones, else the smallest subset."""
         usual = needed(sensor)  # the effect "alone" is compared with these
         run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
         if not run or frozenset(usual) in run:

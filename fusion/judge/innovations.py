@@ -249,7 +249,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
 
 
 def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
-    """Return a step or steady drift of errors y (k,), mean 0, at t [s], if it explains most of their slow part.
+    """Return a step or a steady drift of errors y (k,), mean 0, if it explains most of their slow part.
 
     None where the robot's heading `theta` [rad] explains more: iron on the robot, in a drive of few turns.
     """

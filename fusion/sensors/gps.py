@@ -154,7 +154,7 @@ def _flat_covariances(column: Array | Ragged) -> Array:
 def fix(
     pose: se2.Plain, lever: tuple[float, float], reference: tuple[float, float], tie: Tie, known: bool
 ) -> tuple[tuple[float, float], PoseRows, Matrix]:
-    """Return the predicted antenna position (east, north) [m], and its derivatives by pose (2, 3) and tie (2, 4).
+    """Return the antenna's (east, north) [m], and derivatives by pose (2, 3) and by the four tie states (2, 4).
 
     (east, north) = R (p - p_ref) + (c, d), with p = (x, y) + R(theta) lever and `reference` p_ref, both [m, map].
     The tie is (cos e, sin e, c, d), in which the fix is linear, or (e, 1, c, d) where the direction e is `known`.
@@ -215,7 +215,7 @@ class GpsModel(Model):
         return [belief.compare(i, y, H, R, self.threshold, columns, H_block if columns else NO_BLOCK)]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Replace the states (cos e, sin e) by the angle e once its standard deviation is below 10 degrees."""
+        """Replace the states (cos e, sin e) by the angle e when its standard deviation is below 10 degrees."""
         if self.known:
             return
         first = belief.column(FRAME)

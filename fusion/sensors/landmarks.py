@@ -201,7 +201,7 @@ def _first_ids(ids: Any, counts: Any) -> tuple[Ints, Ints]:
 
 
 def _values(column: Any, row: Ints, topic: str) -> Array:
-    """Return one number for each detection (m,). Raises LocfuseError unless there are as many ids as numbers."""
+    """Return one number for each detection (m,). Raises LocfuseError if ids and numbers differ in count."""
     values = np.asarray(column.values[column.first[0] : column.first[-1]], np.float64)
     if not np.array_equal(np.bincount(row, minlength=len(column)), column.lengths):
         raise LocfuseError(

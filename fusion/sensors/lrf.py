@@ -155,7 +155,7 @@ class Lrf(Sensor):
             settings.map,
             settings.gate,
             settings.recover,
-            Mount(self.name, settings, tells=settings.map in ESTIMATING_MAPS),
+            Mount(self.name, settings, observable=settings.map in ESTIMATING_MAPS),
         )
 
 

@@ -195,7 +195,7 @@ class Replay:
         return score
 
     def turn_frame(self, op: FrameTurned) -> None:
-        """Move the origin of the map frame after a recorded correction of its direction."""
+        """Move the origin of the map frame to match a recorded correction of the frame's direction."""
         P, m, turn = self.P, self.m, op.first + 2
         for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
             m[:, column] += by * m[:, turn]

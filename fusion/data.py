@@ -199,7 +199,9 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def scalars(self) -> tuple[Any, Any]:
         """Values (m,) and variances (m,) of a one-number sensor, as memoryviews."""
-        return memoryview(self.z[:, 0]), memoryview(self.R[:, 0, 0])
+        values: Any = self.z[:, 0]
+        variances: Any = self.R[:, 0, 0]
+        return memoryview(values), memoryview(variances)
 
     @cached_property
     def plain(self) -> dict[str, Any]:
@@ -207,7 +209,7 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
 
         Reading their elements one by one (z[i, 0]) is faster than with NumPy.
         """
-        columns = {"t": self.t, "first": self.first, "z": self.z, "R": self.R, **self.extra}
+        columns: dict[str, Any] = {"t": self.t, "first": self.first, "z": self.z, "R": self.R, **self.extra}
         return {name: memoryview(column) for name, column in columns.items()}
 
     def take(self, readings: Ints) -> Measurements:

@@ -36,7 +36,7 @@ from locfuse.fusion.data import LocfuseError
 
 CORPUS = Path(__file__).parent / "corpus"
 SLOW, LONGEST = 5.0, 1 << 16  # s of CPU for one input of a parser, and its bytes
-REFUSALS = (LocfuseError, SchemaError, DamagedError)
+REASONS = (LocfuseError, SchemaError, DamagedError)
 
 # --- what stands in the place of what is right
 
@@ -212,7 +212,7 @@ def wrong(parser: Callable[[bytes], object], data: bytes) -> str:
     begin = time.process_time()
     try:
         parser(data)
-    except REFUSALS as refusal:
+    except REASONS as refusal:
         if len(str(refusal).splitlines()) != 1:
             return f"a refusal of several lines: {refusal}"
     except Exception:

@@ -50,8 +50,8 @@ def right_H(C: float, beta: float) -> Array:
 class BearingRow(paper_rows.CameraRow):
     """The camera's bearing against the one predicted from the pose, instead of a heading."""
 
-    def __init__(self, robot: Robot, numbers: equations.Printed) -> None:
-        super().__init__(robot, numbers)
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
         settings = robot.settings("camera")
         self.landmark, self.lever = settings.landmark, (settings.x, settings.y)
 

@@ -1,1 +1,1 @@
-"""Numbers in, numbers out: no files, no screens, no commands."""
+"""Estimation from arrays of sensor readings to arrays of results; reads no files, prints nothing."""

@@ -1,6 +1,6 @@
-"""When a slope changes once: the split of a series that two least squares explain best.
+"""Change detection: the split of a series into two parts, each with its own least-squares slope.
 
-Of a constant x = 1 the slope is the mean, so that the split is where a mean steps (Hinkley, Biometrika 1970).
+With x = 1 a slope is a mean, and the split is a step of the mean (Hinkley, Biometrika 1970).
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ import numpy as np
 
 from .data import Array
 
-MIN_SQUARES = 1e-12  # of x on one side: with less its slope is not known
+MIN_SQUARES = 1e-12  # of x in one part; smaller sums are raised to it
 
 
 class Split(NamedTuple):
-    """Two slopes of y over x: of the first values up to `at`, and of the values after it."""
+    """Least-squares slopes of y over x in two parts of a series: up to index `at`, and after it."""
 
     at: int
     before: float
     after: float
-    explained: float  # sum of squares of y that both slopes explain
+    explained: float  # part of the sum of squares of y that both slopes explain
     sigmas: tuple[float, float]  # of the slopes, for errors of 1
 
 
 def best_split(x: Array, y: Array, edge: int) -> Split:
-    """Return the two slopes through 0 with least squared error; the change is `edge` values from the ends."""
+    """Return the split of y (n,) over x (n,) with least squared error, `edge` or more values from both ends."""
     inner = slice(edge, len(y) - edge)
     seen, weight = np.cumsum(x * y)[inner], np.cumsum(np.square(x))[inner]
     rest, other = float(x @ y) - seen, np.maximum(float(x @ x) - weight, MIN_SQUARES)

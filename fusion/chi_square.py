@@ -1,4 +1,4 @@
-"""Chi-square thresholds: how far a measurement may lie from its prediction, at a stated confidence."""
+"""Chi-square thresholds for gates and consistency bounds, at a given confidence."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import cache
 from statistics import NormalDist
 
 EXACT_DOF, STEPS = 300, 50
+CONFIDENCE = 0.95  # of consistency bounds
 SIGMAS_95 = 1.96  # standard deviations of a 95 % interval of a normal distribution
 MAD = 0.6745  # median absolute deviation of a normal distribution
 
@@ -16,7 +17,7 @@ def chi_square(confidence: float, dof: int) -> float:
     """Return the `confidence` quantile of a chi-square distribution with `dof` degrees of freedom.
 
     In closed form for one and two degrees of freedom; by Newton's method up to EXACT_DOF, to 1e-9; above that by
-    Wilson and Hilferty (1931), within 3e-4. (SciPy has it too, for 0.4 s and 25 MB of import in every comparison.)
+    Wilson and Hilferty (1931), within 3e-4. (SciPy would add 0.4 s and 25 MB to every comparison.)
     A confidence of 1 or more accepts everything.
     """
     if confidence >= 1.0:
@@ -29,11 +30,11 @@ def chi_square(confidence: float, dof: int) -> float:
         return -2.0 * math.log1p(-confidence)
     spread = 2.0 / (9.0 * dof)
     x = float(dof * max(1.0 - spread + NormalDist().inv_cdf(confidence) * math.sqrt(spread), 0.01) ** 3)
-    return x if dof > EXACT_DOF else _polished(x, confidence, dof)
+    return x if dof > EXACT_DOF else _by_newton(x, confidence, dof)
 
 
-def _polished(x: float, confidence: float, dof: int) -> float:
-    """Return the quantile by Newton's method from a guess."""
+def _by_newton(x: float, confidence: float, dof: int) -> float:
+    """Return the quantile, refined from the guess x by Newton's method."""
     half = 0.5 * dof
     for _ in range(STEPS):
         density = 0.5 * math.exp((half - 1.0) * math.log(0.5 * x) - 0.5 * x - math.lgamma(half))
@@ -45,7 +46,7 @@ def _polished(x: float, confidence: float, dof: int) -> float:
 
 
 def _upper_tail(x: float, dof: int) -> float:
-    """Return the probability of more than x (Abramowitz and Stegun 1964, 26.4.4 and 26.4.5)."""
+    """Return the probability that a chi-square value exceeds x (Abramowitz and Stegun 1964, 26.4.4, 26.4.5)."""
     half, odd = 0.5 * x, dof % 2
     total = math.erfc(math.sqrt(half)) if odd else 0.0
     term = math.exp(-half) * (math.sqrt(half) / math.gamma(1.5) if odd else 1.0)
@@ -55,8 +56,8 @@ def _upper_tail(x: float, dof: int) -> float:
     return total
 
 
-def mean_bounds(confidence: float, dof: float, count: float) -> tuple[float, float]:
-    """Return the interval that holds the mean of `count` chi-square values per degree of freedom."""
+def mean_bounds(dof: float, count: float) -> tuple[float, float]:
+    """Return the two-sided bounds, at CONFIDENCE, for the mean of `count` chi-square values / dof."""
     total = max(1, round(dof * count))
-    tail = 0.5 * (1.0 - confidence)
+    tail = 0.5 * (1.0 - CONFIDENCE)
     return chi_square(tail, total) / total, chi_square(1.0 - tail, total) / total

@@ -1,8 +1,8 @@
-"""Columns and results: the values that flow from a log to a report.
+"""Data types of locfuse: log streams, measurements, drives, estimates and evaluations.
 
-Columns, not objects: an hour of log holds 10^5..10^6 readings, so readings, measurements and estimates are
-NumPy columns. Times are integer nanoseconds (`t_ns`) at the border and float seconds since `Drive.epoch_ns`
-inside; angles are radians; frames are REP-103 (x forward, y left, counter-clockwise).
+An hour of log holds 10^5..10^6 readings, so readings, measurements and estimates are NumPy columns. Times of
+streams are integer nanoseconds (`t_ns`), others are float seconds since `Drive.epoch_ns`; angles are radians;
+frames are REP-103 (x forward, y left, counter-clockwise).
 """
 
 from __future__ import annotations
@@ -18,46 +18,41 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Counts = NDArray[np.int32] | Ints  # small numbers, of which an hour holds many
+Counts = NDArray[np.int32] | Ints  # 32 bits where they suffice, to save memory
 
-END_OF_TIME = 2**62  # ns: no time beyond it is believed, and two within it differ by what 64 bits hold
+END_OF_TIME = 2**62  # ns: later times are invalid; differences of valid times fit in 64 bits
 
 
 class LocfuseError(Exception):
-    """A file or a setting cannot be used: one line with what, where, the numbers, and what to try next.
+    """Error in a file or a setting: a message of one line with a hint and settings that fix it.
 
-    `str()` is the whole line, "role: message hint". Whoever needs a part of it finds it here as a value.
+    `str()` is the whole line, "role: message hint"; its parts are attributes.
     """
 
     exit_code = 1
-    typed: str | None = None  # the line in the words of the command line, where `str()` speaks Python
+    typed: str | None = None  # the line in terms of the command line, where `str()` is in terms of Python
 
     def __init__(self, message: str, *, role: str = "", fixes: Sequence[str] = (), hint: str = "") -> None:
-        self.role = role  # what it is about: wheels, truth, a sensor; "" for a file or the command line
+        self.role = role  # wheels, truth or a sensor; "" for a file or the command line
         self.message = message  # what, where, the numbers
-        self.fixes = tuple(fixes)  # "table.key=value": settings that help, with nothing left to fill in
+        self.fixes = tuple(fixes)  # "table.key=value": complete settings that help
         self.hint = hint  # what to try next
         super().__init__(f"{role}: {self.sentence}" if role else self.sentence)
 
     @property
     def sentence(self) -> str:
-        """Message and hint, for a place that already names the role."""
+        """Message and hint, without the role."""
         return f"{self.message} {self.hint}" if self.hint else self.message
-
-    @property
-    def brief(self) -> str:
-        """The message alone, for a place that prints the fixes itself."""
-        return self.message.rstrip(".:;?") if self.hint else self.message
 
 
 class UsageError(LocfuseError):
-    """The command line asks for something impossible (a flag, a `--set`, no such path)."""
+    """Error in the command line: a wrong option, a wrong `--set`, a missing path."""
 
     exit_code = 2
 
 
 class Ragged(msgspec.Struct, frozen=True):
-    """A column whose rows differ in length, such as LaserScan.ranges: row i is values[first[i]:first[i+1]]."""
+    """Column whose rows differ in length, such as LaserScan.ranges: row i is values[first[i]:first[i+1]]."""
 
     values: NDArray[Any]  # (total,)
     first: Ints  # (n + 1,)
@@ -83,47 +78,47 @@ class Ragged(msgspec.Struct, frozen=True):
         return self.values[self.first[0] : self.first[-1]].reshape(len(lengths), int(lengths[0]))
 
 
-# What a column of readings may be: numbers (n,) or (n, k); Ragged; or one Python value per row
+# Types of a column of readings: numbers (n,) or (n, k); Ragged; or one Python value per row
 # (str; tuple[str, ...] for string[]; bytes-like for uint8[] payloads such as images).
 Column = NDArray[Any] | Ragged | list[Any]
 Block = tuple[Ints, dict[str, Column]]
 
 
 class Stream(Protocol):
-    """One topic of a log, with repaired times; its fields come as columns on request.
+    """One topic of a log with repaired stamps; message fields are read as columns on request.
 
     Row order is the log's order (log time, topic, sequence) and `t_ns` never decreases.
     """
 
     @property
     def topic(self) -> str:
-        """Where the messages were published."""
+        """Name of the topic."""
 
     @property
     def msgtype(self) -> str:
-        """Their type, such as sensor_msgs/msg/LaserScan."""
+        """Message type of the topic, such as sensor_msgs/msg/LaserScan."""
 
     @property
     def frame_id(self) -> str:
-        """The frame of the first message's header, "" without one."""
+        """frame_id in the header of the first message, "" without one."""
 
     @property
     def t_ns(self) -> Ints:
-        """The times of the readings, (n,) ns, never decreasing."""
+        """Stamps of the readings, (n,) ns, never decreasing."""
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Messages of this topic that gave no row, by reason."""
+        """Number of messages without a row, by reason."""
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return whole columns by dotted field path ("magnetic_field.x"), each with n rows."""
+        """Return columns with n rows by dotted field path, such as "magnetic_field.x"."""
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield (row numbers (k,), columns of these rows) with bounded memory; every row exactly once."""
 
 
 class ArrayStream(msgspec.Struct, frozen=True):
-    """A Stream whose columns are already in memory: readings made by tests and by the control loop."""
+    """Stream whose columns are in memory, for tests and for the simulated control loop."""
 
     topic: str
     msgtype: str
@@ -133,42 +128,42 @@ class ArrayStream(msgspec.Struct, frozen=True):
     dropped: Mapping[str, int] = field(default_factory=dict)
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return the named columns."""
+        """Return columns by field path."""
         return {name: self.data[name] for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield everything as one block."""
+        """Yield all rows as one block."""
         yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
 class Points(Protocol):
-    """The points of a laser, read from the log again on request: an hour of points is too big for memory."""
+    """Laser points of a drive, read from the log on each request to save memory."""
 
     @property
     def mount(self) -> Array:
-        """Where the laser sits on the base, (3,): x, y [m], yaw [rad]."""
+        """Pose of the laser on the base, (3,): x, y [m], yaw [rad]."""
 
     def take(self, readings: Ints) -> Points:
-        """Return the points of the readings at these positions."""
+        """Return the points of the readings with these indices."""
 
     def mounted(self, mount: Array) -> Points:
-        """Return the points as seen by a laser that sits elsewhere, (3,)."""
+        """Return the points for a laser with another mount (3,): x, y [m], yaw [rad]."""
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
-        """Return the poses (n, 3) at t_to relative to those at t_from, (n,) s each, by the wheels."""
+        """Return the wheels' motion (n, 3) from times t_from to t_to (n,) [s]."""
 
     def read(self, readings: Ints) -> list[Array]:
-        """Return the points (k, 2) [m] of each reading in the base frame, in the order of the beams."""
+        """Return the points (k, 2) [m] of each reading, in the base frame, in the order of the beams."""
 
 
 class Measurements(msgspec.Struct, frozen=True, dict=True):
-    """What one sensor measured over a drive, free of any pose: ragged, since a scan gives several lines.
+    """Measurements of one sensor over a drive: n readings with m rows in total (a scan has several lines).
 
-    Reading i holds the rows first[i]:first[i+1]; none means the reading gave no measurement ("absent").
-    The covariance of row j is scale^2 * R_unit[j] + floor, so that tuning re-fuses without re-measuring.
-    Where `extra` has a column "rest" (m,), this variance is in R_unit and yet not the sigma's to change.
-    Where it has a column "shared" (m, d, k), rows of one reading share k errors of unit variance: their covariance
-    is G_i G_j' beyond R, and G_i G_i' is in `R`.
+    Reading i has the rows first[i]:first[i+1], or none ("absent"). The covariance of row j is
+    scale^2 * R_unit[j] + floor, so that tuning of `scale` needs no new measurement. A column "rest" (m,) of
+    `extra` is a variance in R_unit that stays constant when sigma changes.
+    A column "shared" (m, d, k) of `extra` holds the effects G of k unit errors that the rows of one reading share:
+    their covariance is G_i G_j', and `R` includes G_i G_i'.
     """
 
     t: Array  # (n,) s since Drive.epoch_ns, never decreasing, time_offset applied
@@ -179,9 +174,9 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
     floor: Array  # (d, d)
     extra: dict[str, Array] = field(default_factory=dict)  # more columns with m rows, e.g. segment ends
     dropped: dict[str, int] = field(default_factory=dict)  # readings refused, by reason
-    points: Points | None = None  # of a laser: what else its n scans saw
-    notes: tuple[str, ...] = ()  # in words: what is unusual about what was seen
-    seen: object = None  # of a sensor that need not look again: what all its readings showed (Sensor.again)
+    points: Points | None = None  # of a laser: the points of its n scans
+    notes: tuple[str, ...] = ()  # on unusual readings
+    seen: object = None  # detections in all readings, reused by Sensor.again
 
     @cached_property
     def R(self) -> Array:
@@ -189,7 +184,7 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
         return self.covariances(slice(None))
 
     def covariances(self, rows: slice | Ints) -> Array:
-        """Return the covariances (k, d, d) of some rows, so that those of an hour are not all in memory."""
+        """Return the covariances (k, d, d) of some rows."""
         R: Array = self.scale**2 * self.R_unit[rows] + self.floor
         if "shared" in self.extra:
             G = self.extra["shared"][rows]
@@ -198,25 +193,27 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def absent(self) -> int:
-        """Readings that gave no measurement."""
+        """Number of readings without a measurement."""
         return int((np.diff(self.first) == 0).sum())
 
     @cached_property
     def scalars(self) -> tuple[Any, Any]:
-        """Value and variance (m,) of every row as memoryviews, for sensors that measure one number."""
-        return _view(self.z[:, 0]), _view(self.R[:, 0, 0])
+        """Values (m,) and variances (m,) of a one-number sensor, as memoryviews."""
+        values: Any = self.z[:, 0]
+        variances: Any = self.R[:, 0, 0]
+        return memoryview(values), memoryview(variances)
 
     @cached_property
     def plain(self) -> dict[str, Any]:
-        """All columns as memoryviews: "t", "first", "z", "R", and those of `extra` by name.
+        """Columns as memoryviews by name: "t", "first", "z", "R", and the columns of `extra`.
 
-        Their elements are read as plain Python numbers (z[i, 0]), which is faster than NumPy's one at a time.
+        Reading their elements one by one (z[i, 0]) is faster than with NumPy.
         """
-        columns = {"t": self.t, "first": self.first, "z": self.z, "R": self.R, **self.extra}
-        return {name: _view(column) for name, column in columns.items()}
+        columns: dict[str, Any] = {"t": self.t, "first": self.first, "z": self.z, "R": self.R, **self.extra}
+        return {name: memoryview(column) for name, column in columns.items()}
 
     def take(self, readings: Ints) -> Measurements:
-        """Return the readings at these positions, in this order."""
+        """Return the readings with these indices, in this order."""
         counts = np.diff(self.first)[readings]
         first = np.concatenate(([0], np.cumsum(counts)))
         rows = np.repeat(self.first[readings] - first[:-1], counts) + np.arange(first[-1])
@@ -235,12 +232,8 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
         )
 
 
-def _view(column: Any) -> Any:
-    return memoryview(column)
-
-
 class Motions(msgspec.Struct, frozen=True):
-    """Pre-integrated wheel motion over n intervals, each seen from the pose at its start."""
+    """Pre-integrated wheel motion over n intervals, each relative to the pose at its start."""
 
     u: Array  # (n, 3) relative pose: exact arcs
     Q: Array  # (n, 3, 3) its covariance, in the frame of the interval's start
@@ -260,7 +253,7 @@ class Truth(msgspec.Struct, frozen=True):
 
 
 class Drive(msgspec.Struct, frozen=True):
-    """A measured log: wheel motion cut at the instants of every sensor present, measurements, truth."""
+    """Measured log: wheel motion between update times, measurements of every sensor, truth."""
 
     epoch_ns: int  # the first wheel reading; all times below are seconds after it
     t: Array  # (n,) instants, increasing; the first and the last wheel reading are among them
@@ -273,23 +266,23 @@ class Drive(msgspec.Struct, frozen=True):
     truth_instant: Ints | None = None  # (number of truth stamps,) that instant; -1 before the drive
     dropped: dict[str, dict[str, int]] = field(default_factory=dict)  # stream -> reason -> count
     wheels: Any = None  # fusion.wheels.motion.Wheels: the odometry behind `motions`
-    notes: tuple[str, ...] = ()  # in words: choices made, repairs, lags found
-    repairs: tuple[str, ...] = ()  # of the wheels, in words: without "wheels: ", which they have among the notes
-    # absent sensor -> settings that may bring it in
+    notes: tuple[str, ...] = ()  # on choices, repairs and lags
+    repairs: tuple[str, ...] = ()  # notes of the wheels, without the prefix "wheels: " that they have in `notes`
+    # absent sensor -> settings that may make it usable
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def lacks(self, sensor: str) -> LocfuseError:
-        """Return the error to raise if the drive has no measurements of a sensor."""
+        """Return the error for a sensor that has no measurements in this drive."""
         why = self.absent.get(sensor, "not in this log")
         return LocfuseError(why, role=sensor, fixes=self.fixes.get(sensor, ()))
 
 
-MAX_MAGNITUDE = 1e12  # m: a light hour; what is farther away was never measured
+MAX_MAGNITUDE = 1e12  # m: a light hour; larger values are invalid
 VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost", "repeated")
 
 
 class Audit(msgspec.Struct, frozen=True):
-    """Every measurement of one sensor in one run: its prediction, its innovation, and its verdict."""
+    """Record of one sensor's measurements in one run: k predictions, innovations and verdicts."""
 
     instant: Counts  # (k,)
     row: Counts  # (k,) row in Measurements.z
@@ -304,7 +297,7 @@ class Audit(msgspec.Struct, frozen=True):
 
     @property
     def verdicts(self) -> NDArray[np.str_]:
-        """(k,) the verdicts by name: "accepted", "gate" ..."""
+        """Names of the verdicts (k,), such as "accepted" or "gate"."""
         return np.array(VERDICTS)[self.verdict]
 
 
@@ -314,17 +307,17 @@ LOOP, JUMP = "loop closed", "pose jumped"
 
 
 class Event(NamedTuple):
-    """Something that lasted from `start` to `end` [s since the first wheel reading]."""
+    """Event of a drive or a run, from `start` to `end` [s since the first wheel reading]."""
 
     start: float
     end: float
     kind: str  # FAULT, LOST, REFUSED, REST, LOOP or JUMP
     words: str
-    configuration: str = ""  # in which result; "" where it is of the drive itself
+    configuration: str = ""  # of the run; "" for an event of the drive
 
 
 class Component(NamedTuple):
-    """One number of a measurement or of a state, with its name and unit."""
+    """Name, unit and scale of one component of a measurement or a state."""
 
     name: str
     unit: str  # "m", "deg", "deg/s", "%"; "" for none
@@ -332,64 +325,64 @@ class Component(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Name and unit as a title: "heading [deg]"."""
+        """Name and unit for a title, such as "heading [deg]"."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
     def sign(self) -> str:
-        """The unit as printed behind a number: ° for deg."""
+        """Unit as printed after a number: "°" for deg."""
         return self.unit.replace("deg", "°")
 
 
 class Colour(NamedTuple):
-    """A colour on a light page and on a dark one, "#rrggbb"."""
+    """Colours "#rrggbb" of one thing, on a light and on a dark background."""
 
     light: str
     dark: str
 
 
 class MapLine(msgspec.Struct, frozen=True):
-    """One line of the map in normal form x cos(beta) + y sin(beta) = rho (paper eq. 14), with its extent."""
+    """Line of the map x cos(beta) + y sin(beta) = rho (paper eq. 14), with its two ends."""
 
     id: int
     rho: float
     beta: float
     ends: tuple[float, float]  # m along the tangent (-sin beta, cos beta)
-    P: Array  # (2, 2) covariance of (rho, beta); in a map of its own with the map frame held
+    P: Array  # (2, 2) covariance of (rho, beta) without the uncertainty of the map frame
     hits: int = 0
-    P_free: Array | None = None  # (2, 2) the same with the map frame's own uncertainty; None: it has none
+    P_free: Array | None = None  # (2, 2) with that uncertainty; None: the frame has none
 
     @property
     def P_map(self) -> Array:
-        """Covariance (2, 2) of (rho, beta) in the map, with the uncertainty of the map frame.
+        """Covariance (2, 2) of (rho, beta), including the uncertainty of the map frame.
 
-        A map that is given to another run needs P instead: one and the same frame error of all its walls would be
-        taken for as many independent ones.
+        A map for another run needs P instead: the error of the frame, which all its walls share, would count as an
+        independent error of each wall.
         """
         return self.P if self.P_free is None else self.P_free
 
 
 class SeenAgain(NamedTuple):
-    """A place that was recognised, and the relative pose found there."""
+    """Loop closure: a recognised place, and the relative pose between both visits."""
 
-    then: float  # s: when it was seen before
-    now: float  # s: when it was recognised
-    pose: Array  # (3,) where the robot was now, seen from where it was then
+    then: float  # s: time of the earlier visit
+    now: float  # s: time of the recognition
+    pose: Array  # (3,) of the robot now, relative to its pose then
 
 
 SLIP, RELOCALISED, LOOP_TAKEN = "slip", "relocalised", "loop"  # kinds of jumps
 
 
 class Jump(NamedTuple):
-    """A correction of the pose that is no motion: a corrected slip, a relocalisation, or a closed loop."""
+    """Correction of the pose without motion: a corrected slip, a relocalisation, or a loop closure."""
 
     t: float  # s
     kind: str  # SLIP, RELOCALISED or LOOP_TAKEN
-    step: tuple[float, float, float]  # m, m, rad: by how much the pose in the map changed
+    step: tuple[float, float, float]  # m, m, rad: change of the pose in the map
 
 
 class Estimates(msgspec.Struct, frozen=True):
-    """The result of one configuration over one drive."""
+    """Estimates of one configuration over one drive."""
 
     configuration: str  # "odometry", "compass+lrf", "all": the set of sensors, smoothed or not
     sensors: tuple[str, ...]
@@ -404,34 +397,36 @@ class Estimates(msgspec.Struct, frozen=True):
     points: Sequence[tuple[int, float, float]] = ()  # id, x, y [m, map frame] of landmarks that the run placed
     truth_pose: Array | None = None  # (q, 3) predicted at the truth stamps, NaN before the drive
     truth_P: Array | None = None  # (q, 3, 3)
-    notes: tuple[str, ...] = ()  # slips, being lost and found again
+    notes: tuple[str, ...] = ()  # on slips, loss and relocalisation
     jumps: tuple[Jump, ...] = ()  # in order of time
-    lost: tuple[tuple[float, float], ...] = ()  # s: when the filter did not know where it was
-    # (m, 2) s: when a place was seen before, and when it was recognised, in order of the second
+    lost: tuple[tuple[float, float], ...] = ()  # s: intervals in which the robot was lost
+    # (m, 2) s: time of the earlier visit and of the recognition, in order of the latter
     loops: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    loop_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (m, 3) the second seen from the first
-    smoothed: bool = False  # by the whole drive, its end included; audits are the filter's
+    loop_poses: Array = field(
+        default_factory=lambda: np.zeros((0, 3))
+    )  # (m, 3) pose at the later time relative to the earlier one
+    smoothed: bool = False  # whether the whole drive was used for each pose; audits are the filter's
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz, of sensors used at a lower rate than the log's
 
     @property
     def name(self) -> str:
-        """The unique name of this result in its drive: the configuration, perhaps with "-smoothed"."""
+        """Unique name of the estimates in their drive: the configuration, perhaps with "-smoothed"."""
         return result_name(self.configuration, self.smoothed)
 
     @property
     def slips(self) -> int:
-        """How many wheel slips were detected and corrected."""
+        """Number of wheel slips that were detected and corrected."""
         return sum(jump.kind == SLIP for jump in self.jumps)
 
     @property
     def P(self) -> Array:
-        """Covariance of the pose, (n, 3, 3), computed on each access to save memory."""
+        """Covariances of the pose, (n, 3, 3), computed on each access to save memory."""
         return matrices(self.triangles)
 
 
 def plausible(values: Array) -> NDArray[np.bool_]:
-    """Return where values (any shape; m, rad or degrees) are finite and their squares do not overflow."""
-    small: NDArray[np.bool_] = np.abs(values) < MAX_MAGNITUDE  # so is no NaN
+    """Return which values (any shape; m, rad or degrees) are finite and below MAX_MAGNITUDE."""
+    small: NDArray[np.bool_] = np.abs(values) < MAX_MAGNITUDE  # false for NaN
     return small
 
 
@@ -440,23 +435,23 @@ BASES = (ODOMETRY, BY_SCANS)
 
 
 def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return (first, last) index of every run of true values in flags (n,)."""
+    """Return (first, last) index of each run of consecutive true values in flags (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(flags, np.int8), [0]))))
     return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
 
 
 def result_name(configuration: str, smoothed: bool) -> str:
-    """Return the name of a result in reports and of its files: "all", or "all-smoothed"."""
+    """Return the name of a result in reports and file names: "all" or "all-smoothed"."""
     return f"{configuration}-smoothed" if smoothed else configuration
 
 
 def matrices(triangles: Array) -> Array:
-    """Return symmetric (..., 3, 3) from upper triangles (..., 6): xx, xy, xt, yy, yt, tt."""
+    """Return symmetric matrices (..., 3, 3) from upper triangles (..., 6): xx, xy, xt, yy, yt, tt."""
     return triangles[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*triangles.shape[:-1], 3, 3)
 
 
 def upper_triangles(P: Array) -> Array:
-    """Return (..., 6) from (..., 3, 3)."""
+    """Return the upper triangles (..., 6) of symmetric matrices (..., 3, 3)."""
     return P[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
@@ -464,27 +459,27 @@ NONE, NO_POINTS, NO_POSES = np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3))
 
 
 class RunningNis(NamedTuple):
-    """Mean NIS per degree of freedom of intervals of a drive; NaN for an interval without values."""
+    """Mean NIS per degree of freedom in n intervals of a drive; NaN for an interval without values."""
 
-    t: Array  # (n,) s, middle of each stretch
+    t: Array  # (n,) s, middle of each interval
     mean: Array  # (n,)
-    low: Array  # (n,) 95 % bounds of innovations that are white and as large as they should be
+    low: Array  # (n,) 95 % bounds for a consistent filter
     high: Array  # (n,)
 
 
 class SensorFigures(msgspec.Struct, frozen=True):
-    """Counts and figures of one sensor's measurements in one configuration."""
+    """Counts and mean NIS of one sensor's measurements in one configuration."""
 
     accepted: int
     rejected: int
     absent: int  # readings that gave no measurement
-    nis: float | None  # mean squared Mahalanobis distance of what was accepted, per degree of freedom
-    joint_nis: float | None  # as `nis`, of readings as a whole: of all lines of a scan at once
+    nis: float | None  # mean NIS of accepted measurements, per degree of freedom
+    joint_nis: float | None  # as `nis`, of all lines of a scan together
     verdicts: dict[str, int]  # count of every verdict that occurred
 
 
 class Evaluation(msgspec.Struct, frozen=True):
-    """One configuration judged: deviations from truth at the truth's stamps, and its figures.
+    """Evaluation of one configuration: deviations from truth at q truth stamps, and figures.
 
     Without truth the columns are empty and the error figures None.
     """
@@ -502,18 +497,20 @@ class Evaluation(msgspec.Struct, frozen=True):
     estimate_xy: Array = NO_POINTS  # (q, 2) tracked point of the estimate, aligned as asked
     align: str = "none"
     smoothed: bool = False
-    lost: tuple[tuple[float, float], ...] = ()  # s: when the filter said that it was lost; all figures include it
-    notes: tuple[str, ...] = ()  # what the filter said of the run
+    lost: tuple[
+        tuple[float, float], ...
+    ] = ()  # s: intervals in which the robot was lost; all figures include them
+    notes: tuple[str, ...] = ()  # of the filter on the run
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz, as of the estimates
-    reference: bool = False  # judged against the whole drive's solution, not against truth (judge.against)
+    reference: bool = False  # whether the reference solution replaces truth (judge.against)
 
     @property
     def name(self) -> str:
-        """The name of the estimates that were judged."""
+        """Name of the evaluated estimates."""
         return result_name(self.configuration, self.smoothed)
 
     @property
     def lost_share(self) -> float:
-        """The share of the drive for which the filter reported that it was lost."""
+        """Share of the drive in which the filter reported that the robot was lost."""
         duration = self.figures.get("duration_s") or 0.0
         return min(1.0, sum(b - a for a, b in self.lost) / duration) if duration > 0.0 else 0.0

@@ -1,7 +1,7 @@
-"""The filter of the paper: one configuration over one drive, instant by instant; nothing looks ahead.
+"""The filter of the paper: runs one configuration over one drive, forward in time.
 
-`Filter.advance` is the whole of it: predict by the wheels, compare every reading that is due with the same prior,
-gate, correct once, update the models, record.
+`Filter.advance` is one cycle: predict by the wheels, compare all readings of this time with the same prior, gate,
+correct once, update the models, record.
 """
 
 from __future__ import annotations
@@ -23,16 +23,18 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, matrices
+from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Measurements, Motions, matrices
 from .progress import say_done
 from .robot import Robot
 from .sensor import GATE, Model, Reading
 
 BLOCK_INSTANTS = 256
 Due = tuple[str, int]  # sensor, reading
-AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
-Passed = tuple[Sequence[Innovation | Reading], int]  # what passed its gate of one reading, and how many rows
-Fit = tuple[Record, int, float]  # of a reading: its sensor's record, how many numbers, y' S^-1 y of all of them
+STAMPS_AT_ONCE = 4096  # stamps of the truth in one step, to limit memory
+Passed = tuple[
+    Sequence[Innovation | Reading], int
+]  # accepted innovations of one reading, and their number of rows
+Fit = tuple[Record, int, float]  # of a reading: its sensor's record, degrees of freedom, joint NIS
 
 
 def fuse(
@@ -43,11 +45,11 @@ def fuse(
     listen: Mapping[str, NDArray[np.bool_]] | None = None,
     events: Events | None = None,
 ) -> Estimates:
-    """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
+    """Run the filter with these sensors. Raises LocfuseError if the drive lacks one of them.
 
-    Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief and audited, and
-    update what belongs to their sensor (a map, an offset), but never move the pose: how well they are predicted
-    is a judgement without truth. What happens to the state is noted in `events` (fusion.ekf.events).
+    Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief, audited, and update
+    their sensor's own states and map, but never correct the pose: how well they are predicted is evidence without
+    truth. Changes of the state are recorded in `events` (fusion.ekf.events).
     """
     listen = listen or {}
     for sensor in (*sensors, *listen):
@@ -67,7 +69,7 @@ def fuse(
 
 
 def configuration_name(sensors: Sequence[str], drive: Drive) -> str:
-    """Return "odometry" or "scan matching", a sensor's name, "all", or names joined by + in registry order."""
+    """Return the name of a set of sensors: "odometry", "scan matching", "lrf", "compass+lrf", or "all"."""
     present = [s for s in REGISTRY if s in drive.measurements]
     chosen = [s for s in REGISTRY if s in sensors]
     if not chosen:
@@ -78,7 +80,7 @@ def configuration_name(sensors: Sequence[str], drive: Drive) -> str:
 
 
 class Filter:
-    """The filter of one configuration: a belief, one model per sensor, and the record of what happened."""
+    """Filter of one configuration: its belief, one model for each sensor, and its record."""
 
     def __init__(
         self,
@@ -89,7 +91,7 @@ class Filter:
         instants: int = FIRST_CAPACITY,
         events: Events | None = None,
     ) -> None:
-        """`rows`: the number of measurements of each sensor, if known; `instants` likewise."""
+        """`rows`: number of measurements by sensor, if known; `instants`: number of update times, if known."""
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
         self._wheels = robot.wheels
         self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
@@ -98,20 +100,20 @@ class Filter:
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
         self.belief = _begin(robot, list(self.models.values()))
-        # what one reading says hangs together by these states: how well it fits as a whole is noted
+        # innovations of one reading are correlated through these states: their joint NIS is recorded
         self._joint = any(model.joint for model in self.models.values())
-        self._in_map: JointBelief | InMap = self.belief  # the belief as it is seen from the map
+        self._in_map: JointBelief | InMap = self.belief  # the belief in the map frame
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         self._learning = {s for s, m in self.models.items() if type(m).learn is not Model.learn}
         mapping = [s for s in self._sensors if self.models[s].maps]
         self._leads = [s for s in mapping if self.models[s].leads]
-        self._may_begin = self._leads or mapping  # frames: a leader whenever it likes, else the first of all
+        self._may_begin = self._leads or mapping  # sensors that may begin a local frame
         if events is not None:
             self.belief.note_events(events)
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
         for s, model in self.models.items():
-            # a sensor that is used must not read what only listens
+            # a sensor that is used must not use the map of one that only listens
             model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})
         self._records = {s: Record((rows or {}).get(s, FIRST_CAPACITY)) for s in self.models}
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
@@ -120,23 +122,24 @@ class Filter:
         self._track = Track(self.belief, fixed, instants)
 
     def advance(self, k: int, steps: Steps, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Predict to instant k and correct by every reading (sensor, i) that is due there."""
+        """Predict to update time k and correct by all readings (sensor, i) of this time."""
         belief = self.belief
         belief.predict(steps, k)  # eq. 5-7
         for model in self._rolling:
             model.rolled(steps.of(k))
         if due:
-            self._begin_frame(due, measurements)  # where a map of a sensor's own begins
-            belief.begin()  # the equation of this instant
+            self._begin_frame(due, measurements)  # if a sensor begins a map
+            belief.begin()  # collect equations of this update time
             passed = [self._compare(k, s, i, measurements[s]) for s, i in due]  # eq. 13, 17, 18, and the gate
             fits = self._queue(due, passed)
             belief.correct()  # eq. 10-12, once
-            self._note_fits(fits)
-            self._learn(due, measurements)  # what readings update beside the pose: map lines, clones
+            for n, (record, numbers, nis) in enumerate(fits):  # the joint NIS of the first is known only now
+                record.joint.extend((nis if n else belief.fit(numbers), numbers))
+            self._learn(due, measurements)  # maps and clones
         self._track.note(belief)
 
     def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:
-        """Compare reading i of a sensor with the prior, record the result, and return what passed the gate."""
+        """Compute and record the innovations of reading i; return the accepted ones and their number of rows."""
         model = self.models[sensor]
         seen = model.innovations(m, i, self.belief if model.local else self._in_map)
         if sensor in self._inflates and not isinstance(seen, Reading):
@@ -149,13 +152,13 @@ class Filter:
         return ones, len(ones)
 
     def _queue(self, due: Sequence[Due], passed: Sequence[Passed]) -> list[Fit]:
-        """Queue accepted innovations; those of a sensor that only listens correct its blocks, never the pose.
+        """Queue accepted innovations; those of listening sensors correct only the sensor's own states.
 
-        Where states hang together, how well a reading of several rows fits as a whole is asked. The first of these
-        stands first in the equation: whitened, its rows are what they would be alone.
+        Return the joint NIS of readings with several rows, if models add states while driving. The first of these
+        readings comes first in the equation, so that its whitened rows do not depend on other readings.
         """
         belief, fits = self.belief, list[Fit]()
-        heard: list[Innovation | Reading] = []
+        listened: list[Innovation | Reading] = []
         order = list(range(len(due)))
         for n, (_, rows) in enumerate(passed):
             if self._joint and rows > 1:
@@ -165,24 +168,19 @@ class Filter:
             (sensor, i), (ones, rows), begin = due[n], passed[n], belief.queued
             if sensor in self._listens and self._listens[sensor][i]:
                 if rows and self.models[sensor].teaches:
-                    heard += ones
+                    listened += ones
                 continue
             for one in ones:
                 belief.queue(one, sensor)
             if self._joint and rows > 1:
-                nis = belief.fit_of(begin, belief.queued) if fits else math.nan  # the first: by the correction
+                nis = belief.fit_of(begin, belief.queued) if fits else math.nan
                 fits.append((self._records[sensor], belief.queued - begin, nis))
-        if heard:
-            belief.listen(heard)
+        if listened:
+            belief.listen(listened)
         return fits
 
-    def _note_fits(self, fits: Sequence[Fit]) -> None:
-        """Record the joint NIS of each reading that has several rows."""
-        for n, (record, numbers, nis) in enumerate(fits):
-            record.joint.extend((nis if n else self.belief.fit(numbers), numbers))
-
     def _learn(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Update every model with its reading; then start a new map if one is full."""
+        """Update all models with their readings; start a new map if one is full."""
         for sensor, i in due:
             if sensor in self._learning:
                 model = self.models[sensor]
@@ -192,7 +190,7 @@ class Filter:
                 self._follow_frame()
 
     def _begin_frame(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Begin a local frame (fusion.ekf.map_frame) where a sensor begins a map of its own."""
+        """Begin a local frame (fusion.ekf.map_frame) at the first reading of a sensor that builds a map."""
         for sensor, i in due if self._may_begin else ():
             if sensor in self._may_begin and self.models[sensor].begins_map(measurements[sensor], i):
                 self.belief.begin_frame()
@@ -200,19 +198,19 @@ class Filter:
                 self._may_begin = self._leads
 
     def pose(self) -> Pose:
-        """Return the pose (x, y, theta) in the map [m, m, rad], theta not wrapped."""
+        """Return the pose in the map: x [m], y [m], theta [rad, not wrapped]."""
         return self._in_map.pose()
 
     def _seen_by(self, model: Model) -> JointBelief | InMap:
         return self.belief if model.local else self._in_map
 
     def _follow_frame(self) -> None:
-        """If a local frame has begun, create the view that gives the pose in the map."""
+        """Let `_in_map` convert to the map frame if a local frame exists."""
         if self.belief.framed:
             self._in_map = InMap(self.belief)
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
-        """Return the whole record, with predictions at the truth's stamps."""
+        """Return the estimates of the run, with predictions at the truth's stamps."""
         pose, triangles = self._track.recorded()
         blocks, variances = self._track.blocks(), self._track.blocks(variances=True)
         maps = [m.lines(self._seen_by(m)) for m in self.models.values()]
@@ -242,7 +240,7 @@ class Filter:
         )
 
     def _notes(self) -> Iterator[str]:
-        """Return notes on what this run found: its wheels, and the notes of every sensor."""
+        """Yield notes on the run: estimated wheel parameters, and the notes of every sensor."""
         belief = self.belief
         if self._wheels.estimate:
             column, x = belief.block(WHEELS)
@@ -254,7 +252,7 @@ class Filter:
 
 
 def _begin(robot: Robot, models: Sequence[Model]) -> JointBelief:
-    """Return the belief at the start."""
+    """Return the initial belief: start pose, state blocks of the models, and wheel parameters if estimated."""
     blocks = [block for model in models for block in model.blocks()]
     xx, yy, tt = robot.start.variances
     start = robot.start.pose, (xx, 0.0, 0.0, yy, 0.0, tt)
@@ -268,12 +266,12 @@ def _begin(robot: Robot, models: Sequence[Model]) -> JointBelief:
 def _at_truth(
     drive: Drive, pose: Array, triangles: Array, wheels: Array | None
 ) -> tuple[Array | None, Array | None]:
-    """Predict pose and covariance at the truth's stamps; NaN outside the drive. Never fed back."""
+    """Return poses (q, 3) and covariances (q, 3, 3), predicted at the truth's stamps; NaN outside the drive."""
     if drive.truth_motions is None or drive.truth_instant is None:
         return None, None
     n, motions = len(drive.truth_instant), drive.truth_motions
     out, spread = np.empty((n, 3)), np.empty((n, 3, 3))
-    for at in (slice(a, a + AT_ONCE) for a in range(0, n, AT_ONCE)):
+    for at in (slice(a, a + STAMPS_AT_ONCE) for a in range(0, n, STAMPS_AT_ONCE)):
         k = np.maximum(drive.truth_instant[at], 0)
         u = motions.u[at]
         if wheels is not None:
@@ -285,11 +283,10 @@ def _at_truth(
 
 
 def inflate(seen: Innovation, state: State) -> None:
-    """Accept a rejected one-number innovation by enlarging R until it lies on the gate; others stay.
+    """Accept a rejected one-number innovation with R increased until its NIS equals the gate.
 
-    A reading beyond the gate is refused by default. Where a sensor's errors have heavy tails, refusing loses the
-    information that the heading did jump; inflating R until the reading lies on the gate keeps what it still says
-    (the weight of Huber's estimator at that point).
+    For a sensor with heavy-tailed errors this keeps information that a rejection would lose (it is the weight of
+    Huber's estimator at that point). Other innovations are not changed.
     """
     if seen.verdict != GATE or seen.numbers != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
         return
@@ -298,18 +295,18 @@ def inflate(seen: Innovation, state: State) -> None:
     seen.verdict, seen.nis, seen.sigma = 0, seen.threshold, (math.sqrt(needed),)
 
 
-# ---- the input of the loop at each instant: the motion that leads there and the readings that are due ----
+# ---- the input of the loop at each update time: the motion that leads to it, and its readings ----
 #
-# Readings become plain Python values a block of instants at a time: an hour's are never all in memory as objects.
+# Readings become Python values in blocks of BLOCK_INSTANTS, to save memory.
 
 
 def steps_of(drive: Drive) -> Steps:
-    """Return the motions of a whole drive: step k leads to instant k."""
+    """Return the wheel motions of a drive as `Steps`: step k leads to update time k."""
     return _steps(drive.motions, np.diff(drive.t, prepend=drive.t[:1]))
 
 
 def step_between(wheels: Wheels, t_from: float, t_to: float, parameters: bool = False) -> Steps:
-    """Return the one motion from t_from to t_to [s], as step 0."""
+    """Return the wheel motion from t_from to t_to [s] as `Steps` with one step."""
     motions = wheels.between(np.array([t_from]), np.array([t_to]), parameters)
     return _steps(motions, np.array([t_to - t_from]))
 
@@ -321,17 +318,13 @@ def _steps(motions: Motions, dt: Array) -> Steps:
 
 
 def due_readings(drive: Drive, sensors: Sequence[str]) -> Iterator[list[Due]]:
-    """Yield for every instant the readings (sensor, i) that belong to it, in registry order."""
-    owners, n = {s: drive.instant[s] for s in REGISTRY if s in sensors}, len(drive.t)
-    for a in range(0, n, BLOCK_INSTANTS):
-        yield from _due(owners, a, min(a + BLOCK_INSTANTS, n))
-
-
-def _due(owners: Mapping[str, Ints], begin: int, end: int) -> list[list[Due]]:
-    """Return the readings of the instants begin:end, sensor by sensor."""
-    due: list[list[Due]] = [[] for _ in range(end - begin)]
-    for sensor, instant in owners.items():
-        first, last = np.searchsorted(instant, (begin, end)).tolist()
-        for i, k in enumerate((instant[first:last] - begin).tolist(), first):
-            due[k].append((sensor, i))
-    return due
+    """Yield for every update time its readings (sensor, i), in registry order."""
+    owners = {s: drive.instant[s] for s in REGISTRY if s in sensors}
+    for begin in range(0, len(drive.t), BLOCK_INSTANTS):
+        end = min(begin + BLOCK_INSTANTS, len(drive.t))
+        due: list[list[Due]] = [[] for _ in range(end - begin)]
+        for sensor, instant in owners.items():
+            first, last = np.searchsorted(instant, (begin, end)).tolist()
+            for i, k in enumerate((instant[first:last] - begin).tolist(), first):
+                due[k].append((sensor, i))
+        yield from due

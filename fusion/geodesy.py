@@ -1,4 +1,4 @@
-"""From latitude and longitude to metres east and north of a place (WGS 84)."""
+"""Conversion of latitude and longitude to metres east and north of an origin (WGS 84)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ E2 = FLATTENING * (2.0 - FLATTENING)
 
 
 def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -> Array:
-    """Return (n, 2) metres east and north of `origin` (latitude, longitude [deg]) on its tangent plane.
+    """Return metres (n, 2) east and north of `origin` (latitude, longitude [deg]) on its tangent plane.
 
-    Heights are left out: points are taken on the ellipsoid, so that a receiver's vertical error moves nothing.
+    Heights are set to 0, so that a receiver's vertical error has no effect.
     """
     phi, lam = np.radians(origin)
     d = _earth_centred(np.radians(latitude), np.radians(longitude)) - _earth_centred(
@@ -27,7 +27,7 @@ def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -
 
 
 def _earth_centred(phi: Array, lam: Array) -> Array:
-    """Earth-centred coordinates (..., 3) [m] of points on the ellipsoid."""
+    """Return earth-centred coordinates (..., 3) [m] of latitudes phi and longitudes lam [rad] at height 0."""
     n = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - E2 * np.sin(phi) ** 2)
     return np.stack(
         (n * np.cos(phi) * np.cos(lam), n * np.cos(phi) * np.sin(lam), n * (1.0 - E2) * np.sin(phi)), axis=-1

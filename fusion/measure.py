@@ -1,8 +1,7 @@
-"""The front end: streams of readings become a Drive. No pose of the robot is known here.
+"""Measuring a log: streams of sensor readings become a Drive. No pose of the robot is used here.
 
-Wheels are read first, since a scan is deskewed by them; then every sensor of the log is measured once, whatever
-configurations will use it; then wheel motion is cut at the instants of all of them, so that comparing two
-configurations is array subtraction.
+Wheels are read first, since scans are deskewed by them; then every sensor of the log is measured once for all
+configurations; then wheel motion is computed between the update times, which all configurations share.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from .sensor import FoundStart
 from .streams import gap_limit
 from .truth import body_poses, read_truth
 
-MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # of jittered drives: by at most how much times are moved, readings left out
-MAX_SILENCE_S = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
+MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # of jittered drives: largest shift of a time [s], share of readings left out
+MAX_SILENCE_S = 0.2  # s: in longer gaps of all sensors, wheel readings are update times
 
 
 def measure(
@@ -40,11 +39,10 @@ def measure(
     motion: WheelReading | None = None,
     before: Mapping[str, Measurements] | None = None,
 ) -> Drive:
-    """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
+    """Return the drive of a log; `streams` holds "wheels", sensors by name, and perhaps "truth".
 
-    Sensors in `known` were measured before, under the same settings, and those of the wheels; those in `before`
-    under others. `motion` is how the robot moved where it is known before.
-    Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
+    `known` are measurements by the same settings of sensor and wheels, `before` measurements by other settings;
+    `motion` is the wheel motion, if already read. Raises LocfuseError if the wheels give no motion.
     """
     if motion is None:
         progress("measuring the wheels")
@@ -69,7 +67,7 @@ def measure(
                 again = sensor.again(before[name], robot.settings(name), epoch_ns) if name in before else None
                 found = again or sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
             except LocfuseError as e:
-                # the others can still be compared; asking for this one is an error
+                # the other sensors can still be compared
                 missing[name] = e.sentence if e.role == name else str(e)
                 fixes[name] = e.fixes
                 continue
@@ -98,9 +96,9 @@ def measure(
 
 
 def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
-    """Return the robot with the start found by a sensor with a known map, unless [start] is given.
+    """Return the robot with the start pose that a sensor found by its known map, unless [start] is given.
 
-    A sensor that cannot find it is left out: its readings would be compared with places of another frame.
+    A sensor with an ambiguous start is left out, since its map would be in another frame.
     """
     found, measurements, absent = dict[str, FoundStart](), dict(drive.measurements), dict(drive.absent)
     for name, m in drive.measurements.items() if not robot.start_given else ():
@@ -125,10 +123,10 @@ def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
 
 
 def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robot, Drive]:
-    """Return the robot with its pose at the first wheel reading, computed back from a [start] at a later moment.
+    """Return the robot with its pose at the first wheel reading, computed from a [start] at a later time.
 
-    The wheels lead back to it, and their noise adds to the pose's own. `first_scan` [s] is the laser's first scan
-    within the drive, None without one. Raises LocfuseError where the moment is not in the drive.
+    The wheels give the motion in between, whose noise is added to the sigmas of [start]. `first_scan` [s] is the
+    time of the laser's first scan, None without one. Raises LocfuseError for a time outside the drive.
     """
     start, end = robot.start, float(drive.t[-1])
     at = start.at
@@ -158,14 +156,14 @@ def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robo
 def cut(
     wheels: Wheels, robot: Robot, measurements: Mapping[str, Measurements], truth: Truth | None
 ) -> dict[str, Any]:
-    """Return the wheels' motion cut at all instants, and beside it at the truth's stamps: fields of a drive."""
+    """Return the fields of a drive: wheel motion between update times and up to each truth stamp."""
     t, estimate = instants(wheels.t, [m.t for m in measurements.values()]), robot.wheels.estimate
     truth_motions = truth_instant = None
     if truth is not None:
         inside = (truth.t >= t[0]) & (truth.t <= t[-1])
         truth_instant = np.where(inside, np.searchsorted(t, truth.t, side="right") - 1, -1)
         start = t[np.maximum(truth_instant, 0)]
-        # one call per stamp: neighbouring stamps may share their starting instant
+        # stamps may share the update time before them
         truth_motions = wheels.between(start, np.where(inside, truth.t, start), estimate)
     return {
         "t": t,
@@ -177,7 +175,7 @@ def cut(
 
 
 def _gap_notes(wheels: Wheels) -> list[str]:
-    """Return notes on gaps in which the robot moved: of counters, and of poses or speeds, whose end is known."""
+    """Return notes on gaps in the wheel data during which the robot moved."""
     unknown = wheels.silence[:, 1] > 0.0
     way, turn = np.hypot(*wheels.twist[:, :2].T), np.abs(wheels.twist[:, 2])
     moved = (np.diff(wheels.t) > gap_limit(wheels.t)) & ((way > STANDS_M) | (turn > STANDS_RAD))
@@ -197,7 +195,7 @@ def _gap_notes(wheels: Wheels) -> list[str]:
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
-    """Return the union of all measurement stamps, both ends of the drive, and wheel readings in long gaps."""
+    """Return the update times: all measurement stamps, both ends of the drive, wheel readings in long gaps."""
     t = np.unique(np.concatenate([*sensor_t, wheel_t[[0, -1]]]))
     cells = np.floor(wheel_t / MAX_SILENCE_S)
     empty = ~np.isin(cells, np.floor(t / MAX_SILENCE_S))
@@ -206,7 +204,7 @@ def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
 
 
 def _within(m: Measurements, wheels: Wheels) -> Measurements:
-    """Keep the readings within the wheels' time, in time order; count the others."""
+    """Return the readings between the first and the last wheel reading, in time order; count the others."""
     finite = np.isfinite(m.t)
     inside = finite & (m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])
     if inside.all() and (np.diff(m.t) >= 0.0).all():
@@ -221,10 +219,10 @@ def _within(m: Measurements, wheels: Wheels) -> Measurements:
 
 
 def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None) -> tuple[Drive, Robot]:
-    """Return the drive between two times [s], and the robot with the pose at which it begins there.
+    """Return the drive between two times [s], and the robot with its pose at the first time as start.
 
-    Times stay those of the whole drive. The start is the truth's pose there where it has a heading, else [start]
-    carried on by the wheels. Raises LocfuseError where the window holds no motion.
+    Times stay those of the whole drive. The start pose is the truth's, if it has headings, else [start] moved on
+    by the wheels. Raises LocfuseError for an interval without wheel readings.
     """
     last = float(drive.t[-1])
     a, b = 0.0 if begin is None else begin, last if end is None else end
@@ -249,7 +247,7 @@ def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None)
 
 
 def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]:
-    """Return the pose at time t [s], and its source in words; [start] itself at the drive's beginning."""
+    """Return the start settings with the pose at time t [s], and a text on the source of this pose."""
     if t <= float(drive.t[0]):
         return robot.start, ""
     truth, start = drive.truth, robot.start
@@ -264,9 +262,9 @@ def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]
 
 
 def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:
-    """Return the drive with at most `rates[sensor]` readings per second: the first of every period is kept.
+    """Return the drive with at most `rates[sensor]` [Hz] readings: the first of every period.
 
-    The instants stay, so that what-ifs are compared on the same grid as everything else.
+    The update times stay, so that all configurations have the same ones.
     """
     measurements, instant = dict(drive.measurements), dict(drive.instant)
     for sensor, rate in rates.items():
@@ -277,10 +275,10 @@ def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:
 
 
 def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
-    """Return the drive with times moved by a microsecond and a few readings missing; equal for equal seeds.
+    """Return the drive with stamps moved by up to 1 microsecond and 1 % of the readings left out at random.
 
-    Gates, association and map building decide by thresholds, and a reading close to one falls on the other side
-    after the smallest change. What differs between such drives is chance. Wheels and truth stay as they are.
+    The result depends only on `seed`. Small changes move readings across thresholds (gates, association, map
+    building), so differences between results of such drives are chance. Wheels and truth are unchanged.
     """
     first, last = float(drive.wheels.t[0]), float(drive.wheels.t[-1])
     found = {
@@ -291,7 +289,7 @@ def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
 
 
 def _jittered(m: Measurements, first: float, last: float, rng: np.random.Generator) -> Measurements:
-    """Return the readings that are kept at random, in the order of their moved times within first and last [s]."""
+    """Return randomly kept readings with randomly moved stamps, sorted, between `first` and `last` [s]."""
     n = len(m.t)
     t: Array = np.clip(m.t + MOVED_S * rng.uniform(-1.0, 1.0, n), first, last)
     stays = np.flatnonzero(rng.random(n) >= DROPPED_SHARE)

@@ -1,9 +1,8 @@
-"""A sensor's mount on the base: known exactly, or as states that the drive improves.
+"""Mount of a sensor on the base: known exactly, or estimated as states of the filter.
 
-A laser that is turned by a degree more than configured turns the whole map with it. No innovation shows that at
-once, and a filter that takes the mount for certain is confidently wrong. What is not known exactly is a state.
-A mount is hardly measured better than to 1 cm and half a degree: these sigmas count unless others are configured,
-where the drive can show the mount, as for a laser by the lines of its own map.
+An error of the laser's yaw rotates the whole map, which innovations hardly show: with a mount assumed to be exact
+the filter becomes overconfident. So uncertain components are states. Where the drive can show the mount (a laser
+that builds its map), the default sigmas are those of a measurement by hand: 1 cm and 0.5 degrees.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ ASK_MOUNT = (
     "not in this log (no /tf_static says it). Measure from the middle between the wheels: forward, left, turned. "
     "How well they are known: sigma_x, sigma_y, sigma_yaw_deg (of a laser 0.01 m and 0.5 degrees unless set)"
 )
-PARTS = ("x", "y", "yaw")  # of a mount, as the names of its states end
-SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
-MAX_PRIOR_SIGMAS = 3.0  # of what is configured: a mount found further off may be another error that looks like one
-OTHER_MOUNT = "it seems to sit at"  # how the note on another mount begins
-SAID_SIGMAS = 4.0  # its own: a mount found further off than this, and than it is known to be, is reported
+PARTS = ("x", "y", "yaw")  # components of a mount: suffixes of its states' names
+SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: default sigmas of an observable mount
+MAX_PRIOR_SIGMAS = 3.0  # configured sigmas; a larger change may be another error
+OTHER_MOUNT = "it seems to sit at"  # start of the note on a changed mount
+MIN_CHANGE_SIGMAS = 4.0  # estimated sigmas; a smaller change is not reported
 
-# of a topic's name: an inertial sensor inside a camera or laser, or on an arm, which is not the robot's own
+# words of topics whose IMU is inside a camera or laser, or on an arm
 NOT_ON_BODY = (
     *("camera", "zed", "realsense", "oak", "d435", "t265", "lidar", "livox", "ouster", "velodyne"),
     *("gripper", "wrist", "arm", "hand", "head", "tilt", "tool"),
 )
-BARE_NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # they say no unit, sense or frame: read last
+BARE_NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # without unit, direction and frame: used last
 
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings of a sensor whose mount on the base matters."""
+    """Settings of a sensor with a mount (x, y, yaw) on the base."""
 
     x: float = 0.0  # m, sensor on the base
     y: float = 0.0  # m, likewise, to the left
@@ -52,50 +51,50 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
 
     @property
     def mount(self) -> tuple[float, float, float]:
-        """The configured place on the base: x [m], y [m], yaw [rad]."""
+        """Configured pose on the base: x [m], y [m], yaw [rad]."""
         return self.x, self.y, math.radians(self.yaw_deg)
 
     def __post_init__(self) -> None:
-        """Raise ValueError where a standard deviation is negative."""
+        """Raise ValueError if a standard deviation is negative or not finite."""
         super().__post_init__()
         for key in ("sigma_x", "sigma_y", "sigma_yaw_deg"):
             if not 0.0 <= (getattr(self, key) or 0.0) < math.inf:
                 raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")
 
-    def sigmas(self, tells: bool) -> tuple[float, float, float]:
-        """Return the sigmas of x, y [m] and yaw [rad]; by default 0 unless the drive shows the mount (`tells`)."""
-        place, turn = (SIGMA_M, SIGMA_DEG) if tells else (0.0, 0.0)
+    def sigmas(self, observable: bool) -> tuple[float, float, float]:
+        """Return the sigmas of x, y [m] and yaw [rad]; by default above 0 only for an `observable` mount."""
+        place, turn = (SIGMA_M, SIGMA_DEG) if observable else (0.0, 0.0)
         x, y = (place if sigma is None else sigma for sigma in (self.sigma_x, self.sigma_y))
         return x, y, math.radians(turn if self.sigma_yaw_deg is None else self.sigma_yaw_deg)
 
 
 def exact(settings: SensorSettings) -> SensorSettings:
-    """Return the settings with the mount, if there is one, as exactly known."""
+    """Return the settings with the standard deviations of the mount set to 0."""
     if not isinstance(settings, MountedSettings):
         return settings
     return replace(settings, sigma_x=0.0, sigma_y=0.0, sigma_yaw_deg=0.0)
 
 
 class Mount:
-    """x [m], y [m], yaw [rad] of one sensor on the base; those that are uncertain are blocks of one state each."""
+    """Mount of one sensor on the base, x [m], y [m], yaw [rad]; each uncertain component is a state block."""
 
-    def __init__(self, sensor: str, settings: MountedSettings, tells: bool = False) -> None:
-        """`tells`: the drive shows the mount, so it is a state unless configured as exact."""
+    def __init__(self, sensor: str, settings: MountedSettings, observable: bool = False) -> None:
+        """`observable`: the drive shows the mount, so it is a state unless configured as exact."""
         self.sensor, self.configured = sensor, settings.mount
-        sigmas = settings.sigmas(tells)
+        sigmas = settings.sigmas(observable)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
         self._names = {i: f"{sensor}_{PARTS[i]}" for i in self.free}
         self._variances = {i: sigmas[i] ** 2 for i in self.free}
 
     def blocks(self) -> list[Block]:
-        """Return the uncertain parts of the mount, with their configured values."""
+        """Return the state blocks of the uncertain components."""
         return [
             Block(name, np.array([self.configured[i]]), np.array([[self._variances[i]]]), np.zeros(1))
             for i, name in self._names.items()
         ]
 
     def now(self, belief: Belief) -> tuple[float, float, float]:
-        """Return x, y, yaw in the belief."""
+        """Return the present mount: x [m], y [m], yaw [rad]."""
         if not self.free:
             return self.configured
         at = list(self.configured)
@@ -104,16 +103,16 @@ class Mount:
         return at[0], at[1], at[2]
 
     def columns(self, belief: Belief) -> tuple[int, ...]:
-        """Return the state columns of the uncertain parts."""
+        """Return the state columns of the uncertain components."""
         return tuple(belief.column(name) for name in self._names.values())
 
     def words(self, belief: Any) -> list[str]:
-        """Return where the drive found the mount, if not at its configured values."""
+        """Return a note on the estimated mount if it differs significantly from the configured one."""
         parts, sets, far = [], [], False
         for i, name in self._names.items():
             column, value = belief.block(name)
             found, sigma = float(value[0]), math.sqrt(max(float(belief.covariance[column, column]), 0.0))
-            if abs(found - self.configured[i]) <= max(SAID_SIGMAS * sigma, math.sqrt(self._variances[i])):
+            if abs(found - self.configured[i]) <= max(MIN_CHANGE_SIGMAS * sigma, math.sqrt(self._variances[i])):
                 continue
             far = far or abs(found - self.configured[i]) > MAX_PRIOR_SIGMAS * math.sqrt(self._variances[i])
             key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
@@ -129,17 +128,17 @@ class Mount:
         return [f"{OTHER_MOUNT} {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
-        """Return those columns of a derivative by (x, y, yaw), (d, 3), whose numbers are states."""
+        """Return the columns of the uncertain components from derivatives (d, 3) by (x, y, yaw)."""
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
 
 
 def found_mount(sensor: str, configured: Array, blocks: Mapping[str, Array]) -> Array:
-    """Return the mount (3,) x [m], y [m], yaw [rad]: last values of its states, else `configured` values."""
+    """Return the estimated mount (3,), x [m], y [m], yaw [rad]; `configured` for components without a state."""
     return np.array([blocks[n][-1, 0] if n in blocks else value for n, value in _by_name(sensor, configured)])
 
 
 def mount_blocks(sensor: str, mount: Array, blocks: Mapping[str, Array]) -> dict[str, Array]:
-    """Return those of `blocks` (n, 1) that are the sensor's mount, all with the values of `mount` (3,)."""
+    """Return the sensor's mount states in `blocks`, each (n, 1) filled with its value from `mount` (3,)."""
     return {name: np.full_like(blocks[name], value) for name, value in _by_name(sensor, mount) if name in blocks}
 
 
@@ -148,13 +147,13 @@ def _by_name(sensor: str, mount: Array) -> list[tuple[str, float]]:
 
 
 def mount_states(sensor: str) -> dict[str, tuple[Component, ...]]:
-    """Return how the states of a `Mount` are shown, by the names of its blocks."""
+    """Return names, units and scales of a sensor's mount states, by block name."""
     units = {"x": ("m", 1.0), "y": ("m", 1.0), "yaw": ("deg", math.degrees(1.0))}
     return {f"{sensor}_{part}": (Component(f"{sensor} mount {part}", *unit),) for part, unit in units.items()}
 
 
 def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
-    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), from the sensor's axes to the base's, as in URDF."""
+    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), from sensor axes to base axes, as in URDF."""
     r, p, y = (math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg))
     cr, sr, cp, sp, cy, sy = math.cos(r), math.sin(r), math.cos(p), math.sin(p), math.cos(y), math.sin(y)
     return np.array(
@@ -167,7 +166,7 @@ def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
 
 
 def rotated(q: Array, v: Array) -> Array:
-    """Return vector v (3,) turned by quaternions (n, 4) x, y, z, w of any length, (n, 3)."""
+    """Return vector v (3,) rotated by quaternions (n, 4) x, y, z, w of any length, (n, 3)."""
     n = (q**2).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         axis, w = q[:, :3] / np.sqrt(n)[:, None], q[:, 3] / np.sqrt(n)
@@ -177,5 +176,5 @@ def rotated(q: Array, v: Array) -> Array:
 
 
 def to_a_tenth_of(sigma: float, value: float) -> float:
-    """Return a value rounded to a tenth of its standard deviation."""
+    """Return a value rounded to a tenth of its standard deviation `sigma`."""
     return round(value, 1 - math.floor(math.log10(sigma))) + 0.0 if sigma > 0.0 else value

@@ -1,7 +1,7 @@
-"""Progress of the present work, for whatever displays it.
+"""Progress of long computations, reported to one listener such as the terminal.
 
-Long loops report it once per block to one listener: the terminal. It travels beside the values, as a log
-line would, so that no function on the way passes it on. A library or a worker process has no listener.
+The listener is a context variable, so that functions need no argument for it. A library or a worker process has
+no listener.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-Hear = Callable[[float | None], None]  # is given the share of log time that is done, 0 to 1; None: unknown
+Hear = Callable[[float | None], None]  # its argument: completed share of log time, 0 to 1; None: unknown
 _listener: ContextVar[Hear | None] = ContextVar("listener", default=None)
 
 
 def say_done(share: float | None) -> None:
-    """Report the share of the work that is done (0 to 1); None after a loop if the rest is unknown."""
+    """Report the completed share of a computation, 0 to 1; None if unknown."""
     if (hear := _listener.get()) is not None:
         hear(share)
 
 
 @contextmanager
 def heard_by(hear: Hear) -> Iterator[None]:
-    """Report progress to `hear` inside this context."""
+    """Send progress reports to the function `hear` inside this context."""
     token = _listener.set(hear)
     try:
         yield

@@ -1,4 +1,4 @@
-"""The robot's description: the tables of robot.toml that are not a sensor's own.
+"""Settings of robot.toml that belong to no sensor: wheels, start and truth.
 
 SI units, angles in degrees where the key ends in `_deg`. Sensor tables live with their sensors.
 """
@@ -20,17 +20,17 @@ Order = Literal["auto", "stamp", "recorded"]
 Preset = Literal["default", "paper"]
 Mirrored = Literal["none", "left", "right", "both"]
 Steering = Literal["angle", "rate", "heading"]
-# no start is known less; a variance of 1e38 beside one of 1e-6 leaves nothing of either in double precision
+# limits of the start's sigmas: larger variances lose small ones in double precision
 MAX_START_SIGMA_M = 1e5
 MAX_START_SIGMA_DEG = 3600.0
-MAX_NOISE_M = 1e3  # variance per metre: wheels that say nothing, and still far from what rounding eats
+MAX_NOISE_M = 1e3  # largest variance per metre of the wheels, as for rounding above
 Moment = Annotated[float, msgspec.Meta(ge=0.0)] | Literal["scan"]
 PerMetre = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_NOISE_M)]
-VIRTUAL_TRACK = 0.3  # m: carries the noise of an odometry topic, which knows no wheels
+VIRTUAL_TRACK = 0.3  # m: track of the two wheels that stand for an odometry topic
 
 
 class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[wheels]: geometry, encoder and noise of the drive."""
+    """Settings of [wheels] in robot.toml: geometry, encoders and noise of the wheels."""
 
     topic: str | None = None  # not set: found
     left_topic: str | None = None  # where either wheel has a topic of its own (std_msgs numbers)
@@ -62,7 +62,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @property
     def is_of_driver(self) -> bool:
-        """Whether radius and track are those of an odometry's driver, not settings here."""
+        """Whether radius and track are those of the odometry driver, since robot.toml gives none."""
         return self.radius is None and self.wheelbase is None
 
     @property
@@ -73,7 +73,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[start]: pose of the body in the map at the first wheel reading, or at a later moment."""
+    """Settings of [start] in robot.toml: pose in the map at the first wheel reading, or at a later time."""
 
     x: float = 0.0  # m
     y: float = 0.0  # m
@@ -84,17 +84,17 @@ class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @property
     def pose(self) -> tuple[float, float, float]:
-        """Where the drive begins: x, y [m], theta [rad]."""
+        """Pose at the start: x, y [m], theta [rad], map frame."""
         return self.x, self.y, math.radians(self.theta_deg)
 
     @property
     def variances(self) -> tuple[float, float, float]:
-        """Variances of the start: x, y [m^2] and theta [rad^2]."""
+        """Variances of the start pose: x, y [m^2] and theta [rad^2]."""
         return self.sigma_xy**2, self.sigma_xy**2, math.radians(self.sigma_theta_deg) ** 2
 
 
 class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[truth]: the reference topic and the body point that it tracks."""
+    """Settings of [truth] in robot.toml: topic of the reference, and the tracked point on the base."""
 
     topic: str | None = None  # or a .tum or .csv file, or two frames of /tf: "/tf:map:base_link"
     body: str | None = None  # name of the rigid body, where a mocap tracks several
@@ -109,7 +109,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class Robot(msgspec.Struct, frozen=True):
-    """The configured description of one robot."""
+    """All settings of one robot (robot.toml)."""
 
     wheels: WheelSettings = field(default_factory=WheelSettings)
     start: StartSettings = field(default_factory=StartSettings)
@@ -127,7 +127,7 @@ class Robot(msgspec.Struct, frozen=True):
         return self.sensors[sensor]
 
     def begun_at(self, pose: Sequence[float], sigma_xy: float, sigma_theta: float) -> Robot:
-        """Return the robot with a start that was found: x, y [m], theta [rad]; standard deviations [m, rad]."""
+        """Return the robot with a start pose x, y [m], theta [rad] and standard deviations [m, rad]."""
         x, y, theta = map(float, pose)
         found = replace(
             self.start,

@@ -1,6 +1,6 @@
 """Planar rigid motion SE(2), vectorised: a pose is (..., 3) = (x [m], y [m], theta [rad]).
 
-`T_map_base` reads "what comes out is on the left": compose(T_map_base, p_base) is p in the map.
+`T_map_base` converts from the base to the map frame: compose(T_map_base, p_base) is p in the map.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ def wrap(angle: float) -> float:
 
 
 def direction(angle: float) -> tuple[float, float]:
-    """Return (cos, sin) of an angle [rad]; NaN where it is infinite, for which `math` raises."""
+    """Return (cos, sin) of an angle [rad]; NaN for an infinite angle."""
     return (math.cos(angle), math.sin(angle)) if math.isfinite(angle) else (math.nan, math.nan)
 
 
 def sight(pose: Plain, point: tuple[float, float], mount: Plain, nearest: float) -> Sight | None:
-    """Return the view of a point from a sensor at `mount` on a robot at `pose`; None if nearer than `nearest` [m].
+    """Return bearing and distance of a point seen from a sensor on a robot; None if nearer than `nearest` [m].
 
     With d from the sensor to the point, in the map: bearing = atan2(d_y, d_x) - theta - yaw, distance = |d|
     (Thrun, Burgard and Fox 2005, 6.6.2).
@@ -60,7 +60,7 @@ def difference(a: Array, b: Array) -> Array:
 
 
 def compose(a: Array, b: Array) -> Array:
-    """Return a ⊕ b, poses (..., 3); theta is summed, not wrapped, so that turns stay countable."""
+    """Return a ⊕ b for poses (..., 3); headings are added without wrapping."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack(
         (
@@ -73,13 +73,13 @@ def compose(a: Array, b: Array) -> Array:
 
 
 def inverse(a: Array) -> Array:
-    """Return ⊖a, the pose with a ⊕ ⊖a = 0; (..., 3)."""
+    """Return ⊖a, the inverse of a pose (..., 3)."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack((-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], -a[..., 2]), axis=-1)
 
 
 def between(a: Array, b: Array) -> Array:
-    """Return ⊖a ⊕ b: pose b relative to pose a; (..., 3), with the sine and cosine of a computed once."""
+    """Return ⊖a ⊕ b, pose b relative to pose a, (..., 3)."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack(
         (
@@ -92,20 +92,20 @@ def between(a: Array, b: Array) -> Array:
 
 
 def chained(a: Array, steps: Array) -> Array:
-    """Return the poses a ⊕ steps[0], a ⊕ steps[0] ⊕ steps[1], ... (n, 3) of a (3,) and steps (n, 3)."""
+    """Return the poses (n, 3) a ⊕ steps[0], a ⊕ steps[0] ⊕ steps[1], ... for steps (n, 3) from pose a (3,)."""
     theta = a[2] + np.cumsum(steps[:, 2])
     before = np.concatenate((a[2:], theta))[:-1]
     return np.column_stack((a[:2] + np.cumsum(rotated(before, steps[:, :2]), axis=0), theta))
 
 
 def chain(steps: Array) -> Array:
-    """Return (0, 0, 0) and the poses that steps (n, 3) lead to from there, (n + 1, 3)."""
+    """Return the poses (n + 1, 3) along steps (n, 3) from (0, 0, 0), which is the first pose."""
     origin = np.zeros(3)
     return np.vstack((origin, chained(origin, steps)))
 
 
 def carried(at: Plain, a: Plain, b: Plain) -> Plain:
-    """Return a pose moved on as from a to b, at ⊕ (⊖a ⊕ b), in plain floats: ten times faster than `chained`."""
+    """Return the pose `at` moved on by the motion from a to b: at ⊕ (⊖a ⊕ b), in plain floats."""
     c, s = direction(a[2])
     x = -c * a[0] - s * a[1] + c * b[0] + s * b[1]
     y = s * a[0] - c * a[1] - s * b[0] + c * b[1]
@@ -114,7 +114,7 @@ def carried(at: Plain, a: Plain, b: Plain) -> Plain:
 
 
 def between_jacobians(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return the derivatives of between(a, b) by the numbers of a and of b (..., 3), (..., 3, 3) each."""
+    """Return the derivatives (..., 3, 3) of between(a, b) by a and by b (..., 3)."""
     by_b = rotation(-a[..., 2])
     by_a = -by_b
     local = rotated(-a[..., 2], b[..., :2] - a[..., :2])
@@ -123,7 +123,7 @@ def between_jacobians(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def rotation(theta: Array) -> Array:
-    """Return the rotations of (x, y, theta) by angles theta (...) [rad], (..., 3, 3)."""
+    """Return rotation matrices (..., 3, 3) of poses (x, y, theta), for angles theta (...) [rad]."""
     c, s = np.cos(theta), np.sin(theta)
     out = np.zeros((*np.shape(theta), 3, 3))
     out[..., 0, 0] = out[..., 1, 1] = c
@@ -133,13 +133,13 @@ def rotation(theta: Array) -> Array:
 
 
 def rotated(theta: Array, v: Array) -> Array:
-    """Return vectors v (..., 2) turned by angles theta (...) [rad]."""
+    """Return vectors v (..., 2) rotated by angles theta (...) [rad]."""
     c, s = np.cos(theta), np.sin(theta)
     return np.stack((c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1]), axis=-1)
 
 
 def yaw(x: Array, y: Array, z: Array, w: Array) -> Array:
-    """Return the heading (...) [rad] of quaternions of any length, by their parts (...)."""
+    """Return the yaws (...) [rad] of quaternions x, y, z, w (...) of any length."""
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
 
 
@@ -168,16 +168,16 @@ def log(pose: Array) -> Array:
 
 
 def transform(pose: Array, points: Array) -> Array:
-    """Return points (..., 2) given in the frame of `pose` (..., 3), expressed in the pose's parent frame."""
+    """Return points (..., 2), given in the frame of `pose` (..., 3), in the pose's parent frame."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = points[..., 0], points[..., 1]
     return np.stack((pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y), axis=-1)
 
 
 def laid_on(a: Array, b: Array) -> tuple[float, float]:
-    """Return the turn [rad] and the scale that align points a (n, 2) with b (n, 2) about their means.
+    """Return the rotation [rad] and the scale that align points a (n, 2) with b (n, 2), by least squares.
 
-    Least squares over all points (Umeyama 1991, in the plane); who wants no scale leaves it.
+    About their means (Umeyama 1991, in the plane); the rotation does not depend on the scale.
     """
     p, q = a - a.mean(axis=0), b - b.mean(axis=0)
     across, along = float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum())

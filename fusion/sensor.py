@@ -1,4 +1,4 @@
-"""What a sensor is: settings (its TOML table), what it reads, its measurements, and its model in the filter."""
+"""Base classes of a sensor: its settings, its measurements, and its model in the filter."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from .data import (
 GATE = VERDICTS.index("gate")
 Row = tuple[float, ...]
 Matrix = tuple[Row, ...]
-NO_COLUMNS: tuple[int, ...] = ()  # of what depends on no state but the pose
+NO_COLUMNS: tuple[int, ...] = ()  # of a measurement that depends on the pose only
 NO_BLOCK: Matrix = ()
 PoseRows = tuple[tuple[float, float, float], ...]  # (d, 3) derivatives by x [m], y [m], theta [rad] of the pose
 
 
 class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys that every sensor's table has; SI units, angles in degrees where the key ends in `_deg`."""
+    """Settings that all sensors share; SI units, angles in degrees where the key ends in `_deg`."""
 
     topic: str | None = None  # not set: the only topic of a type the sensor reads
     time_offset: float = 0.0  # s, added to the stamps of this sensor
@@ -48,40 +48,40 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     positive: ClassVar[tuple[str, ...]] = ("sigma", "sigma_deg", "sigma_range")
 
     def __post_init__(self) -> None:
-        """Refuse a sensor without noise: P would become singular, or worse by rounding."""
+        """Raise ValueError for a sigma of 0 or below, with which P would become singular."""
         for key in self.positive:
             if getattr(self, key, 1.0) <= 0.0:
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
 
 
 class WheelMotion(Protocol):
-    """Relative motion of the robot by its wheels: the only motion that `measure` may use."""
+    """Relative motion of the robot by the wheels, for use in `Sensor.measure`."""
 
     @property
     def track(self) -> float:
         """Distance between the wheels [m]."""
 
     def relative(self, t_from: Array, t_to: Array) -> Array:
-        """Return the pose (n, 3) at t_to relative to that at t_from, both (n,) s since the drive's epoch."""
+        """Return the poses (n, 3) at times t_to relative to the poses at t_from, (n,) [s] each."""
 
     def heading(self, t: Array) -> Array:
-        """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
+        """Return the headings (...) [rad, not wrapped] by the wheels at times t (...) [s]."""
 
     def slips(self, t: Array) -> Array:
-        """Return the variances (..., k - 1, 2) [m^2] of either wheel's distance between times t (..., k) [s]."""
+        """Return variances (..., k - 1, 2) [m^2] of the left and right distance between times t (..., k) [s]."""
 
 
 class Equation(NamedTuple):
-    """y = H dx + noise of covariance R."""
+    """Linear measurement equation y = H dx + noise with covariance R."""
 
     y: Array  # (m,)
-    columns: Ints  # (c,) of the state; a column may stand there twice
+    columns: Ints  # (c,) of the state; a column may occur twice
     H: Array  # (m, c)
     R: Array  # (m, m)
 
 
 class Reading:
-    """The judged rows of a reading in columns: an object per row would be slower than the filter."""
+    """Innovations of a reading with many rows, stored in columns for speed."""
 
     row: int  # of the first in Measurements.z
     lines: int  # rows of the measurements
@@ -90,16 +90,16 @@ class Reading:
     numbers: int  # of that equation
 
     def write(self, audit: Audit, at: int, instant: int, row: int) -> None:
-        """Write the verdict on every row into the columns of an audit, from `at` on."""
+        """Write the verdicts of all rows into the columns of an audit, starting at index `at`."""
         raise NotImplementedError
 
     def rows_used(self) -> list[int]:
-        """Return the accepted rows of Measurements.z, in the order of their equation."""
+        """Return the accepted rows of Measurements.z, in the order of their equations."""
         raise NotImplementedError
 
 
 def positive(greatest: float) -> None:
-    """Raise LocfuseError if an innovation covariance is not positive definite: then `greatest` is not above 0."""
+    """Raise LocfuseError if `greatest` is not positive: the innovation covariance is then singular."""
     if not greatest > 0.0:
         raise LocfuseError(
             f"an innovation covariance became singular (variances of up to {-greatest:.0e}): check the values of "
@@ -108,7 +108,7 @@ def positive(greatest: float) -> None:
 
 
 class Block(NamedTuple):
-    """A named part of the state that a sensor owns (compass offset, gyro bias, line map)."""
+    """Named states of a sensor in the filter, such as a compass offset or a gyro bias."""
 
     name: str
     x: Array  # (k,) start
@@ -117,34 +117,34 @@ class Block(NamedTuple):
 
 
 class Belief(Protocol):
-    """The part of the filter's state that a model may read: pose, covariance, and its own block."""
+    """The filter's state as a model sees it: pose, covariance, and state blocks."""
 
     @property
     def x(self) -> float:
-        """X of the pose [m]."""
+        """X coordinate of the pose [m]."""
 
     @property
     def y(self) -> float:
-        """Y of the pose [m]."""
+        """Y coordinate of the pose [m]."""
 
     @property
     def theta(self) -> float:
         """Heading of the pose [rad], not wrapped."""
 
     def pose(self) -> tuple[float, float, float]:
-        """Return x [m], y [m] and theta [rad, not wrapped] of the pose."""
+        """Return the pose: x [m], y [m], theta [rad, not wrapped]."""
 
     def block(self, name: str) -> tuple[int, Sequence[float] | Array]:
-        """Return (first state column, values) of a block."""
+        """Return the first state column of a block, and the block's values."""
 
     def column(self, name: str) -> int:
         """Return the first state column of a block."""
 
     def value(self, column: int) -> float:
-        """Return the state at a column."""
+        """Return the state in a column."""
 
     def variance(self, H: Row, columns: tuple[int, ...] = (), H_block: Row = ()) -> float:
-        """Return H P H' for one derivative H (3,) by the pose and H_block (c,) by the states `columns` (c,)."""
+        """Return H P H' for one derivative: H (3,) by the pose, H_block (c,) by the states `columns` (c,)."""
 
     def compare(
         self,
@@ -156,51 +156,51 @@ class Belief(Protocol):
         columns: tuple[int, ...] = (),
         H_block: Matrix = (),
     ) -> Innovation:
-        """Compare the innovation y (d,) of measurement `row` with the gate `threshold`.
+        """Return the innovation y (d,) of measurement `row` with its covariance, NIS and verdict.
 
         S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). H (d, 3) is by the pose,
         H_block (d, c) by the states `columns` (c,), R (d, d). The verdict is "accepted" or "gate" by the NIS, and
-        no landmark is named: a sensor that knows better sets them. Raises LocfuseError where S is not positive.
+        no landmark is set; the model may change both. Raises LocfuseError if S is not positive definite.
         """
 
 
 class Model:
-    """One sensor in one run of the filter; keeps what it estimates (a map), never the pose."""
+    """Measurement model of one sensor in one run of the filter; it may also keep a map."""
 
-    joint: bool = False  # whether it adds states while driving, beyond its blocks
-    local: bool = False  # whether it observes the pose in the run's local frame, as lines of its own map do
-    maps: bool = False  # whether it may make a map of its own, with which a local frame begins
-    leads: bool = False  # whether its maps begin one after another: where it is used, no other begins a frame
-    teaches: bool = True  # whether the states that it names are its own: then readings that listen correct them
+    joint: bool = False  # whether it adds states during the drive, beyond its blocks
+    local: bool = False  # whether it observes the pose in the local frame, not in the map frame
+    maps: bool = False  # whether it may build a map, with which a local frame begins
+    leads: bool = False  # whether it builds several maps in turn: then no other model begins a frame
+    teaches: bool = True  # whether readings that only listen may correct its states
 
     def blocks(self) -> list[Block]:
-        """Return the state blocks this sensor adds at the start."""
+        """Return the state blocks that this sensor adds at the start of a run."""
         return []
 
     def begin(self, given: Sequence[MapLine], belief: Any) -> None:
-        """Load a map that was made before this run. Raises LocfuseError if it is needed and missing."""
+        """Load the line map of an earlier run. Raises LocfuseError if it is needed and missing."""
 
     def meet(self, others: Mapping[str, Model]) -> None:
-        """Receive the other models of the run, by sensor name; a model may use the map of another one."""
+        """Link the other models of the run, by sensor name; a model may use another one's map."""
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Receive the wheels' motion (x [m], y [m], theta [rad]) since the instant before, in its frame."""
+        """Process the wheel motion (x [m], y [m], theta [rad]) since the previous update time."""
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether reading i is the first of a map of its own: the local frame may begin at its instant."""
+        """Return whether reading i starts a map of this sensor, so that the local frame may begin."""
         return False
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Reading:
-        """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""
+        """Return the innovations of reading i given the prior; those with verdict 0 correct the filter."""
         raise NotImplementedError
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Update the model by reading i (new map lines), after the correction of the pose."""
+        """Update the model (e.g. its map) with reading i, after the correction of the pose."""
 
     def begin_next_map(self, belief: Any) -> bool:
-        """Replace a map that is full by the next one, after all readings of an instant were used.
+        """Start a new map if the present one is full; return whether a new map was started.
 
-        Only asked of a model that `leads`. Return whether it did: the local frame may have moved on.
+        Called after all readings of an update time, only for a model that `leads`. The local frame may change.
         """
         return False
 
@@ -209,52 +209,52 @@ class Model:
         return [], []
 
     def points(self, belief: Any) -> list[tuple[int, float, float]]:
-        """Return id and place x, y [m, map frame] of every landmark that the run placed."""
+        """Return id and position x, y [m, map frame] of every landmark in the estimated map."""
         return []
 
     def jumps(self) -> list[Jump]:
-        """Return the corrections of the pose that are no motion."""
+        """Return the corrections of the pose without motion, such as corrected slips."""
         return []
 
     def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return when the robot was lost by this sensor, (start, end) [s]."""
+        """Return the intervals (start, end) [s] in which this sensor reported the robot as lost."""
         return []
 
     def closed_loops(self) -> list[SeenAgain]:
-        """Return the places that were recognised, in order of time."""
+        """Return the loop closures, in order of time."""
         return []
 
     def notes(self, belief: Any) -> list[str]:
-        """Return notes on this run for its report, given the last belief."""
+        """Return notes on this run for the report, given the last belief."""
         return []
 
 
 class Ask(NamedTuple):
-    """The text of `locfuse init` for a key that no log shows: how to find its value."""
+    """Text of `locfuse init` for a setting that a log does not contain: how to find its value."""
 
     words: str  # unit, and how to measure it
-    needed: bool = False  # whether nothing of this table can be used without the key
-    blank: bool = False  # whether its default is no answer: zero looks as if somebody had measured it
+    needed: bool = False  # whether the sensor cannot be used without the setting
+    blank: bool = False  # whether the value is left blank, as a default would look measured
 
 
 class Bias(NamedTuple):
-    """The key of robot.toml that corrects a constant error of the readings."""
+    """Setting that corrects a constant error of a sensor's readings."""
 
     key: str  # in the unit of the sensor's first component
-    sign: float  # of the key's change by the mean innovation (measured - predicted)
-    estimated: bool = False  # whether the filter estimates it where the key is left out
-    sigma: str | None = None  # the key of its standard deviation, in the same unit: above 0 the error is a state
+    sign: float  # of the setting's change for a positive mean innovation
+    estimated: bool = False  # whether the filter estimates it if the setting is left out
+    sigma: str | None = None  # setting of its standard deviation, same unit; above 0 it is a state
 
 
 class Reversal(NamedTuple):
-    """Why a sensor turns opposite to the wheels, and the settings that correct it."""
+    """Reason why a sensor turns opposite to the wheels, and the settings that fix it."""
 
     why: str
     sets: Mapping[str, Any] = {}
 
 
 class FoundStart(NamedTuple):
-    """The robot's pose at the first wheel reading, found by a sensor with a known map."""
+    """Pose of the robot at the first wheel reading, found by a sensor with a known map."""
 
     pose: Array  # (3,) x, y [m], theta [rad], map frame
     sigma_xy: float  # m
@@ -262,99 +262,99 @@ class FoundStart(NamedTuple):
 
 
 class Sensor(ABC):
-    """A sensor: one file in `fusion/sensors` and one line in the registry there, with all its code.
+    """Base class of a sensor: one file in `fusion/sensors` and one line in the registry there.
 
-    It gives `name`, `Settings`, `reads`, `noise_keys`, `components`, `colour`, `measure` and `model`. What else it
-    may say has a default. An instance holds nothing: what a run estimates lies in its `Model`.
+    It must define `name`, `Settings`, `reads`, `noise_keys`, `components`, `colour`, `measure` and `model`. An
+    instance has no state: the estimates of a run are in its `Model`.
     """
 
     # ---- what it is, and what it reads ----
 
     name: ClassVar[str]
-    """Its word in `--sensors`, and its table in robot.toml."""
+    """Name in `--sensors`, and of the table in robot.toml."""
 
     Settings: ClassVar[type[SensorSettings]]
-    """The keys of that table, with their defaults."""
+    """Settings of that table, with their defaults."""
 
     reads: ClassVar[Mapping[str, tuple[str, ...]]]
     """Message type -> paths of the fields that `measure` reads."""
 
     named: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """Message type -> words, one of which its topic must hold: a bare number does not say what it is."""
+    """Message type -> words, one of which the topic must contain, for types of bare numbers."""
 
     second_best: ClassVar[tuple[str, ...]] = ()
-    """Message types that are read unasked only where the log holds none of its other types."""
+    """Message types that are used by default only if the log has none of the other types."""
 
     several: ClassVar[bool] = False
-    """All topics of its types are one sensor: a ring of sonars."""
+    """Whether all topics of these types form one sensor, such as a ring of sonars."""
 
     several_frames: ClassVar[bool] = False
-    """All topics of one of its types are one sensor where each has a frame of its own: cameras of a robot."""
+    """Whether topics of one type with different frames form one sensor, such as several cameras."""
 
     in_blocks: ClassVar[bool] = False
-    """Its readings are too big to be in memory at once."""
+    """Whether the readings are read in blocks, to save memory."""
 
     costly: ClassVar[bool] = False
-    """Measuring takes so long that `locfuse info` leaves it out."""
+    """Whether `locfuse info` leaves the sensor out because measuring takes long."""
 
     asked_only: ClassVar[str] = ""
-    """Why it is used only where its topic is named: it may repeat what another sensor says. "": it is not."""
+    """Why the sensor is used only if its topic is configured; "": it is used by default."""
 
     unlikely: ClassVar[tuple[str, ...] | None] = None
-    """Words of topics that come last where several fit and one is taken unasked; None: several are an error."""
+    """Words of topics that come last if several fit; None: several topics are an error."""
 
     extra: ClassVar[bool] = False
-    """It lies beside the paper's sensors: where its topic is unclear it is absent, and the others run."""
+    """Whether the sensor is left out, without an error, if its topic is unclear."""
 
     needs: ClassVar[Mapping[str, str]] = {}
-    """Sensor without which this one says nothing -> why: "held against the map of lrf"."""
+    """Sensor that this one depends on -> reason, such as "held against the map of lrf"."""
 
     def carries(self, stream: Stream) -> bool:
-        """Return whether a topic of its types holds readings of this sensor; used if several topics fit."""
+        """Return whether a topic contains readings of this sensor; called if several topics fit."""
         return True
 
     def missing(self, settings: Any) -> str | None:
-        """Return the setting that is missing and how to find it, or None."""
+        """Return a message about a required setting that is missing, or None."""
         return None
 
     # ---- how it measures ----
 
     @abstractmethod
     def measure(self, stream: Stream, settings: Any, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Turn readings into measurements free of any pose, in SI units and time order.
+        """Return the measurements of a stream, independent of the robot's pose, in SI units and time order.
 
-        Raises LocfuseError where they cannot be understood.
+        Raises LocfuseError for unusable readings.
         """
 
     def again(self, before: Measurements, settings: Any, epoch_ns: int) -> Measurements | None:
-        """Return the result of `measure` under new settings, computed from the result under other settings.
+        """Return the result of `measure` under new settings, computed from its result under other settings.
 
-        None where the readings have to be looked at again.
+        None if `measure` has to be called again.
         """
         return None
 
     @abstractmethod
     def model(self, settings: Any) -> Model:
-        """Return its model for a new run of the filter."""
+        """Return the filter model of this sensor for a new run."""
 
     def start(self, m: Measurements, settings: Any, wheels: WheelMotion) -> FoundStart | None:
-        """Return the start of the drive by its readings and a known map; None for a sensor without such a map.
+        """Return the robot's start pose by the readings and a known map; None for a sensor without such a map.
 
-        Raises LocfuseError where the readings leave several starts.
+        Raises LocfuseError if the start is ambiguous.
         """
         return None
 
     def heading(self, m: Measurements) -> tuple[Array, Array] | None:
-        """Return times (n,) [s] and headings (n,) [rad, unwrapped, up to a constant] by its own turning.
+        """Return times (n,) [s] and headings (n,) [rad, unwrapped, unknown constant] by this sensor alone.
 
-        None where it does not turn by itself. Clock lags, mirrored wheels and the track are found by it.
+        None for a sensor that does not measure turns. Used to find clock lags, mirrored wheels and the track.
         """
         return None
 
     def misfit(self, m: Measurements, settings: Any, poses: Array) -> float | None:
-        """Return how badly its readings fit the robot's poses (n, 3) at their times: a spread in any unit.
+        """Return the spread of the readings about their predictions from poses (n, 3), in any unit, or None.
 
-        None where poses do not say what it should read. A truth's clock is held against a sensor's by it.
+        None if poses do not determine the readings. Used to compare the clocks of truth and sensor.
         """
         return None
 
@@ -362,7 +362,7 @@ class Sensor(ABC):
     """Whether an unchanged heading means that the turn is unknown (a scan that matches no line)."""
 
     def reversal(self, settings: Any, msgtype: str) -> Reversal:
-        """Return why its heading turns opposite to the wheels, and the settings that fix it."""
+        """Return why this sensor turns opposite to the wheels, and the settings that fix it."""
         if not hasattr(settings, "roll_deg"):
             return Reversal("its sense of turning is wrong")
         return Reversal("it is mounted upside-down", {"roll_deg": (settings.roll_deg + 180.0) % 360.0})
@@ -370,55 +370,55 @@ class Sensor(ABC):
     # ---- its noise and its errors ----
 
     noise_keys: ClassVar[tuple[str, ...]]
-    """Settings that say how exact one reading is; the first in the unit of its first component (deg, else SI)."""
+    """Settings of the noise of one reading; the first in the unit of the first component (deg, else SI)."""
 
     measures_by_sigma: ClassVar[bool] = False
-    """Another sigma means other measurements: lines are cut by it."""
+    """Whether measurements depend on sigma, as lines of a scan do."""
 
     bias: ClassVar[Bias | None] = None
-    """The setting that takes out a constant error."""
+    """Setting that corrects a constant error."""
 
     drift_key: ClassVar[str | None] = None
-    """The setting by which that error, estimated, may drift: a random walk, per sqrt(s)."""
+    """Setting of the random walk of that error, per sqrt(s), if it is estimated."""
 
     scale_key: ClassVar[str | None] = None
-    """The setting by which what it measures in metres is multiplied."""
+    """Setting that measured distances are multiplied by."""
 
     def brings_covariance(self, m: Measurements) -> bool:
-        """Return whether readings come with their own covariance: then no sigma is tuned.
+        """Return whether readings contain their own covariance, so that no sigma has to be tuned.
 
-        By default where a column "has_covariance" of their extra ones marks such rows.
+        By default, if the extra column "has_covariance" is nonzero in some row.
         """
         return "has_covariance" in m.extra and bool(m.extra["has_covariance"].any())
 
-    # ---- where it sits ----
+    # ---- its mount ----
 
     placed: ClassVar[bool] = False
-    """`locfuse info` warns where nothing tells where it sits on the base."""
+    """Whether `locfuse info` warns if the mount on the base is unknown."""
 
     def mount(self, settings: Any) -> tuple[float, float, float]:
-        """Return its mount on the base: x [m], y [m], yaw [rad]; 0 where it has no keys x, y, yaw_deg."""
+        """Return the mount on the base: x [m], y [m], yaw [rad]; 0 for a sensor without these settings."""
         if not hasattr(settings, "x") or not hasattr(settings, "y"):
             return 0.0, 0.0, 0.0
         return settings.x, settings.y, math.radians(getattr(settings, "yaw_deg", 0.0))
 
-    # ---- what `locfuse init` and `locfuse info` say of it ----
+    # ---- texts of `locfuse init` and `locfuse info` ----
 
     asks: ClassVar[Mapping[str, Ask]] = {}
-    """Key -> what its owner has to find out."""
+    """Setting -> how its owner can find its value."""
 
     guesses: ClassVar[Mapping[str, str]] = {}
-    """Key that no log states and whose default holds until somebody says otherwise -> what the default means."""
+    """Setting that no log contains -> meaning of its default."""
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a key applies to messages of this type ("" without a topic)."""
+        """Return whether a setting applies to messages of this type ("" without a topic)."""
         return True
 
     sees: ClassVar[str] = "value"
-    """What one reading measures, in one word: line, echo."""
+    """Noun for one measurement: line, echo."""
 
     blind_is_severe: ClassVar[bool] = False
-    """Readings that measure nothing mean that it is set up wrongly, not that nothing was there."""
+    """Whether readings without measurements mean wrong settings."""
 
     # ---- how it is shown ----
 
@@ -429,19 +429,19 @@ class Sensor(ABC):
     """State block -> names, units and scales of its numbers."""
 
     colour: ClassVar[Colour]
-    """Its own in every figure, whatever else a log holds."""
+    """Colour of this sensor in all figures."""
 
     drawn: ClassVar[Literal["heading", "bearing", "segments", ""]] = ""
-    """What a measurement is on the map: a ray ahead, a ray to what it saw, pieces of walls; "" is nothing."""
+    """Picture of a measurement on the map: ray along the heading, ray to a landmark, wall segments; "": none."""
 
     def landmark(self, settings: Any) -> tuple[float, float] | None:
-        """Return the point of the map that it measures to, (x, y) [m]; None without one."""
+        """Return the landmark's position in the map, (x, y) [m], for a sensor of a single landmark; else None."""
         return None
 
     locates: ClassVar[bool] = False
-    """Whether it says where the robot is, and not only how it turns or moves: it can judge other sensors."""
+    """Whether the sensor observes the position, not only turns or motion."""
 
     @property
     def measures_metres(self) -> bool:
-        """Whether its distances depend on the same scale as the wheels'."""
+        """Whether a component is in metres, so that the sensor shows the scale of the wheels."""
         return any(c.unit == "m" for c in self.components)

@@ -1,4 +1,4 @@
-"""Several topics of one sensor: two wheels on two topics, a ring of sonars; and the gaps of a stream."""
+"""Streams of several topics merged into one, gaps in a stream, integration of rates."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods
 
 
 def gap_limit(t: Array) -> float:
-    """Return the longest step [s] in stamps t (n,) that is not a gap: 5 median periods, at least half a second."""
+    """Return the longest step [s] between stamps t (n,) that is not a gap: 5 median periods, at least 0.5 s."""
     return max(GAP, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else GAP
 
 
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
-    """Count the readings that are not used, by reason: their number, or a flag for each of n.
+    """Add counts of unused readings to `dropped`, by reason; each is a number or flags (n,).
 
     A reason that never occurs is not listed.
     """
@@ -31,28 +31,28 @@ def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
 
 
 class MergedStream(msgspec.Struct, frozen=True, dict=True):
-    """Streams of numbers as one Stream, in time order; `source` is the part that each row came from."""
+    """Several streams of numbers merged into one, in time order."""
 
     parts: tuple[Stream, ...]
 
     @property
     def topic(self) -> str:
-        """The parts' topics in words."""
+        """Topics of all parts, joined by "and"."""
         return " and ".join(part.topic for part in self.parts)
 
     @property
     def msgtype(self) -> str:
-        """The first part's type."""
+        """Message type of the first part."""
         return self.parts[0].msgtype
 
     @property
     def frame_id(self) -> str:
-        """The first part's frame."""
+        """frame_id of the first part."""
         return self.parts[0].frame_id
 
     @cached_property
     def dropped(self) -> Mapping[str, int]:
-        """Messages of all parts that gave no row, by reason."""
+        """Number of messages without a row, of all parts, by reason."""
         return dict(sum((Counter(part.dropped) for part in self.parts), Counter()))
 
     @cached_property
@@ -61,40 +61,40 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def t_ns(self) -> Ints:
-        """The times of the readings, (n,) ns, never decreasing."""
+        """Stamps of the readings, (n,) ns, never decreasing."""
         times: Ints = np.concatenate([part.t_ns for part in self.parts])[self._order]
         return times
 
     @cached_property
     def source(self) -> Ints:
-        """Position in `parts` of every row, (n,)."""
+        """Index of the part that each row came from, (n,)."""
         counts = [len(part.t_ns) for part in self.parts]
         return np.repeat(np.arange(len(self.parts)), counts)[self._order]
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return whole columns of numbers by dotted field path, each with n rows."""
+        """Return columns of numbers with n rows, by dotted field path."""
         found = [cast("dict[str, Array]", part.columns(*fields)) for part in self.parts]
         return {name: np.concatenate([columns[name] for columns in found])[self._order] for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield all rows as one block, since numbers need little memory."""
+        """Yield all rows as one block."""
         yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
 def parts_of(stream: Any) -> tuple[Any, ...]:
-    """Return the single topics' streams that a stream is made of."""
+    """Return the streams of single topics that a stream consists of."""
     return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def merged(streams: Sequence[Stream]) -> Stream | MergedStream:
-    """Return several streams as one; a single stream is returned unchanged."""
+    """Return several streams merged into one; a single stream is returned unchanged."""
     return streams[0] if len(streams) == 1 else MergedStream(tuple(streams))
 
 
 def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
-    """Return the integrals (n, ...) of rates (n, ...) since the first reading, by trapezoids, and the gaps so far.
+    """Return integrals (n, ...) of rates (n, ...) over times t (n,) [s], and the number of gaps before each.
 
-    Over a gap the way is unknown: nothing is added there.
+    By trapezoids; nothing is added across a gap.
     """
     gap = np.diff(t) > gap_limit(t)
     held = np.where(gap, 0.0, np.diff(t)).reshape(-1, *[1] * (rates.ndim - 1))
@@ -104,6 +104,6 @@ def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
 
 
 def last_of_periods(t: Array, period: float) -> Ints:
-    """Return the last reading of every period, at strictly increasing times (n,) [s]."""
+    """Return the index of the last reading in every period [s], for strictly increasing times t (n,) [s]."""
     cell = np.floor(t / period) if period > 0.0 else t
     return np.flatnonzero(np.append(np.diff(cell) > 0, True)[: len(t)])

@@ -1,4 +1,4 @@
-"""Reading truth: reference poses, points, mocap bodies or satellite fixes. Used to judge, never to estimate."""
+"""Ground truth from reference poses, points, mocap bodies or satellite fixes; never used for estimation."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ SEVERAL: Mapping[str, tuple[str, ...]] = {
         ("gazebo_msgs/msg/LinkStates", "name", "pose"),
     )
 }
-KNOWN_TRUTH = (BODIES, "gazebo_msgs/msg/ModelStates")  # types that are a reference whatever their topic is called
+KNOWN_TRUTH = (BODIES, "gazebo_msgs/msg/ModelStates")  # types that are truth for any topic name
 TRUTH_READS: Mapping[str, tuple[str, ...]] = {
     **POSE,
     "geometry_msgs/msg/PointStamped": ("point.x", "point.y"),
     **SEVERAL,
     FIX: ("latitude", "longitude"),
 }
-MIN_MOVED_M = 0.1  # m: a body that goes less far is no robot on a drive
+MIN_MOVED_M = 0.1  # m: a body that moves less is not the robot
 TRUTH_NAMES = (  # never /odom, never /amcl_pose
     *("ground_truth", "groundtruth", "gt", "mocap"),
     *("vicon", "optitrack", "vrpn", "qualisys", "natnet", "leica"),
@@ -43,13 +43,13 @@ TRUTH_NAMES = (  # never /odom, never /amcl_pose
 
 
 def looks_like_truth(topic: str) -> bool:
-    """Return whether a topic's name is that of a reference."""
+    """Return whether a topic's name is typical of ground truth, such as "mocap"."""
     parts = topic.lower().strip("/").replace("-", "_").split("/")
     return any(name == part or (name != "gt" and name in part) for part in parts for name in TRUTH_NAMES)
 
 
 def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[Truth, dict[str, int]]:
-    """Return the truth in strictly increasing time, and the counts of readings not used, by reason."""
+    """Return the truth with strictly increasing times, and the counts of unused readings by reason."""
     dropped = dict(stream.dropped)
     values = _values(stream, settings, dropped)
     finite = plausible(values).all(axis=1)
@@ -84,7 +84,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
 
 
 def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) -> Array:
-    """Return x, y [m] and perhaps a quaternion (n, 2) or (n, 6) of every reading; NaN without a pose."""
+    """Return x, y [m] and, if recorded, a quaternion: (n, 2) or (n, 6), NaN without a pose."""
     columns = stream.columns(*TRUTH_READS[stream.msgtype])
     if stream.msgtype in SEVERAL:
         return _of_body(stream.topic, columns, settings.body, dropped)
@@ -93,7 +93,7 @@ def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) ->
 
 
 def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: dict[str, int]) -> Array:
-    """Return one rigid body's poses (n, 6), NaN in the messages that do not hold it."""
+    """Return the poses (n, 6) of one rigid body, NaN for messages without this body."""
     names, *fields = columns.values()
     rows = cast("list[tuple[str, ...]]", names)
     known = sorted({name for row in rows for name in row})
@@ -114,7 +114,7 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
 
 
 def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str]) -> list[str]:
-    """Return the bodies that move, or all if there is one: in a simulation the room is a body too."""
+    """Return the names of the bodies that move; a single body is returned in any case."""
     if len(known) == 1:
         return known
     found = []
@@ -128,7 +128,7 @@ def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str])
 
 
 def _in_plane(where: Array, settings: TruthSettings) -> Array:
-    """Convert fixes (n, 2: latitude, longitude [deg]) to x, y [m] of the map, turned by east_deg."""
+    """Convert fixes (n, 2), latitude and longitude [deg], to x, y [m] in the map frame."""
     finite = where[plausible(where).all(axis=1)]
     origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
     xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))
@@ -138,7 +138,7 @@ def _in_plane(where: Array, settings: TruthSettings) -> Array:
 
 
 def body_poses(truth: Truth, t: Array) -> Array:
-    """Return the body's poses (n, 3) by a truth with headings, at times t (n,) within it; not wrapped."""
+    """Return the poses (n, 3) of the base by a truth with headings, at times t (n,) [s]; not wrapped."""
     assert truth.theta is not None
     x, y, theta = (np.interp(t, truth.t, column) for column in (*truth.xy.T, np.unwrap(truth.theta)))
     return se2.compose(np.stack((x, y, theta), axis=-1), np.array([*(-np.array(truth.point)), 0.0]))

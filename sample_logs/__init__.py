@@ -1,4 +1,4 @@
-"""The simulated world: the robot, its scenarios, and the logs it recorded, all exactly known."""
+"""Simulation of a robot with known truth: scenarios, simulator, and sample logs."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ HERE = Path(__file__).parent
 
 
 def names() -> list[str]:
-    """Return the names of the logs that come with the package."""
+    """Return the names of the sample logs in the package."""
     return sorted(f.stem for f in HERE.glob("*.mcap"))
 
 
 def path(name: str) -> Path:
-    """Return the path of a shipped log. Raises UsageError for an unknown name."""
+    """Return the path of a sample log. Raises UsageError for an unknown name."""
     if name not in names():
         raise UsageError(f"no sample log {name}: there are {', '.join(names())}")
     return HERE / f"{name}.mcap"

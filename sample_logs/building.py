@@ -1,7 +1,7 @@
-"""A building as data: spaces hollowed out of a solid block, doorways, glass, furniture, people who walk.
+"""Description of a building: spaces cut out of a solid block, doorways, glass, furniture, walking people.
 
-The block is `room.size` and its outer walls. Every space is given on the centre lines of its walls, so neighbours
-share a number; all walls have the same thickness. `office.toml` and `hall.toml` are examples.
+The block is `room.size` and its outer walls. Spaces are given by the centre lines of their walls; all walls have
+the same thickness. `office.toml` and `hall.toml` are examples.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Side = Literal["south", "east", "north", "west"]
 
 
 class Opening(Table, frozen=True, kw_only=True):
-    """A hole in one wall of a space, as deep as the wall."""
+    """Opening in one wall of a space: a door, a niche, or glass."""
 
     side: Side
     at: float  # m, of its middle: x in a south or north wall, y in an east or west wall
@@ -24,7 +24,7 @@ class Opening(Table, frozen=True, kw_only=True):
 
 
 class Box(Table, frozen=True, tag_field="kind", tag="box"):
-    """A cabinet, a sofa, a pillar with corners: a solid box on the floor."""
+    """Solid box on the floor, such as a cabinet, a sofa or a pillar."""
 
     at: Point  # m, its middle
     size: Point  # m, along x and y before it is turned
@@ -33,7 +33,7 @@ class Box(Table, frozen=True, tag_field="kind", tag="box"):
 
 
 class LeggedTable(Table, frozen=True, tag_field="kind", tag="table"):
-    """A table or a chair: four thin round legs under a top above the laser."""
+    """Table or chair with four thin round legs; its top is above the laser."""
 
     at: Point
     size: Point
@@ -43,7 +43,7 @@ class LeggedTable(Table, frozen=True, tag_field="kind", tag="table"):
 
 
 class SwivelChair(Table, frozen=True, tag_field="kind", tag="chair"):
-    """An office chair: at the height of the laser it is one thin column."""
+    """Office chair, one thin column at the height of the laser."""
 
     at: Point
     radius: Positive = 0.035
@@ -54,7 +54,7 @@ Furniture = Box | LeggedTable | SwivelChair
 
 
 class Space(Table, frozen=True, kw_only=True):
-    """A corridor or a room. Spaces that overlap are one space with no wall between."""
+    """Corridor or room; overlapping spaces are one space without a wall between them."""
 
     name: str
     area: Segment  # m: west, south, east, north, on the centre lines of the walls
@@ -63,7 +63,7 @@ class Space(Table, frozen=True, kw_only=True):
 
 
 class Glass(Table, frozen=True, kw_only=True):
-    """The reflection of a laser beam at a pane: it returns near normal incidence, else it passes through."""
+    """Reflection of laser beams by panes: only near normal incidence, else the beam passes through."""
 
     within_deg: float = 8.0  # from the normal
     returns: Share = 0.8  # probability of an echo there
@@ -72,7 +72,7 @@ class Glass(Table, frozen=True, kw_only=True):
 
 
 class Walker(Table, frozen=True, kw_only=True):
-    """A person who walks along a path and back for the whole drive, and steps aside for the robot."""
+    """Person who walks along a path and back during the whole drive, and steps aside for the robot."""
 
     path: tuple[Point, ...]
     speed: Positive = 1.1  # m/s; the seed changes it by up to 20 %
@@ -84,7 +84,7 @@ class Walker(Table, frozen=True, kw_only=True):
 
 
 class Building(Table, frozen=True, kw_only=True):
-    """A whole building, instead of the walls and plates of a `room`."""
+    """Building that replaces the walls and plates of a `room`."""
 
     spaces: tuple[Space, ...]
     wall: Positive = 0.15  # m, thickness of every wall

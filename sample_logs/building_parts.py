@@ -1,9 +1,8 @@
-"""The lasting parts of a building in plan: its walls and how they bend, open doors, glass, furniture.
+"""Static parts of a building in plan: bent walls, open doors, glass, furniture.
 
-Walls are the faces of a solid block after its spaces and openings are removed. Every wall face deviates
-smoothly from its straight line, and the deviation is the truth. All faces on one straight line share one smooth
-function, so that a wall goes on behind a doorway as it was bent before it. Faces become chains of short segments,
-which rays meet exactly. Faces still meet at their corners.
+Walls are the faces of a solid block after its spaces and openings are removed. Every face deviates smoothly from
+its straight line. All faces on one straight line share one smooth function, so that a wall is continuous across a
+doorway. Faces become chains of short segments, which are closed at the corners.
 """
 
 from __future__ import annotations
@@ -24,17 +23,17 @@ from .table import Point, Segment
 GRID = 1e-6  # m: coordinates closer than this are the same
 Mask = NDArray[np.bool_]
 PIECE = 0.6  # m, longest segment of a bent face
-WAVES = np.geomspace(4.0, 40.0, 7)  # m, lengths of the waves that make up a deviation
-REACH = 100.0  # m: a deviation keeps within its bow up to here
+WAVES = np.geomspace(4.0, 40.0, 7)  # m, wavelengths of a deviation
+REACH = 100.0  # m: length of a wall over which a deviation is limited to the bow
 CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
 
 Deviation = Callable[[Array], Array]
 
 
 def straight_walls(building: Building, size: Point) -> Array:
-    """Return all wall faces as axis-parallel segments, (m, 4) m, map frame.
+    """Return all wall faces as axis-parallel segments, (m, 4) [m, map frame].
 
-    A face ends where the wall turns or opens; it runs in the direction of increasing x or y.
+    A face ends at corners and openings; its direction is that of increasing x or y.
 
     Args:
         building: its spaces and openings.
@@ -49,7 +48,7 @@ def straight_walls(building: Building, size: Point) -> Array:
 
 
 def hollows(building: Building) -> list[Segment]:
-    """Return the empty rectangles (west, south, east, north) of all spaces and openings."""
+    """Return the empty rectangles (west, south, east, north) [m] of all spaces and openings."""
     half = building.wall / 2
     found = []
     for space in building.spaces:
@@ -60,7 +59,7 @@ def hollows(building: Building) -> list[Segment]:
 
 
 def ends(space: Space, opening: Opening) -> tuple[Array, Array]:
-    """Return both ends of an opening on its wall's centre line, and the unit vector into the space.
+    """Return both ends of an opening on the centre line of its wall, and the unit vector into the space.
 
     Returns:
         (2, 2) m and (2,), map frame.
@@ -76,7 +75,7 @@ def ends(space: Space, opening: Opening) -> tuple[Array, Array]:
 
 
 def _hole(space: Space, opening: Opening, half: float) -> Segment:
-    """Return the rectangle of an opening: through the wall, or of a closed door its outer half."""
+    """Return the rectangle of an opening: through the whole wall, or its outer half for a closed door."""
     at, inward = ends(space, opening)
     inner = at + (0.0 if opening.kind == "closed" else half) * inward
     corners = np.concatenate((inner, at - half * inward))
@@ -85,7 +84,7 @@ def _hole(space: Space, opening: Opening, half: float) -> Segment:
 
 
 def _inside(rectangles: Array, x: Array, y: Array) -> Mask:
-    """Return which cells of the grid of all coordinates lie in a rectangle, with a rim of outside cells."""
+    """Return which cells of the grid of all coordinates x, y lie in a rectangle, padded with outside cells."""
     mask = np.zeros((len(x) + 1, len(y) + 1), bool)
     for west, south, east, north in rectangles:
         i, j = np.searchsorted(x, (west, east)), np.searchsorted(y, (south, north))
@@ -94,10 +93,10 @@ def _inside(rectangles: Array, x: Array, y: Array) -> Mask:
 
 
 def _faces(solid: Mask, x: Array, y: Array) -> list[Array]:
-    """Return the faces parallel to y: runs of cell borders between solid and hollow."""
+    """Return the wall faces parallel to y: runs of cell borders between solid and empty cells."""
     found = []
     for i, between in enumerate(solid[1:] != solid[:-1]):
-        # a face ends where solid and hollow change sides
+        # a face ends where solid and empty change sides
         side = np.where(between, np.where(solid[i], 1, -1), 0)
         change = np.flatnonzero(np.diff(side))
         for first, last in pairwise(change):
@@ -107,12 +106,12 @@ def _faces(solid: Mask, x: Array, y: Array) -> list[Array]:
 
 
 def bent(faces: Array, bow: float, streams: Streams) -> Array:
-    """Return straight faces (m, 4) as chains of short segments (k, 4) [m] that deviate from the line.
+    """Return straight faces (m, 4) as chains of short segments (k, 4) [m] that deviate smoothly from the line.
 
     Args:
         faces: m, map frame.
         bow: m, how far a face may deviate from its line.
-        streams: sources of chance; each line has its own.
+        streams: random streams; each line has its own.
     """
     if bow == 0.0 or not len(faces):
         return faces
@@ -121,7 +120,7 @@ def bent(faces: Array, bow: float, streams: Streams) -> Array:
 
 
 def deviation(bow: float, rng: np.random.Generator) -> Deviation:
-    """Return a random smooth function: deviation [m] of a wall by the place along it [m], at most `bow`."""
+    """Return a random smooth function from position along a wall [m] to deviation [m], at most `bow`."""
     amplitude = np.sqrt(WAVES) * rng.standard_normal(len(WAVES))
     phase = rng.uniform(0, 2 * np.pi, len(WAVES))
 
@@ -134,7 +133,7 @@ def deviation(bow: float, rng: np.random.Generator) -> Deviation:
 
 
 class _Lines:
-    """The random deviation of each wall line, drawn when it is first asked for."""
+    """Random deviations of wall lines, drawn on first use."""
 
     def __init__(self, bow: float, streams: Streams) -> None:
         self.bow = bow
@@ -142,7 +141,7 @@ class _Lines:
         self.known: dict[tuple[int, float], Deviation] = {}
 
     def off(self, axis: int, offset: float, s: Array) -> Array:
-        """Return the deviation (n,) m of the line "coordinate `axis` = `offset`" at places s (n,) along it."""
+        """Return deviations (n,) [m] of the line "coordinate `axis` = `offset`" at positions s (n,) along it."""
         key = axis, round(offset, 6)
         if key not in self.known:
             name = f"wall {'xy'[axis]} = {key[1]:.6f}"
@@ -151,7 +150,7 @@ class _Lines:
 
 
 def _chain(face: Array, lines: _Lines) -> Array:
-    """Return one face as a chain of segments, (k, 4); its ends move with both lines that meet there."""
+    """Return a face as a chain of segments, (k, 4); its ends stay on the deviating lines of both walls."""
     across = 0 if face[0] == face[2] else 1  # the coordinate that is constant
     along = 1 - across
     offset, begin, end = float(face[across]), float(face[along]), float(face[along + 2])
@@ -165,12 +164,12 @@ def _chain(face: Array, lines: _Lines) -> Array:
 
 
 def outlines(pieces: tuple[Furniture, ...], z: float) -> Array:
-    """Return the sides of all boxes that reach the height z [m], (4 k, 4) m, map frame."""
+    """Return the sides of all boxes that are higher than z [m], (4 k, 4) [m, map frame]."""
     return closed([corners(p) for p in pieces if isinstance(p, Box) and z < p.height])
 
 
 def legs(pieces: tuple[Furniture, ...], z: float) -> Array:
-    """Return all round legs at the height z [m] as circles (k, 3): x, y, radius, m, map frame."""
+    """Return the round legs at height z [m] as circles (k, 3): x, y, radius [m, map frame]."""
     found = []
     for p in pieces:
         if isinstance(p, SwivelChair) and z < p.height:
@@ -181,19 +180,19 @@ def legs(pieces: tuple[Furniture, ...], z: float) -> Array:
 
 
 def corners(piece: Box | LeggedTable, inset: float = 0.0) -> Array:
-    """Return the four corners of a piece, counter-clockwise, `inset` m inside its sides, (4, 2) m, map frame."""
+    """Return the corners (4, 2) [m, map frame] of a piece, counter-clockwise, `inset` [m] inside its sides."""
     c, s = math.cos(math.radians(piece.turn_deg)), math.sin(math.radians(piece.turn_deg))
     return np.asarray(CORNERS * (np.array(piece.size) - 2 * inset) @ np.array([[c, s], [-s, c]]) + piece.at)
 
 
 def closed(polygons: list[Array]) -> Array:
-    """Return the sides of closed polygons (k, 2) as segments, (m, 4) m."""
+    """Return the sides of closed polygons (k, 2) [m] as segments, (m, 4) [m]."""
     sides = [np.concatenate((p, np.roll(p, -1, axis=0)), axis=1) for p in polygons]
     return np.concatenate(sides) if sides else np.zeros((0, 4))
 
 
 def leaves(building: Building) -> Array:
-    """Return the open leaves of doors, (k, 4) m, map frame: hinged at the lower end, on the face of the space."""
+    """Return the open door leaves, (k, 4) [m, map frame], hinged at the lower end of the opening."""
     found = []
     for space in building.spaces:
         for opening in (o for o in space.openings if o.kind == "door" and o.leaf_deg):
@@ -206,7 +205,7 @@ def leaves(building: Building) -> Array:
 
 
 def panes(building: Building) -> Array:
-    """Return the panes of all glass openings, (g, 4) m, map frame; they reach into the walls beside them."""
+    """Return the panes of all glass openings, (g, 4) [m, map frame]; both ends are inside the walls."""
     found = []
     for wall in glass_walls(building):
         along = (wall[1] - wall[0]) / np.hypot(*(wall[1] - wall[0]))
@@ -215,7 +214,7 @@ def panes(building: Building) -> Array:
 
 
 def posts(building: Building) -> Array:
-    """Return the sides of the posts between panes, (4 k, 4) m: solid, square."""
+    """Return the sides of the square posts between panes, (4 k, 4) [m]."""
     squares = []
     for begin, end in glass_walls(building):
         n = math.ceil(float(np.hypot(*(end - begin))) / building.glass.post_every)
@@ -225,12 +224,12 @@ def posts(building: Building) -> Array:
 
 
 def glass_walls(building: Building) -> list[Array]:
-    """Return both ends of every glass opening, each (2, 2) m, map frame."""
+    """Return the two ends of each glass opening, (2, 2) [m, map frame]."""
     return [ends(s, o)[0] for s in building.spaces for o in s.openings if o.kind == "glass"]
 
 
 def returned(distance: Array, pane: Array, direction: Array, glass: Glass, chance: Array) -> Array:
-    """Return distances (n, g) of rays to panes; inf where the glass lets the beam pass.
+    """Return the distances (n, g) [m] at which panes reflect rays; inf where the beam passes.
 
     Args:
         distance: (n, g) m, of every ray to every pane, inf for a miss.

@@ -1,4 +1,4 @@
-"""A building prepared for a drive: bent walls, the people's walks, and ray casting through its glass."""
+"""Scene of a building: bent walls, walking people, and ray casting through glass."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ NO_SEGMENTS = np.zeros((0, 4))
 
 
 class Solid(NamedTuple):
-    """The static parts of a building at one height."""
+    """Static parts of a building at one height."""
 
     opaque: Plan
     panes: Array  # (g, 4) m, map frame
 
 
 def scene_of(scenario: Scenario, seed: int) -> Scene:
-    """Return the room or the building of a scenario, with its random parts drawn from the seed."""
+    """Return the scene of a scenario (room or building), with its random parts drawn from the seed."""
     if scenario.building is None:
         return Scene(scenario)
     return BuildingScene(scenario, scenario.building, seed)
 
 
 class BuildingScene(Scene):
-    """A building instead of the walls and plates of a room; pillars, landmark and faults remain."""
+    """Scene with a building instead of the walls and plates of a room."""
 
     def __init__(self, scenario: Scenario, building: Building, seed: int) -> None:
         super().__init__(scenario)
@@ -43,7 +43,7 @@ class BuildingScene(Scene):
         self.building = building
         self.seed = seed if building.seed is None else building.seed
         chance = streams(self.seed)
-        self.walls = NO_SEGMENTS  # of the room: `plan` returns what is not the building's
+        self.walls = NO_SEGMENTS  # of the room: none, so that `plan` returns the other objects
         straight = building_parts.straight_walls(building, self.room.size)
         self.faces = building_parts.bent(straight, building.bow, chance)  # (m, 4) m
         self.walks = [walkers.Walk(w, chance(f"walker {i}")) for i, w in enumerate(building.people)]
@@ -56,14 +56,14 @@ class BuildingScene(Scene):
         return self._solid[z]
 
     def obstacles(self, z: float) -> Plan:
-        """Return what a robot can hit at height z [m]: glass as well, people not."""
+        """Return the objects that a robot can hit at height z [m], with glass but without people."""
         opaque, panes = self.solid(z)
         lasting = self.plan(z)
         segments = np.concatenate((opaque.segments, panes, lasting.segments))
         return Plan(segments, np.concatenate((opaque.circles, lasting.circles)))
 
     def see(self, z: float, times: Array, origin: Array, angle: Array, reach: float) -> Array:
-        """Return how far each ray goes, (n,) m, inf where it hits nothing; beyond `reach` hits may be missed."""
+        """Return the distance of each ray's first hit, (n,) [m], inf without a hit within about `reach`."""
         moving = Plan(NO_SEGMENTS, walkers.circles(self.walks, times, z, origin[: len(times)]))
         echoes = (
             cast_near(self.solid(z).opaque, origin, angle, reach),
@@ -74,7 +74,7 @@ class BuildingScene(Scene):
         return np.asarray(np.min(echoes, axis=0))
 
     def _through_glass(self, z: float, t: float, origin: Array, angle: Array) -> Array:
-        """Return the distances of returns from panes, (n,) m; the chance differs at every time t [s]."""
+        """Return the distances at which panes reflect rays, (n,) [m], inf for none; random for each time t [s]."""
         panes = self.solid(z).panes
         direction = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
         distance = hit_segments(panes, origin, direction)

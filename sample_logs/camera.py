@@ -1,4 +1,4 @@
-"""The omni-directional camera: the room in a hyperbolic mirror, as a JPEG with the faults of a real image."""
+"""Omni-directional camera: pictures of the room in a hyperbolic mirror, as JPEG with noise and blur."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FLICKER = 0.02  # relative standard deviation of the exposure from image to imag
 
 
 class OmniCamera:
-    """Renders the scene through the mirror at the robot's true pose."""
+    """Omni-directional camera sensor: takes pictures at the robot's true pose."""
 
     name, topic, msgtype = "camera", "/omni/image/compressed", "sensor_msgs/msg/CompressedImage"
     frame_id = "omni_camera"
@@ -35,7 +35,7 @@ class OmniCamera:
         self.painter = Painter(camera, scene)
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return the image taken at t as a JPEG."""
+        """Return the message fields of a JPEG picture taken at t [s]."""
         pose = self.robot.sensor_pose("camera", np.array([t]), self.mount)[0]
         image = expose(self.painter.paint(pose, t), self.settings, self.rng)
         quality = [cv2.IMWRITE_JPEG_QUALITY, self.settings.quality]
@@ -44,7 +44,7 @@ class OmniCamera:
 
 
 class Painter:
-    """Renders a clean image from a camera pose: the light before lens and sensor errors."""
+    """Renderer of pictures without lens and sensor errors."""
 
     def __init__(self, camera: Camera, scene: Scene) -> None:
         self.camera, self.scene = camera, scene
@@ -56,7 +56,7 @@ class Painter:
         self.background = self._background()
 
     def paint(self, pose: Array, t: float) -> NDArray[np.float32]:
-        """Return the image (height, width, 3) of red, green, blue seen from the camera pose (3,) at t [s]."""
+        """Return the picture (height, width, 3), RGB, seen from the camera pose (3,) at t [s]."""
         eye = np.array([pose[0], pose[1], self.camera.z, pose[2]])
         seen = shade(self.trace(eye, t), eye, self.lamps)
         image = self.background.copy()
@@ -81,7 +81,7 @@ class Painter:
 
 
 def expose(light: NDArray[np.float32], camera: Camera, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return the image (height, width, 3) blue, green, red as the sensor delivers it."""
+    """Return the picture (height, width, 3), BGR, with exposure error, blur and noise."""
     gain = camera.brightness * (1 + FLICKER * rng.standard_normal())
     image = np.multiply(cv2.cvtColor(light, cv2.COLOR_RGB2BGR), gain, dtype=np.float32)
     if camera.blur > 0:

@@ -1,4 +1,4 @@
-"""The robot's equipment: the sensors of a scenario, their mounts, and the robot.toml that describes them."""
+"""Equipment of the robot: sensors of a scenario, their mounts, and the matching robot.toml."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .scenario import Lrf, Scenario
 from .sensors import JOINTS, Encoders, GroundTruth, Laser, Magnetometer, Ranger, SatelliteReceiver, Sensor
 from .world import Scene
 
-EXACT_MOUNT = ("sigma_x", "sigma_y", "sigma_yaw_deg")  # a simulated laser sits exactly where robot.toml says
+EXACT_MOUNT = ("sigma_x", "sigma_y", "sigma_yaw_deg")  # 0: the simulated mount is exact
 
 
 def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) -> list[Sensor]:
-    """Return the sensors of the scenario, each with its own random source."""
+    """Return the sensors of a scenario, each with its own random stream."""
     carried: list[Sensor] = [Encoders(scenario, robot)]
     if scenario.compass.enabled:
         carried.append(Magnetometer(scenario.compass, scene, robot, streams("compass")))
@@ -36,12 +36,12 @@ def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) ->
 
 
 def beam_pattern(lrf: Lrf, streams: Streams) -> Array:
-    """Return the fixed error of each beam (beams,) [m]: one draw per beam and drive, from a stream of its own."""
+    """Return the constant errors of the laser's beams in a drive, (beams,) [m]."""
     return np.asarray(lrf.pattern * streams("lrf pattern").standard_normal(lrf.beams))
 
 
 def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
-    """Return the /tf_static message with the sensors' mounts."""
+    """Return the /tf_static message with the mounts of the sensors."""
     lrf, camera = scenario.lrf, scenario.camera
     mounts = [("compass", 0.0, 0.0, 0.6, 0.0)] if scenario.compass.enabled else []
     if lrf.enabled:
@@ -68,7 +68,7 @@ def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
 
 
 def stated_start(scenario: Scenario, true: Pose, streams: Streams) -> Pose:
-    """Return the start pose in robot.toml: the true one plus the user's error plus one random draw."""
+    """Return the start pose for robot.toml: the true pose plus the user's error and a random error."""
     s = scenario.start
     sigma = np.array([s.sigma_xy, s.sigma_xy, math.radians(s.sigma_theta_deg)])
     wrong = np.array([*s.error[:2], math.radians(s.error[2])])
@@ -77,10 +77,10 @@ def stated_start(scenario: Scenario, true: Pose, streams: Streams) -> Pose:
 
 
 def robot_tables(scenario: Scenario, start: Pose) -> dict[str, dict[str, Any]]:
-    """Return the robot.toml a user of this robot would write: nominal geometry, data-sheet accuracies.
+    """Return the robot.toml that a user would write: nominal geometry, data-sheet accuracies.
 
-    `start` is the pose that the user states. What the scenario draws from (noise, iron, wheel errors, the field's
-    direction) is not in it.
+    `start` is the user's start pose. Errors of the scenario (noise, iron, wheel errors, direction of north) are
+    left out.
     """
     wheels = scenario.wheels
     tables: dict[str, dict[str, Any]] = {

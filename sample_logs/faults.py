@@ -1,9 +1,8 @@
-"""Faults as data: what is wrong between `start` and `end`, and their labels in the log.
+"""Faults of a simulated drive, active between `start` and `end`, and their labels in the log.
 
-A fault changes the physics or the message it names and nothing else: no source of chance is shared, so the
-other sensors of a drive with open-loop wheels read the same numbers with and without it. Faults act on messages
-(`MessageFault`), between wheels and ground (`GroundFault`), on a sensor's mount (`Displaced`), on the frame of the
-truth (`TruthStep`), and in the scene and the counters (the rest).
+Random streams are not shared, so a fault does not change the random numbers of other sensors. Faults act on
+messages (`MessageFault`), between wheels and ground (`GroundFault`), on a sensor's mount (`Displaced`), on the
+frame of the truth (`TruthStep`), and in the scene and the counters (the rest).
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ Side = Literal["left", "right"]
 
 
 class Interval(Table, frozen=True, tag_field="kind"):
-    """A fault that lasts from `start` to `end` [s]; by default the whole drive."""
+    """Fault that is active from `start` to `end` [s]; by default during the whole drive."""
 
     start: float = 0.0
     end: float = math.inf
 
     def active(self, t: float) -> bool:
-        """Return whether t [s] lies within the interval."""
+        """Return whether the fault is active at t [s]."""
         return self.start <= t < self.end
 
     def __post_init__(self) -> None:
@@ -38,7 +37,7 @@ class Interval(Table, frozen=True, tag_field="kind"):
 
 
 class Dates(NamedTuple):
-    """Times of one message: its stamp, its true time, and its arrival [s]."""
+    """Times of one message [s]: true time of the reading, stamp, and arrival."""
 
     taken: float
     stamp: float
@@ -46,52 +45,52 @@ class Dates(NamedTuple):
 
 
 class MessageFault(Interval, frozen=True, kw_only=True):
-    """A fault of a sensor's messages."""
+    """Fault of a sensor's messages."""
 
     sensor: SensorWord
 
     def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
-        """Return the times of a message with the fault; None: it is lost."""
+        """Return the times of a message with the fault; None if the message is lost."""
         raise NotImplementedError
 
 
 class Dropout(MessageFault, frozen=True, kw_only=True, tag="dropout"):
-    """The sensor's messages are lost."""
+    """Fault: all messages of the sensor are lost."""
 
     def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
-        """Return None: every message is lost."""
+        """Return None, since every message is lost."""
         return None
 
 
 class Latency(MessageFault, frozen=True, kw_only=True, tag="latency"):
-    """The sensor's messages arrive late, and are stamped on arrival unless the driver knows the right time."""
+    """Fault: messages arrive late, and are stamped at arrival unless `dated_on_arrival` is false."""
 
     seconds: float
     dated_on_arrival: bool = True
 
     def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
-        """Return the later arrival, and a later stamp if the message is stamped on arrival."""
+        """Return the times with a later arrival, and a later stamp if it is set at arrival."""
         later = self.seconds if self.dated_on_arrival else 0.0
         return Dates(dates.taken, dates.stamp + later, dates.arrival + self.seconds)
 
 
 class ClockOffset(MessageFault, frozen=True, kw_only=True, tag="clock_offset"):
-    """The sensor's clock is ahead, runs too fast or is read at random times; messages arrive in time."""
+    """Fault: the sensor's clock has an offset, a drift, or jitter; messages arrive in time."""
 
     seconds: float = 0.0  # at `start`; stamps are later than the readings
     drift_ppm: float = 0.0  # microseconds per second by which the offset grows
     jitter: NotNegative = 0.0  # s, 1 sigma of each stamp; stamps keep their order
 
     def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
-        """Return the stamp of the wrong clock."""
+        """Return the times with the stamp of the wrong clock."""
         ahead = self.seconds + 1e-6 * self.drift_ppm * (dates.taken - self.start)
         return dates._replace(stamp=dates.stamp + ahead + self.jitter * rng.standard_normal())
 
 
 class Displaced(Interval, frozen=True, kw_only=True, tag="displaced"):
-    """The sensor's mount differs from robot.toml: a bumped laser, a twisting compass, a marker.
+    """Fault: the sensor's true mount differs from robot.toml, as after a bump.
 
-    Of the truth it moves the body point. A compass feels the turn alone.
+    For the truth it moves the tracked point; for a compass only the turn has an effect.
     """
 
     sensor: SensorWord
@@ -101,7 +100,7 @@ class Displaced(Interval, frozen=True, kw_only=True, tag="displaced"):
     yaw_deg_per_s: float = 0.0  # the turn goes on from `start`
 
     def shift(self, t: Array) -> Array:
-        """Return what is added to the sensor's mount at times t (n,), (n, 3) = (m, m, rad)."""
+        """Return the changes of the sensor's mount at times t (n,) [s], (n, 3): forward, left [m], turn [rad]."""
         active = (self.start <= t) & (t < self.end)
         turn = np.radians(self.yaw_deg + self.yaw_deg_per_s * np.where(active, t - self.start, 0.0))
         still = np.ones_like(t)
@@ -109,7 +108,7 @@ class Displaced(Interval, frozen=True, kw_only=True, tag="displaced"):
 
 
 class TruthStep(Interval, frozen=True, kw_only=True, tag="truth_step"):
-    """The frame of the truth moves at `start`, and back at `end`, as after a new calibration."""
+    """Fault: the frame of the truth moves at `start`, and back at `end`, as after a new calibration."""
 
     x: float = 0.0  # m, in the map frame
     y: float = 0.0
@@ -117,7 +116,7 @@ class TruthStep(Interval, frozen=True, kw_only=True, tag="truth_step"):
 
 
 class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
-    """A magnet in the room (a running motor, a steel cabinet): a dipole in the plane."""
+    """Fault: a magnet in the room (a motor, a steel cabinet), as a dipole in the horizontal plane."""
 
     x: float
     y: float
@@ -125,7 +124,7 @@ class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
     axis_deg: float = 0.0  # of the dipole, map frame
 
     def field(self, at: Array) -> Array:
-        """Return the magnet's field at points (n, 2) in the map, (n, 2) T."""
+        """Return the magnet's field (n, 2) [T] at points (n, 2) [m, map frame]."""
         r = at - (self.x, self.y)
         distance = np.maximum(np.hypot(r[:, 0], r[:, 1]), 0.1)[:, None]
         axis = np.array([math.cos(math.radians(self.axis_deg)), math.sin(math.radians(self.axis_deg))])
@@ -134,10 +133,10 @@ class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
 
 
 class GroundFault(Interval, frozen=True, kw_only=True):
-    """A fault between the wheels and the ground."""
+    """Fault between the wheels and the ground."""
 
     def moved(self, ways: Array, heading: float) -> Array:
-        """Return the distances of the left wheel, the right wheel, and of the robot to its left, (3, k) m.
+        """Return the distances (3, k) [m]: left wheel, right wheel, and sideways to the left.
 
         Args:
             ways: (3, k) m, the same without this fault.
@@ -147,25 +146,25 @@ class GroundFault(Interval, frozen=True, kw_only=True):
 
 
 class Slip(GroundFault, frozen=True, kw_only=True, tag="slip"):
-    """A wheel, or both, move the robot by less than they roll."""
+    """Fault: one or both wheels move the robot less than they roll."""
 
     wheel: Side | Literal["both"]
     ratio: Share  # share of the way that is lost; 1 spins on the spot
 
     def moved(self, ways: Array, heading: float) -> Array:
-        """Return the wheels' distances without their lost share."""
+        """Return the distances (3, k) [m], with those of slipping wheels reduced."""
         left, right = (1.0 - self.ratio * (self.wheel in {side, "both"}) for side in ("left", "right"))
         return np.asarray(ways * np.array([[left], [right], [1.0]]))
 
 
 class Creep(GroundFault, frozen=True, kw_only=True, tag="creep"):
-    """The robot creeps sideways as it drives: tyres that steer a little, or a floor that slopes."""
+    """Fault: the robot moves sideways as it drives, by its tyres or on a slope."""
 
     ratio: float  # m to the left per metre forward
     downhill_deg: float | None = None  # a slope: where it falls to, map frame, and m per metre driven
 
     def moved(self, ways: Array, heading: float) -> Array:
-        """Return the distances with the creep to the left added; a slope also changes those of the wheels."""
+        """Return the distances (3, k) [m] with sideways motion added; a slope also changes wheel distances."""
         forward = (ways[0] + ways[1]) / 2
         if self.downhill_deg is None:
             return np.asarray(ways + self.ratio * forward * np.array([[0.0], [0.0], [1.0]]))
@@ -174,7 +173,7 @@ class Creep(GroundFault, frozen=True, kw_only=True, tag="creep"):
 
 
 class People(Interval, frozen=True, kw_only=True, tag="people"):
-    """A person walks along `path` at even speed: two legs, a body."""
+    """Fault: a person (two legs and a body) walks along `path` at constant speed."""
 
     path: tuple[Point, ...]
     colour: Colour = (40, 60, 110)
@@ -186,7 +185,7 @@ class People(Interval, frozen=True, kw_only=True, tag="people"):
             raise ValueError("a walk needs an `end` and at least two points in its `path`")
 
     def solids(self, t: float) -> tuple[Pillar, ...]:
-        """Return legs and body at t [s]."""
+        """Return legs and body of the person at t [s] as cylinders."""
         p = np.array(self.path)
         gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(p, axis=0).T))))
         way = gone[-1] * (t - self.start) / (self.end - self.start)
@@ -203,13 +202,13 @@ class People(Interval, frozen=True, kw_only=True, tag="people"):
 
 
 class HiddenLandmark(Interval, frozen=True, kw_only=True, tag="hidden_landmark"):
-    """A grey cloth covers the landmark: the laser still sees it, the camera sees no red."""
+    """Fault: the landmark is covered by a grey cloth, so that the camera sees no red."""
 
     colour: Colour = (120, 120, 118)
 
 
 class RedObject(Interval, frozen=True, kw_only=True, tag="red_object"):
-    """A second red object in the room."""
+    """Fault: a second red object in the room."""
 
     x: float
     y: float
@@ -219,12 +218,12 @@ class RedObject(Interval, frozen=True, kw_only=True, tag="red_object"):
     colour: Colour = RED
 
     def pillar(self) -> Pillar:
-        """Return the object as a cylinder in the room."""
+        """Return the object as a cylinder."""
         return Pillar(x=self.x, y=self.y, radius=self.radius, bottom=self.bottom, top=self.top, colour=self.colour)
 
 
 class Kidnap(Interval, frozen=True, kw_only=True, tag="kidnap"):
-    """Someone lifts the robot, carries it by (x, y) m and theta_deg in the map, and puts it down again."""
+    """Fault: someone carries the robot by (x, y) [m] and theta_deg in the map frame."""
 
     x: float
     y: float
@@ -237,13 +236,13 @@ class Kidnap(Interval, frozen=True, kw_only=True, tag="kidnap"):
 
 
 class EncoderRollover(Interval, frozen=True, kw_only=True, tag="encoder_rollover"):
-    """The published counters have `bits` bits and wrap, as signed integers."""
+    """Fault: the published counters have `bits` bits and wrap, as signed integers."""
 
     bits: Annotated[int, msgspec.Meta(ge=8, le=32)] = 16
 
 
 class EncoderSpike(Interval, frozen=True, kw_only=True, tag="encoder_spike"):
-    """Readings of one counter jump by `counts` and return."""
+    """Fault: readings of one counter are too large by `counts`."""
 
     wheel: Side
     counts: int = 5000
@@ -268,7 +267,7 @@ Fault = (
 
 
 def label(fault: Fault, event: str) -> str:
-    """Return the JSON text of a label: the event, and the fault with all its settings."""
+    """Return the JSON label of a fault: the event ("begin" or "end") and the settings of the fault."""
     table: dict[str, Any] = msgspec.to_builtins(fault)
     if math.isinf(table["end"]):
         table["end"] = None

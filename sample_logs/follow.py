@@ -1,4 +1,4 @@
-"""Steering: from the estimated pose to wheel speeds, until the path is done."""
+"""Path following: from the estimated pose to wheel speeds, until the end of the path."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .scenario import Control, Leg, Scenario
 LATERAL = 2.0  # 1/m^2, feedback of the distance from the path
 HEADING = 2.5  # 1/m, feedback of the heading error
 BRAKING = 0.5  # m/s^2 at the rim, towards the end of a leg
-RESOLUTION = 1e-3  # rad/s, of the set points: what is sent to a motor controller is a whole number
+RESOLUTION = 1e-3  # rad/s, of the set points, which are integers for a motor controller
 
 
 class Command(NamedTuple):
-    """The commanded motion."""
+    """Commanded forward speed and turning rate."""
 
     v: float  # m/s
     omega: float  # rad/s
@@ -31,16 +31,16 @@ STOP = Command(0.0, 0.0)
 
 
 class Follower(Protocol):
-    """Turns pose estimates into commands."""
+    """Path follower: computes commands from pose estimates."""
 
     def command(self, now: float, pose: Pose) -> Command | None:
-        """Return the command at this pose, None after the end of the path."""
+        """Return the command at time `now` [s] and this pose; None after the end of the path."""
 
 
 class PathFollower:
-    """Follows a sampled path: feed-forward of its curvature, feedback of lateral and heading error."""
+    """Follower of a sampled path: feed-forward of curvature, feedback of lateral and heading error."""
 
-    AHEAD = 100  # points searched for the nearest one: the path may cross itself
+    AHEAD = 100  # points that are searched for the nearest one, as the path may cross itself
     SLOWING = 30  # points before a curve at which the robot begins to slow down
 
     def __init__(self, path: Sampled, speed: float, turning: float = math.inf) -> None:
@@ -50,27 +50,23 @@ class PathFollower:
         self.at = 0
 
     def command(self, now: float, pose: Pose) -> Command | None:
-        """Return the command at this pose, None at the end of the path."""
+        """Return the command at this pose; None at the end of the path."""
         near = self.path.pose[self.at : self.at + self.AHEAD, :2]
         self.at += int(np.argmin(((near - pose[:2]) ** 2).sum(axis=1)))
         if self.at >= len(self.path.pose) - 1:
             return None
         x, y, theta = self.path.pose[self.at].tolist()
-        speed = self._speed()
+        sharpest = float(np.abs(self.path.curvature[self.at : self.at + self.SLOWING]).max())
+        speed = self.speed if self.speed * sharpest <= self.turning else self.turning / sharpest
         ahead = self.at + round(0.1 * speed / SPACING)
         curvature = float(self.path.curvature[min(ahead, len(self.path.curvature) - 1)])
         lateral, error = off_line(pose, (x, y, theta))
         omega = curvature - LATERAL * lateral - HEADING * error
         return Command(speed, speed * omega)
 
-    def _speed(self) -> float:
-        """Return the speed here [m/s]."""
-        sharpest = float(np.abs(self.path.curvature[self.at : self.at + self.SLOWING]).max())
-        return self.speed if self.speed * sharpest <= self.turning else self.turning / sharpest
-
 
 class LegFollower:
-    """Drives straight runs and turns on the spot; each leg begins at the end of the one before."""
+    """Follower of straight runs and turns on the spot; each leg begins where the previous one ended."""
 
     def __init__(self, legs: tuple[Leg, ...], track: float) -> None:
         self.legs = list(legs)
@@ -81,7 +77,7 @@ class LegFollower:
         self.pause_until = -math.inf
 
     def command(self, now: float, pose: Pose) -> Command | None:
-        """Return the command at this pose, None after the last leg."""
+        """Return the command at time `now` [s] and this pose; None after the last leg."""
         if now < self.pause_until - 1e-9:
             return STOP
         if not self.legs:
@@ -116,7 +112,7 @@ class LegFollower:
 
 
 def off_line(pose: Pose, line: Pose) -> tuple[float, float]:
-    """Return the pose's distance to the left of the directed line [m] and its angle against it [rad]."""
+    """Return the lateral error [m, left of the directed line] and the heading error [rad] of a pose."""
     x, y, theta = line
     lateral = -math.sin(theta) * (pose[0] - x) + math.cos(theta) * (pose[1] - y)
     return lateral, wrap(pose[2] - theta)
@@ -127,7 +123,7 @@ def _braked(speed: float, left: float) -> float:
 
 
 class Steering:
-    """Stands still, drives the path, stands still again."""
+    """Control of a drive: wait, follow the path, wait."""
 
     def __init__(self, scenario: Scenario, follower: Follower) -> None:
         self.control: Control = scenario.control
@@ -137,7 +133,7 @@ class Steering:
         self.finished = False
 
     def wheel_speeds(self, now: float, pose: Pose) -> tuple[float, float]:
-        """Return the set points of both wheels [rad/s] for the next control period."""
+        """Return the set points of left and right wheel [rad/s] for the next control period."""
         command = self._command(now, pose)
         half = command.omega * self.track / 2
         left, right = (command.v - half) / self.radius, (command.v + half) / self.radius

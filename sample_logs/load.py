@@ -1,4 +1,4 @@
-"""Scenario files: found by name or path, merged with their `base`, changed by settings, checked key by key."""
+"""Scenario files: found by name or path, merged with their `base`, changed by settings, validated."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .table import Table
 
 
 def names() -> list[str]:
-    """Return the names of the shipped scenarios."""
+    """Return the names of the scenarios in the package."""
     return sorted(f.stem for f in HERE.glob("*.toml"))
 
 
 def load(name: str, settings: Iterable[str] = ()) -> Scenario:
-    """Return the scenario of a TOML file or of a shipped name, with `table.key=value` settings applied.
+    """Return the scenario of a TOML file or of a name, with `table.key=value` settings applied.
 
     Raises:
         LocfuseError: the file is not a scenario; the message names the key and the nearest one.
@@ -39,12 +39,12 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
 
 
 def dumps(scenario: Scenario) -> str:
-    """Return the whole scenario as TOML, every key with its value, as a template."""
+    """Return a scenario as TOML with all keys."""
     return tomli_w.dumps(_without_none(msgspec.to_builtins(scenario)))
 
 
 def merge(tables: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `tables` with the keys of `above` merged in; a table of another `kind` replaces the old one."""
+    """Return `tables` updated with `above`; a table of another `kind` replaces the old one."""
     merged = dict(tables)
     for key, value in above.items():
         old = merged.get(key)
@@ -56,7 +56,7 @@ def merge(tables: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]
 
 
 def parse_setting(setting: str) -> dict[str, Any]:
-    """Return `table.key=value` as nested tables; the value is TOML, or else plain text."""
+    """Return a setting `table.key=value` as nested tables; a value that is no TOML is text."""
     path, equals, text = setting.partition("=")
     if not equals or not path.strip():
         raise UsageError(f"--set {setting}: expected table.key=value, such as control.speed=0.2")
@@ -95,7 +95,7 @@ def _read(path: Path) -> str:
 
 
 def convert(tables: Mapping[str, Any], where: str, kind: type[LocfuseError]) -> Scenario:
-    """Return the tables as a Scenario, or raise an error that names the key and the nearest one."""
+    """Return the tables as a Scenario. Raises `kind` with the wrong key and the most similar one."""
     try:
         return msgspec.convert(tables, Scenario)
     except msgspec.ValidationError as error:
@@ -120,7 +120,7 @@ def _explain(error: str) -> str:
 
 
 def _tables_at(path: str) -> list[type[Table]]:
-    """Return the possible tables at a msgspec path such as `.faults[0]`."""
+    """Return the table types that are possible at a msgspec path such as `.faults[0]`."""
     found: list[type[Table]] = [Scenario]
     for step in filter(None, path.replace("[...]", "").split(".")):
         name = re.sub(r"\[\d+\]", "", step)

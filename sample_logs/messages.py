@@ -1,4 +1,4 @@
-"""Data of a simulated drive: raw messages, pose estimates, and named random sources."""
+"""Types of a simulated drive: raw messages, pose estimates, and named random streams."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class RawMessage(NamedTuple):
-    """One message for a recorder: standard ROS 2 type, values by dotted field path."""
+    """One message of a simulated sensor: ROS 2 type, values by dotted field path."""
 
     topic: str
     msgtype: str
@@ -22,14 +22,14 @@ class RawMessage(NamedTuple):
 
 Emit = Callable[[RawMessage], None]
 Pose = tuple[float, float, float]  # x [m], y [m], theta [rad], map frame
-# The robot's localisation: the messages that arrived since the last call -> where it believes to be now.
+# The robot's localisation: messages since the last call -> estimated pose.
 Estimator = Callable[[list[RawMessage]], Pose]
-# The generator of a named source of chance; no source can shift another's numbers.
+# Name of a random stream -> its generator; streams are independent.
 Streams = Callable[[str], np.random.Generator]
 
 
 def streams(seed: int) -> Streams:
-    """Return the named random sources of one drive."""
+    """Return the function that gives the named random streams of one drive."""
 
     def stream(name: str) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()),)))

@@ -1,8 +1,8 @@
-"""The hyperbolic mirror of an omni-directional camera: the viewing direction of every pixel.
+"""Hyperbolic mirror of an omni-directional camera: viewing direction of every pixel.
 
-The mirror is the sheet Z > 0 of Z^2/b^2 - rho^2/a^2 = 1 and turns its hollow side down; its foci lie at
-+c and -c, c^2 = a^2 + b^2. The camera's pinhole is at -c and looks up. A ray towards +c is reflected to -c,
-so the image is one of rays through a single point, the mirror's focus +c: azimuths stay, elevations bend.
+The mirror is the sheet Z > 0 of Z^2/b^2 - rho^2/a^2 = 1 with its hollow side down; its foci are at +c and -c,
+c^2 = a^2 + b^2. The camera's pinhole is at -c and looks up. A ray towards +c is reflected to -c, so all rays of
+the picture pass through the focus +c: their azimuths do not change, only their elevations.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .scenario import Camera
 
 
 class Rays(NamedTuple):
-    """The pixels inside the mirror, in order of azimuth, with their viewing directions."""
+    """Pixels inside the mirror, sorted by azimuth, with their viewing directions."""
 
     pixel: Ints  # (n,) index into the flattened image
     azimuth: Array  # (n,) rad in [-pi, pi), from the camera's forward axis, counter-clockwise seen from above
@@ -26,7 +26,7 @@ class Rays(NamedTuple):
 
 
 def slope(radius: Array, camera: Camera) -> Array:
-    """Return the tangent of the elevation seen at `radius` [px] from the image of the mirror's axis."""
+    """Return the tangent of the elevation seen at `radius` [px] from the mirror's axis in the picture."""
     a, b = camera.mirror_a, camera.mirror_b
     c = np.hypot(a, b)
     ray = np.hypot(camera.focal, radius)
@@ -35,14 +35,14 @@ def slope(radius: Array, camera: Camera) -> Array:
 
 
 def azimuth(u: Array, v: Array, camera: Camera) -> Array:
-    """Return the azimuth of pixels (u, v), rad in [-pi, pi): the image's "down" is `zero_deg` (paper eq. 1)."""
+    """Return the azimuths [rad, -pi..pi, camera frame] of pixels (u, v) (paper eq. 1)."""
     right_of_down = np.arctan2(u - camera.centre[0], v - camera.centre[1])
     turn = -right_of_down if camera.clockwise else right_of_down
     return wrap_all(turn + np.radians(camera.zero_deg))
 
 
 def rays(camera: Camera) -> Rays:
-    """Return the viewing rays of all pixels between the inner and the outer circle."""
+    """Return the viewing rays of all pixels between the inner and the outer circle of the mirror."""
     width, height = camera.size
     v, u = np.mgrid[:height, :width].astype(np.float64)
     radius = np.hypot(u - camera.centre[0], v - camera.centre[1])

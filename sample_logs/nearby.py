@@ -1,7 +1,7 @@
-"""Ray casting in a large plan: each segment and circle is tested only against rays that may meet it.
+"""Fast ray casting in a large plan: objects are tested only against rays that may hit them.
 
-The rays of one scan begin close together, so a thing is seen from all their origins at nearly the same bearing.
-What is left out is what no ray can meet within its reach; what is tried is computed exactly.
+The rays of one scan begin close together, so the bearing of an object is nearly the same for all of them. Only
+pairs of ray and object without a possible hit are left out; the others are computed exactly.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from .world import Plan
 
 Indices = NDArray[np.intp]
 TURN = 2 * np.pi
-SLACK = 1e-6  # rad and m: rounding must not lose a hit
+SLACK = 1e-6  # rad and m, against rounding errors
 
 
 class Fan(NamedTuple):
-    """The rays of one scan."""
+    """Rays of one scan, sorted by direction."""
 
     origin: Array  # (n, 2) m, map frame
     angle: Array  # (n,) rad, map frame
@@ -33,7 +33,7 @@ class Fan(NamedTuple):
 
 
 def cast_near(plan: Plan, origin: Array, angle: Array, reach: float) -> Array:
-    """Return how far each ray goes, (n,) m: as `world.cast`, but inf where it hits nothing within `reach` [m].
+    """Return the distance of each ray's first hit, (n,) [m], inf without a hit within `reach` [m].
 
     Args:
         plan: segments and circles; circles may not move.
@@ -49,7 +49,7 @@ def cast_near(plan: Plan, origin: Array, angle: Array, reach: float) -> Array:
 
 
 def fan(origin: Array, angle: Array) -> Fan:
-    """Return the rays from (n, 2) m at (n,) rad as a fan."""
+    """Return the rays from origins (n, 2) [m] in directions `angle` (n,) [rad], both in the map frame."""
     low, high = origin.min(axis=0), origin.max(axis=0)
     bearing = angle % TURN
     order = np.argsort(bearing)
@@ -59,7 +59,7 @@ def fan(origin: Array, angle: Array) -> Fan:
 
 
 def _segments(segments: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
-    """Return which rays (p,) meet a segment, and at which distance (p,) m."""
+    """Return the rays (p,) that hit a segment, and the distances (p,) [m]."""
     a, b = segments[:, :2] - rays.middle, segments[:, 2:] - rays.middle
     gap = _gap(a, b)
     kept = np.flatnonzero(gap <= reach + rays.spread + SLACK)
@@ -79,7 +79,7 @@ def _segments(segments: Array, rays: Fan, reach: float) -> tuple[Indices, Array]
 
 
 def _circles(circles: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
-    """Return which rays (p,) meet a circle, and at which distance (p,) m."""
+    """Return the rays (p,) that hit a circle, and the distances (p,) [m]."""
     to = circles[:, :2] - rays.middle
     distance = np.hypot(to[:, 0], to[:, 1])
     kept = np.flatnonzero(distance - circles[:, 2] <= reach + rays.spread + SLACK)
@@ -95,7 +95,7 @@ def _circles(circles: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
 
 
 def _gap(a: Array, b: Array) -> Array:
-    """Return the distance of the origin from segments a to b, (m,) m."""
+    """Return the distances (m,) [m] of segments, from a (m, 2) to b (m, 2), from the origin."""
     along = b - a
     share = np.clip(-(a * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), SLACK**2), 0, 1)
     nearest = a + share[:, None] * along
@@ -103,13 +103,13 @@ def _gap(a: Array, b: Array) -> Array:
 
 
 def _pairs(rays: Fan, centre: Array, width: Array, gap: Array) -> tuple[Indices, Indices]:
-    """Return every ray (p,) that may meet an object, and the object (p,).
+    """Return pairs (p,) of ray and object where the ray may hit the object.
 
     Args:
         rays: n of them.
         centre: (m,) rad, bearing of each thing from the middle of the fan.
         width: (m,) rad, half the angle under which it appears.
-        gap: (m,) m, its distance: the nearer it is, the more its bearing differs among the rays' origins.
+        gap: (m,) m, its distance: the nearer it is, the more its bearing depends on the ray's origin.
     """
     n = len(rays.order)
     parallax = np.where(gap > rays.spread, np.arcsin(np.minimum(rays.spread / np.maximum(gap, SLACK), 1.0)), np.pi)

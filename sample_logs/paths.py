@@ -1,4 +1,4 @@
-"""The planned path: polygons with rounded corners, given or drawn at random, sampled every centimetre."""
+"""Planned paths: polygons with rounded corners, given or random, sampled every centimetre."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .scenario import Polygon, Tour, Waypoints
 from .world import Plan, clearance
 
 SPACING = 0.01  # m between the points of a sampled path
-TRIES, CANDIDATES = 30, 600  # walks tried, and corners tried in each
-SHARPEST = math.radians(110)  # turn of a random tour: sharper corners would cut too far
+TRIES, CANDIDATES = 30, 600  # random walks, and random corners in each
+SHARPEST = math.radians(110)  # largest turn of a random tour
 
 
 class Sampled(NamedTuple):
-    """A path as points every centimetre."""
+    """Path sampled every centimetre."""
 
     pose: Array  # (n, 3)
     curvature: Array  # (n,) 1/m
@@ -33,14 +33,14 @@ class Sampled(NamedTuple):
 
 
 def polygon(path: Polygon) -> Sampled:
-    """Return the closed polygon with its corners rounded, `laps` times, from its first straight on."""
+    """Return `laps` rounds of a closed polygon with rounded corners, from its first straight on."""
     p = np.array(path.vertices, float)
     if len(p) < 3:
         raise LocfuseError(f"path.vertices holds {len(p)} points: a closed path needs at least three")
     corners = np.roll(p, -1, axis=0)  # the corner after each edge
     edges = corners - p
     turns = wrap_all(np.diff(_headings(edges), append=_headings(edges[:1])))
-    cuts = path.radius * np.tan(np.abs(turns) / 2)  # taken at the end of each edge for its corner
+    cuts = path.radius * np.tan(np.abs(turns) / 2)  # length of each edge that its rounded corner replaces
     pieces = _pieces(np.hypot(*edges.T), np.roll(cuts, 1), cuts, turns, path.radius)
     heading = float(_headings(edges)[0])
     x, y = p[0] + cuts[-1] * np.array([math.cos(heading), math.sin(heading)])
@@ -51,14 +51,14 @@ def polygon(path: Polygon) -> Sampled:
 
 
 def waypoints(path: Waypoints) -> Sampled:
-    """Return the open path through the points of `path`, its corners rounded."""
+    """Return an open path through given points, with rounded corners."""
     if len(path.points) < 2:
         raise LocfuseError(f"path.points holds {len(path.points)} points: a path needs at least two")
     return _open(np.array(path.points, float), path.radius)
 
 
 def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Sampled:
-    """Return a random walk over corners in a room of `size` [m], each straight clear of the plan."""
+    """Return a random path with rounded corners in a room of `size` [m], clear of the objects in the plan."""
     if path.legs[0] < 2 * path.radius * math.tan(SHARPEST / 2):
         raise LocfuseError(
             f"path.legs = {list(path.legs)} m leave no room for corners of radius {path.radius} m: "
@@ -114,7 +114,7 @@ def _headings(edges: Array) -> Array:
 def _pieces(
     length: Array, cut_before: Array, cut_after: Array, turns: Array, radius: float
 ) -> list[tuple[float, float]]:
-    """Return straight, arc, straight, arc... as (length, curvature)."""
+    """Return alternating straights and arcs as (length [m], curvature [1/m])."""
     straight = length - cut_before - cut_after
     if (straight < 0).any():
         raise LocfuseError(
@@ -127,7 +127,7 @@ def _pieces(
 
 
 def _lay(start: Pose, pieces: list[tuple[float, float]]) -> Sampled:
-    """Lay pieces of (length, curvature) end to end."""
+    """Return the path of consecutive pieces (length [m], curvature [1/m]) from a start pose."""
     poses, curvatures = [], []
     for length, curvature in pieces:
         n = max(1, round(length / SPACING))
@@ -139,7 +139,7 @@ def _lay(start: Pose, pieces: list[tuple[float, float]]) -> Sampled:
 
 
 def _along(start: Pose, s: Array, curvature: float) -> Array:
-    """Return the poses (n, 3) at distances s (n,) along an arc."""
+    """Return the poses (n, 3) at distances s (n,) [m] along an arc from a start pose."""
     x, y, theta = start
     turn = curvature * s
     chord = s * np.sinc(turn / (2 * np.pi))

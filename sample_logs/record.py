@@ -1,7 +1,8 @@
-"""Outputs of a simulated drive: a log file, or columns in memory."""
+"""Output of a simulated drive to a log file, or to columns in memory."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,16 +19,16 @@ from .messages import Emit, Estimator, RawMessage
 from .scenario import Scenario
 from .simulate import Outcome, Simulation
 
-# From the robot's tables to its localisation; None steers on the truth.
+# Tables of robot.toml -> localisation; None: steer by the truth.
 Localise = Callable[[dict[str, dict[str, Any]]], Estimator | None]
 
 
 def on_truth(robot_tables: dict[str, dict[str, Any]]) -> None:
-    """Let the robot steer on the truth, as if its localisation were perfect."""
+    """Return None: the robot steers by the true pose."""
 
 
 def write_log(scenario: Scenario, seed: int, localise: Localise, path: Path) -> Outcome:
-    """Drive the scenario into an MCAP log, with robot.toml and the scenario itself as attachments."""
+    """Simulate a drive into an MCAP log, with robot.toml and the scenario as attachments."""
     simulation = Simulation(scenario, seed)
     tables = simulation.robot_tables
     with log_writer(path) as log:
@@ -37,7 +38,7 @@ def write_log(scenario: Scenario, seed: int, localise: Localise, path: Path) -> 
 
 
 def to_log(log: LogWriter) -> Emit:
-    """Return a function that writes every message to a log."""
+    """Return a function that writes messages to a log."""
 
     def emit(m: RawMessage) -> None:
         log.write(
@@ -56,30 +57,16 @@ def to_log(log: LogWriter) -> Emit:
 def in_memory(
     scenario: Scenario, seed: int, localise: Localise = on_truth
 ) -> tuple[dict[str, ArrayStream], dict[str, dict[str, Any]], Outcome]:
-    """Drive the scenario into columns: streams by topic, the robot's tables, and the truth. No file is touched."""
+    """Simulate a drive in memory; return streams by topic, the tables of robot.toml, and the outcome."""
     simulation = Simulation(scenario, seed)
     tables = simulation.robot_tables
-    columns = Columns()
-    outcome = simulation.run(localise(tables), columns.emit)
-    return columns.streams(), tables, outcome
-
-
-class Columns:
-    """Collects raw messages and turns them into one stream per topic."""
-
-    def __init__(self) -> None:
-        self._messages: dict[str, list[RawMessage]] = {}
-
-    def emit(self, message: RawMessage) -> None:
-        """Keep one message, in the order of its topic."""
-        self._messages.setdefault(message.topic, []).append(message)
-
-    def streams(self) -> dict[str, ArrayStream]:
-        """Return the streams; a message dated before its predecessor is dropped and counted."""
-        return {topic: _stream(messages) for topic, messages in self._messages.items()}
+    messages = defaultdict[str, list[RawMessage]](list)
+    outcome = simulation.run(localise(tables), lambda message: messages[message.topic].append(message))
+    return {topic: _stream(some) for topic, some in messages.items()}, tables, outcome
 
 
 def _stream(messages: list[RawMessage]) -> ArrayStream:
+    """Return the messages of one topic as a stream, without those whose stamp is earlier than a previous one."""
     stamps: Ints = np.array([m.stamp_ns for m in messages], np.int64)
     in_order = stamps >= np.maximum.accumulate(stamps)
     kept = [m for m, keep in zip(messages, in_order.tolist(), strict=True) if keep]

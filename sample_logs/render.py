@@ -1,7 +1,7 @@
-"""Ray tracing from one point in the room: the nearest of floor, ceiling, walls, plates and cylinders, lit.
+"""Ray tracing of a room from one point: nearest floor, ceiling, wall, plate or cylinder, with lighting.
 
-Rays come sorted by azimuth, so that whatever spans an angle touches one slice of them; inside the slice
-every ray is intersected exactly.
+Rays are sorted by azimuth, so that an object concerns one slice of them, in which every ray is intersected
+exactly.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from .table import Colour, Pillar
 
 Floats = NDArray[np.float32]
 
-AMBIENT = 0.6  # light that comes from everywhere
+AMBIENT = 0.6  # light without direction
 LAMP = 4.0  # m^2: brightness of one lamp, times cosine over squared distance
-NEAR = 0.01  # m: what is nearer is the camera itself
+NEAR = 0.01  # m: nearer objects are the camera itself
 NO_RINGS = np.zeros((0, 3))
-MARGIN = 1e-3  # rad, by which a slice is wider than the thing it holds
+MARGIN = 1e-3  # rad, by which a slice is wider than its object
 
 
 class Surface(IntEnum):
-    """The surface that a ray hits; from PAINTED on, one number per cylinder."""
+    """Kind of surface that a ray hits; cylinder k has the number PAINTED + k."""
 
     FLOOR = 0
     CEILING = 1
@@ -48,13 +48,13 @@ COLOUR: dict[int, Colour] = {  # red, green, blue
 
 @dataclass
 class Hits:
-    """The nearest hit of every ray so far: its distance, surface and normal."""
+    """Nearest hit of each ray: distance, surface, position and normal."""
 
     dx: Floats  # (n,) direction in plan, unit length, map frame
     dy: Floats
     slope: Floats  # (n,) height gained per metre in plan
     way: Floats  # (n,) m in plan, to the nearest thing
-    surface: NDArray[np.int8]  # (n,) what it is
+    surface: NDArray[np.int8]  # (n,) kind of surface
     along: Floats  # (n,) m, position on a wall
     nx: Floats  # (n,) horizontal part of its normal, 0 for floor, ceiling and lids
     ny: Floats
@@ -70,7 +70,7 @@ class Hits:
         nx: Floats | float,
         ny: Floats | float,
     ) -> None:
-        """Set the hits of a slice's rays, where `seen` is true, to a new object."""
+        """Replace the hits of rays in a slice where `seen` is true."""
         self.way[part] = np.where(seen, way, self.way[part])
         self.surface[part][seen] = surface
         self.along[part] = np.where(seen, along, self.along[part])
@@ -79,8 +79,8 @@ class Hits:
 
 
 def shade(hits: Hits, eye: Array, lamps: Array) -> Floats:
-    """Return the colour of every ray, (n, 3) red, green, blue in 0..255."""
-    way = np.minimum(hits.way, np.float32(100))  # an open door: the floor goes on, but not for ever
+    """Return the colour of each ray, (n, 3) red, green, blue in 0..255."""
+    way = np.minimum(hits.way, np.float32(100))  # limit for rays through an open door
     x, y = np.float32(eye[0]) + way * hits.dx, np.float32(eye[1]) + way * hits.dy
     z = np.float32(eye[2]) + way * hits.slope
     light = _light(hits, x, y, z, lamps)
@@ -105,7 +105,7 @@ def _light(hits: Hits, x: Floats, y: Floats, z: Floats, lamps: Array) -> Floats:
 
 
 def _texture(hits: Hits, x: Floats, y: Floats, z: Floats) -> Floats:
-    """Return the relative brightness of the material at each point."""
+    """Return the relative brightness of the surface pattern at each hit."""
     texture = np.ones_like(x)
     for surface, pattern in ((Surface.FLOOR, _tiles), (Surface.WALL, _cement), (Surface.PLATE, _planks)):
         on = np.flatnonzero(hits.surface == surface)
@@ -133,7 +133,7 @@ def _planks(along: Floats, z: Floats) -> Floats:
 
 
 class Standing(NamedTuple):
-    """Vertical rectangles of one material."""
+    """Vertical rectangles with one surface."""
 
     segments: Array  # (m, 4) x1, y1, x2, y2 [m]
     height: float
@@ -141,7 +141,7 @@ class Standing(NamedTuple):
 
 
 class View:
-    """Traces a fixed bundle of rays through one scene after another."""
+    """Fixed bundle of rays that is traced in different scenes."""
 
     def __init__(self, rays: Rays) -> None:
         self.rays = rays
@@ -156,7 +156,7 @@ class View:
         ceiling: float,
         rings: Array = NO_RINGS,
     ) -> Hits:
-        """Return the first hit of every ray from `eye` = (x, y, z, heading), and its place.
+        """Return the first hits of all rays from `eye` = (x, y, z, heading).
 
         `rings` (l, 3) are round walls up to the ceiling: x, y, radius [m], seen from inside.
         """
@@ -208,7 +208,7 @@ class View:
             hits.put(part, seen, way, kind.surface, at, facing * uy, -facing * ux)
 
     def _ring(self, hits: Hits, eye: Array, ring: Array, height: float) -> None:
-        x, y, radius = (ring - (eye[0], eye[1], 0.0)).tolist()  # centre as seen from the eye
+        x, y, radius = (ring - (eye[0], eye[1], 0.0)).tolist()  # centre relative to the eye
         power = radius**2 - x * x - y * y
         if power <= 0:
             return  # the camera is outside
@@ -240,7 +240,7 @@ class View:
             hits.put(part, seen, way, surface, np.zeros_like(way), nx, ny)
 
     def _slices(self, ends: Array, heading: float) -> Iterator[slice]:
-        """Yield the slices of rays whose azimuth is between two directions `ends` (2, 2)."""
+        """Yield the slices of rays with azimuths between two directions `ends` (2, 2)."""
         a, b = np.arctan2(ends[:, 1], ends[:, 0]) - heading
         span = (b - a + np.pi) % (2 * np.pi) - np.pi
         first = (min(a, a + span) - MARGIN + np.pi) % (2 * np.pi) - np.pi
@@ -254,7 +254,7 @@ class View:
 def _side_or_lid(
     eye_z: float, slope: Floats, way_in: Floats, way_out: Floats, pillar: Pillar
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the distance of a cylinder's side or lid along a ray (inf: no hit), and whether it is a lid."""
+    """Return the distances at which rays hit a cylinder's side or lid (inf for none), and whether it is a lid."""
     z_in, z_out = eye_z + way_in * slope, eye_z + way_out * slope
     side = (z_in >= pillar.bottom) & (z_in <= pillar.top)
     top = ~side & (z_in > pillar.top) & (z_out < pillar.top)

@@ -1,7 +1,7 @@
-"""The robot as physics: motors under PID control, encoders, wheels on a floor, and its true path.
+"""Physical model of the robot: motors with PID control, encoders, wheels on a floor, true path.
 
-Motion is exact: within a step both wheels turn at constant speed, so the path is a circular arc, and the
-pose between two knots is a point on that arc. No sensor samples a knot; all of them ask `Trail.pose`.
+Within a step both wheels turn at constant speed, so the path is a circular arc, and poses between two knots are
+exact points on that arc. Sensors read their poses with `Trail.pose`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .scenario import Motor, Scenario, Wheels
 SIDES = ("left", "right")
 
 STEPS_PER_TICK = 4  # physics steps per encoder tick
-KNOTS = np.arange(STEPS_PER_TICK + 1)  # their ends
+KNOTS = np.arange(STEPS_PER_TICK + 1)  # ends of these steps
 COUNTS_PER_SLOT = 4
 MISSED = 2
 # STEP[4 * previous + now] with state = 2 A + B
@@ -39,25 +39,24 @@ STEP = np.array(
 
 
 class Counted(NamedTuple):
-    """The counts of a decoder over phase samples."""
+    """Counts of a quadrature decoder."""
 
     counts: Ints  # (..., n - 1) count change from sample to sample
     missed: NDArray[np.bool_]  # (..., n - 1) both phases changed: at least two counts are lost
 
 
 def phases(angle: Array, slots: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the two phases A and B of a disc with `slots` slots at the wheel angles `angle` [rad]."""
+    """Return the two phases A and B of an encoder disc with `slots` slots at wheel angles [rad]."""
     quarter = np.floor(angle * (slots * COUNTS_PER_SLOT / (2 * np.pi))).astype(np.int64) % COUNTS_PER_SLOT
     return (quarter == 1) | (quarter == 2), quarter >= 2
 
 
 def decode(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> Counted:
-    """Decode phase samples (..., n) of a quadrature encoder x4 (paper fig. 2); the last axis is time.
+    """Return the counts for phase samples (..., n) of a quadrature encoder with x4 decoding (paper fig. 2).
 
     A and B are two square waves a quarter slot apart. A rises first when the wheel turns forward, so the four
-    states come in Gray-code order 00, 10, 11, 01. Each edge is one count; its direction follows from the state
-    before. A decoder that looks too seldom sees both phases change at once: it cannot know the direction, and
-    reports the transition as missed.
+    states have the Gray-code order 00, 10, 11, 01. Each edge is one count, with a direction by the state before.
+    If the sampling is too slow, both phases change at once: the direction is unknown and the transition is missed.
     """
     state = 2 * a.astype(np.int64) + b
     step = STEP[4 * state[..., :-1] + state[..., 1:]]
@@ -66,7 +65,7 @@ def decode(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> Counted:
 
 
 class Trail:
-    """The true path of the robot: knots every `step` seconds, arcs between them."""
+    """True path of the robot: poses at knots every `step` seconds, with arcs between them."""
 
     def __init__(self, step: float, start: Pose) -> None:
         self.step = step
@@ -81,7 +80,7 @@ class Trail:
         return self.count * self.step
 
     def extend(self, twist: Array) -> None:
-        """Append steps of constant twist (k, 3) = (m, m, rad) per step, in the body frame."""
+        """Append steps of constant twist (k, 3): forward, left [m], turn [rad] per step, in the body frame."""
         need = self.count + len(twist) + 1
         if need > len(self._pose):
             self._pose = np.concatenate((self._pose, np.zeros_like(self._pose)))
@@ -95,18 +94,18 @@ class Trail:
         return self._pose[: self.count + 1]
 
     def steps(self) -> Array:
-        """Return the twist of every step, (n - 1, 3) = (m, m, rad) in the body frame."""
+        """Return the twists of all steps, (n - 1, 3): forward, left [m], turn [rad], in the body frame."""
         return self._twist[: self.count]
 
     def pose(self, t: Array) -> Array:
-        """Return the poses (n, 3) at times t (n,) within [0, end], on the exact arcs."""
+        """Return the poses (n, 3) at times t (n,) [s] within [0, end], on the exact arcs."""
         i = np.clip((t / self.step).astype(np.int64), 0, max(self.count - 1, 0))
         share = t / self.step - i
         return se2.compose(self._pose[i], se2.exp(self._twist[i] * share[:, None]))
 
 
 def _chained(start: Array, moves: Array) -> list[tuple[float, float, float]]:
-    """Return the poses after each of the moves (k, 3), one from the other: `se2.compose`, in plain floats."""
+    """Return the poses after each of the moves (k, 3) from `start` (3,), in plain floats."""
     x, y, theta = start.tolist()
     theta = np.cumsum((theta, *moves[:, 2]))
     cos, sin = np.cos(theta).tolist(), np.sin(theta).tolist()
@@ -118,7 +117,7 @@ def _chained(start: Array, moves: Array) -> list[tuple[float, float, float]]:
 
 
 class Tick(NamedTuple):
-    """Readings of the motor controller at one tick of its counters."""
+    """Values of the motor controllers at one tick of their counters."""
 
     t: float  # s
     counts: tuple[int, int]  # left, right
@@ -127,7 +126,7 @@ class Tick(NamedTuple):
 
 
 class Wheel:
-    """One motor, its PID controller and its encoder disc; plain floats, since it runs 50 times a second."""
+    """One motor with its PID controller and its encoder, in plain floats for speed."""
 
     def __init__(self, wheels: Wheels, motor: Motor, side: int, rng: np.random.Generator) -> None:
         self.motor = motor
@@ -140,19 +139,19 @@ class Wheel:
         self.counts_per_rad = wheels.slots * COUNTS_PER_SLOT / (2 * math.pi)
         self.looks = np.linspace(0, STEPS_PER_TICK, max(1, round(self.dt * wheels.sampling)) + 1)  # steps
         self.rng = rng
-        self.angle = rng.uniform(0, self.rad_per_count)  # rad, true; the disc's rest position is not ours
+        self.angle = rng.uniform(0, self.rad_per_count)  # rad, true; the disc starts at a random angle
         self.speed = 0.0  # rad/s, true
         self.load = 0.0  # share of the voltage that the load takes
         self.counts = 0
         self.measured = 0.0  # rad/s, from the counts of the last tick
         self.missed = 0
         self.set_point = 0.0  # rad/s, mean of the last tick
-        self._reached = 0.0  # rad/s, where the set point's ramp is
+        self._reached = 0.0  # rad/s, end of the set point's ramp
         self._integral = 0.0
         self._error = 0.0
 
     def turn(self, target: float) -> list[float]:
-        """Run the controller and the motor for one tick; return the angles turned per step [rad]."""
+        """Run controller and motor for one tick; return the angle [rad] turned in each physics step."""
         voltage = self._control(target)
         turned, angles = [], [self.angle]
         decay = math.exp(-self.step / self.motor.time_constant)
@@ -168,7 +167,7 @@ class Wheel:
         return turned
 
     def _control(self, target: float) -> float:
-        """Return the voltage (share of the full one): PID on the speed, feed-forward of the set point's ramp."""
+        """Return the voltage (-1 to 1): PID of the speed error, feed-forward of the set point."""
         m = self.motor
         limit = m.acceleration / self.radius * self.dt
         error = self.set_point - self.measured
@@ -183,7 +182,7 @@ class Wheel:
     def _count(self, angles: list[float]) -> None:
         steepest = max(abs(b - a) for a, b in pairwise(angles))  # rad per physics step
         if steepest * STEPS_PER_TICK < 0.99 * self.rad_per_count * (len(self.looks) - 1):
-            # less than a count from look to look: none is missed, and only where it began and ended matters
+            # less than one count between samples: only the first and the last angle matter
             begin, end = (math.floor(angle * self.counts_per_rad) for angle in (angles[0], angles[-1]))
             change = end - begin
         else:
@@ -195,7 +194,7 @@ class Wheel:
 
 
 class Robot:
-    """Two wheels on a floor that adds noise per metre rolled, with faults."""
+    """Robot with two wheels on a floor that adds noise, with faults."""
 
     def __init__(self, scenario: Scenario, start: Pose, streams: Streams) -> None:
         self.wheels = tuple(
@@ -209,38 +208,35 @@ class Robot:
         self.ticks: list[Tick] = [self._tick()]
 
     def drive(self, targets: tuple[float, float]) -> None:
-        """Drive one tick with the commanded wheel speeds `targets` [rad/s]."""
+        """Simulate one tick with the commanded wheel speeds `targets` [rad/s]."""
         t = self.trail.end
         rolled = np.array([w.radius * np.array(w.turn(s)) for w, s in zip(self.wheels, targets, strict=True)])
         ways = np.concatenate((rolled, np.zeros_like(rolled[:1])))
         for fault in self.faults:
             if isinstance(fault, GroundFault) and fault.active(t):
                 ways = fault.moved(ways, float(self.trail.knots()[-1, 2]))
-        left, right = ways[:2] + np.sqrt(self.noise * np.abs(rolled)) * self._gauss(rolled.shape)
+        left, right = ways[:2] + np.sqrt(self.noise * np.abs(rolled)) * self.rng.standard_normal(rolled.shape)
         twist = np.stack(((left + right) / 2, ways[2], (right - left) / self.track), axis=-1)
         lifted = next((f for f in self.faults if isinstance(f, Kidnap) and f.active(t)), None)
         self.trail.extend(twist if lifted is None else self._carried(lifted, len(twist)))
         self.ticks.append(self._tick())
 
-    def _gauss(self, shape: tuple[int, ...]) -> Array:
-        return self.rng.standard_normal(shape)
-
     def sensor_pose(self, sensor: str, t: Array, mount: Array | None = None) -> Array:
-        """Return the true poses (n, 3) in the map of a sensor at times t (n,).
+        """Return the true poses (n, 3) of a sensor in the map frame at times t (n,) [s].
 
         Args:
-            sensor: its role, by which faults name it.
+            sensor: its name in faults.
             t: s.
-            mount: (3,) where it sits on the robot: m, m, rad; None: in the middle of the axle.
+            mount: (3,) pose on the robot: m, m, rad; None: the middle of the axle.
         """
-        seat = np.zeros(3) if mount is None else mount
+        offset = np.zeros(3) if mount is None else mount
         for fault in self.faults:
             if isinstance(fault, Displaced) and fault.sensor == sensor:
-                seat = seat + fault.shift(t)
-        return se2.compose(self.trail.pose(t), seat)
+                offset = offset + fault.shift(t)
+        return se2.compose(self.trail.pose(t), offset)
 
     def _carried(self, kidnap: Kidnap, steps: int) -> Array:
-        """Return the twists (steps, 3) of a robot that is carried: its wheels do not move it."""
+        """Return the twists (steps, 3) of a robot that is carried by a person."""
         share = self.trail.step / (kidnap.end - kidnap.start)
         move = share * np.array([kidnap.x, kidnap.y, math.radians(kidnap.theta_deg)])
         poses = self.trail.knots()[-1] + np.arange(steps + 1)[:, None] * move

@@ -1,7 +1,6 @@
-"""A scenario is data: room, robot, path, sensors, faults. Its defaults are the paper's robot in a wooden arena.
+"""Scenario of a simulated drive: room, robot, path, sensors, faults. Defaults: the paper's robot in an arena.
 
-The room is the 8 m x 6 m arena the design was tried in, with two plates moved: a robot whose wheels are
-60 cm apart would have driven into the ones at (5, 4.8) and (0.8, 4).
+The default room is an arena of 8 m x 6 m with four plates, wide enough for a track of 60 cm.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from .table import Count, NotNegative, Percent, Pillar, Point, Positive, Segment
 
 
 class Room(Table, frozen=True, kw_only=True):
-    """Flat walls around the first quadrant of the map, lower wooden plates and other things inside."""
+    """Room with flat outer walls, from the map's origin to `size`, lower wooden plates and pillars."""
 
     size: Point = (8.0, 6.0)  # m, along x and y
     walls: tuple[Segment, ...] | None = None  # None: the four sides; give them to leave a door open
@@ -27,7 +26,7 @@ class Room(Table, frozen=True, kw_only=True):
 
 
 class Landmark(Pillar, frozen=True, kw_only=True):
-    """The red pole whose place is known."""
+    """Red pole at a known position."""
 
     x: float = 7.9
     y: float = 5.5
@@ -35,7 +34,7 @@ class Landmark(Pillar, frozen=True, kw_only=True):
 
 
 class Wheels(Table, frozen=True, kw_only=True):
-    """Two driven wheels, their encoders, and their noise on the ground."""
+    """Two driven wheels: geometry, encoders, and noise on the ground."""
 
     radius: Positive = 0.05  # m, what the user knows
     track: Positive = 0.60
@@ -48,7 +47,7 @@ class Wheels(Table, frozen=True, kw_only=True):
 
 
 class Motor(Table, frozen=True, kw_only=True):
-    """A first-order motor with a load, and its PID speed controller."""
+    """First-order motor with a random load, and its PID speed controller."""
 
     no_load: Positive = 16.0  # rad/s of the wheel at full voltage
     time_constant: Positive = 0.12  # s
@@ -62,7 +61,7 @@ class Motor(Table, frozen=True, kw_only=True):
 
 
 class Control(Table, frozen=True, kw_only=True):
-    """The control loop: the follower steers on this estimate of the pose."""
+    """Control loop: pose estimate, period, speed and limits of path following."""
 
     estimator: str = "odometry"  # "truth", "odometry", "all", or sensors: "compass+lrf"
     period: Positive = 0.1  # s
@@ -73,7 +72,7 @@ class Control(Table, frozen=True, kw_only=True):
 
 
 class Polygon(Table, frozen=True, tag_field="kind", tag="polygon"):
-    """A closed polygon with rounded corners, driven from the start of its first straight."""
+    """Closed polygon with rounded corners, driven from the start of its first straight."""
 
     vertices: tuple[Point, ...] = ((0.9, 1.5), (6.1, 1.5), (6.1, 4.7), (0.9, 4.7))
     radius: Positive = 0.6
@@ -81,7 +80,7 @@ class Polygon(Table, frozen=True, tag_field="kind", tag="polygon"):
 
 
 class Leg(Table, frozen=True, kw_only=True):
-    """A straight run or a turn on the spot (one of the two), at its own speed."""
+    """Straight run or turn on the spot, with its own speed."""
 
     forward: float = 0.0  # m, negative backward
     turn_deg: float = 0.0  # counter-clockwise
@@ -90,7 +89,7 @@ class Leg(Table, frozen=True, kw_only=True):
 
 
 class Legs(Table, frozen=True, tag_field="kind", tag="legs"):
-    """Straight runs and turns on the spot, one after the other (the paper's experiments for delta)."""
+    """Sequence of straight runs and turns on the spot (the paper's experiments for delta)."""
 
     legs: tuple[Leg, ...]
     x: float = 2.0  # m, where to start
@@ -99,7 +98,7 @@ class Legs(Table, frozen=True, tag_field="kind", tag="legs"):
 
 
 class Tour(Table, frozen=True, tag_field="kind", tag="tour"):
-    """A random walk around the obstacles with rounded corners; every seed gives another one."""
+    """Random path with rounded corners around the obstacles; each seed gives another one."""
 
     length: Positive = 20.0  # m
     radius: Positive = 0.4  # m, of the corners
@@ -108,7 +107,7 @@ class Tour(Table, frozen=True, tag_field="kind", tag="tour"):
 
 
 class Waypoints(Table, frozen=True, tag_field="kind", tag="waypoints"):
-    """An open path through given points, its corners rounded."""
+    """Open path through given points, with rounded corners."""
 
     points: tuple[Point, ...]
     radius: Positive = 0.5  # m, of the corners
@@ -116,7 +115,7 @@ class Waypoints(Table, frozen=True, tag_field="kind", tag="waypoints"):
 
 
 class Compass(Table, frozen=True, kw_only=True):
-    """A two-axis magnetometer (the paper's CMPS03)."""
+    """Two-axis magnetometer (the paper's CMPS03)."""
 
     enabled: bool = True
     rate: Positive = 20.0  # Hz
@@ -130,7 +129,7 @@ class Compass(Table, frozen=True, kw_only=True):
 
 
 class Lrf(Table, frozen=True, kw_only=True):
-    """A 2D laser range finder on the front of the robot."""
+    """2D laser range finder at the front of the robot."""
 
     enabled: bool = True
     rate: Positive = 10.0
@@ -152,7 +151,7 @@ class Lrf(Table, frozen=True, kw_only=True):
 
 
 class Camera(Table, frozen=True, kw_only=True):
-    """A camera that looks up into a hyperbolic mirror Z^2/b^2 - rho^2/a^2 = 1."""
+    """Camera that looks up into a hyperbolic mirror Z^2/b^2 - rho^2/a^2 = 1."""
 
     enabled: bool = True
     rate: Positive = 2.0
@@ -180,7 +179,7 @@ class Camera(Table, frozen=True, kw_only=True):
 
 
 class Sonar(Table, frozen=True, kw_only=True):
-    """An ultrasonic ranger: the nearest echo within its cone."""
+    """Ultrasonic ranger: measures the nearest object in its cone."""
 
     name: str
     x: float
@@ -196,7 +195,7 @@ class Sonar(Table, frozen=True, kw_only=True):
 
 
 class Gps(Table, frozen=True, kw_only=True):
-    """A satellite receiver, for a room without a roof."""
+    """Satellite receiver, for a scene without a roof."""
 
     enabled: bool = False
     rate: Positive = 1.0
@@ -209,7 +208,7 @@ class Gps(Table, frozen=True, kw_only=True):
 
 
 class Start(Table, frozen=True, kw_only=True):
-    """The user's knowledge of the start: robot.toml gets the true pose, the error, one draw, and these sigmas."""
+    """Start pose in robot.toml: true pose plus `error` plus a random error of these sigmas."""
 
     sigma_xy: NotNegative = 0.0  # m, of x and of y
     sigma_theta_deg: NotNegative = 0.0
@@ -217,7 +216,7 @@ class Start(Table, frozen=True, kw_only=True):
 
 
 class Truth(Table, frozen=True, kw_only=True):
-    """The reference pose and its white noise."""
+    """Recorded truth pose: rate and white noise."""
 
     rate: Positive = 50.0
     phase: float = 0.007
@@ -226,7 +225,7 @@ class Truth(Table, frozen=True, kw_only=True):
 
 
 class Scenario(Table, frozen=True, kw_only=True):
-    """Everything a drive is made of."""
+    """Complete description of a simulated drive."""
 
     title: str = ""
     seed: int = 1

@@ -1,4 +1,4 @@
-"""The sensors as physics: each measures the true world at its own times and returns a message's fields."""
+"""Physical models of the sensors: each measures the true world at its own times as message fields."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ APPROXIMATED, FIX, GPS_SERVICE = 1, 0, 1  # NavSatFix: covariance type, status, 
 
 
 class Sensor(Protocol):
-    """A sensor with a topic: its times, its duration, and its message fields."""
+    """Sensor with its topic, period, duration and latency."""
 
     name: str
     topic: str
@@ -37,11 +37,11 @@ class Sensor(Protocol):
     latency: float  # s, from the last sample to the recorder
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return the fields of the reading that starts at t; the robot's trail covers its duration."""
+        """Return the message fields of the reading that starts at t [s]; the trail must cover its duration."""
 
 
 class Encoders:
-    """Both wheel angles, in whole counts."""
+    """Encoders of both wheels, which publish joint angles."""
 
     name, topic, msgtype, frame_id = "wheels", "/joint_states", "sensor_msgs/msg/JointState", ""
     phase, duration, latency = 0.0, 0.0, 0.001
@@ -52,7 +52,7 @@ class Encoders:
         self.faults = [f for f in scenario.faults if isinstance(f, EncoderSpike | EncoderRollover)]
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return the counters at tick t as joint angles."""
+        """Return the message fields with the counters at time t [s] as joint angles."""
         tick = self.robot.ticks[round(t / self.period)]
         counts = list(tick.counts)
         for fault in self.faults:
@@ -68,7 +68,7 @@ class Encoders:
 
 
 class Magnetometer:
-    """The earth's field in the robot's plane, distorted by iron on the robot."""
+    """Two-axis magnetometer: the earth's field, magnets in the room, and iron on the robot."""
 
     name, topic, msgtype, frame_id = "compass", "/compass", "sensor_msgs/msg/MagneticField", "compass"
     duration, latency = 0.0, 0.002
@@ -87,7 +87,7 @@ class Magnetometer:
         self.rng = rng
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return the field strength on the two axes; the sensor has no third."""
+        """Return the message fields with the field on two axes [T]; the third is 0."""
         pose = self.robot.sensor_pose("compass", np.array([t]))
         field = self.earth + self.scene.magnetic(t, pose[:, :2])[0]
         c, s = np.cos(pose[0, 2]), np.sin(pose[0, 2])
@@ -104,7 +104,7 @@ class Magnetometer:
 
 
 class Laser:
-    """A rotating beam: every ray starts from the robot's pose at its own time."""
+    """Laser range finder with a rotating beam: every ray starts at the robot's pose at its own time."""
 
     name, topic, msgtype, frame_id = "lrf", "/scan", "sensor_msgs/msg/LaserScan", "laser"
     latency = 0.002
@@ -112,7 +112,7 @@ class Laser:
     def __init__(
         self, lrf: Lrf, scene: Scene, robot: Robot, rng: np.random.Generator, pattern: Array | None = None
     ) -> None:
-        """`pattern` (beams,) [m] is a fixed error of each beam; left out, there is none."""
+        """`pattern` (beams,) [m] are constant errors of the beams; by default 0."""
         self.settings = lrf
         self.pattern = np.zeros(lrf.beams) if pattern is None else pattern
         self.period, self.phase, self.duration = 1 / lrf.rate, lrf.phase, lrf.duration
@@ -125,7 +125,7 @@ class Laser:
         self.mount = np.array([lrf.x, lrf.y, np.radians(lrf.yaw_deg)])
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return one scan; its stamp is the instant of its first ray."""
+        """Return the message fields of one scan that starts at t [s]."""
         s = self.settings
         return {
             "angle_min": float(self.angles[0]),
@@ -152,7 +152,7 @@ class Laser:
 
 
 class GroundTruth:
-    """The robot's pose, with the noise and the frame of the tracking system."""
+    """Tracking system: publishes the robot's true pose with noise."""
 
     name, topic, msgtype, frame_id = "truth", "/ground_truth/pose", "geometry_msgs/msg/PoseStamped", "map"
     duration, latency = 0.0, 0.001
@@ -163,7 +163,7 @@ class GroundTruth:
         self.robot, self.rng = robot, rng
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return position and heading, the latter as a quaternion about z."""
+        """Return the message fields with position and orientation at t [s]."""
         pose = self.robot.sensor_pose("truth", np.array([t]))[0]
         for fault in self.robot.faults:
             if isinstance(fault, TruthStep) and fault.active(t):
@@ -181,7 +181,7 @@ class GroundTruth:
 
 
 class Ranger:
-    """The nearest echo in a cone, +inf beyond its reach (REP 117)."""
+    """Ultrasonic ranger: the nearest object in its cone, +inf beyond its reach (REP 117)."""
 
     name, msgtype = "sonar", "sensor_msgs/msg/Range"
     duration, latency = 0.0, 0.005
@@ -195,7 +195,7 @@ class Ranger:
         self.mount = np.array([sonar.x, sonar.y, math.radians(sonar.yaw_deg)])
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return the range of the nearest thing within the cone."""
+        """Return the message fields with the range at t [s]."""
         s = self.settings
         x, y, theta = self.robot.sensor_pose("sonar", np.array([t]), self.mount)[0]
         eye = np.full((RAYS, 2), (x, y))
@@ -211,7 +211,7 @@ class Ranger:
 
 
 class SatelliteReceiver:
-    """Geographic position with white noise, on the tangent plane at the map's origin."""
+    """Satellite receiver: latitude and longitude with white noise."""
 
     name, topic, msgtype, frame_id = "gps", "/gps/fix", "sensor_msgs/msg/NavSatFix", "gps"
     duration, latency = 0.0, 0.1
@@ -221,7 +221,7 @@ class SatelliteReceiver:
         self.period, self.phase = 1 / gps.rate, gps.phase
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return latitude and longitude of the axle's middle."""
+        """Return the message fields with latitude and longitude of the axle's middle at t [s]."""
         s = self.settings
         at = self.robot.sensor_pose("gps", np.array([t]))[0, :2] + s.sigma * self.rng.standard_normal(2)
         east_axis = math.radians(s.east_deg)
@@ -240,7 +240,7 @@ class SatelliteReceiver:
 
 
 def radii(latitude: float) -> tuple[float, float]:
-    """Return the radii of the meridian and of the parallel at a latitude [deg] on WGS 84 [m]."""
+    """Return the radii [m] of meridian and parallel at a latitude [deg] on WGS 84."""
     e2 = FLATTENING * (2 - FLATTENING)
     phi = math.radians(latitude)
     w = 1 - e2 * math.sin(phi) ** 2

@@ -1,4 +1,4 @@
-"""The simulated drive: the robot follows a path by its own pose estimate while its sensors are recorded."""
+"""Simulated drive: the robot follows a path by its own pose estimate while its sensors are recorded."""
 
 from __future__ import annotations
 
@@ -22,37 +22,37 @@ from .scenario import Legs, Polygon, Scenario, Waypoints
 from .sensors import Sensor
 from .world import Scene, clearance
 
-EPOCH_NS = 1_700_000_000_000_000_000  # when every simulated drive begins: logs must not depend on today
-OBSTACLE_HEIGHT = 0.25  # m: what stands at this height can be hit
-SLOWEST = 1.2  # rad/s (0.06 m/s): below, one count in a window is more than 2.5 %
+EPOCH_NS = 1_700_000_000_000_000_000  # start of every simulated drive, so that logs do not depend on the date
+OBSTACLE_HEIGHT = 0.25  # m: height of the plan for collisions
+SLOWEST = 1.2  # rad/s (0.06 m/s): for slower wheels one count in a window is more than 2.5 %
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results of a drive that only the simulator knows."""
+    """Truth of a simulated drive: true poses, encoder counts and set points."""
 
     truth_t: Array  # (n,) s since EPOCH_NS
     truth: Array  # (n, 3) pose at every physics step
     ticks_t: Array  # (k,) s, instants of the motor controllers
     counts: Array  # (k, 2) encoder counters, left and right
-    set_points: Array  # (k, 2) rad/s asked of the wheels in the tick that ended there
+    set_points: Array  # (k, 2) rad/s, set points during the tick before
     rad_per_count: float
     radius: float  # m, nominal
-    missed: int  # encoder transitions whose direction was lost
+    missed: int  # encoder transitions with unknown direction
 
     @property
     def duration(self) -> float:
-        """Length of the drive [s]."""
+        """Duration of the drive [s]."""
         return float(self.truth_t[-1])
 
     @property
     def way(self) -> float:
-        """Distance rolled, mean of both wheels [m]."""
+        """Distance rolled [m], mean of both wheels."""
         return float(np.abs(np.diff(self.counts, axis=0)).sum() / 2 * self.rad_per_count * self.radius)
 
 
 class Simulation:
-    """A scenario prepared with a seed: path and start are drawn, the drive has not begun."""
+    """Scenario with drawn path and start pose, ready to run."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario = scenario
@@ -63,12 +63,12 @@ class Simulation:
 
     @property
     def robot_tables(self) -> dict[str, dict[str, Any]]:
-        """The robot.toml that a user of this robot would write."""
+        """Tables of the robot.toml that a user of this robot would write."""
         stated = equipment.stated_start(self.scenario, self.start, self.streams)
         return equipment.robot_tables(self.scenario, stated)
 
     def run(self, estimator: Estimator | None, emit: Emit) -> Outcome:
-        """Drive once and `emit` every raw message in the order of its arrival.
+        """Simulate the drive and call `emit` with each message in order of arrival.
 
         Args:
             estimator: the robot's localisation; None lets it steer on the truth.
@@ -110,12 +110,12 @@ class Simulation:
 
 
 class Recorder:
-    """Reads the sensors in time and returns their messages in the order of arrival."""
+    """Reads the sensors at their times and returns messages in order of arrival."""
 
     def __init__(self, sensors: list[Sensor], faults: tuple[Fault, ...], streams: Streams) -> None:
         self.sensors = sensors
         self.read = [0] * len(sensors)  # readings taken
-        self.last = [0] * len(sensors)  # ns, latest arrival: one sensor's messages cannot overtake each other
+        self.last = [0] * len(sensors)  # ns, latest arrival: messages of one sensor keep their order
         self.dated = [0] * len(sensors)  # ns, latest stamp
         self.jitter = [streams(f"arrival of {s.topic}") for s in sensors]
         self.chance = [streams(f"clock of {s.topic}") for s in sensors]
@@ -123,10 +123,13 @@ class Recorder:
         self.waiting: list[tuple[int, int, RawMessage]] = []
         self.issued = 0
         for fault in faults:
-            self._announce(fault)
+            for event, t in (("begin", fault.start), ("end", fault.end)):
+                if np.isfinite(t):
+                    ns, fields = nanoseconds(t), {"data": label(fault, event)}
+                    self._queue(RawMessage("/faults", "std_msgs/msg/String", ns, ns, "", fields))
 
     def until(self, now: float) -> list[RawMessage]:
-        """Return the messages that arrived by `now` [s] and were not returned before."""
+        """Return the messages that arrived since the last call, until `now` [s]."""
         for i, sensor in enumerate(self.sensors):
             while (t := sensor.phase + self.read[i] * sensor.period) + sensor.duration <= now + 1e-9:
                 self._receive(i, t)
@@ -148,16 +151,10 @@ class Recorder:
             return
         self.last[i] = max(nanoseconds(dates.arrival), self.last[i] + 1)
         stamp_ns = nanoseconds(dates.stamp)
-        if any(isinstance(f, ClockOffset) and f.jitter for f in active):  # one thread dates all of them in turn
+        if any(isinstance(f, ClockOffset) and f.jitter for f in active):  # stamps keep their order
             stamp_ns = max(stamp_ns, self.dated[i] + 1)
         self.dated[i] = stamp_ns
         self._queue(RawMessage(sensor.topic, sensor.msgtype, self.last[i], stamp_ns, sensor.frame_id, fields))
-
-    def _announce(self, fault: Fault) -> None:
-        for event, t in (("begin", fault.start), ("end", fault.end)):
-            if np.isfinite(t):
-                ns, fields = nanoseconds(t), {"data": label(fault, event)}
-                self._queue(RawMessage("/faults", "std_msgs/msg/String", ns, ns, "", fields))
 
     def _queue(self, message: RawMessage) -> None:
         heapq.heappush(self.waiting, (message.log_ns, self.issued, message))
@@ -165,12 +162,12 @@ class Recorder:
 
 
 def nanoseconds(t: float) -> int:
-    """Return the time t [s] of a drive on the log's clock."""
+    """Return the time t [s] of a drive as a stamp of the log [ns]."""
     return EPOCH_NS + round(t * 1e9)
 
 
 def plan_way(scenario: Scenario, scene: Scene, streams: Streams) -> tuple[Pose, Callable[[], Follower]]:
-    """Return the robot's start, and a function that makes its follower."""
+    """Return the robot's start pose, and a function that creates its path follower."""
     path, speed = scenario.path, scenario.control.speed
     if isinstance(path, Legs):
         start = (path.x, path.y, float(np.radians(path.theta_deg)))
@@ -205,16 +202,16 @@ def _outcome(robot: Robot, radius: float) -> Outcome:
 
 
 class Stability(NamedTuple):
-    """Deviation of the mean wheel speed from its mean set point over windows of one sampling time."""
+    """Deviation of the mean wheel speed from its mean set point, over windows of one sampling period."""
 
     worst: float  # relative, of all windows
     rms: float
     within_5_percent: float  # share of windows
 
 
-def speed_stability(outcome: Outcome, window: float = 0.1) -> Stability:
-    """Return the stability of both wheels over windows of `window` [s], without standstill."""
-    per = max(1, round(window / (outcome.ticks_t[1] - outcome.ticks_t[0])))
+def speed_stability(outcome: Outcome) -> Stability:
+    """Return the speed deviations of both wheels over windows of 0.1 s, without standstill."""
+    per = max(1, round(0.1 / (outcome.ticks_t[1] - outcome.ticks_t[0])))
     n = (len(outcome.ticks_t) - 1) // per
     turned = np.diff(outcome.counts[: n * per + 1 : per], axis=0) * outcome.rad_per_count
     asked = outcome.set_points[1 : n * per + 1].reshape(n, per, 2).mean(axis=1)

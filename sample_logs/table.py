@@ -1,4 +1,4 @@
-"""The base of all tables of a scenario."""
+"""Base types of all tables of a scenario."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ RED: Colour = (200, 20, 30)
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A TOML table whose unknown keys are errors."""
+    """TOML table of a scenario; unknown keys are errors."""
 
 
 class Pillar(Table, frozen=True):
-    """A vertical cylinder: the landmark, a distractor, a leg."""
+    """Vertical cylinder, such as a landmark or a leg."""
 
     x: float  # m, map frame
     y: float

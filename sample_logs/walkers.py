@@ -1,4 +1,4 @@
-"""People who walk up and down their paths, as moving circles: two legs, above them a body."""
+"""People who walk up and down their paths, as moving circles: two legs and a body."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from locfuse.fusion.data import Array
 from .building import Walker
 
 STRIDE = 0.7  # m, of one step
-HIP = 0.8  # m: below they are two legs, above a body
+HIP = 0.8  # m: two legs below, a body above
 LEG, BODY, TOP = 0.07, 0.2, 1.7  # m: radii, and the height of the head
-APART = 0.1  # m, of a leg from the middle
-AWAY = 0.75  # m: no person comes closer to the robot's laser than this
+APART = 0.1  # m, distance of a leg from the middle
+AWAY = 0.75  # m, smallest distance of a person from the robot's laser
 
 
 class Walk:
-    """One person's walk: forth, a pause, back, a pause, and so on."""
+    """Walk of one person along a path and back, with pauses at both ends."""
 
     def __init__(self, walker: Walker, rng: np.random.Generator) -> None:
         self.path = np.array(walker.path, float)
@@ -32,25 +32,25 @@ class Walk:
         self.start = rng.uniform(0, 2 * (self.once + self.pause))
 
     def way(self, t: Array) -> Array:
-        """Return the person's distance along the path at the times t [s], (n,) m."""
+        """Return the person's distances (n,) [m] along the path at times t (n,) [s]."""
         phase = (t + self.start) % (2 * (self.once + self.pause))
         there = np.minimum(phase, self.once)
         back = np.clip(phase - self.once - self.pause, 0, self.once)
         return np.asarray(self.speed * (there - back))
 
     def place(self, t: Array) -> tuple[Array, Array]:
-        """Return the person's place and the path's direction there, both (n, 2), map frame."""
+        """Return positions (n, 2) [m, map frame] and directions of motion (n, 2) of the person, at t (n,) [s]."""
         way = self.way(t)
         i = np.clip(np.searchsorted(self.gone, way, side="right") - 1, 0, len(self.ahead) - 1)
         return self.path[i] + (way - self.gone[i])[:, None] * self.ahead[i], self.ahead[i]
 
     def circles(self, t: Array, z: float, robot: Array) -> Array:
-        """Return the circles of the person at height z [m] at the times t (n,), (n, k, 3): x, y, radius, m.
+        """Return the person's circles at height z [m] and times t (n,) [s], (n, k, 3): x, y, radius [m].
 
         Args:
             t: s of the drive.
             z: m.
-            robot: (n, 2) m, where the robot is: the person steps aside for it.
+            robot: (n, 2) m, position of the robot, for which the person steps aside.
         """
         middle, ahead = self.place(t)
         middle = stepped_aside(middle, robot)
@@ -63,22 +63,22 @@ class Walk:
 
 
 def stepped_aside(middle: Array, robot: Array) -> Array:
-    """Return the places (n, 2); a person closer to the robot than AWAY is moved away from it."""
+    """Return the person's positions (n, 2), moved away where they are nearer to the robot than AWAY."""
     gap = middle - robot
     distance = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-9)[:, None]
     return np.where(distance < AWAY, robot + AWAY * gap / distance, middle)
 
 
 def circles(walks: list[Walk], t: Array, z: float, robot: Array) -> Array:
-    """Return all people at height z [m] at the times of the rays, (n, k, 3): x, y, radius, m, map frame.
+    """Return the circles of all people at height z [m] for each ray, (n, k, 3): x, y, radius [m, map frame].
 
-    Between the first and the last ray people move evenly.
+    Positions are interpolated between the times of the first and the last ray.
 
     Args:
         walks: the people.
         t: (n,) s of the drive, increasing.
         z: m.
-        robot: (n, 2) m, where each ray begins.
+        robot: (n, 2) m, origin of each ray.
     """
     if not walks or z >= TOP:
         return np.zeros((len(t), 0, 3))

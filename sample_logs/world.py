@@ -1,4 +1,4 @@
-"""The room in plan and in time: its objects, and exact ray casting against them."""
+"""Room in plan over time: its objects, and exact ray casting."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from .table import Pillar
 
 
 class Plan(NamedTuple):
-    """Objects that a horizontal ray can hit."""
+    """Objects that horizontal rays at one height can hit."""
 
     segments: Array  # (m, 4) x1, y1, x2, y2 [m], map frame
-    circles: Array  # (k, 3) x, y, radius [m], or (n, k, 3) where they move from ray to ray
+    circles: Array  # (k, 3) x, y, radius [m], or (n, k, 3) if they move between rays
     rings: Array = np.zeros((0, 3))  # (l, 3) x, y, radius [m] of round walls, seen from inside
 
 
 def walls(room: Room) -> Array:
-    """Return the straight outer walls, (m, 4); a round room has only the configured ones."""
+    """Return the straight outer walls, (m, 4) [m, map frame]; for a round room only configured ones."""
     if room.walls is not None or room.radius is not None:
         return np.array(room.walls or (), float).reshape(-1, 4)
     w, h = room.size
@@ -31,14 +31,14 @@ def walls(room: Room) -> Array:
 
 
 def rings(room: Room) -> Array:
-    """Return the round outer walls, (l, 3) x, y, radius [m]."""
+    """Return the round outer walls, (l, 3): x, y, radius [m, map frame]."""
     if room.radius is None:
         return np.zeros((0, 3))
     return np.array([(room.size[0] / 2, room.size[1] / 2, room.radius)])
 
 
 class Scene:
-    """Everything in the room at any time."""
+    """Room with its landmark, plates, pillars and faults over time."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.room = scenario.room
@@ -53,7 +53,7 @@ class Scene:
         return (self._landmark(t), *self.room.pillars, *self._red_objects(t), *self._people(t, t))
 
     def plan(self, z: float, times: Array | None = None) -> Plan:
-        """Return the objects at height z [m]: static ones, or with `times` (n,) all at each of them."""
+        """Return the objects at height z [m]: only static ones, or with `times` (n,) [s] also moving ones."""
         standing = [(self.walls, self.room.height), (self.plates, self.room.plate_height)]
         segments = np.concatenate([part for part, height in standing if z < height] or [np.zeros((0, 4))])
         round_walls = self.rings if z < self.room.height else self.rings[:0]
@@ -69,11 +69,11 @@ class Scene:
         return Plan(segments, now + share[:, None, None] * (then - now), round_walls)
 
     def obstacles(self, z: float) -> Plan:
-        """Return what a robot can hit at height z [m]."""
+        """Return the objects that a robot can hit at height z [m]."""
         return self.plan(z)
 
     def see(self, z: float, times: Array, origin: Array, angle: Array, reach: float) -> Array:
-        """Return how far each ray goes, (n,) m, inf where it hits nothing; beyond `reach` hits may be missed.
+        """Return the distance of each ray's first hit, (n,) [m], inf without a hit within about `reach`.
 
         Args:
             z: m, height of the rays.
@@ -85,7 +85,7 @@ class Scene:
         return cast(self.plan(z, times), origin, angle)
 
     def magnetic(self, t: float, at: Array) -> Array:
-        """Return the field of the magnets that run at t, at points (n, 2) in the map, (n, 2) T."""
+        """Return the field (n, 2) [T] of active magnets at time t [s] and points (n, 2) [m, map frame]."""
         field = np.zeros_like(at)
         for fault in self.faults:
             if isinstance(fault, Magnetic) and fault.active(t):
@@ -102,7 +102,7 @@ class Scene:
         return tuple(f.pillar() for f in self.faults if isinstance(f, RedObject) and f.active(t))
 
     def _people(self, present: float, t: float) -> tuple[Pillar, ...]:
-        """Return legs and bodies at t [s] of the people that the faults at time `present` [s] include."""
+        """Return legs and bodies at t [s] of the people whose faults are active at time `present` [s]."""
         found = [f for f in self.faults if isinstance(f, People) and f.active(present)]
         return tuple(solid for person in found for solid in person.solids(t))
 
@@ -113,7 +113,7 @@ def _circles(pillars: tuple[Pillar, ...], z: float) -> Array:
 
 
 def cast(plan: Plan, origin: Array, angle: Array) -> Array:
-    """Return how far each ray goes, (n,) m, inf where it hits nothing.
+    """Return the distance of each ray's first hit, (n,) [m], inf without a hit.
 
     Args:
         plan: segments, circles and rings.
@@ -134,7 +134,7 @@ def cast(plan: Plan, origin: Array, angle: Array) -> Array:
 
 
 def hit_segments(segments: Array, origin: Array, direction: Array) -> Array:
-    """Return the distance from every ray (n,) to every segment (m,), (n, m) m, inf for a miss."""
+    """Return the distances (n, m) [m] along rays (n,) to segments (m,), inf for a miss."""
     a, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
     w = a[None] - origin[:, None]  # (n, m, 2)
     d = direction[:, None]
@@ -147,7 +147,7 @@ def hit_segments(segments: Array, origin: Array, direction: Array) -> Array:
 
 
 def hit_circles(circles: Array, origin: Array, direction: Array) -> Array:
-    """Return the distance from every ray (n,) to every circle (k,), (n, k) m, inf for a miss."""
+    """Return the distances (n, k) [m] along rays (n,) to circles (k,), inf for a miss."""
     w = circles[..., :2] - origin[:, None]  # (n, k, 2)
     ahead = (w * direction[:, None]).sum(axis=-1)
     square = circles[..., 2] ** 2 - (w * w).sum(axis=-1) + ahead**2
@@ -158,7 +158,7 @@ def hit_circles(circles: Array, origin: Array, direction: Array) -> Array:
 
 
 def hit_rings(rings: Array, origin: Array, direction: Array) -> Array:
-    """Return the distance from every ray (n,) to every round wall (l,), (n, l) m, seen from inside; else inf."""
+    """Return the distances (n, l) [m] along rays (n,) to round walls (l,) seen from inside; inf from outside."""
     w = rings[:, :2] - origin[:, None]  # (n, l, 2)
     ahead = (w * direction[:, None]).sum(axis=-1)
     inside = rings[:, 2] ** 2 - (w * w).sum(axis=-1)  # m^2, the power of the point: positive inside
@@ -167,7 +167,7 @@ def hit_rings(rings: Array, origin: Array, direction: Array) -> Array:
 
 
 def clearance(plan: Plan, points: Array) -> Array:
-    """Return the distance of every point (n, 2) from the nearest object in the plan, (n,) m."""
+    """Return the distance (n,) [m] of points (n, 2) from the nearest object in the plan."""
     to_walls = _squared_gaps(plan.segments, points)
     to_circles = points[:, None] - plan.circles[None, :, :2]
     to_rings = points[:, None] - plan.rings[None, :, :2]
@@ -181,7 +181,7 @@ def clearance(plan: Plan, points: Array) -> Array:
 
 
 def _squared_gaps(segments: Array, points: Array) -> Array:
-    """Return the squared distance of every point (n, 2) from every wall (m, 4), (n, m) m^2."""
+    """Return the squared distances (n, m) [m^2] of points (n, 2) from segments (m, 4)."""
     ax, ay, ex, ey = segments.T
     ux, uy = ex - ax, ey - ay
     wx, wy = points[:, :1] - ax, points[:, 1:] - ay

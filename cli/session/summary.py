@@ -39,7 +39,7 @@ from locfuse.formats.versions import own
 from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
-from locfuse.fusion.judge.bootstrap import CONFIDENCE, MIN_REPLICATES, student_t
+from locfuse.fusion.judge.bootstrap import MIN_REPLICATES, student_t
 from locfuse.fusion.judge.credit import MIN_EFFECT, Credit, Effect, SensorCredit, credit_over_logs
 from locfuse.fusion.sensors.registry import colours
 
@@ -235,7 +235,7 @@ def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
     mean = fmean(values)
     if len(values) < fewest:
         return Mean(mean, None, None, len(values))
-    half = student_t(CONFIDENCE, len(values) - 1.0) * stdev(values) / math.sqrt(len(values))
+    half = student_t(len(values) - 1.0) * stdev(values) / math.sqrt(len(values))
     return Mean(mean, mean - half, mean + half, len(values))
 
 

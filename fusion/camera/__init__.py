@@ -1,1 +1,1 @@
-"""The omni-directional camera: from pictures to the bearing of a red vertical landmark. OpenCV lives here."""
+"""The omni-directional camera: from pictures to bearings of a red vertical landmark, with OpenCV."""

@@ -1,7 +1,7 @@
-"""Detection of red vertical objects in image messages, on all cores.
+"""Detection of red vertical objects in image messages, by several threads.
 
-OpenCV lets go of the interpreter while it decodes, so a few threads share a block of pictures. Every picture is
-looked at alone and answers are taken in order: the number of threads does not change the result.
+OpenCV releases the interpreter lock while it decodes, so a few threads share a block of pictures. The result does
+not depend on their number.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from .optics import Optics
 from .panorama import Candidate, Picture, Red
 
 Chain = Literal["fast", "paper", "printed"]
-MAX_THREADS = 4  # at most: more only wait for the interpreter
-MIN_HALF_RADIUS_PX = 120.0  # px of the mirror in the whole picture; a smaller one is not looked at in half size
+MAX_THREADS = 4  # more threads only wait for the interpreter lock
+MIN_HALF_RADIUS_PX = 120.0  # px, smallest radius of the mirror for detection at half size
 
 
 class Detection(NamedTuple):
-    """The result of one picture."""
+    """Landmark candidates in one picture."""
 
     shape: tuple[int, int]  # px, height and width
     optics: Optics
@@ -38,7 +38,7 @@ class Detection(NamedTuple):
 
 
 class Detector(msgspec.Struct, frozen=True):
-    """Detects red vertical objects in pictures; a calibration that is None is taken from the picture's size."""
+    """Detector of red vertical objects; a calibration value of None follows from the picture's size."""
 
     chain: Chain = "fast"
     red: Red = field(default_factory=Red)
@@ -51,7 +51,7 @@ class Detector(msgspec.Struct, frozen=True):
     swapped: bool = False  # pictures are RGB
 
     def optics(self, shape: tuple[int, ...]) -> Optics:
-        """Return the calibration for pictures (h, w, 3); by default centred, and as large as fits."""
+        """Return the calibration for pictures (h, w, 3); by default the largest circle about the middle."""
         height, width = shape[:2]
         x, y = self.centre or ((width - 1) / 2.0, (height - 1) / 2.0)
         outer = self.outer or max(1.0, min(x, y, width - 1 - x, height - 1 - y))
@@ -59,15 +59,15 @@ class Detector(msgspec.Struct, frozen=True):
         return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
 
     def looks_like(self, other: Detector) -> bool:
-        """Return whether another detector finds the same candidates: only zero and direction may differ."""
+        """Return whether another detector finds the same candidates: only `zero` and `clockwise` may differ."""
         return replace(self, zero=other.zero, clockwise=other.clockwise) == other
 
     def coloured(self, picture: Picture) -> Picture:
-        """Return a picture as BGR."""
+        """Return a picture with channels in the order blue, green, red."""
         return np.ascontiguousarray(picture[..., ::-1]) if self.swapped else picture
 
     def find(self, picture: Picture) -> Detection:
-        """Return the candidates of a BGR picture, the largest first."""
+        """Return the candidates in a BGR picture, largest first."""
         optics, picture = self.optics(picture.shape), self.coloured(picture)
         if self.chain == "fast":
             found = radial.candidates(picture, optics, self.red)
@@ -76,20 +76,20 @@ class Detector(msgspec.Struct, frozen=True):
         return Detection((picture.shape[0], picture.shape[1]), optics, found)
 
     def is_half_enough(self, shape: tuple[int, int]) -> bool:
-        """Return whether half resolution is enough to detect in a picture (h, w) with coarse colour."""
+        """Return whether detection at half size is exact enough for a picture (h, w) with coarse colour."""
         return self.chain == "fast" and self.optics(shape).outer >= MIN_HALF_RADIUS_PX
 
     def find_in_half(self, picture: Picture, shape: tuple[int, int]) -> Detection:
-        """Return the candidates found in a half-size picture, in pixels of the full picture `shape` (h, w)."""
+        """Return the candidates in a half-size picture, in pixels of the full picture `shape` (h, w)."""
         optics = self.optics(shape)
         found = radial.candidates(self.coloured(picture), optics.halved(), self.red.halved())
         return Detection(shape, optics, [candidate.doubled() for candidate in found])
 
 
 def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
-    """Detect red objects in one message's picture; return the reason instead if it cannot be decoded.
+    """Detect red objects in the picture of one message; return the reason if it cannot be decoded.
 
-    A JPEG that keeps colour at half resolution is decoded at that: a third of the work, and nothing red is lost.
+    A JPEG with colour at half resolution is decoded at half size: a third of the work, without loss of colour.
     """
     shape = coarse_size(message)
     if shape is not None and detector.is_half_enough(shape):
@@ -100,7 +100,7 @@ def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
 
 
 def detections(stream: Stream, detector: Detector) -> Iterator[tuple[int, Detection | str]]:
-    """Yield (row number, detection or reason why there is none) for every message of a stream, in order."""
+    """Yield (row number, detection or the reason for none) for every message of a stream, in order."""
     with ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1)) as pool:
         for block in messages(stream):
             found = pool.map(partial(detect, detector=detector), [fields for _, fields in block])

@@ -1,4 +1,4 @@
-"""Image messages to BGR pictures (h, w, 3) uint8; a picture that cannot be used gives the reason as a word."""
+"""Decoding of image messages to BGR pictures (h, w, 3) uint8, or to the reason why that fails."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Stream
 
-from .opencv import MAX_PIXELS, cv2, listened, tells_of_damage
+from .opencv import MAX_PIXELS, cv2, listened, reports_damage
 from .optics import FIELDS
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG, EOI = b"\xff\xd8", b"\xff\xd9"
-MIN_TAIL_BYTES = 8  # bytes: shorter than what follows a frame header
+MIN_TAIL_BYTES = 8  # bytes, less than follow a frame header
 FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF markers: the frame's size follows
 BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
-END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the size should have come before
+END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the frame header comes before
 COLOURS = 3  # components of a colour picture: Y, Cb, Cr
 Picture = NDArray[np.uint8]
 PICTURES_AT_ONCE = 16  # pictures held undecoded at a time
-# why a message gives no picture
+# reasons why a message has no picture
 NO_COLOUR = "no_colour"  # grey (mono8): red needs colour
 UNREADABLE = "unreadable"  # truncated, or neither JPEG nor PNG
-NOT_WHOLE = "not_whole"  # damaged inside: from there on it shows what the camera did not see
+NOT_WHOLE = "not_whole"  # damaged data: the picture is wrong from there on
 TOO_LARGE = "too_large"  # more than MAX_PIXELS
 TOO_SHORT = "too_short"  # less data than height x step
 UNKNOWN_ENCODING = "unknown_encoding"
@@ -41,14 +41,14 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 
 
 def image_size(data: memoryview) -> tuple[int, int] | None:
-    """Return (width, height) [px] from a picture's header; None if it is no JPEG or PNG, or is cut off."""
+    """Return (width, height) [px] from the header of a JPEG or PNG; None if it is neither or truncated."""
     if bytes(data[:8]) == PNG and bytes(data[12:16]) == b"IHDR" and b"IEND" in bytes(data[24:]):
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     return _jpeg_size(data, _frame(data)) if bytes(data[:2]) == JPEG else None
 
 
 def _is_coarse(data: memoryview, at: int | None) -> bool:
-    """Return whether a JPEG with this frame keeps its colour at half the brightness' resolution (4:2:0, 4:2:2)."""
+    """Return whether a JPEG, frame header at index `at`, has colour at half resolution (4:2:0, 4:2:2)."""
     if at is None or len(data) < at + 10 + 3 * COLOURS or data[at + 9] != COLOURS:
         return False
     sampling = [data[at + 11 + 3 * k] for k in range(COLOURS)]  # horizontal in the high half of the byte
@@ -58,14 +58,14 @@ def _is_coarse(data: memoryview, at: int | None) -> bool:
 def _jpeg_size(data: memoryview, at: int | None) -> tuple[int, int] | None:
     if at is None:
         return None
-    # inside a scan 0xFF is always followed by 0; the end is nearly always the end
+    # inside a scan 0xFF is always followed by 0; the end mark is nearly always last
     whole = EOI in bytes(data[-MIN_TAIL_BYTES:]) or EOI in bytes(data[at + 9 :])
     height, width = (int.from_bytes(data[at + k : at + k + 2], "big") for k in (5, 7))
     return (width, height) if whole else None
 
 
 def _frame(data: memoryview) -> int | None:
-    """Return where a JPEG's frame header begins: walk its segments (ITU-T T.81, B.2.2)."""
+    """Return the index of a JPEG's frame header (ITU-T T.81, B.2.2); None without one."""
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
@@ -83,13 +83,13 @@ def _frame(data: memoryview) -> int | None:
 
 
 def compressed(data: Any, layout: str, coarse: tuple[int, int] | None = None) -> Picture | str:
-    """Return the BGR picture of a sensor_msgs/CompressedImage, or why there is none.
+    """Return the BGR picture of a sensor_msgs/CompressedImage, or the reason for none.
 
-    It is at half its size where that is `coarse`, its height and width.
+    Decoded at half size if its size `coarse` (height, width) is given.
 
     `layout` is the message's format: "jpeg", or image_transport's "bgr8; jpeg compressed bgr8", where
-    "compressed rgb8" says that the file itself holds R and B swapped. Pixels stay where the sensor put
-    them: an EXIF rotation is not applied.
+    "compressed rgb8" says that R and B are swapped in the file. An EXIF rotation is not
+    applied.
     """
     encoding, _, rest = layout.partition(";")
     if encoding.startswith(GREY):
@@ -102,7 +102,7 @@ def compressed(data: Any, layout: str, coarse: tuple[int, int] | None = None) ->
     picture, words = listened(lambda: _decoded(data, coarse is not None))
     if picture is None:
         return UNREADABLE
-    if tells_of_damage(words):
+    if reports_damage(words):
         return NOT_WHOLE
     if picture.ndim != 3:
         return NO_COLOUR
@@ -130,7 +130,7 @@ def _decoded(data: Any, half: bool) -> NDArray[Any] | None:
 
 
 def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture | str:
-    """Return the BGR picture of a sensor_msgs/Image, or why there is none; rows may be padded to `step`."""
+    """Return the BGR picture of a sensor_msgs/Image, or the reason for none; rows may be padded to `step`."""
     if encoding not in _ENCODINGS:
         return NO_COLOUR if encoding.startswith(GREY) else UNKNOWN_ENCODING
     channels, conversion = _ENCODINGS[encoding]
@@ -144,7 +144,7 @@ def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture
 
 
 def decode(message: tuple[Any, ...], coarse: tuple[int, int] | None = None) -> Picture | str:
-    """Return the picture of one message, given its `FIELDS` in order; at half its size where that is `coarse`."""
+    """Return the BGR picture of a message given as its `FIELDS`; at half size if its size `coarse` is given."""
     if len(message) == 2:
         return compressed(*message, coarse)
     data, width, height, encoding, step = message
@@ -152,7 +152,7 @@ def decode(message: tuple[Any, ...], coarse: tuple[int, int] | None = None) -> P
 
 
 def messages(stream: Stream, rows: int = PICTURES_AT_ONCE) -> Iterator[list[tuple[int, tuple[Any, ...]]]]:
-    """Yield blocks of (row number, fields): the undecoded pictures of a stream, few at a time."""
+    """Yield blocks of (row number, fields) of a stream's undecoded pictures."""
     fields = FIELDS[stream.msgtype]
     for numbers, columns in stream.blocks(*fields, rows=rows):
         values: list[Any] = [columns[name] for name in fields]

@@ -1,7 +1,7 @@
-"""The geometry of an omni picture: which pixel looks where (omni eq. 1). Plain numbers, no OpenCV.
+"""Geometry of omni-directional pictures: from pixels to bearings (omni eq. 1).
 
-Pixel (i, j) has its centre at x = i (right), y = j (down). Picture angle theta grows from straight down in
-the picture, counter-clockwise on the screen (down, right, up, left), as eq. (1) has it.
+Pixel (i, j) has its centre at x = i (right), y = j (down). The picture angle theta is 0 straight down in the
+picture and grows counter-clockwise on the screen (down, right, up, left), as in eq. (1).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.se2 import TAU, wrap_all
 
 COMPRESSED, RAW = ("data", "format"), ("data", "width", "height", "encoding", "step")
-# message type -> the fields a picture is made of
+# message type -> fields of the picture
 FIELDS: dict[str, tuple[str, ...]] = {
     "sensor_msgs/msg/CompressedImage": COMPRESSED,
     "sensor_msgs/msg/Image": RAW,
@@ -24,32 +24,32 @@ FIELDS: dict[str, tuple[str, ...]] = {
 
 
 class Optics(NamedTuple):
-    """Calibration of an omni picture."""
+    """Calibration of an omni-directional picture."""
 
-    x_c: float  # px, where the mirror's axis meets the picture
+    x_c: float  # px, the mirror's axis in the picture
     y_c: float  # px
-    inner: float  # px, radius of the panorama's row 0: nearer the centre the robot sees itself
+    inner: float  # px, radius of the panorama's row 0; inside it is the robot itself
     outer: float  # px, radius where the mirror ends
     width: int = 720  # columns of the panorama
     zero: float = 0.0  # rad, bearing in the camera's frame that column 0 looks at
     clockwise: bool = False  # columns turn clockwise in the world, seen from above
 
     def halved(self) -> Optics:
-        """Return the calibration of the same picture at half its size: two by two pixels become one."""
+        """Return the calibration for the picture at half its size."""
         x, y = (self.x_c - 0.5) / 2.0, (self.y_c - 0.5) / 2.0
         return self._replace(x_c=x, y_c=y, inner=self.inner / 2.0, outer=self.outer / 2.0)
 
     @property
     def rows(self) -> int:
-        """Height of the panorama, px."""
+        """Height of the panorama [px]."""
         return max(1, int(self.outer - self.inner) + 1)
 
 
 def omni_1(x_p: Array, y_p: Array, optics: Optics) -> tuple[Array, Array]:
-    """Omni eq. (1), corrected: the picture's pixel (x_0, y_0) shown by panorama pixel (x_p, y_p), any shape.
+    """Return the picture's pixels (x_0, y_0) for panorama pixels (x_p, y_p), any shape: omni eq. (1), corrected.
 
-    The print has x_c in both lines, counts columns in half degrees and starts at the centre. Right are
-    y_c in the second, theta = 2 pi x_p / W for W columns, and r = r_inner + y_p.
+    The print has x_c in both lines, theta = x_p / 2 degrees and r = y_p. Correct are y_c in the second line,
+    theta = 2 pi x_p / W for W columns, and r = r_inner + y_p.
     """
     theta = picture_angle(x_p, optics.width)
     r = optics.inner + y_p
@@ -57,7 +57,7 @@ def omni_1(x_p: Array, y_p: Array, optics: Optics) -> tuple[Array, Array]:
 
 
 def paper_omni_1(x_p: Array, y_p: Array, x_c: float) -> tuple[Array, Array]:
-    """Omni eq. (1) as printed: x_c in both lines, theta = x_p / 2 in degrees, r = y_p."""
+    """Return the picture's pixels (x_0, y_0) by omni eq. (1) as printed: theta = x_p / 2 [deg], r = y_p."""
     theta = np.radians(x_p / 2.0)
     return x_c + y_p * np.sin(theta), x_c + y_p * np.cos(theta)
 
@@ -73,10 +73,10 @@ def column(theta: Array, width: int) -> Array:
 
 
 def bearing(theta: Array, optics: Optics) -> Array:
-    """Return the bearing [rad, -pi..pi) in the camera's frame, counter-clockwise from above, of theta [rad]."""
+    """Return the bearings [rad, -pi..pi, camera frame, counter-clockwise] of picture angles theta [rad]."""
     return np.asarray(wrap_all(optics.zero + (-theta if optics.clockwise else theta)))
 
 
 def angle_of_bearing(phi: Array, optics: Optics) -> Array:
-    """Return the picture angle [rad] where bearing phi [rad, camera frame] appears: the inverse of `bearing`."""
+    """Return the picture angles [rad] of bearings phi [rad, camera frame]: the inverse of `bearing`."""
     return np.asarray(np.mod(optics.zero - phi if optics.clockwise else phi - optics.zero, TAU))

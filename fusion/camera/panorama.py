@@ -1,7 +1,7 @@
-"""The paper's landmark detection (section II): filter, red, grey, unwrap, Hough, bearing.
+"""Landmark detection as in the paper (section II): filter, red, grey, unwrap, Hough lines, bearing.
 
-Slow and plain; `radial` finds the same bearing without unwrapping. What both agree on, the red rule and the
-form of a candidate, is here.
+Slow; `radial` finds the same bearing without unwrapping. The definitions that both use (red pixels, candidates)
+are here.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from .optics import Optics, omni_1, paper_omni_1, picture_angle
 
 Picture = NDArray[np.uint8]
 
-EDGE_PX = 2.0  # px within which an edge is known: a JPEG keeps colour at half resolution
-SHADE_SHARE = 0.02  # error of the centre as part of the width: light that falls on a pole from one side
+EDGE_PX = 2.0  # px, resolution of an edge: a JPEG keeps colour at half resolution
+SHADE_SHARE = 0.02  # error of the centre as a share of the width, by light from one side
 MAX_LEAN = 0.1  # sideways px per px of height that a "vertical" Hough line may lean
 CACHE_LINE_BYTES = 64  # bytes of a cache line
 MAX_CANDIDATES = 8  # candidates kept of one picture, the largest first
 
 
 class Red(NamedTuple):
-    """What counts as a red landmark: R - max(G, B) >= max(minimum, ratio R), and a radial line."""
+    """Conditions of a red landmark: R - max(G, B) >= max(minimum, ratio R), and size of its radial line."""
 
     ratio: float = 0.4  # share of R that green and blue lack
     minimum: float = 30.0  # grey levels, below which the colour of a pixel is noise
@@ -37,12 +37,12 @@ class Red(NamedTuple):
     slender: float = 1.5  # length over width
 
     def halved(self) -> Red:
-        """Return what counts as red in the same picture at half its size."""
+        """Return the conditions for a picture at half its size."""
         return self._replace(length=self.length / 2.0)
 
 
 class Candidate(NamedTuple):
-    """A vertical red thing in a picture."""
+    """Vertical red object in a picture."""
 
     theta: float  # rad, picture angle of its middle, [0, 2 pi)
     variance: float  # rad^2
@@ -52,34 +52,29 @@ class Candidate(NamedTuple):
     radius: float  # px, middle of its length
 
     def doubled(self) -> Candidate:
-        """Return the candidate of a picture at half size in pixels of the whole one.
+        """Return a candidate found in a half-size picture, in pixels of the full picture.
 
-        Its edge is known within EDGE_PX of the whole picture: a JPEG with coarse colour holds no more in either.
+        The resolution of its edge is EDGE_PX in the full picture, since the colour had half resolution anyway.
         """
         length, radius = 2.0 * self.length, 2.0 * self.radius
         known = variance(self.theta, radius, length, self.width)
         return Candidate(self.theta, known, 4.0 * self.pixels, length, self.width, radius)
 
 
-def denoise(picture: Picture) -> Picture:
-    """Return the picture (h, w, 3) without single wrong pixels: the paper's digital filter, a 3 x 3 median."""
-    return np.asarray(cv2.medianBlur(picture, 3), np.uint8)
-
-
 def red_grey(picture: Picture, red: Red) -> Picture:
-    """Return how red every pixel of a BGR picture is, (h, w): R - max(G, B) where that is red, else 0.
+    """Return the redness (h, w) of a BGR picture: R - max(G, B) where the pixel counts as red, else 0.
 
-    The difference is linear in the share of a pixel that a red thing covers, whatever grey is beside it:
-    this is what carries the centre below a pixel. The ratio keeps the rule when the light changes.
+    The difference is proportional to the share of a pixel that a red object covers, next to any grey, which gives
+    sub-pixel accuracy. The ratio makes the rule independent of brightness.
     """
     excess, r = red_excess(picture, red, room_for_planes(picture.shape[:2]))
     return red_share(excess, r, red)
 
 
 def red_excess(picture: Picture, red: Red, room: list[Picture]) -> tuple[Picture, Picture]:
-    """Return R - max(G, B) where it reaches the minimum, else 0, and R, both (h, w) inside `room`.
+    """Return R - max(G, B) where it is at least red.minimum, else 0, and R, both (h, w) in `room`.
 
-    Fresh memory for every picture would cost several times the arithmetic (benchmarks: "omni bearing").
+    Allocating new memory would take several times as long as the arithmetic (benchmarks: "omni bearing").
     """
     b, g, r = room
     cv2.split(picture, room)
@@ -89,15 +84,15 @@ def red_excess(picture: Picture, red: Red, room: list[Picture]) -> tuple[Picture
 
 
 def red_share(excess: Picture, r: Picture, red: Red) -> Picture:
-    """Return the excess (h, w) where it is at least `red.ratio` of R, else 0."""
+    """Return the excess R - max(G, B) (h, w) where it is at least `red.ratio` times R, else 0."""
     enough = cv2.compare(excess, cv2.convertScaleAbs(r, alpha=red.ratio), cv2.CMP_GE)
     return np.asarray(cv2.bitwise_and(excess, enough), np.uint8)
 
 
 def room_for_planes(shape: tuple[int, ...]) -> list[Picture]:
-    """Return three arrays (h, w) that begin one byte apart within a cache line.
+    """Return three buffers (h, w) for the colour planes of a picture.
 
-    cv2.split takes ten times as long into arrays that begin alike: its stores then go past the cache.
+    They begin one byte apart within a cache line: cv2.split is ten times slower with equally aligned arrays.
     """
     size = shape[0] * shape[1]
     stride = -(-size // CACHE_LINE_BYTES) * CACHE_LINE_BYTES + 1
@@ -107,7 +102,7 @@ def room_for_planes(shape: tuple[int, ...]) -> list[Picture]:
 
 @lru_cache(maxsize=4)
 def unwrap_maps(optics: Optics, printed: bool) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the pixels (x_0, y_0), both (rows, W), that the panorama's pixels show."""
+    """Return the picture's coordinates (x_0, y_0), both (rows, W), for all panorama pixels."""
     y_p, x_p = np.meshgrid(np.arange(optics.rows, dtype=float), np.arange(optics.width), indexing="ij")
     x_0, y_0 = paper_omni_1(x_p, y_p, optics.x_c) if printed else omni_1(x_p, y_p, optics)
     return x_0.astype(np.float32), y_0.astype(np.float32)
@@ -120,9 +115,9 @@ def unwrap(picture: Picture, optics: Optics, printed: bool = False) -> Picture:
 
 
 def vertical_lines(panorama: Picture, red: Red) -> NDArray[np.int64]:
-    """Return vertical Hough lines (n, 3) of a grey panorama: column at mid-height, first and last row.
+    """Return vertical Hough lines (n, 3) in a grey panorama: column at mid-height, first and last row.
 
-    Some columns are repeated past the right edge, so that a landmark on column 0 is whole once.
+    The first columns are repeated after the last one, so that a landmark on column 0 is found as a whole.
     """
     rows, width = panorama.shape
     wrapped = np.hstack((panorama, panorama[:, : width // 12]))
@@ -136,13 +131,13 @@ def vertical_lines(panorama: Picture, red: Red) -> NDArray[np.int64]:
 
 
 def _lines(found: Any) -> NDArray[np.int64]:
-    """Return the lines (n, 4) of HoughLinesP: (n, 1, 4) in OpenCV 4, (n, 4) in OpenCV 5, None for no line."""
+    """Return the result of HoughLinesP as (n, 4): (n, 1, 4) in OpenCV 4, (n, 4) in OpenCV 5, or None."""
     return np.empty((0, 4), np.int64) if found is None else np.asarray(found, np.int64).reshape(-1, 4)
 
 
 def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False) -> list[Candidate]:
-    """Return the vertical red things of a BGR picture by the paper's chain, the largest first."""
-    grey = red_grey(denoise(picture), red)
+    """Return the vertical red objects in a BGR picture by the paper's method, largest first."""
+    grey = red_grey(np.asarray(cv2.medianBlur(picture, 3), np.uint8), red)  # the paper's digital filter
     panorama = unwrap(grey, optics, printed)
     inner = 0.0 if printed else optics.inner
     found: list[Candidate] = []
@@ -157,7 +152,7 @@ def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False
 
 
 def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
-    """Return columns (k,) and weights (k,) of the red blob around column x_p; columns may exceed the width."""
+    """Return columns (k,) and weights (k,) of the red object around column x_p; columns may exceed the width."""
     width = band.shape[1]
     bright = band[band > 0]
     weight = np.minimum(band, cap(bright)).sum(axis=0, dtype=float) if len(bright) else np.zeros(width)
@@ -170,7 +165,7 @@ def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inner: float) -> Candidate:
-    """Return the candidate in these columns of the panorama; its x_p is their weighted mean."""
+    """Return the candidate in these columns of the panorama, with its weighted mean column."""
     width = panorama.shape[1]
     area = panorama[:, columns % width] > 0
     rows = np.flatnonzero(area.any(axis=1))
@@ -184,22 +179,22 @@ def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inne
 
 
 def cap(grey: NDArray[Any]) -> float:
-    """Return the grey level from which a pixel has full weight, so that shading does not shift the centre."""
+    """Return the grey level that caps the weight of a pixel, so that shading does not shift the centre."""
     return 0.75 * float(grey.mean())
 
 
 def variance(theta: float, radius: float, length: float, width: float) -> float:
-    """Return the variance [rad^2] of a candidate's middle, from its pixels.
+    """Return the variance [rad^2] of a candidate's middle by pixel size and uneven light.
 
-    One edge of one pixel row is known within EDGE_PX: variance EDGE_PX^2 / 12; the middle of two edges: half of
-    that. Rows err together while the edge runs along the pixel grid, so only the `1 + length min(|sin|, |cos|)`
-    grid lines that it crosses are independent. Uneven light adds SHADE_SHARE of the width.
+    One edge of one pixel row has the variance EDGE_PX^2 / 12, the middle of two edges half of that. Errors of rows
+    are equal while the edge runs along the pixel grid, so `1 + length min(|sin|, |cos|)` rows (grid lines that it
+    crosses) are independent. Uneven light adds SHADE_SHARE of the width.
     """
     crossed = 1.0 + length * min(abs(math.sin(theta)), abs(math.cos(theta)))
     return EDGE_PX**2 / (24.0 * max(radius, 1.0) ** 2 * crossed) + (SHADE_SHARE * width) ** 2
 
 
 def largest(found: list[Candidate], red: Red) -> list[Candidate]:
-    """Return the candidates that are radial lines, the largest first, at most MAX_CANDIDATES."""
+    """Return the candidates that are radial lines, largest first, at most MAX_CANDIDATES."""
     lines = [c for c in found if c.length >= max(red.length, red.slender * c.width * c.radius)]
     return sorted(lines, key=lambda c: (-c.pixels, c.theta))[:MAX_CANDIDATES]

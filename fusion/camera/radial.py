@@ -1,7 +1,7 @@
-"""The fast landmark detection: a vertical line is a radial line in the raw picture, so nothing is unwrapped.
+"""Fast landmark detection: vertical objects are radial lines in the raw picture, so no panorama is needed.
 
-Red pixels inside the mirror are few, and only they get an angle and a radius. The bearing is that of `panorama`
-(tests/camera/test_bearings.py holds the two together).
+Angle and radius are computed only for the few red pixels inside the mirror. The bearing equals that of `panorama`
+(tests/camera/test_bearings.py).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from .opencv import cv2
 from .optics import Optics
 from .panorama import Candidate, Picture, Red, cap, largest, red_excess, red_share, room_for_planes, variance
 
-MIN_RED_NEIGHBOURS = 5  # of a pixel and its eight neighbours: then the median of the nine is red too
-MAX_GAP_PX = 2.0  # red pixels further apart than this, along the circle, belong to two things
-_ROOM = threading.local()  # memory that one picture leaves for the next
+MIN_RED_NEIGHBOURS = 5  # of a pixel and its eight neighbours, so that their median is red
+MAX_GAP_PX = 2.0  # larger gaps along the circle separate two objects
+_ROOM = threading.local()  # buffers, reused for the next picture
 
 
 @lru_cache(maxsize=4)
 def _window(height: int, width: int, optics: Optics) -> tuple[slice, slice, Picture]:
-    """Return the rows and columns that hold the mirror, and its mask (255 inside) there."""
+    """Return the rows and the columns that contain the mirror, and its mask there (255 inside)."""
     columns, rows = (
         slice(max(0, int(c - optics.outer)), max(0, min(size, int(c + optics.outer) + 2)))
         for c, size in ((optics.x_c, width), (optics.y_c, height))
@@ -38,7 +38,7 @@ def _window(height: int, width: int, optics: Optics) -> tuple[slice, slice, Pict
 
 
 def _planes(shape: tuple[int, ...]) -> list[Picture]:
-    """Return this thread's buffers for the three colour planes (h, w) of a picture."""
+    """Return this thread's three buffers (h, w) for the colour planes of a picture."""
     planes: list[Picture] = getattr(_ROOM, "planes", [])
     if not planes or planes[0].shape != shape:
         planes = _ROOM.planes = room_for_planes(shape)
@@ -46,14 +46,14 @@ def _planes(shape: tuple[int, ...]) -> list[Picture]:
 
 
 def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
-    """Return the vertical red things of a BGR picture, the largest first."""
+    """Return the vertical red objects in a BGR picture, largest first."""
     rows, columns, mirror = _window(*picture.shape[:2], optics)
     if mirror.size == 0:
         return []
     excess, r = red_excess(picture[rows, columns], red, _planes(mirror.shape))
     cv2.bitwise_and(excess, mirror, dst=excess)
     x, y, w, h = cv2.boundingRect(excess)
-    # with a rim, so that the red pixels' neighbours are there; beyond the window the nearest pixel counts
+    # one pixel larger, for the neighbours of red pixels; outside the window the nearest pixel is repeated
     part = slice(max(y - 1, 0), y + h + 1), slice(max(x - 1, 0), x + w + 1)
     level = red_share(excess[part], r[part], red)
     reds = cv2.boxFilter(np.minimum(level, 1), -1, (3, 3), normalize=False, borderType=cv2.BORDER_REPLICATE)
@@ -64,36 +64,36 @@ def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
     edge = (i == 0) | (j == 0) | (i == picture.shape[1] - 1) | (j == picture.shape[0] - 1)
     dx, dy = i - optics.x_c, j - optics.y_c
     pixels = np.stack((np.arctan2(dx, dy), np.sqrt(dx * dx + dy * dy), level[at], edge))
-    found = [_measured(*_whole(thing)) for thing in _things(pixels) if thing.shape[1] >= red.length]
+    found = [_measured(*_without_edge(thing)) for thing in _objects(pixels) if thing.shape[1] >= red.length]
     return largest([thing for thing in found if thing is not None], red)
 
 
-def _things(pixels: Array) -> list[Array]:
-    """Group red pixels (4, n: angle [rad], radius [px], level, whether on the edge) into objects.
+def _objects(pixels: Array) -> list[Array]:
+    """Group red pixels (4, n: angle [rad], radius [px], level, whether at the picture's edge) into objects.
 
-    The pixels of a thing, (4, k), follow each other along the circle by no more than MAX_GAP_PX.
+    Gaps between the pixels of an object, (4, k), are at most MAX_GAP_PX along the circle.
     """
     pixels = pixels[:, np.argsort(pixels[0], kind="stable")]
     theta, radius = pixels[:2]
     apart = (np.append(theta[1:], theta[0] + TAU) - theta) * 0.5 * (radius + np.roll(radius, -1))
-    last = np.flatnonzero(apart > MAX_GAP_PX)  # the last pixel of each thing
+    last = np.flatnonzero(apart > MAX_GAP_PX)  # the last pixel of each object
     if not len(last):
         return [pixels]
-    turned = (last[-1] + 1) % len(theta)  # what lies before the first gap goes on behind the last pixel
+    turned = (last[-1] + 1) % len(theta)  # the last object continues at the first pixels
     ends = np.sort((last - turned) % len(theta)) + 1
     return np.split(np.roll(pixels, -turned, axis=1), ends[:-1], axis=1)
 
 
-def _whole(thing: Array) -> Array:
-    """Return an object's pixels; circles on which it touches the picture's edge are left out."""
+def _without_edge(thing: Array) -> Array:
+    """Return the pixels of an object without those at radii where it touches the picture's edge."""
     edge = thing[3] > 0.0
     return thing[:3, thing[1] < thing[1, edge].min() - 1.0] if edge.any() else thing[:3]
 
 
 def _measured(theta: Array, radius: Array, level: Array) -> Candidate | None:
-    """Return the candidate made of these pixels (k,); None if there are none or they lie on the axis.
+    """Return the candidate of an object's k pixels; None without pixels or if all are on the mirror's axis.
 
-    Its middle is their centre of weight, which may lie across pi. A pixel's weight is its level, at most `cap`.
+    Its middle is the weighted mean angle; a pixel's weight is its level, at most `cap`.
     """
     if not len(theta) or not radius.max() > 0.0:
         return None

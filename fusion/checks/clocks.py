@@ -1,9 +1,9 @@
-"""Checks of the clocks: every two of them are compared, and the fewest wrong ones that explain it are named.
+"""Clock checks: all pairs of clocks are compared, and the smallest set of wrong clocks is reported.
 
-Turning is compared for sensors and for a truth with headings, speed for one without, at every lag. Wheels slip:
-over a lap of the paper's robot they show a lag to 7 ms at best (docs/trust.md), and slips move the lags of all
-sensors alike. Two sensors see the same turning, slips and all. So the truth is a clock like any other: where two
-sensors are equally late against it, and in time with the wheels, its clock is the one that is off.
+Turns are compared for sensors and for a truth with headings, speeds for a truth without, at every lag. Wheels
+slip: over a lap of the paper's robot they show a lag to 7 ms at best (docs/trust.md), and slips change the lags of
+all sensors equally, while two sensors measure the same turns. The truth is one of the clocks: if two sensors have
+the same lag relative to the truth, and none to the wheels, the truth's clock is wrong.
 """
 
 from __future__ import annotations
@@ -26,31 +26,32 @@ from locfuse.fusion.wheels.motion import Wheels
 from .finding import Finding
 from .lag import SAID_SIGMAS, Lag, Reference, by_wheels, find_lag
 
-WINDOW_S = 1.0  # s over which ways are compared
+WINDOW_S = 1.0  # s over which distances are compared
 MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s
 MIN_TRUTH_LAG_S, MAX_MISFIT_RATIO, MIN_CORRELATION = 0.06, 0.75, 0.9
 SEVERE_LAG_S = 0.1  # s: at half a metre per second and a radian per second this is centimetres and degrees
-MAX_STAMPED_RATIO = 0.85  # of the misfits as stamped and shifted: nearer to 1 they say nothing of the clock
-MIN_LAG_S = 0.01  # s: a smaller lag is not named
-SPEED_SIGMA_S = 0.03  # s, 1 sigma of a lag that speeds or places tell
-MODEL_SIGMA_S = 0.002  # s, 1 sigma of what two clocks differ by beside what their readings show
-RELUCTANCE = {"truth": 0.1, "wheels": 0.2}  # of chi-square: who is accused last where it could be any of them
-NEAR = 4.0  # of chi-square: explanations that differ by less are as good as each other
-CLOCK = "lag"  # code of the finding on one
-OPEN_CLOCK = "clocks"  # of a truth and one other clock that differ: either may be off, so the user decides
+MAX_STAMPED_RATIO = 0.85  # of the misfits with recorded and shifted stamps, that shows the clock
+MIN_LAG_S = 0.01  # s: a smaller lag is not reported
+SPEED_SIGMA_S = 0.03  # s, 1 sigma of a lag by speeds or positions
+MODEL_SIGMA_S = 0.002  # s, 1 sigma of a lag beyond the one by its readings
+# of chi-square: added for these clocks, so that others are preferred
+PREFERENCE_COST = {"truth": 0.1, "wheels": 0.2}
+NEAR = 4.0  # of chi-square: explanations that differ by less are equally good
+CLOCK = "lag"  # code of the finding on a wrong clock
+OPEN_CLOCK = "clocks"  # code if truth and one other clock differ, and either may be wrong
 LASER = "lrf"
 MAX_WRONG = 3  # clocks of one log
-RUN_BY_WHEELS = 0.1  # of the wheels' lag, by which a laser's run may be late too
 UNEVEN = "uneven"  # code of the finding that stamps scatter about an even clock
 MIN_SCATTER_S, MIN_SCATTER_SHARE = 0.01, 0.1  # s and share of the period, 1 sigma: less is not reported
 MAX_EVEN_CORRELATION = -0.35  # of neighbouring intervals: -0.5 about an even clock, 0 where periods vary
 MIN_EVEN_PERIODS = 50
+WHEEL_LAG_SHARE = 0.1  # share of the wheels' lag that a laser's run may contain
 AS_STAMPED = Lag(0.0, 1.0, 1.0)
 Pair = tuple[str, str]  # two clocks
 
 
 class Clock(NamedTuple):
-    """A clock that the clocks of other sensors contradict."""
+    """A clock with a wrong offset, by comparison with other clocks."""
 
     name: str
     offset: float  # s to add to its stamps
@@ -59,7 +60,7 @@ class Clock(NamedTuple):
 
 
 def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
-    """Return the streams whose clock is off, with the offset that they need."""
+    """Return findings on wrong clocks, with the time offset that corrects each."""
     explanations = wrong_clocks(differences(drive, robot), SAID_SIGMAS)
     if not explanations:
         return []
@@ -102,7 +103,7 @@ def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
 
 
 def clock_words(clock: Clock) -> str:
-    """Return "stamps look 0.12 s late (1 sigma: 0.005 s) against the wheels and the compass"."""
+    """Return a text like "stamps look 0.12 s late (1 sigma: 0.005 s) against the wheels and the compass"."""
     side = "late" if clock.offset < 0.0 else "early"
     *most, last = (f"the {name}" for name in clock.against)
     whom = f"{', '.join(most)} and {last}" if most else last
@@ -111,21 +112,21 @@ def clock_words(clock: Clock) -> str:
 
 
 def offset_of(clock: Clock, robot: Robot, digits: int = 3, sigmas: float = 0.0) -> str:
-    """Return the setting that corrects a clock; `sigmas` standard deviations are added to its value."""
+    """Return the setting that corrects a clock, such as "lrf.time_offset=-0.16", plus `sigmas` sigmas."""
     tables: dict[str, Any] = {"wheels": robot.wheels, "truth": robot.truth}
     now = float((tables.get(clock.name) or robot.settings(clock.name)).time_offset)
     return f"{clock.name}.time_offset={now + clock.offset + sigmas * clock.sigma:z.{digits}f}"
 
 
 def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> dict[Pair, Lag]:
-    """Return for every pair of clocks the lag: the time to add to the first clock to match the second.
+    """Return the lag of each pair of clocks: the time to add to the first clock to match the second.
 
-    `runs` may hold the laser's own: its map holds the heading at each scan, which shows its clock better. It goes
-    by the wheels too, and is late by a part of what they are.
+    The laser's own run, if among `runs`, shows the laser's clock better than turns from scan to scan; it may
+    contain a part of the wheels' lag.
     """
     wheels, truth = drive.wheels, drive.truth
-    turned = {name: h for name, m in drive.measurements.items() if (h := _heading(name, m)) is not None}
-    base = LASER if wheels.matched is not None else "wheels"  # there the scans are the motion
+    turned = _headings(drive.measurements)
+    base = LASER if wheels.matched is not None else "wheels"  # if scans give the motion
     found = {(name, base): find_lag(*h, by_wheels(wheels)) for name, h in turned.items() if name != base}
     by_run = next((e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost), None)
     for one, other in combinations(turned, 2):
@@ -143,24 +144,26 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
             found[LASER, "truth"] = _of_a_run(own, by_motion)
         found["truth", base] = by_motion
         found |= dict.fromkeys(_on_truths_clock(drive, robot, by_motion), AS_STAMPED)
-    return {pair: _known(lag, pair) for pair, lag in found.items() if lag is not None}
+    return {pair: _known(lag) for pair, lag in found.items() if lag is not None}
 
 
-def _known(lag: Lag, pair: Pair) -> Lag:
-    """Return a lag with a realistic sigma; a lag found only by speed is set to 0 unless significant."""
+def _known(lag: Lag) -> Lag:
+    """Return a lag with a realistic sigma; a lag found only by speeds is set to 0 unless significant."""
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
-    return lag._replace(offset=lag.offset if off_by(lag) else 0.0, sigma=SPEED_SIGMA_S)
+    clearly = 1.0 - lag.correlation <= MAX_MISFIT_RATIO * (1.0 - lag.without)
+    significant = abs(lag.offset) >= MIN_TRUTH_LAG_S and lag.correlation >= MIN_CORRELATION and clearly
+    return lag._replace(offset=lag.offset if significant else 0.0, sigma=SPEED_SIGMA_S)
 
 
 def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
-    """Return a run's lag; its sigma is increased by the share of the wheels' lag that the run may contain."""
-    drawn = 0.0 if by_wheels is None else RUN_BY_WHEELS * by_wheels.offset
+    """Return the lag of a run with a larger sigma, as the run may contain a part of the wheels' lag."""
+    drawn = 0.0 if by_wheels is None else WHEEL_LAG_SHARE * by_wheels.offset
     return lag._replace(sigma=math.hypot(lag.sigma, drawn))
 
 
 def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: Wheels) -> Lag | None:
-    """Return the lag of one heading to another one, found in both directions; the more certain one wins."""
+    """Return the lag between the headings of two sensors, from the direction with the smaller sigma."""
     spans = [(float(t[0]), float(t[-1])) for t, _ in (one, other)]
     there = find_lag(*one, Reference(partial(_interpolated, *other), spans[1], wheels.heading))
     back = find_lag(*other, Reference(partial(_interpolated, *one), spans[0], wheels.heading))
@@ -169,11 +172,11 @@ def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: W
 
 
 def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LAG_S) -> list[tuple[Clock, ...]]:
-    """Return the smallest set of wrong clocks that explains the lags; equally good sets follow; [] for none.
+    """Return the smallest set of wrong clocks that explains the lags, then equally good sets; [] for none.
 
-    A clock that is off costs the square of `sigmas`; others that explain as much are returned too. With three
-    clocks the one that two others contradict is off; of two clocks alone either may be. Lags against wheels that
-    slip have one cause of error, so that several are no surer than one. Lags below `least` [s] are not named.
+    Each wrong clock costs `sigmas`^2 of chi-square. With three clocks the one that two others contradict is wrong;
+    of two clocks either may be. Lags relative to the wheels share the error by slip, so several are as uncertain
+    as one. Offsets below `least` [s] are left out.
     """
     names = sorted({name for pair in pairs for name in pair})
     number = {name: sum(name in pair for pair in pairs) for name in names}
@@ -183,7 +186,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
     for count in range(min(len(names), MAX_WRONG + 1)):
         for off in combinations(names, count):
             chi, clocks = explained(pairs, sizes, off)
-            cost = chi + sigmas**2 * count + sum(RELUCTANCE.get(name, 0.0) for name in off)
+            cost = chi + sigmas**2 * count + sum(PREFERENCE_COST.get(name, 0.0) for name in off)
             found.append((cost, clocks))
     found.sort(key=lambda one: one[0])
     best = [clocks for cost, clocks in found if cost < found[0][0] + NEAR]
@@ -196,7 +199,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
 def explained(
     pairs: Mapping[Pair, Lag], sizes: Mapping[Pair, float], off: Sequence[str]
 ) -> tuple[float, tuple[Clock, ...]]:
-    """Fit the offsets of these clocks to the lags (least squares); return chi-square and the clocks."""
+    """Fit the offsets of the clocks `off` to the lags (least squares); return chi-square and the clocks."""
     rows = [p for p in pairs if p[0] in off or p[1] in off]
     A = np.array([[(p[0] == name) - float(p[1] == name) for name in off] for p in pairs]).reshape(
         len(pairs), len(off)
@@ -217,9 +220,9 @@ def explained(
 
 
 def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
-    """Return (sensor, truth) pairs of sensors that fit the truth clearly better with unshifted stamps.
+    """Return (sensor, truth) for each sensor that fits the truth clearly better with the recorded stamps.
 
-    They know places, not turning: landmarks. A robot that follows its commands late looks like a late truth.
+    For sensors of positions, such as landmarks. (A robot that follows commands late looks like a late truth.)
     """
     truth = drive.truth
     if truth is None or truth.theta is None or lag is None or abs(lag.offset) < MIN_LAG_S:
@@ -239,26 +242,22 @@ def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
 
 
 def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:
-    """Return how far each sensor's clock is from the truth's, by the truth's headings: these never slip.
+    """Return the lag of each sensor's clock relative to the truth's clock, by headings.
 
-    In place of the truth there may be a run that knows its heading better than the wheels do.
+    `truth` may also be a run with headings better than those of the wheels.
     """
     reference = _by_headings(drive, truth)
     if reference is None:
         return {}
-    turned = {
-        name: heading for name, m in drive.measurements.items() if (heading := _heading(name, m)) is not None
-    }
-    found = {name: find_lag(*heading, reference) for name, heading in turned.items()}
+    found = {name: find_lag(*heading, reference) for name, heading in _headings(drive.measurements).items()}
     return {name: lag._replace(against="truth") for name, lag in found.items() if lag is not None}
 
 
 def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
-    """Return how far the clock of a run's only sensor is from the truth's, by the headings of the run.
+    """Return the lag of the clock of a run's only sensor relative to the truth's, by the headings of the run.
 
-    The run of a laser turns by the clock of its scans, since its map holds the heading at each of them, and with
-    less noise than turns from scan to scan have: the lag's sigma is about half as large. A sensor that the wheels
-    outweigh would show a part of its lag only.
+    For a laser the sigma is about half of that by turns from scan to scan, since its map determines the heading at
+    each scan. For a sensor with less weight than the wheels the run would show only a part of the lag.
     """
     reference, (sensor,) = _by_headings(drive, truth), run.sensors
     if reference is None or len(drive.instant[sensor]) < MIN_READINGS:
@@ -269,7 +268,7 @@ def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
 
 
 def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
-    """Return the truth's headings as the reference for a lag; None if it has none."""
+    """Return the truth's headings as the reference for a lag; None without headings."""
     if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
         return None
     span = (float(truth.t[0]), float(truth.t[-1]))
@@ -278,14 +277,8 @@ def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
     )
 
 
-def off_by(lag: Lag) -> bool:
-    """Return whether the truth's lag is large and certain enough to be reported."""
-    clearly = 1.0 - lag.correlation <= MAX_MISFIT_RATIO * (1.0 - lag.without)
-    return abs(lag.offset) >= MIN_TRUTH_LAG_S and lag.correlation >= MIN_CORRELATION and clearly
-
-
 def truth_lag(drive: Drive) -> Lag | None:
-    """Return the lag of the truth by its headings, else by its speed; None if neither shows one."""
+    """Return the lag between truth and wheels by headings, else by speeds; None if neither shows one."""
     truth, wheels = drive.truth, drive.wheels
     if truth is None or len(truth.t) < 5:
         return None
@@ -296,7 +289,7 @@ def truth_lag(drive: Drive) -> Lag | None:
 
 
 def way_lag(truth: Truth, drive: Drive) -> Lag | None:
-    """Return the lag at which the truth's speed follows the wheels' best; None where speed hardly changes."""
+    """Return the lag with the best correlation of speeds of truth and wheels; None if the speed hardly changes."""
     wheels = drive.wheels
     inside = (truth.t > wheels.t[0] + MAX_LAG_S) & (truth.t < wheels.t[-1] - MAX_LAG_S - WINDOW_S)
     start = truth.t[inside & (truth.t + WINDOW_S <= truth.t[-1])]
@@ -318,26 +311,27 @@ def way_lag(truth: Truth, drive: Drive) -> Lag | None:
 
 
 MIN_READINGS = 20  # readings
-MAX_READINGS = 3000  # enough to find a lag: five minutes of a 10 Hz laser
+MAX_READINGS = 3000  # that are used: five minutes of a 10 Hz laser
 
 
 def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict[str, Lag]:
-    """Return how far each sensor's clock is from the wheels', from the first minutes of the drive."""
-    turned = {name: heading for name, m in measurements.items() if (heading := _heading(name, m)) is not None}
-    found = {name: find_lag(*heading, by_wheels(wheels)) for name, heading in turned.items()}
+    """Return the lag of each sensor's clock relative to the wheels', from the first readings of the drive."""
+    found = {name: find_lag(*heading, by_wheels(wheels)) for name, heading in _headings(measurements).items()}
     return {name: lag for name, lag in found.items() if lag is not None}
 
 
-def _heading(name: str, m: Measurements) -> tuple[Array, Array] | None:
-    """Return times (n,) [s] and headings (n,) [rad] of a sensor that measures its own turning, else None."""
-    if len(m.t) < MIN_READINGS:
-        return None
-    heading = REGISTRY[name].heading(m.take(np.arange(min(len(m.t), MAX_READINGS))))
-    if heading is None:
-        return None
-    t, angle = heading
-    known = np.isfinite(angle)
-    return (t[known], angle[known]) if known.sum() >= MIN_READINGS else None
+def _headings(measurements: Mapping[str, Measurements]) -> dict[str, tuple[Array, Array]]:
+    """Return times (n,) [s] and headings (n,) [rad] of each sensor that measures turns."""
+    found = {}
+    for name, m in measurements.items():
+        first = m.take(np.arange(min(len(m.t), MAX_READINGS)))
+        if len(m.t) < MIN_READINGS or (heading := REGISTRY[name].heading(first)) is None:
+            continue
+        t, angle = heading
+        known = np.isfinite(angle)
+        if known.sum() >= MIN_READINGS:
+            found[name] = t[known], angle[known]
+    return found
 
 
 def _interpolated(t: Array, heading: Array, at: Array) -> Array:

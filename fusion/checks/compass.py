@@ -1,4 +1,4 @@
-"""Checks of the compass: unit and direction of a heading that is a bare number; tilt of an IMU or magnetometer."""
+"""Compass checks: unit and convention of bare headings, tilt of an IMU or magnetometer, iron."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
 
 
 def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
-    """Return the convention under which an unread compass number turns as the wheels do."""
+    """Return a finding with the convention in which an unusable bare heading matches the wheels' turns."""
     stream = streams.get("compass")
     if stream is None or "compass" in drive.measurements or not stream.msgtype.startswith("std_msgs/"):
         return []
@@ -47,8 +47,8 @@ def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> 
 
 GRAVITY_RANGE_MPS2 = (9.0, 10.6)  # m/s^2
 MIN_TILT_RAD = math.radians(25.0)
-MIN_FIELD_ARC_RAD = math.radians(120.0)  # an arc of the field shorter than this does not lie in one plane clearly
-MIN_PLANE_RATIO = 10.0  # the field's plane: how much less it varies across than within
+MIN_FIELD_ARC_RAD = math.radians(120.0)  # a shorter arc of the field does not determine a plane
+MIN_PLANE_RATIO = 10.0  # smallest ratio of the field's squares within its plane and across it
 IMU_TYPE, FIELD_TYPE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
 ACCELERATION_FIELDS = tuple(f"linear_acceleration.{a}" for a in "xyz")
 MAGNETIC_FIELDS = tuple(f"magnetic_field.{a}" for a in "xyz")
@@ -61,9 +61,9 @@ def tilted(
     by_wheels: bool = True,
     by_sensor: Mapping[str, Turning] | None = None,
 ) -> list[Finding]:
-    """Return findings on wrong mounts of compass and gyro, by gravity, or by a field that turns with the robot.
+    """Return findings on wrong roll and pitch of compass and gyro, by gravity or by the rotating magnetic field.
 
-    Where gravity says upside-down but the gyro turns with the wheels, gravity has the other sign.
+    If gravity looks upside-down but the gyro turns with the wheels, gravity has the opposite sign.
     """
     found = []
     for name in ("compass", "gyro"):
@@ -76,10 +76,12 @@ def tilted(
         if stream.msgtype == IMU_TYPE:
             up = by_gravity(_vectors(stream, ACCELERATION_FIELDS))
         elif stream.msgtype == FIELD_TYPE and by_wheels:
-            up, by = by_field(stream, drive, configured), "the plane in which the field turns"
+            up, by = by_field(stream, drive), "the plane in which the field turns"
         if up is None or _apart(up, configured) < MIN_TILT_RAD:
             continue
-        if name == "gyro" and _apart(-up, configured) < MIN_TILT_RAD and _agrees((by_sensor or {}).get(name)):
+        turning = (by_sensor or {}).get(name)
+        agrees = turning is not None and turning.a > 0.0 > turning.b
+        if name == "gyro" and agrees and _apart(-up, configured) < MIN_TILT_RAD:
             words = (
                 f"{stream.topic} gives gravity with the other sign (down, not up): its turning fits the wheels'"
             )
@@ -87,16 +89,11 @@ def tilted(
             continue
         roll, pitch = angles(up)
         if name == "compass" and by == "gravity" and _same_ahead(settings, roll, pitch):
-            continue  # an orientation knows where the robot's x axis points, however the IMU rolls about it
+            continue  # the heading by orientation does not depend on roll about the x axis
         words = f"{by} says that it is mounted at roll {roll} deg, pitch {pitch} deg"
         fixes = (f"{name}.roll_deg={roll}", f"{name}.pitch_deg={pitch}")
         found.append(Finding(name, "tilt", words, fixes, True))
     return found
-
-
-def _agrees(turning: Turning | None) -> bool:
-    """Return whether a sensor turns with the wheels."""
-    return turning is not None and turning.a > 0.0 > turning.b
 
 
 def _apart(a: Array, b: Array) -> float:
@@ -109,7 +106,7 @@ def _same_ahead(settings: CompassSettings, roll: float, pitch: float) -> bool:
 
 
 def by_gravity(acceleration: Array) -> Array | None:
-    """Return the direction of up in the sensor's axes (3,) by accelerations (n, 3); None without gravity."""
+    """Return the vertical direction (3,) in the sensor frame by accelerations (n, 3); None without gravity."""
     finite = acceleration[np.isfinite(acceleration).all(axis=1)]
     if not len(finite):
         return None
@@ -118,8 +115,8 @@ def by_gravity(acceleration: Array) -> Array | None:
     return mean / g if GRAVITY_RANGE_MPS2[0] < g < GRAVITY_RANGE_MPS2[1] else None
 
 
-def by_field(stream: Stream, drive: Drive, configured: Array) -> Array | None:
-    """Return the axis about which a magnetometer's field turns (3,), in the sense of the robot's turning."""
+def by_field(stream: Stream, drive: Drive) -> Array | None:
+    """Return the axis (3,) about which a magnetometer's field turns in the sensor frame: up if level; or None."""
     t = (stream.t_ns - drive.epoch_ns) * 1e-9
     inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
     field = _vectors(stream, MAGNETIC_FIELDS)
@@ -135,13 +132,13 @@ def by_field(stream: Stream, drive: Drive, configured: Array) -> Array | None:
     if values[1] < MIN_PLANE_RATIO * values[0] or values[1] <= 0.0:
         return None
     axis: Array = axes[:, 0]
-    # seen from the robot the field turns against the robot
+    # in the robot's frame the field turns opposite to the robot
     swept = float((np.cross(centred[:-1], centred[1:]) @ axis * np.diff(theta)).sum())
     return axis if swept < 0.0 else -axis
 
 
 def angles(up: Array) -> tuple[int, int]:
-    """Return roll and pitch [deg] of a mount whose vertical is `up` in the sensor's axes: R's last row."""
+    """Return roll and pitch [deg] of a mount, given the vertical direction `up` (3,) in the sensor frame."""
     x, y, z = (float(v) for v in up)
     pitch = math.degrees(-math.asin(max(-1.0, min(1.0, x))))
     roll = math.degrees(math.atan2(y, z)) if math.hypot(y, z) > 1e-3 else 0.0
@@ -153,12 +150,11 @@ def _vectors(stream: Stream, fields: tuple[str, ...]) -> Array:
     return np.stack([columns[f].astype(np.float64) for f in fields], axis=-1)
 
 
-FIELDS = ("magnetic_field.x", "magnetic_field.y")
 MIN_ERROR_DEG, SEVERE_ERROR_DEG = 1.0, 5.0  # rms over a turn
 MIN_SIGMAS = 5.0  # standard errors of the circle's centre
-ROOM, TOLERANCE = "iron in the room", 0.05  # code; share by which the field's strength may differ then
-MIN_DISTURBED = 0.12  # share by which the field's strength must differ beside iron in the room
-MIN_READINGS, MAX_PLACE_M = 10, 1.5  # disturbed readings; m that most of them lie about their middle
+ROOM, TOLERANCE = "iron in the room", 0.05  # code of the finding; its value for compass.field_tolerance
+MIN_DISTURBED = 0.12  # relative deviation of the field's strength near iron in the room
+MIN_READINGS, MAX_PLACE_M = 10, 1.5  # disturbed readings; m, median distance from their median position
 
 
 def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
@@ -166,20 +162,19 @@ def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     stream, settings = streams.get("compass"), cast(CompassSettings, robot.settings("compass"))
     if stream is None or stream.msgtype != FIELD_TYPE or settings.roll_deg or settings.pitch_deg:
         return []
-    columns = cast("dict[str, Array]", stream.columns(*FIELDS))
-    field = np.stack([columns[f].astype(np.float64) for f in FIELDS], axis=-1)
+    field = _vectors(stream, MAGNETIC_FIELDS[:2])
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
     inside = plausible(field) & (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
     try:
         iron = fit_iron(field[inside])
     except LocfuseError:
-        return []  # the robot did not turn once
+        return []  # no full turn
     return [*_on_robot(iron, settings), *_in_room(iron, field[inside], t[inside], drive, robot)]
 
 
 def _on_robot(iron: Iron, settings: CompassSettings) -> list[Finding]:
     hard, soft = np.array(settings.hard_iron), np.array(settings.soft_iron).reshape(2, 2)
-    raw = np.linalg.inv(iron.soft) * iron.strength  # raw = hard + this times a unit vector
+    raw = np.linalg.inv(iron.soft) * iron.strength  # field = hard + raw times a unit vector
     left = soft @ raw
     error = iron_error_deg(soft @ (iron.hard - hard), np.linalg.inv(left))
     moved = (np.abs(iron.hard - hard) > MIN_SIGMAS * iron.hard_sigma).any()
@@ -200,7 +195,7 @@ def _on_robot(iron: Iron, settings: CompassSettings) -> list[Finding]:
 
 
 def _in_room(iron: Iron, field: Array, t: Array, drive: Drive, robot: Robot) -> list[Finding]:
-    """Return a finding on where and when the field's strength changes; no compass calibration corrects that."""
+    """Return a finding on a place in the room where iron changes the field's strength."""
     strength = np.linalg.norm((field - iron.hard) @ iron.soft.T, axis=1) / iron.strength
     off = np.abs(strength - 1.0) > max(MIN_DISTURBED, 5.0 * iron.scatter)
     if off.sum() < MIN_READINGS:

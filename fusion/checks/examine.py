@@ -1,17 +1,18 @@
-"""The log doctor: the sensors of a drive compared with each other, before any filter runs.
+"""Examination of a log: its sensors are compared with each other, before any filter runs.
 
-Nothing here needs a pose. Turning is compared over windows, motion between scans with the wheels', the truth with
-both; every complaint names the setting that fixes it.
+No estimated pose is needed: turns are compared over windows, motion between scans with that of the wheels, the
+truth with both. A finding names the setting that fixes it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import Array, Drive, Measurements, Stream
+from locfuse.fusion.data import Array, Drive, Measurements, Stream, stretches
 from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_LINES
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -26,11 +27,10 @@ from .laser_ranges import of_offset, of_scatter
 from .sweep import of_sweep
 from .truth import UNIT, metre, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
-from .unseen import unseen
 
 MIN_READINGS = 10  # readings from which a sensor is judged
-MAX_EMPTY_SHARE = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
-REFUSALS = {
+MAX_EMPTY_SHARE = 0.9  # largest share of readings without a measurement
+REASONS = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
     "not_finite": "hold NaN or Inf",
@@ -44,10 +44,10 @@ REPAIRED = {"spike", "other_joints"}
 def examine(
     drive: Drive, robot: Robot, streams: Mapping[str, Stream], least: Least | None = None
 ) -> list[Finding]:
-    """Return all findings about a measured drive; `streams` are the raw readings by role.
+    """Return all findings on a measured drive; `streams` are the raw readings by role.
 
-    `least` is the smallest error of a scale or of the track that is named, for somebody who will try the fix;
-    None: what is worth saying by itself.
+    `least` is the smallest reported error of a scale or the track, for a caller that tries the fixes; None: the
+    larger defaults of each check.
     """
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
@@ -68,25 +68,25 @@ def examine(
         t = aligned(drive.measurements["lrf"], by_sensor.get("lrf"))
         found += of_sweep(streams["lrf"], drive, robot, t)
     if wrong_wheels:
-        return found  # nothing can be held against such wheels
+        return found  # other checks need correct wheels
     unit = of_unit(drive)
     found += unit
     if unit or any(o.code == MIRROR for o in turning):
-        drive = replace(drive, truth=None)  # nothing can be held against such a truth
+        drive = replace(drive, truth=None)  # such a truth is not compared
     if "camera" in drive.measurements:
-        from .pictures import of_calibration, of_handedness  # here: a log without pictures needs no OpenCV
+        from .pictures import of_calibration, of_handedness  # imported here since it needs OpenCV
 
         found += [*of_calibration(streams["camera"], robot.settings("camera")), *of_handedness(drive, robot)]
     scales = _scales(drive, robot, by_sensor, turning, least)
-    if least is None:  # who tries fixes compares the clocks of runs too
+    if least is None:  # callers that try fixes compare clocks themselves
         scales += of_clocks(drive, robot)
-        scales += unseen(drive) if scales else []  # what looks wrong may be something that this drive cannot tell
+        scales += unseen(drive) if scales else []
     truth = [] if any(o.code == UNIT for o in scales) else of_truth(drive, robot)
     return [*found, *scales, *truth]
 
 
 def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:
-    """Return the findings about distances and the track: the part of `examine` that reads nothing again."""
+    """Return the findings on distance scales and track: the part of `examine` that needs no streams."""
     return _scales(drive, robot, turnings(drive), (), least)
 
 
@@ -97,7 +97,7 @@ def _scales(
     turning: Sequence[Finding],
     least: Least | None,
 ) -> list[Finding]:
-    """Return findings on distance scales and the track; each fix assumes that the other fixes are set too."""
+    """Return findings on distance scales and track; each fix assumes that the other fixes are set too."""
     named = {} if least is None else {"least": least}
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
@@ -109,20 +109,19 @@ def _scales(
     by_truth = wheels_metre(drive) is not None
     radius = [] if by_truth else of_radius(motion, robot, **named)
     if radius and least is None:
-        return [*size, *radius]  # one cause of what looks like a wrong track and a wrong range scale
+        return [*size, *radius]  # the cause of both wrong track and wrong range scale
     track = of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, **named)
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
-    # who tries fixes tries all three
     return [*size, *radius, *scaled, *track, *of_laser(motion, robot, factor, by_truth=by_truth, **named)]
 
 
 def _refused(drive: Drive) -> list[Finding]:
-    """Return findings that count unused readings by reason; repaired readings have findings of their own."""
+    """Return findings that count unused readings by reason."""
     found = []
     for stream, reasons in drive.dropped.items():
         words = [
-            f"{n} {REFUSALS.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in REPAIRED
+            f"{n} {REASONS.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in REPAIRED
         ]
         if words:
             found.append(Finding(stream, "refused", f"readings that are not used: {', '.join(words)}"))
@@ -130,7 +129,7 @@ def _refused(drive: Drive) -> list[Finding]:
 
 
 def _gaps(name: str, t: Array) -> list[Finding]:
-    """List the gaps: without a sensor the filter only predicts, without wheels the whole motion is one arc."""
+    """Return a finding with the gaps in a stream's times (n,) [s]."""
     found = gaps(t)
     if not found:
         return []
@@ -150,7 +149,7 @@ def gaps(t: Array) -> list[tuple[float, float]]:
 
 
 def blind(name: str, m: Measurements) -> list[Finding]:
-    """Report a sensor that detected almost nothing, with the reason if known."""
+    """Return findings on a sensor with hardly any measurements, and the notes of its measurements."""
     n = len(m.t)
     if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
@@ -159,3 +158,51 @@ def blind(name: str, m: Measurements) -> list[Finding]:
     if not n:
         return [Finding(name, "blind", "no reading within the wheels' time", severe=True)]
     return [Finding(name, "seen", note) for note in m.notes]
+
+
+# ---- quantities that a drive does not determine with any sensor, and the manoeuvre that would ----
+#
+# If all turns have one direction, errors of a clock, a mount and the track cannot be separated. Straight paths
+# show the distance scale, standstill shows a gyro's bias.
+
+MIN_TURN_RAD = math.radians(90.0)  # sum of turns, to the left and to the right
+MAX_BEND_RAD, MIN_STRAIGHT_M = math.radians(5.0), 1.0  # of a straight path
+MAX_SPEED_MPS, MAX_RATE_RADPS, MIN_STAND_S = 0.005, 0.005, 5.0  # of standstill
+
+
+def unseen(drive: Drive) -> list[Finding]:
+    """Return findings on quantities that this drive's motion does not determine."""
+    t, heading = drive.wheels.t, drive.wheels.heading(drive.wheels.t)
+    found = [_turning(heading), _straight(heading, drive.wheels.driven(t))]
+    if "gyro" in drive.measurements:
+        found.append(_standing(t, heading, drive.wheels.driven(t)))
+    return [Finding("wheels", "unseen", words) for words in found if words]
+
+
+def _turning(heading: Array) -> str:
+    """Return a note if headings (n,) [rad, unwrapped] hardly turn to one of the two sides, else ""."""
+    turns = np.diff(heading)
+    left, right = float(turns[turns > 0.0].sum()), float(-turns[turns < 0.0].sum())
+    if min(left, right) >= MIN_TURN_RAD:
+        return ""
+    turned = f"the robot turns {math.degrees(left):.0f}° to the left and {math.degrees(right):.0f}° to the right"
+    return f"{turned}: a late clock, a mount and the track cannot be told apart. Turn on the spot, once each way"
+
+
+def _straight(heading: Array, way: Array) -> str:
+    """Return a note if no metre of the path length `way` (n,) [m] is straight, else ""."""
+    begin = way[way + MIN_STRAIGHT_M <= way[-1]]
+    ahead = [np.interp(begin + part * MIN_STRAIGHT_M, way, heading) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    if (np.ptp(ahead, axis=0) <= MAX_BEND_RAD).any():
+        return ""
+    return "no metre of its way is straight, which tells no distance scale. Drive 3 m straight along a tape"
+
+
+def _standing(t: Array, heading: Array, way: Array) -> str:
+    """Return a note if the robot never stands still long enough to measure the gyro's bias, else ""."""
+    period = np.diff(t)
+    still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(np.diff(heading)) <= MAX_RATE_RADPS * period)
+    longest = max((float(t[last + 1] - t[first]) for first, last in stretches(still)), default=0.0)
+    if longest >= MIN_STAND_S:
+        return ""
+    return f"it stands for {longest:.1f} s at most, which tells no offset of the gyro. Stand for 5 s first"

@@ -1,4 +1,4 @@
-"""A finding: one thing about a log that its user should know, with the settings that fix it."""
+"""A finding: one fact about a log for its user, with the settings that fix it."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ class Least(NamedTuple):
     """Limits below which an error is not reported."""
 
     error: float  # relative
-    sigmas: float  # standard errors that it must exceed besides
+    sigmas: float  # standard errors that it must exceed as well
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """Something unusual: harmless, repaired, or an error that would make an estimate wrong."""
+    """Finding on a log: a harmless peculiarity, a repaired fault, or an error that makes estimates wrong."""
 
-    role: str  # what it is about: wheels, a sensor, truth, log, file, or a topic
+    role: str  # wheels, a sensor, truth, log, file, or a topic
     code: str  # one word or two, for machines and tests
     message: str
-    fixes: tuple[str, ...] = ()  # "table.key=value", all of them together fix it
-    severe: bool = False  # an estimate made with the settings as they are would be wrong
-    source: str = ""  # who states the values of the fixes, where that is not the drive itself
-    hint: str = ""  # what to try next, for a place that does not print the fixes
+    fixes: tuple[str, ...] = ()  # "table.key=value": all of them together are the fix
+    severe: bool = False  # whether estimates with the present settings would be wrong
+    source: str = ""  # where the values of the fixes come from, if not from the drive
+    hint: str = ""  # what to try next, for a caller that does not print the fixes
 
     @property
     def sentence(self) -> str:
-        """The message with its source and hint."""
+        """Message with source and hint."""
         return f"{self._whole} {self.hint}" if self.hint else self._whole
 
     @property
     def brief(self) -> str:
-        """The message and its source without the hint, for a place that prints the fixes itself."""
+        """Message with source, for a caller that prints the fixes separately."""
         return self._whole.rstrip(".:;?") if self.hint else self._whole
 
     @property
@@ -43,11 +43,11 @@ class Finding(msgspec.Struct, frozen=True):
 
     @property
     def line(self) -> str:
-        """The whole finding in one line, with the options that fix it."""
+        """The whole finding in one line, with the command-line options that fix it."""
         return f"{self.role}: {self.sentence}" + "".join(f" --set {fix}" for fix in self.fixes)
 
 
-def of_error(error: LocfuseError, role: str, code: str, severe: bool = True) -> Finding:
-    """Return the finding of a role that an error makes; the message names another role if the error does."""
+def of_error(error: LocfuseError, role: str, code: str) -> Finding:
+    """Return an error as a severe finding of a role."""
     message = error.message if error.role in {role, ""} else f"{error.role}: {error.message}"
-    return Finding(role, code, message, error.fixes, severe, hint=error.hint)
+    return Finding(role, code, message, error.fixes, severe=True, hint=error.hint)

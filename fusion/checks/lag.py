@@ -1,16 +1,14 @@
-"""Does a sensor's clock agree with the wheels'? Its own turning is compared with theirs at every lag.
+"""Lag of a sensor's clock relative to the wheels', by correlation of turns.
 
-Neither needs a pose: a compass turns by itself, a laser by its lines from scan to scan. Turns over a second are
-correlated (Knapp & Carter 1976), so that constant offsets and a wrong track (a scale) do not matter. From there
-least squares take over, on short windows where the turning changes:
+Turns over a second are correlated (Knapp & Carter 1976), which does not depend on constant offsets and on a wrong
+track (a scale). Then least squares refine the lag on short windows where the turning rate changes:
 
-- wheels slip, which is white noise of their rate: what is summed longer blurs the lag;
-- where the turning does not change, what is left misleads: a robot that steers by its pose answers its slips, its
-  wheels turn back, later, what the ground has turned, and that pulls the best lag by 10 ms (the bias of
-  identification in closed loop: Ljung 1999, 13.4).
+- slip is white noise of the wheels' rates, so long windows blur the lag;
+- windows with a constant turning rate bias the lag by 10 ms: a robot that steers by its pose compensates its slips
+  later by turning its wheels (identification in closed loop: Ljung 1999, 13.4).
 
-A heading whose errors do not last (a compass), beside one that does not wander (the truth, a laser's run), needs
-no windows: its residuals follow the turning rate by the lag. That uses all turning, and is ten times as sharp.
+For a heading with white errors (a compass) and a reference without drift (the truth, a laser's run) no windows are
+needed: the residuals are the lag times the turning rate. That is ten times more exact.
 """
 
 from __future__ import annotations
@@ -27,63 +25,65 @@ from locfuse.fusion.wheels.motion import Wheels
 
 WINDOW_S = 1.0  # s over which turning is compared
 MAX_LAG_S = 1.5  # s
-SHORT_WINDOWS_S = (0.1, 0.25, 0.5)  # s: which tells most depends on whose noise is larger
-RATE_CHANGE_SPAN_S = 0.3  # s before and after which the turning is compared, to see where it changes
-MAX_LEFT_OUT_SHARE = 0.9  # share of windows that may be left out because the turning hardly changes there
-RATE_SPAN_S = 0.1  # s over which the wheels' turning rate is taken
-MAX_ITERATIONS = 3  # of least squares: the turning is nearly straight over the few hundredths of a second left
-COARSE_STEP_S, FINE_STEP_S = (
-    0.05,
-    0.01,
-)  # s: correlations over a whole window are smooth, so the best is near the coarse best
-MIN_LAG_S = 0.04  # s: a sensor that is less off serves others as a reference
-MIN_SAID_LAG_S, SAID_SIGMAS = 0.01, 4.0  # s, and in its own sigmas: a smaller lag is not reported
-MIN_RMS_TURN_RAD = math.radians(3.0)  # rms turn per window below which there is nothing to correlate
+SHORT_WINDOWS_S = (0.1, 0.25, 0.5)  # s: the best one depends on the noise of sensor and reference
+RATE_CHANGE_SPAN_S = 0.3  # s between the rates whose difference is the change of the turning rate
+MAX_LEFT_OUT_SHARE = 0.9  # largest share of windows left out for a constant turning rate
+RATE_SPAN_S = 0.1  # s over which the wheels' turning rate is computed
+MAX_ITERATIONS = 3  # of least squares
+# s, steps of the lag
+COARSE_STEP_S, FINE_STEP_S = 0.05, 0.01
+MIN_LAG_S = 0.04  # s: a sensor with a smaller lag can be a reference for others
+MIN_SAID_LAG_S, SAID_SIGMAS = 0.01, 4.0  # s, sigmas: a smaller lag is not reported
+MIN_RMS_TURN_RAD = math.radians(3.0)  # smallest rms turn per window
 MIN_CORRELATION = 0.8
 MIN_WINDOWS = 20  # windows
-STRETCHES = 16  # of the drive, over which residuals are summed: errors that last no longer count as they should
-MIN_SIGMA_S = 5e-4  # s: turning rates are differences over a tenth of a second
-MAX_RESIDUAL_CORRELATION = 0.5  # of neighbouring residuals: those that last longer tell no lag
-COARSE_OVERLAP = 4.0  # windows at any time, to know roughly where the best lag is
+STRETCHES = 16  # of the drive, over which residuals are summed, for errors that are correlated
+MIN_SIGMA_S = 5e-4  # s, as turning rates are differences over 0.1 s
+MAX_RESIDUAL_CORRELATION = 0.5  # of neighbouring residuals: with more they show no lag
+COARSE_OVERLAP = 4.0  # number of windows at any time, for the coarse search
 
 Heading = Callable[[Array], Array]  # [rad, not wrapped, up to a constant] at any time [s]
 
 
 class Reference(NamedTuple):
-    """Turn rates of the robot over time that a sensor's turn rates are compared with."""
+    """Headings over time (of the wheels, the truth or a run) that a sensor's turns are compared with."""
 
     heading: Heading
     span: tuple[float, float]  # s
-    wheels: Heading  # the same turning with little noise from reading to reading, for its rate
-    wanders: bool = True  # its errors add up, as those of wheels and of a laser's turns from scan to scan do
+    wheels: Heading  # headings with little noise from reading to reading, for turning rates
+    wanders: bool = True  # whether its errors accumulate, as those of wheels or of scan matching do
 
 
 class Lag(NamedTuple):
-    """The time offset with which a sensor's turning agrees best with a reference."""
+    """Time offset at which a sensor's turns agree best with a reference."""
 
     offset: float  # s to add to the sensor's stamps
     correlation: float  # at that offset
-    without: float  # correlation at no further offset
-    sigma: float = math.inf  # s, standard deviation of the offset; infinite where only correlations tell it
-    against: str = "wheels"  # whose turning it was held against
+    without: float  # correlation at offset 0
+    sigma: float = math.inf  # s, of the offset; infinite if found by correlation only
+    against: str = "wheels"  # source of the reference
 
 
 class _Turns(NamedTuple):
-    """How far a sensor turned between pairs of its readings."""
+    """Turns of a sensor between pairs of its readings."""
 
     start: Array  # (n,) s
     end: Array  # (n,) s
     angle: Array  # (n,) rad
-    overlap: float  # how many of them there are at any time
+    overlap: float  # number of turns at any time
 
     def where(self, keep: NDArray[np.bool_]) -> _Turns:
-        """Return the turns that a mask selects."""
+        """Return the selected turns."""
         return _Turns(self.start[keep], self.end[keep], self.angle[keep], self.overlap)
 
     def scores(self, heading: Heading, lags: Array) -> Array:
-        """Return the correlation with the turning of another heading at lags (k,) [s], (k,)."""
+        """Return the correlations (k,) with another heading at lags (k,) [s]."""
         shift = lags[:, None]
-        return _correlations(self.angle, heading(self.end + shift) - heading(self.start + shift))
+        a, b = self.angle - self.angle.mean(), heading(self.end + shift) - heading(self.start + shift)
+        b = b - b.mean(axis=1, keepdims=True)
+        scale = np.sqrt((a @ a) * (b**2).sum(axis=1))
+        out: Array = np.divide(b @ a, scale, out=np.zeros(len(b)), where=scale > 0)
+        return out
 
 
 class _Fit(NamedTuple):
@@ -92,14 +92,14 @@ class _Fit(NamedTuple):
 
 
 def by_wheels(wheels: Wheels) -> Reference:
-    """Return the wheels as the reference for a lag."""
+    """Return the wheels' headings as the reference for a lag."""
     return Reference(wheels.heading, (float(wheels.t[0]), float(wheels.t[-1])), wheels.heading)
 
 
 def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
-    """Return the lag of a sensor's heading (n,) [rad, unwrapped, up to a constant] at t (n,), or None.
+    """Return the lag of headings (n,) [rad, unwrapped] at t (n,) [s] relative to a reference, or None.
 
-    None where the robot hardly turned, or where no lag makes the two agree.
+    None if the robot hardly turned, or if the two agree at no lag.
     """
     ok = np.isfinite(heading)
     t, heading = t[ok], heading[ok]
@@ -114,16 +114,16 @@ def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
         fits.append(_by_residuals(found, t, heading, reference))
     best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
     if best is None and turns.overlap <= 1.0:
-        return None  # of readings further apart than the window correlations hardly change with the lag
+        return None  # with readings further apart than the window, correlation does not show the lag
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
     return Lag(offset, at, zero, math.inf if best is None else best.sigma)
 
 
 def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -> _Turns:
-    """Return the turns from every reading to the one nearest to `window` later, but not across gaps.
+    """Return the turns from each reading to the reading about `window` [s] later, without those across gaps.
 
-    From reading to reading: between two of them a heading is not known, and a straight line would blur the lag.
+    Turns begin and end at readings, since interpolation between them would blur the lag.
     """
     first = np.arange(max(len(t) - 1, 0))
     last = np.maximum(np.searchsorted(0.5 * (t[1:] + t[:-1]), t[:-1] + window), first + 1)
@@ -136,7 +136,7 @@ def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -
 
 
 def _best(turns: _Turns, heading: Heading) -> float | None:
-    """Return the lag [s] at which correlation is best, None where it is poor or rises further."""
+    """Return the lag [s] with the highest correlation; None if that is low or at the end of the range."""
     coarse = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
     some = turns.where(np.arange(len(turns.angle)) % max(round(turns.overlap / COARSE_OVERLAP), 1) == 0)
     middle = float(coarse[np.argmax(some.scores(heading, coarse))])
@@ -149,9 +149,9 @@ def _best(turns: _Turns, heading: Heading) -> float | None:
 
 
 def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | None:
-    """Refine a lag near `start` [s] by least squares; None if the turns hardly agree.
+    """Return the lag near `start` [s] by least squares of turns; None if the turns hardly agree.
 
-    Gauss-Newton: a turn is the reference's, scaled, and the lag times how much the rate changed in the meantime.
+    Gauss-Newton: a turn is the reference's turn times a scale, plus the lag times the change of the turning rate.
     """
     turns = turns.where(_changing(turns, reference, start))
     if len(turns.angle) < MIN_WINDOWS:
@@ -178,9 +178,9 @@ def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | 
 
 
 def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) -> _Fit | None:
-    """Refine a lag near `start` [s] by the residuals of headings; None where the errors are slow.
+    """Return the lag near `start` [s] by residuals of headings; None if the residuals are correlated.
 
-    Its standard deviation is that of sums over stretches of the drive: it holds for errors that last a little.
+    The sigma is by sums over stretches of the drive, to allow for slightly correlated errors.
     """
     inside = (t >= reference.span[0] + MAX_LAG_S) & (t <= reference.span[1] - MAX_LAG_S)
     t, heading = t[inside], heading[inside]
@@ -189,7 +189,7 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) 
     lag, sigma = start, math.inf
     for _ in range(MAX_ITERATIONS):
         rate, theirs = _rate(reference, t + lag), reference.heading(t + lag)
-        # what a heading may be off: a constant, a drift, what iron on the robot adds
+        # possible errors of a heading: a constant, a drift, iron on the robot
         iron = (np.cos(theirs), np.sin(theirs), np.cos(2.0 * theirs), np.sin(2.0 * theirs))
         others = np.stack((np.ones(len(t)), t - t.mean(), *iron), axis=-1)
         own = _without(heading - theirs, others)
@@ -210,14 +210,14 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) 
 
 
 def _without(column: Array, others: Array) -> Array:
-    """Return a column (n,) minus its least-squares fit by other columns (n, k)."""
+    """Return a column (n,) minus the least-squares fit by other columns (n, k)."""
     x, *_ = np.linalg.lstsq(others, column, rcond=None)
     rest: Array = column - others @ x
     return rest
 
 
 def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
-    """Return in which windows the turn rate changes most: above the rms, at least a share of them."""
+    """Return which turns (n,) contain large changes of the turning rate."""
     middle = 0.5 * (turns.start + turns.end) + lag
     before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
     change = np.abs(after - 2.0 * now + before)
@@ -230,22 +230,14 @@ def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.boo
 
 
 def _rate(reference: Reference, t: Array) -> Array:
-    """Return the turning rate [rad/s] at times t (n,)."""
+    """Return the turning rate [rad/s] of the wheels at times t (n,) [s]."""
     return (reference.wheels(t + RATE_SPAN_S / 2) - reference.wheels(t - RATE_SPAN_S / 2)) / RATE_SPAN_S
 
 
-def _correlations(a: Array, b: Array) -> Array:
-    """Correlation of a (n,) with every row of b (k, n), (k,)."""
-    a, b = a - a.mean(), b - b.mean(axis=1, keepdims=True)
-    scale = np.sqrt((a @ a) * (b**2).sum(axis=1))
-    out: Array = np.divide(b @ a, scale, out=np.zeros(len(b)), where=scale > 0)
-    return out
-
-
 def _vertex(left: float, middle: float, right: float) -> float:
-    """Offset of a parabola's top from its middle sample, in samples."""
-    bend = left - 2.0 * middle + right
-    return 0.5 * (left - right) / bend if bend < 0 else 0.0
+    """Return the offset of a parabola's vertex from its middle sample, in samples."""
+    curvature = left - 2.0 * middle + right
+    return 0.5 * (left - right) / curvature if curvature < 0 else 0.0
 
 
 def worth_saying(lag: Lag) -> bool:

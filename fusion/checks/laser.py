@@ -1,8 +1,8 @@
-"""Laser checks: do its distances, its direction on the robot and its turning match the wheels and their track?
+"""Laser checks by walls seen twice: distance scale, yaw of the mount, and the wheels' track.
 
-A wall seen from two places of the laser, d apart, changes its distance by n.d, whatever the room. Over many walls
-y = a n.d + b n.(Jd) gives the laser's metre, 1 / sqrt(a^2 + b^2), and by how much its assumed yaw is off. By how
-much the wall's direction changed is the robot's turn.
+Between two positions of the laser, d apart, the distance of a wall with normal n changes by n.d. Over many walls
+y = a n.d + b n.(Jd) gives the laser's distance scale, 1 / sqrt(a^2 + b^2), and its yaw error. The change of the
+wall's direction is the robot's turn.
 """
 
 from __future__ import annotations
@@ -24,69 +24,65 @@ from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding, Least
 
-PAIR_DISTANCE_M, PAIR_TURN_RAD = 0.3, 0.35  # m, rad between the two places, whichever comes first
-MAX_PAIR_TIME_S = 4.0  # s at most between them
+PAIR_DISTANCE_M, PAIR_TURN_RAD = 0.3, 0.35  # m, rad between the two positions, whichever comes first
+MAX_PAIR_TIME_S = 4.0  # s between the two scans
 MAX_PAIRS = 1500
-MAX_WALL_TURN_RAD, MAX_WALL_SHIFT_M = math.radians(8.0), 0.25  # further off than the wheels say is another wall
+# difference from the wheels' motion, beyond which it is another wall
+MAX_WALL_TURN_RAD, MAX_WALL_SHIFT_M = math.radians(8.0), 0.25
 MIN_WALLS = 60  # walls seen twice
-MAX_ITERATIONS = 3  # times at most
-# first guesses where the configured direction fits nothing
+MAX_ITERATIONS = 3  # of the pairing
+# first guesses if the configured yaw does not fit
 OTHER_YAWS_RAD = (math.pi, 0.5 * math.pi, -0.5 * math.pi)
-# of the walls' approach that may be left unexplained; paired wrongly they leave all of it, and tell nothing
+# unexplained share of the walls' distance changes: for a good fit, for a usable one
 MAX_REST, MAX_TELLING_REST = 0.5, 1.0
 MIN_APPROACH_M = 0.01  # m
 STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
 WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
 SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
-MIN_RANGE_FACTOR, MAX_RANGE_FACTOR = 0.5, 2.0  # of a laser's distances: beyond, it is no error of its scale
-OPEN_SCALE = "distances"  # laser or wheels: what a fix assumes, nothing in the log shows
-BUMP = "bumped"  # code of the finding that its direction on the robot changes
-MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 5.0  # rad; standard errors: the time is the best of very many
-BUMP_STRETCHES = 16  # of the drive, each with an error of its own
-MIN_BUMP_SHARE = 0.1  # of the walls, before it and after it
-MAX_RADIUS_MISFIT = 0.5  # of the smaller error: two errors that differ by more have two causes
-MIN_CORRELATION = 0.9  # correlation of both turns: less, and what the wheels tell is noise
-MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, all turns squared and added: what wobbles along a straight tells no track
+MIN_RANGE_FACTOR, MAX_RANGE_FACTOR = 0.5, 2.0  # plausible factors on a laser's distances
+OPEN_SCALE = "distances"  # code: laser and wheels differ, the log does not show which is wrong
+BUMP = "bumped"  # code of the finding on a step of its yaw
+MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 5.0  # rad; standard errors, as the best of many times is taken
+BUMP_STRETCHES = 16  # of the drive, with independent errors
+MIN_BUMP_SHARE = 0.1  # of the walls, before and after the step
+MAX_RADIUS_MISFIT = 0.5  # difference of two errors with one cause, as a share of the smaller error
+MIN_CORRELATION = 0.9  # of turns by walls and by wheels
+MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, smallest sum of squared turns
 
 
 class Walls(NamedTuple):
-    """Walls seen from two places of the laser, k of them, in time order."""
+    """k pairs of measurements of one wall from two positions of the laser, in time order."""
 
-    y: Array  # (k,) by how much the distance shrank [m]
+    y: Array  # (k,) decrease of the wall's distance [m]
     n: Array  # (k, 2) normals in the base frame at the first place
-    d: Array  # (k, 2) how far the laser moved, same frame [m]
-    turn: Array  # (k,) by how much the wall's direction says that the robot turned [rad]
-    by_wheels: Array  # (k,) by how much the wheels do
-    t: Array  # (k,) when it was seen from the second place [s]
-    since: Array  # (k,) when from the first [s]
+    d: Array  # (k, 2) motion of the laser, same frame [m]
+    turn: Array  # (k,) turn of the robot by the wall's direction [rad]
+    by_wheels: Array  # (k,) turn of the robot by the wheels [rad]
+    t: Array  # (k,) time at the second position [s]
+    since: Array  # (k,) time at the first position [s]
 
 
 class Motion(NamedTuple):
-    """The laser's scale, yaw and track error as walls show them."""
+    """Errors of laser and wheels by walls seen twice: distance scale, laser yaw, turns."""
 
-    scale: float  # that makes the laser's metre the wheels'
+    scale: float  # wheel distance per laser distance
     scale_sigma: float
-    yaw: float  # rad, assumed yaw less the true one
+    yaw: float  # rad, configured minus true yaw
     yaw_sigma: float
-    turns: float | None  # the robot's turn per turn that the wheels tell; None where it hardly turned
-    turns_sigma: float  # of what this drive shows
+    turns: float | None  # turn of the robot per turn by the wheels; None if it hardly turned
+    turns_sigma: float  # for this drive
     walls: int
-    by_slips: float = 0.0  # 1 sigma of the same: by how much slips make the turns of two drives differ
-    bump: tuple[float, float] | None = None  # s, rad: when its direction on the robot changes, and by how much
-
-    @property
-    def turns_anywhere(self) -> float:
-        """Sigma of `turns` on any drive: at least that of slip, which is alike in the laps of one drive."""
-        return max(self.turns_sigma, self.by_slips)
+    by_slips: float = 0.0  # 1 sigma of the difference of `turns` between drives by slip
+    bump: tuple[float, float] | None = None  # s, rad: time and size of a step of its yaw
 
 
 def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motion | None:
-    """Compare the wheels with walls seen in two scans, taken at `t` (n,) [s]; None with too few walls."""
+    """Return errors of scale, yaw and turns by walls seen in two scans at times `t` (n,) [s]; or None."""
     settings = robot.settings("lrf")
     mount = np.array([settings.x, settings.y])
     found = _looking(m, t, drive, mount, 0.0)
-    if found is None or found.rest > MAX_REST:  # it may look backward or sideways: walls then pair wrongly
+    if found is None or found.rest > MAX_REST:  # walls pair wrongly if it looks backward or sideways
         others = (_looking(m, t, drive, mount, yaw) for yaw in OTHER_YAWS_RAD)
         best = min((f for f in others if f is not None), key=lambda f: f.rest, default=None)
         if best is not None and best.rest < MAX_REST and (found is None or best.rest < 0.5 * found.rest):
@@ -103,9 +99,9 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
 
 
 def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
-    """Return when the laser's direction on the robot changes [s] and by how much [rad]; None where it stays.
+    """Return the time [s] and size [rad] of a step of the laser's yaw during the drive; None without a step.
 
-    The direction before and after a time by least squares; the time is that which leaves least.
+    By least squares, with one yaw before a time and one after it; the time is that of the best fit.
     """
     n, edge = len(walls.y), math.ceil(MIN_BUMP_SHARE * len(walls.y))
     if edge < MIN_WALLS:
@@ -117,18 +113,18 @@ def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
     split = best_split(across, rest, edge)
     left = rest - across * np.where(np.arange(n) <= split.at, split.before, split.after)
     by_walls = float(left.std()) * math.hypot(*split.sigmas)
-    # what slips turn lasts from wall to wall: the walls of a stretch share an error
+    # errors by slip are correlated between neighbouring walls
     at = split.at + 1
     counts = [max(3, round(BUMP_STRETCHES * part / n)) for part in (at, n - at)]
     halves = zip(np.split(across, [at]), np.split(left, [at]), counts, strict=True)
     by_stretches = math.hypot(*(_slope_sigma(*half) for half in halves))
-    change = split.before - split.after  # of the true yaw: these are assumed less true
+    change = split.before - split.after  # of the true yaw: both slopes are configured minus true yaw
     least = max(MIN_BUMP_RAD, BUMP_SIGMAS * max(by_walls, by_stretches))
     return (float(walls.t[split.at]), change) if abs(change) > least else None
 
 
 def _slope_sigma(across: Array, left: Array, stretches: int) -> float:
-    """Return 1 sigma of the slope of a line through zero, whose residuals (k,) share an error in each stretch."""
+    """Return the sigma of the slope of residuals `left` over `across` (k,), if correlated within stretches."""
     parts = (np.array_split(column, stretches) for column in (across, left))
     scores = np.array([float(a @ b) for a, b in zip(*parts, strict=True)])
     squares = max(float(across @ across), MIN_SQUARES)
@@ -136,23 +132,23 @@ def _slope_sigma(across: Array, left: Array, stretches: int) -> float:
 
 
 def _along_across(walls: Walls) -> tuple[Array, Array]:
-    """Return the laser's motion along each wall's normal, and to the left of the normal, (k,) [m] each."""
+    """Return the laser's motion along each wall's normal, and to the left of it, (k,) [m] each."""
     n, d = walls.n, walls.d
     return (n * d).sum(axis=1), n[:, 1] * d[:, 0] - n[:, 0] * d[:, 1]
 
 
 class Looking(NamedTuple):
-    """The laser's scale and yaw error as the walls show them, from one first guess of the yaw."""
+    """Distance scale and yaw error of the laser by walls, from one first guess of the yaw."""
 
     walls: Walls
-    scale: float  # that makes the laser's metre the wheels'
-    yaw: float  # rad, assumed yaw less the true one
-    rest: float  # of the walls' approach that this does not explain, over the approach: medians
+    scale: float  # wheel distance per laser distance
+    yaw: float  # rad, configured minus true yaw
+    rest: float  # unexplained distance change of walls over the whole one: medians
 
 
 def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) -> Looking | None:
-    """Fit the laser's scale and yaw error by walls, starting from the error `yaw` [rad]; None if impossible."""
-    for _ in range(MAX_ITERATIONS):  # walls pair badly while the laser is thought to look elsewhere
+    """Return the laser's scale and yaw error by walls, from a first guess `yaw` [rad]; None if impossible."""
+    for _ in range(MAX_ITERATIONS):  # pairs get better with a better yaw
         walls = seen_twice(_turned(m, yaw, mount), t, drive, mount)
         if (fit := fitted(walls)) is None:
             return None
@@ -165,7 +161,7 @@ def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) 
 
 
 def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
-    """Return the measured lines in the base frame for a laser whose yaw is `yaw` less than configured."""
+    """Return the lines in the base frame for a laser yaw that is `yaw` [rad] less than configured."""
     r, psi = m.z.T
     own = r - np.cos(psi) * mount[0] - np.sin(psi) * mount[1]
     psi = psi - yaw
@@ -173,16 +169,19 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
 
 
 def of_radius(motion: Motion | None, robot: Robot, least: Least = WORTH_SAYING) -> list[Finding]:
-    """Return the wheel radius if, by the walls, wheels measure distances and turns too long by the same factor.
+    """Return a finding on the wheel radius if distances and turns of the wheels are wrong by the same factor.
 
-    A wrong range scale changes no turn, a wrong track no way: one number explains both, where it would take two.
-    Wheels slip, which moves turns by percents: for somebody who will try the fix it is enough that both together
-    are surely off, and nearer to each other than to 1. Where they surely differ, the ways tell the radius.
+    A wrong range scale does not change turns, a wrong track does not change distances: a wrong radius changes
+    both. For a caller that tries the fix (other limits than WORTH_SAYING) both factors together must be
+    significant, and nearer to each other than to 1; if they differ significantly, the distances determine the
+    radius.
     """
     radius = robot.wheels.radius
     if motion is None or radius is None or motion.turns is None:
         return []
-    scales, sigmas = np.array((1.0 / motion.scale, motion.turns)), (motion.scale_sigma, motion.turns_anywhere)
+    scales = np.array((1.0 / motion.scale, motion.turns))
+    # slip may be constant within one drive, and is different on another one
+    sigmas = motion.scale_sigma, max(motion.turns_sigma, motion.by_slips)
     if not all(math.isfinite(s) and s > 0.0 for s in sigmas):
         return []
     weights = 1.0 / np.square(sigmas)
@@ -211,10 +210,10 @@ def of_laser(
     least: Least = WORTH_SAYING,
     by_truth: bool = False,
 ) -> list[Finding]:
-    """Check the laser's range scale and yaw.
+    """Return findings on the laser's distance scale and yaw.
 
-    `metre` is by how much another fix will scale the wheels' metre: the laser's follows. A scale that is off by
-    less than `least` is not named. `by_truth`: the wheels' metre is the truth's; else nothing says who is right.
+    `metre` is the factor by which another fix changes the wheels' distances. Scale errors below `least` are not
+    reported. `by_truth`: the wheels' distances match the truth; else either the laser or the wheels may be wrong.
     """
     if motion is None:
         return []
@@ -256,14 +255,14 @@ def of_laser(
 
 
 def range_fix(robot: Robot, factor: float) -> tuple[str, ...]:
-    """Return the setting that makes the laser's distances `factor` times as long; () if no scale is that wrong."""
+    """Return the setting that multiplies the laser's distances by `factor`; () for an implausible factor."""
     if not MIN_RANGE_FACTOR < factor < MAX_RANGE_FACTOR:
         return ()
     return (f"lrf.range_scale={float(robot.settings('lrf').range_scale) * factor:.4g}",)
 
 
 def fitted(walls: Walls) -> tuple[float, float] | None:
-    """Return the factor from the laser's distance scale to the wheels', and its yaw error [rad]."""
+    """Return the laser's scale (wheel distance per laser distance) and yaw error [rad]; None for few walls."""
     along, across = _along_across(walls)
     A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
     for _ in range(4):
@@ -277,7 +276,7 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
 
 
 def turned(walls: Walls) -> float | None:
-    """Return the robot's turn per turn of the wheels; None if it hardly turned or the two disagree."""
+    """Return the ratio of the robot's turn to that by the wheels; None for small turns or if they disagree."""
     rest = np.abs(walls.turn - walls.by_wheels)
     near = rest < MAX_WALL_TURN_RAD
     c = _slope(walls, near)
@@ -288,7 +287,7 @@ def turned(walls: Walls) -> float | None:
 
 
 def slip_sigma(wheels: Wheels, t: Array) -> float:
-    """Return the effect of slip alone on a ratio of turns, for readings at t (n,): 1 sigma, relative."""
+    """Return the relative sigma that slip alone causes in a ratio of turns, for readings at t (n,) [s]."""
     if wheels.noise <= 0.0 or len(t) < 2:
         return 0.0
     t = np.clip(t, wheels.t[0], wheels.t[-1])
@@ -307,7 +306,7 @@ def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
 
 
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
-    """Return standard errors by leaving out stretches of the drive (jackknife), since pairs of scans overlap."""
+    """Return the standard errors of an estimate by walls, by leaving out stretches of the drive (jackknife)."""
     parts = np.array_split(np.arange(len(walls.y)), STRETCHES)
     found = [estimate(Walls(*(np.delete(column, part, axis=0) for column in walls))) for part in parts]
     if any(f is None for f in found):
@@ -318,7 +317,7 @@ def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls,
 
 
 def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
-    """Return walls seen from two separate places, paired by the motion of the wheels."""
+    """Return walls seen in two scans, paired by the motion of the wheels."""
     first, second = _places(t, drive)
     moved = drive.wheels.relative(t[first], t[second])
     c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
@@ -334,7 +333,7 @@ def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
 
 
 def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
-    """Return pairs of scans (k,), (k,) between which the wheels rolled or turned far enough."""
+    """Return pairs of scans, indices (k,) each, between which the robot moved or turned far enough."""
     wheels = drive.wheels
     way = np.hypot(*wheels.twist[:, :2].T)
     step = np.maximum(way / PAIR_DISTANCE_M, np.abs(wheels.twist[:, 2]) / PAIR_TURN_RAD)
@@ -347,7 +346,7 @@ def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
 
 
 def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[float, float]) -> Walls:
-    """Pair lines a (k, 2) and b (l, 2) of two scans at t [s] where they must be the same wall."""
+    """Return the pairs of lines a (k, 2) and b (l, 2), of scans at two times t [s], that are the same wall."""
     n = np.stack((np.cos(a[:, 1]), np.sin(a[:, 1])), axis=-1)
     r, psi = a[:, 0] - n @ moved[:2], a[:, 1] - moved[2]
     turn = np.abs(se2.wrap_all(psi[:, None] - b[None, :, 1]))
@@ -359,7 +358,7 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[f
     )
     nearest = cost.argmin(axis=1)
     best = cost[np.arange(len(a)), nearest]
-    # a rival nearly as good makes the pair worthless
+    # only unambiguous pairs are used
     good = np.isfinite(best) & ((cost < best[:, None] + 0.7).sum(axis=1) == 1)
     b_near = b[nearest[good]]
     n_b = np.stack((np.cos(b_near[:, 1]), np.sin(b_near[:, 1])), axis=-1)
@@ -370,7 +369,7 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[f
 
 
 def who_is_right(robot: Robot, scale: float, fix: str) -> str:
-    """Return a hint: the fix if the wheels are right, and the fix if the laser is right."""
+    """Return a text with two alternative fixes: one if the wheels are right, one if the laser is right."""
     wheels = robot.wheels
     if wheels.radius is None:
         return f". If the odometry is right, set {fix}; if lrf is, the odometry has a wrong wheel radius"

@@ -1,4 +1,4 @@
-"""What a laser's raw ranges show without a pose, a map or a line: noise, a constant error, what came back."""
+"""Checks of a laser's raw ranges: noise, constant error, angles, missing returns."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 
 from .finding import Finding
 
-MIN_IN_TURN = 5  # scans that begin at another angle than most
-SAMPLE_SCANS = 300  # looked at
-MIN_TRIPLES = 1000  # of neighbouring ranges, by which noise is judged
-MAX_SCATTER = 1.4  # times sigma_range: more is named
-# shares of normal numbers, and how near to 0 they are in standard deviations; clutter and rounding lie elsewhere
+MIN_IN_TURN = 5  # scans with the second most frequent first angle
+SAMPLE_SCANS = 300
+MIN_TRIPLES = 1000  # of neighbouring ranges, for an estimate of the noise
+MAX_SCATTER = 1.4  # times sigma_range: more noise is reported
+# quantiles of |x| for normal x, and their values in standard deviations; other noise has other ratios
 NORMAL_SHARES, NORMAL_SIZES = (0.1, 0.25, 0.5), (0.1257, 0.3186, 0.6745)
-MAX_NOISE_M = 0.1  # of a laser: more is leaves
-MAX_UNLIKE = 1.2  # times the smallest of the sigmas that these say
+MAX_NOISE_M = 0.1  # m: more scatter is not noise of a laser
+MAX_SIGMA_RATIO = 1.2  # largest ratio of the sigmas by these quantiles
 OFFSET = "range offset"  # code of the finding
-LOOKED_AT = 3000  # scans, of which SAMPLE_SCANS are taken evenly
+FIRST_SCANS = 3000  # first scans, of which SAMPLE_SCANS are taken evenly
 HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
-CHECKED_BEAMS = 16  # of those on either side of the middle one
-MAX_OFF_WALL_M = 0.1  # between the three beams everything is so near to one straight wall
-MIN_STRETCH_TRIPLES, STRETCHES = 200, 8  # in each of the stretches whose values must agree
-MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: corners and noise shift it by less; sigmas
+CHECKED_BEAMS = 16  # on either side of the middle one
+MAX_OFF_WALL_M = 0.1  # m: largest distance of the beams in between from a straight wall
+MIN_STRETCH_TRIPLES, STRETCHES = 200, 8  # in each stretch; stretches for the jackknife
+MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: limits of a finding; sigmas
 SPAN_FIELDS = ("angle_min", "angle_max", "angle_increment", "ranges")
-MAX_OFF_STEPS = 3.0  # increments by which angle_max may be off: drivers count a beam or two wrongly
+MAX_OFF_STEPS = 3.0  # increments: smaller differences are wrong counts of beams
 
 
 def driver(stream: Stream) -> list[Finding]:
-    """Return findings on a laser's driver, from the first scans of a stream."""
+    """Return findings on faults of a laser's driver, from the first scans of a stream."""
     parts = [columns for _, columns in _sample(stream, SAMPLE_SCANS)]
     if not parts:
         return []
@@ -45,16 +45,16 @@ def driver(stream: Stream) -> list[Finding]:
     lengths = np.concatenate([r.lengths for r in ranges])
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
     far = np.repeat(limits(column)[1], lengths)
-    return [*_nothing(values, far), *_angles(column, lengths), *_in_turn(column), *of_angles(stream)]
+    return [*_no_return(values, far), *_angles(column, lengths), *_in_turn(column), *of_angles(stream)]
 
 
 def of_angles(stream: Stream) -> list[Finding]:
-    """Return a finding where angle_max contradicts angle_increment and the number of beams, by the first scans.
+    """Return a finding if angle_max contradicts angle_increment times the number of beams.
 
-    Severe where the beams would span more than a whole turn: then angle_increment is wrong, which is what is used.
+    Severe if the beams would span more than a whole turn: then angle_increment is wrong, which locfuse uses.
     """
     columns: Mapping[str, Any] | None = None
-    with suppress(LocfuseError):  # a scan without angle_max contradicts nothing
+    with suppress(LocfuseError):  # scans without angle_max
         columns = next((columns for _, columns in stream.blocks(*SPAN_FIELDS, rows=SAMPLE_SCANS)), None)
     if columns is None:
         return []
@@ -77,10 +77,9 @@ def of_angles(stream: Stream) -> list[Finding]:
 
 
 def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
-    """Return the noise that the ranges show, where it is more than the settings say.
+    """Return a finding if neighbouring ranges show more noise than configured.
 
-    Nothing of the map, the pose or the line extraction comes in: a noise that is set too low splits the lines, and
-    what is left of them fits well.
+    Ranges are compared directly, not with lines: if the noise is set too low, lines are split and fit well.
     """
     sigma = ranges_sigma(stream, settings)
     if sigma is None or not scatter_more(sigma, settings.sigma_range):
@@ -92,7 +91,7 @@ def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
 
 
 def of_offset(stream: Stream, settings: LrfSettings) -> list[Finding]:
-    """Return the constant error of the ranges that bends straight walls, where it is certain."""
+    """Return a finding if a constant error of the ranges makes straight walls look bent."""
     found = ranges_offset(stream, settings)
     if found is None or abs(found[0]) < max(MIN_OFFSET_M, OFFSET_SIGMAS * found[1]):
         return []
@@ -106,15 +105,14 @@ def of_offset(stream: Stream, settings: LrfSettings) -> list[Finding]:
 
 
 def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] | None:
-    """Return the offset [m] to add to every range so that walls become straight, and its sigma.
+    """Return the range offset [m] that makes walls straight, and its sigma; None with too few walls.
 
-    Three beams an angle a apart meet a straight wall where r1 = 2 cos(a) r0 r2 / (r0 + r2). A constant error adds
-    1 - 2 cos(a) (r0^2 + r2^2) / (r0 + r2)^2 of itself to the difference of the two sides, a scale error nothing.
-    None with too few such walls.
+    Three beams an angle a apart hit a straight wall if r1 = 2 cos(a) r0 r2 / (r0 + r2). An offset changes the
+    difference of both sides by 1 - 2 cos(a) (r0^2 + r2^2) / (r0 + r2)^2 times the offset; a scale error does not.
     """
     laser, add = laser_of(settings), 0.0
-    sampled = [scans for _, columns in _sample(stream, LOOKED_AT) for _, scans in equal_scans(columns)]
-    for _ in range(2):  # the second time about the first value: the slope is that of a small error
+    sampled = [scans for _, columns in _sample(stream, FIRST_SCANS) for _, scans in equal_scans(columns)]
+    for _ in range(2):  # linearised at 0, then at the first solution
         parts = [
             bends
             for scans in sampled
@@ -134,7 +132,7 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
 
 
 def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
-    """Yield for each scan (k, b) of beams at `angles` the bend of walls (n, 2): size, and slope by an offset."""
+    """Yield, for each scan of ranges (k, b), bends of walls (n, 2): size [m] and derivative by an offset."""
     step = float(np.abs(np.diff(angles, axis=-1)).mean())
     k = round(HALF_SPAN_RAD / step) if step > 0.0 else 0
     if k < 2 or ranges.shape[1] <= 2 * k:
@@ -142,7 +140,7 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
     a = k * step
     before, here, after = ranges[:, : -2 * k], ranges[:, k:-k], ranges[:, 2 * k :]
     one_wall = np.isfinite(before + here + after)
-    # everything between the two outer beams lies near the line through their ends
+    # all beams between the outer two lie near the line through their end points
     for j in range(1, 2 * k, max(1, k // CHECKED_BEAMS)):
         wall = (
             before
@@ -152,7 +150,7 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
         )
         one_wall &= ~(np.abs(ranges[:, j : j - 2 * k] - wall) > MAX_OFF_WALL_M)
     bend = _bend(before, here, after, math.cos(a))
-    # by the beams beside the outer two: with their own the noise of both factors would not cancel (instruments)
+    # by the beams next to the outer two, whose noise is independent of the bend's (instrumental variables)
     left, right = ranges[:, 1 : 1 - 2 * k], ranges[:, 2 * k - 1 : -1]
     slope = 1.0 - 2.0 * math.cos(a) * (np.square(left) + np.square(right)) / np.square(left + right)
     one_wall &= np.isfinite(slope)
@@ -161,7 +159,7 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
 
 
 def _added(bends: Array) -> float:
-    """Return the range offset [m] that makes bends (n, 2) zero: least squares without outliers."""
+    """Return the range offset [m] that makes bends (n, 2) zero, by least squares without outliers."""
     bend, slope = bends.T
     add = 0.0
     for _ in range(4):
@@ -173,26 +171,26 @@ def _added(bends: Array) -> float:
 
 
 def scatter_more(shown: float | None, sigma: float) -> bool:
-    """Return whether the observed noise `shown` [m] of ranges is clearly larger than `sigma` [m]."""
+    """Return whether the observed range noise `shown` [m] is clearly larger than `sigma` [m]."""
     return shown is not None and MAX_SCATTER * sigma < shown < MAX_NOISE_M
 
 
 def ranges_sigma(stream: Stream, settings: LrfSettings) -> float | None:
-    """Return the noise of one range [m] by neighbouring ranges on walls; None if they do not show noise."""
+    """Return the noise of one range [m] by neighbouring ranges on walls; None if it is not Gaussian."""
     found = [scatter(columns) for _, columns in _sample(stream, SAMPLE_SCANS)]
     each = np.abs(np.concatenate(found)) if found else np.empty(0)
     if len(each) < MIN_TRIPLES:
         return None
     sigmas = settings.range_scale * np.quantile(each, NORMAL_SHARES) / NORMAL_SIZES
     sigma = float(sigmas.min())
-    return sigma if sigmas.max() <= MAX_UNLIKE * sigma else None
+    return sigma if sigmas.max() <= MAX_SIGMA_RATIO * sigma else None
 
 
 def scatter(columns: dict[str, Any]) -> Array:
-    """Return the residuals of three neighbouring ranges on a wall, scaled to the noise of one range [m].
+    """Return residuals [m] of three neighbouring ranges on a wall, scaled to the noise of one range.
 
-    Beams that are `a` apart meet a straight wall where 1 / r0 + 1 / r2 = 2 cos(a) / r1, however it lies. Corners
-    and clutter leave much more than noise does.
+    Beams an angle a apart hit a straight wall if 1 / r0 + 1 / r2 = 2 cos(a) / r1. Corners and clutter have much
+    larger residuals.
     """
     ranges = cast("Ragged", columns["ranges"])
     lengths = ranges.lengths
@@ -207,15 +205,15 @@ def scatter(columns: dict[str, Any]) -> Array:
 
 
 def _bend(before: Array, here: Array, after: Array, cos: Array | float) -> Array:
-    """Return how far the middle one of three ranges [m] is from the wall; `cos` is of the angle to either side."""
+    """Return the distance [m] of the middle of three ranges from a wall; `cos`: of the angle between two."""
     bend: Array = here - 2.0 * cos * before * after / (before + after)
     return bend
 
 
 def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
-    """Yield rows and columns of a sample of scans, evenly spread over the first `last` scans.
+    """Yield rows and columns of scans, evenly sampled from the first `last` scans.
 
-    Scans that have more beams than a laser has are left out.
+    Scans with more than MAX_BEAMS beams are left out.
     """
     every, seen = max(1, min(len(stream.t_ns), last) // SAMPLE_SCANS), 0
     for rows, columns in stream.blocks(*Lrf.reads[stream.msgtype], rows=SAMPLE_SCANS):
@@ -233,8 +231,8 @@ def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
             return
 
 
-def _nothing(values: Array, far: Array) -> list[Finding]:
-    """Return a finding that counts ranges without a return, by the value that marks them."""
+def _no_return(values: Array, far: Array) -> list[Finding]:
+    """Return a finding with the shares of ranges without a return: inf, NaN, zero, or beyond range_max."""
     shares = {
         "inf": np.isinf(values).mean() if len(values) else 0.0,
         "NaN": np.isnan(values).mean() if len(values) else 0.0,
@@ -246,7 +244,7 @@ def _nothing(values: Array, far: Array) -> list[Finding]:
 
 
 def _in_turn(column: dict[str, Array]) -> list[Finding]:
-    """Report that scans begin at two angles in turn: two lasers, or one that sends a revolution in parts."""
+    """Return a finding if scans alternate between two first angles, as from two lasers on one topic."""
     angles, which, counts = np.unique(column["angle_min"].round(3), return_inverse=True, return_counts=True)
     if len(angles) < 2:
         return []

@@ -1,7 +1,4 @@
-"""Camera checks: can its pictures be used, do they show red, and in which direction do their columns turn?
-
-A few pictures are looked at: decoding all takes long.
-"""
+"""Camera checks on a few pictures: readability, red landmark, direction of the columns, mirror circles."""
 
 from __future__ import annotations
 
@@ -23,12 +20,12 @@ from .finding import Finding
 if TYPE_CHECKING:
     from locfuse.fusion.camera.images import Picture
 
-SAMPLE_PICTURES = 24  # looked at
+SAMPLE_PICTURES = 24  # decoding all would take long
 MAX_BAD_SHARE = 0.5  # share of the pictures
 MIN_TURN_RAD, MAX_TURN_RAD = math.radians(4.0), math.radians(90.0)  # between two pictures that are compared
-MIN_WHOLE_TURN_RAD = math.pi  # what the robot must have turned in all
-MIRRORED_SHARE = 0.8  # of what it turned: the bearing went with it, not against it
-START_WAY_M, MIN_BEARINGS = 2.0, 3  # m that wheels alone carry the start's pose, and pictures on it
+MIN_WHOLE_TURN_RAD = math.pi  # smallest sum of the robot's turns
+MIRRORED_SHARE = 0.8  # of these turns, in which the bearing turned in the same direction
+START_WAY_M, MIN_BEARINGS = 2.0, 3  # m after the start with a pose by the wheels, and pictures there
 MIN_ZERO_RAD = math.radians(5.0)
 PROBLEMS = {
     "no_colour": "are grey (mono): red needs colour",
@@ -41,7 +38,7 @@ PROBLEMS = {
 
 
 def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
-    """Return findings on the pictures of a stream, from an evenly spread sample."""
+    """Return findings on pictures of a stream, from an evenly spread sample."""
     decoded = _sampled(stream)
     found, total = [], len(decoded)
     for why, n in Counter(one for one in decoded if isinstance(one, str)).items():
@@ -58,15 +55,15 @@ def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
 
 
 def _sampled(stream: Stream) -> list[Picture | str]:
-    """Return an evenly spread sample of a stream's pictures; a reason in place of one that cannot be used."""
-    from locfuse.fusion.camera.images import decode, messages  # OpenCV: for logs with a camera only
+    """Return an evenly spread sample of a stream's pictures, or the reason for each unusable one."""
+    from locfuse.fusion.camera.images import decode, messages  # needs OpenCV
 
     wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // SAMPLE_PICTURES)))
     return [decode(message) for block in messages(stream) for row, message in block if row in wanted]
 
 
 def of_calibration(stream: Stream, settings: CameraSettings) -> list[Finding]:
-    """Return where the mirror's circles lie, for a camera whose calibration is not configured."""
+    """Return a finding with the mirror's circles, for a camera without a configured centre."""
     if settings.centre is not None:
         return []
     pictures = [p for p in _sampled(stream) if not isinstance(p, str)]
@@ -74,7 +71,7 @@ def of_calibration(stream: Stream, settings: CameraSettings) -> list[Finding]:
 
 
 def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:
-    """Report if hardly any picture shows something red and upright, unless its colours are exchanged."""
+    """Return a finding if most pictures show no red upright object, or if red and blue are exchanged."""
     if settings.landmark is None or not pictures:
         return []
     find, n = detector(settings), len(pictures)
@@ -93,9 +90,9 @@ def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:
 
 
 def of_handedness(drive: Drive, robot: Robot) -> list[Finding]:
-    """Report a mirrored picture: its landmark seems to turn with the robot.
+    """Return a finding if pictures are mirrored: the landmark's bearing turns in the same direction as the robot.
 
-    It must go against them, but for what the robot drives in the meantime. A known start gives the zero too.
+    It should turn opposite to the robot. With a known start, camera.zero_deg is fixed too.
     """
     settings = robot.settings("camera")
     t, z = _alone(drive)
@@ -122,7 +119,7 @@ def of_handedness(drive: Drive, robot: Robot) -> list[Finding]:
 
 
 def _alone(drive: Drive) -> tuple[Array, Array]:
-    """Return times (n,) [s] and bearings (n,) [rad] of pictures that show one candidate for the landmark."""
+    """Return times (n,) [s] and bearings (n,) [rad] of pictures with exactly one landmark candidate."""
     m = drive.measurements.get("camera")
     if m is None:
         return np.zeros(0), np.zeros(0)
@@ -131,7 +128,7 @@ def _alone(drive: Drive) -> tuple[Array, Array]:
 
 
 def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
-    """Return the mean offset of bearings z (n,) at t (n,) on the first metres of the drive; None if unknown."""
+    """Return the mean error of bearings z (n,) [rad] at t (n,) [s] near the known start; None if unknown."""
     settings, start = robot.settings("camera"), robot.start
     near = drive.wheels.driven(t) < START_WAY_M
     early = t[near]
@@ -149,11 +146,11 @@ def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
 RIMS = "rims"  # code of the finding
 RAYS = 240
 MIN_PICTURES = 4
-MIN_STEP_SHARE = 0.15  # of the picture's brightest grey level: a step in brightness that may be a rim
-MIN_ON_CIRCLE_SHARE = 0.7  # of the rays: else what was found is no circle
-MAX_REST_SHARE, MIN_REST_PX = 0.01, 1.0  # of the radius, px: a step further off does not lie on the circle
+MIN_STEP_SHARE = 0.15  # of the brightest grey level: step in brightness at a rim
+MIN_ON_CIRCLE_SHARE = 0.7  # of the rays, for a circle
+MAX_REST_SHARE, MIN_REST_PX = 0.01, 1.0  # of the radius, px: largest distance of a step from the circle
 MAX_INNER_SHARE = 0.6  # of the rim's radius
-MIN_ERROR_PX = 1.5  # px: a calibration that is nearer is left alone
+MIN_ERROR_PX = 1.5  # px: smaller errors of the calibration are not reported
 
 
 class Circle(NamedTuple):
@@ -165,7 +162,7 @@ class Circle(NamedTuple):
 
 
 def of_rims(pictures: Sequence[Picture], settings: CameraSettings) -> list[Finding]:
-    """Return where the mirror's circles lie, if the calibration says something else; [] where none are clear."""
+    """Return a finding if the mirror's circles in the pictures differ from the configured ones."""
     if len(pictures) < MIN_PICTURES:
         return []
     grey = np.mean([p.astype(np.float32).mean(axis=2) for p in pictures], axis=0)
@@ -190,7 +187,7 @@ def of_rims(pictures: Sequence[Picture], settings: CameraSettings) -> list[Findi
 
 
 def _circle(grey: Array, within: Circle, inward: bool) -> Circle | None:
-    """Return the circle of the first brightness step along the rays of a disc, searched inward or outward."""
+    """Return the circle of the first brightness step along rays of a disc, searched inward or outward; or None."""
     angle = np.arange(RAYS) * (2.0 * np.pi / RAYS)
     r = np.arange(2.0, within.radius)
     x, y = (c + np.outer(w, r) for c, w in ((within.x, np.cos(angle)), (within.y, np.sin(angle))))
@@ -202,7 +199,7 @@ def _circle(grey: Array, within: Circle, inward: bool) -> Circle | None:
     first = steps.argmax(axis=1)
     rays = np.flatnonzero(steps.any(axis=1))
     at = (steps.shape[1] - 1 - first if inward else first)[rays]
-    # the steepest pixel of the step, not where it begins
+    # the steepest pixel of the step
     near = np.clip(at[:, None] + np.arange(-3, 4), 0, seen.shape[1] - 4)
     slope = np.nan_to_num(np.abs(seen[rays[:, None], near + 2] - seen[rays[:, None], near + 1]))
     best = near[np.arange(len(rays)), slope.argmax(axis=1)] + 1.5

@@ -1,4 +1,4 @@
-"""Pictures for setting a camera up: what came in, what counts as red, the panorama, and what was found."""
+"""Preview pictures for the setup of a camera: raw picture, red mask, panorama, detected landmarks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RING_COLOUR, GRID_COLOUR, CANDIDATE_COLOUR = (255, 200, 0), (0, 200, 255), (80, 
 
 
 class PreviewPictures(NamedTuple):
-    """The pictures of one camera message: as it came, and after each step of the landmark detection."""
+    """Preview of one camera picture after each step of the landmark detection."""
 
     row: int  # of the stream
     raw: Picture  # (h, w, 3) BGR
@@ -36,9 +36,9 @@ class PreviewPictures(NamedTuple):
 
 
 def preview(stream: Stream, settings: CameraSettings, count: int = 4) -> list[PreviewPictures]:
-    """Return `count` messages of a stream, evenly spread, as pictures.
+    """Return previews of `count` pictures, evenly spread over a stream.
 
-    Raises LocfuseError where none of them can be read.
+    Raises LocfuseError if none of them can be decoded.
     """
     total, find = len(stream.t_ns), detector(settings)
     wanted = set(np.unique(np.linspace(0, max(0, total - 1), max(1, min(count, total))).astype(int)).tolist())
@@ -79,7 +79,7 @@ def _inside(picture: Picture, optics: Optics) -> Picture:
 
 
 def _drawn(picture: Picture, detection: Detection, bearings: list[float]) -> Picture:
-    """Draw the mirror's circles, a compass rose of bearings in the camera's frame, and the candidates."""
+    """Return the picture with the mirror's circles, bearings every 30 degrees, and the candidates drawn in."""
     canvas, optics = picture.copy(), detection.optics
     centre = (round(optics.x_c), round(optics.y_c))
     for radius in (optics.inner, optics.outer):
@@ -98,7 +98,7 @@ def _drawn(picture: Picture, detection: Detection, bearings: list[float]) -> Pic
 def _ray(
     canvas: Picture, optics: Optics, theta: float, reach: tuple[float, float], colour: tuple[int, ...], word: str
 ) -> None:
-    """Draw part of a radius, with its label on the inner side, so that the label does not cross the line."""
+    """Draw a section of a radius with a label at its inner end."""
     pen, scale = _pen(canvas), max(0.35, canvas.shape[0] / 1400)
     (width, height), _ = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, scale, pen)
     halfway = (abs(math.sin(theta)) * width + abs(math.cos(theta)) * height) / 2.0 + 3.0 * pen
@@ -111,6 +111,6 @@ def _ray(
 
 
 def _pen(canvas: Picture) -> int:
-    """Return the width of a line [px] that is visible on a large picture too."""
+    """Return a line width [px] in proportion to the size of a picture."""
     height, width = canvas.shape[:2]
     return max(1, min(int(height), int(width)) // 500)

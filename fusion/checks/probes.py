@@ -1,4 +1,4 @@
-"""Fixes taken from estimated states: a mount, the track or an offset, once their sigma is small."""
+"""Fixes from states that a run estimated: mount, track, range scale, constant offsets."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from locfuse.fusion.wheels.states import WHEELS
 from .finding import Finding
 from .laser import range_fix
 
-MOUNT, DIRECTION = "mount", "direction"  # codes of the findings on one, on what creeping wheels explain as well
-MAX_CREEP_DEG = 1.5  # by which wheels may drive beside where they point: 2 % of the way are 1.1 degrees
+# codes of the findings: on a mount; on mount or sideways motion of the wheels
+MOUNT, DIRECTION = "mount", "direction"
+MAX_CREEP_DEG = 1.5  # angle between heading and motion of wheels that creep sideways
 DIRECTION_WORDS = (
     "it and the wheels differ by {:.1f}° (1 sigma {:.1g}°) in the direction of driving: its mount, or wheels that "
     "drive sideways. To find out drive 3 m along a line on the floor: if the robot leaves it, it is the wheels"
 )
-MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
-MIN_EXPLAINED_SHARE = 0.8  # of the true path by the size of the laser's: less, and they are not of one shape
-MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
+MIN_SIGMAS = 4.0  # smallest difference between estimate and configured value
+MIN_EXPLAINED_SHARE = 0.8  # of the true path's squares by the laser's path, for equal shapes
+MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are not reported
 MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
 # prior standard deviations of the states of a probe: wide enough for a rough measurement with a ruler
 PROBE_XY_M, PROBE_YAW_DEG = 0.05, 4.0
@@ -34,7 +35,7 @@ MOUNT_KEYS = {"x": ("x", 1.0), "y": ("y", 1.0), "yaw": ("yaw_deg", math.degrees(
 
 
 def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
-    """Return the settings that make a sensor's mount and the track states, () where it has no mount."""
+    """Return the settings that make a sensor's mount and the track states; () for a sensor without a mount."""
     settings = robot.settings(sensor)
     if not hasattr(settings, "sigma_yaw_deg") or settings.sigma_x or settings.sigma_yaw_deg:
         return ()
@@ -48,7 +49,7 @@ def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
 
 
 def of_probe(robot: Robot, sensor: str, e: Estimates, judged: bool) -> Iterator[Finding]:
-    """Yield findings on mount and track, where a probe's run estimates other values than configured."""
+    """Yield findings on mount and track that a run estimated differently than configured."""
     yield from of_mount(robot, sensor, e, judged, PROBE_XY_M, PROBE_YAW_DEG)
     yield from _track(robot, e)
 
@@ -61,12 +62,11 @@ def of_mount(
     prior_xy: float = SIGMA_M,
     prior_yaw_deg: float = SIGMA_DEG,
 ) -> Iterator[Finding]:
-    """Yield the mount that a run estimates as a state, where it differs from what is configured.
+    """Yield a finding if the mount that a run estimated differs from the configured one.
 
-    Where no truth has `judged` it, not one that is further off than the run took for likely, `prior_xy` [m] and
-    `prior_yaw_deg` (1 sigma) unless the sensor's settings say more: something else may look like a mount. Nor one
-    that is nearer than people measure: on a drive of left turns 20 ms look like a third of a degree, and wheels
-    that creep sideways by MAX_CREEP_DEG like a laser turned by as much. That is a finding of its own.
+    Without truth (`judged`) a difference must be plausible by the prior sigmas, `prior_xy` [m] and `prior_yaw_deg`
+    unless the sensor's settings are larger, and larger than errors of measured mounts: a late clock or sideways
+    motion of the wheels look like a small yaw. A yaw below MAX_CREEP_DEG is a finding without a fix.
     """
     fixes, words = [], []
     for part, (key, scale) in MOUNT_KEYS.items():
@@ -95,9 +95,9 @@ def of_mount(
 
 
 def beyond_prior(robot: Robot, sensor: str, e: Estimates) -> bool:
-    """Return whether a run found the mount with certainty, and further off than its configured sigmas allow.
+    """Return whether a run's estimate of the mount is significantly outside its configured sigmas.
 
-    What such a state says is pulled to what is configured: a run that takes more for likely tells the mount.
+    Such an estimate is biased towards the configured mount: a run with larger sigmas shows the true one.
     """
     settings = robot.settings(sensor)
     if not isinstance(settings, MountedSettings):
@@ -115,7 +115,7 @@ def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
     if WHEELS not in e.blocks or robot.wheels.track is None or robot.wheels.estimate:
         return
     right, left, turning = e.blocks[WHEELS][-1].tolist()
-    # the radius stays as it is configured, so that the track alone is to turn the robot as far as the states do
+    # the track that, with the configured radius, gives the same turns as the states
     off = 1.0 / (1.0 + 0.5 * (right + left) - turning) - 1.0
     by = np.array([-0.5, -0.5, 1.0]) * (1.0 + off) ** 2
     sigma = math.sqrt(float((by**2 * e.block_sigmas[WHEELS][-1] ** 2).sum()))
@@ -126,7 +126,7 @@ def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
 
 
 def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
-    """Yield the laser's range scale by the size of its own run, where it is wrong."""
+    """Yield a finding if a run with only the laser has a path of another size than the truth."""
     scale = path_scale(e, drive)
     if scale is None or abs(scale - 1.0) < MIN_SCALE:
         return
@@ -135,10 +135,10 @@ def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
 
 
 def path_scale(e: Estimates, drive: Drive) -> float | None:
-    """Return the size of the true path over that of a laser's run; None without truth, or if the shapes differ.
+    """Return the ratio of size of the true path to the path of a laser's run; None if the shapes differ.
 
-    The least squares of a similarity (Umeyama, PAMI 1991), in complex numbers: walls fix the size of what the
-    laser drives along, so that its distance scale is the map's.
+    Least squares of a similarity transform (Umeyama, PAMI 1991) in complex numbers. The size of the path follows
+    the laser's distance scale, since walls determine it.
     """
     if drive.truth is None or e.truth_pose is None:
         return None
@@ -154,7 +154,7 @@ def path_scale(e: Estimates, drive: Drive) -> float | None:
 
 
 def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
-    """Yield findings on offsets that a run estimated as states; configured, they help from the start."""
+    """Yield findings with constant offsets that a run estimated, for use as settings."""
     for sensor in e.sensors:
         bias: Any = REGISTRY[sensor].bias
         name = f"{sensor}_offset"
@@ -163,7 +163,7 @@ def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
         if name not in e.blocks or REGISTRY[sensor].drift_key is None:
             continue
         if float(getattr(robot.settings(sensor), REGISTRY[sensor].drift_key or "")) > 0.0:
-            continue  # an offset that drifts has no one value
+            continue  # a drifting offset is not constant
         scale = REGISTRY[sensor].components[0].scale
         value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
         value = math.degrees(wrap(math.radians(value)))

@@ -1,11 +1,10 @@
-"""Do the wheels slip as much as `wheels.noise` says, and when do they spin?
+"""Wheel slip: observed noise of turns and distances compared with `wheels.noise`; intervals of wheel spin.
 
-Slip turns the robot: the wheels' turning is compared with that of other sensors. Wheels that spin together turn
-nothing: the distance that they roll is compared with that of a path.
+Slip of one wheel turns the robot: the wheels' turns are compared with those of other sensors. Slip of both wheels
+does not: the wheels' distances are compared with those of a path.
 
-What a wheel slips adds up: the variance of the difference of two turnings grows with the way that was rolled,
-while a sensor's own noise is the same however long one waits. So the growth from short windows to long ones is the
-wheels' (Allan 1966 tells a clock's noises apart in the same way).
+The variance of a turn by slip grows with the distance, that by a sensor's noise is constant. So the growth of the
+variance from short to long windows is due to slip (Allan 1966 separates a clock's noises in the same way).
 """
 
 from __future__ import annotations
@@ -25,40 +24,40 @@ from locfuse.fusion.wheels.motion import Wheels
 from .finding import Finding
 
 SHORT_S, LONG_S = 0.5, 2.0  # s: windows over which turns are compared
-MAX_STRETCH = 1.5  # of a window: a pair of readings further apart lies across a gap
-MIN_WINDOWS = 15  # long ones side by side: their variance is then known to a third
-MIN_EXPECTED_RAD = math.radians(0.05)  # by which slips spread a long window: less, and the robot stood
+MAX_STRETCH = 1.5  # of a window: readings further apart are across a gap
+MIN_WINDOWS = 15  # long ones without overlap: their variance is then known to a third
+MIN_EXPECTED_RAD = math.radians(0.05)  # smallest expected sigma in a long window: below it the robot stood
 MIN_EXPECTED_M = 1e-4  # likewise, of distances
 MAX_READINGS = 3000
-MAX_FACTOR = 3.0  # on the variance, either way: what lies between is no finding
-DOUBT_SIGMAS = 2.0  # by which the factor must lie outside that
-# --- of wheels that slip together
+MAX_FACTOR = 3.0  # on the variance, either way: smaller factors are no finding
+DOUBT_SIGMAS = 2.0  # sigmas by which the factor must exceed that
+# --- of both wheels that slip together
 WINDOW_S, STEP_S = 1.0, 0.25  # s over which distances are compared, and between two windows
-MIN_SPIN_M, MIN_SPIN_SHARE, SPIN_SIGMAS = 0.08, 0.15, 6.0  # m and share of what was rolled; robust sigmas
-MAX_SPINNING_SHARE = 0.1  # of the windows that drive: what lasts longer is another error
+MIN_SPIN_M, MIN_SPIN_SHARE, SPIN_SIGMAS = 0.08, 0.15, 6.0  # m and share of the rolled distance; robust sigmas
+MAX_SPINNING_SHARE = 0.1  # of the windows with motion: more is another error
 SPIN = "spin"  # code of the finding
 
 
 class Slip(NamedTuple):
-    """The noise of the wheels as their turning shows it."""
+    """Observed and configured slip of the wheels."""
 
     factor: float  # by which `wheels.noise` should be multiplied
-    seen: float  # rad, over LONG_S: 1 sigma of the turn that slips add
-    expected: float  # rad, what `wheels.noise` says
-    by: str  # the sensor whose turning it was held against; several that agree: "compass and lrf"
+    seen: float  # rad, over LONG_S: observed 1 sigma of turns by slip
+    expected: float  # rad, the same by `wheels.noise`
+    by: str  # reference: a sensor, or several that agree: "compass and lrf"
     agreed: bool = False  # whether several sensors show about the same
     sigma: float = 0.0  # of the factor, by the sensor's own noise
-    ahead: tuple[float, float] | None = None  # m, over LONG_S: seen and expected, if distances decide
+    ahead: tuple[float, float] | None = None  # m, over LONG_S: observed and expected, if by distances
 
     @property
     def unusual(self) -> bool:
-        """Whether the slip differs from the configured noise by more than chance on one drive."""
+        """Whether the observed slip differs from the configured one by more than chance."""
         doubt = DOUBT_SIGMAS * self.sigma
         return self.factor + doubt < 1.0 / MAX_FACTOR or self.factor - doubt > MAX_FACTOR
 
     @property
     def words(self) -> str:
-        """The observed and the configured noise, in words."""
+        """Text with the observed and the configured slip."""
         turns = f"{math.degrees(self.seen):.2g}°", f"{math.degrees(self.expected):.2g}°"
         ways = ("", "") if self.ahead is None else tuple(f" and {1000.0 * way:.2g} mm" for way in self.ahead)
         return (
@@ -68,18 +67,18 @@ class Slip(NamedTuple):
 
 
 class _Spread(NamedTuple):
-    """Variances of turns [rad^2] or distances [m^2] over one window."""
+    """Variances of turn differences [rad^2] or distance differences [m^2] over windows of one length."""
 
-    seen: tuple[float, float]  # usually (by the median, which a turn that a scan missed does not move), and in all
-    expected: float  # that slips should add
+    seen: tuple[float, float]  # robust (by the median), and of all
+    expected: float  # by slip
     number: int  # of windows, one for each reading
 
 
 def slip(drive: Drive) -> Slip | None:
-    """Return how much the wheels slip, by the sensor that agrees with them best; None if no sensor shows it.
+    """Return the wheel slip by the sensor that shows the least of it; None if no sensor shows it.
 
-    What a sensor's own turning wanders is taken for slip too, so that the smallest answer is the wheels'. Where
-    several find less than configured, the largest of them is taken: all of them vouch for that.
+    Drift of a sensor counts as slip too, so the smallest value is that of the wheels. If all sensors show less
+    than configured, the largest of their values is taken.
     """
     if drive.wheels.matched is not None or drive.wheels.noise <= 0.0:
         return None
@@ -96,10 +95,10 @@ def slip(drive: Drive) -> Slip | None:
 
 
 def beside_path(found: Slip, drive: Drive, t: Array, pose: Array) -> Slip:
-    """Return a slip with the noise that distances show beside a path, if that is more: poses (n, 3) at t (n,).
+    """Return the slip by distances compared with a path (n, 3) at t (n,) [s], if it is larger than `found`.
 
-    One number is the noise of distances and of turns. A driver that takes its turns from a gyro hardly turns
-    wrongly, and its wheels slip ahead all the same.
+    `wheels.noise` is for distances and turns. A driver that takes turns from a gyro has accurate turns, but its
+    distances contain slip.
     """
     begin = np.unique(np.floor(t / STEP_S)) * STEP_S
     short, long = (_distances(drive.wheels, begin, t, pose, window) for window in (SHORT_S, LONG_S))
@@ -125,25 +124,25 @@ def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
 
 
 def _growth(short: _Spread, long: _Spread, least: float) -> tuple[float, float] | None:
-    """Return how much of the expected growth from short to long windows is seen, and its standard deviation.
+    """Return the ratio of observed to expected growth of variance from short to long windows, and its sigma.
 
-    None where slips are expected to add less than `least` (m or rad) to a long window, or where nothing grows: no
-    wheels slip that little, so that other noise hides it.
+    None if the expected slip in a long window is below `least` [m or rad], or if nothing grows, since other noise
+    then hides the slip.
     """
     growth = long.expected - short.expected
     if growth < least**2 * (1.0 - SHORT_S / LONG_S):
         return None
     usual, whole = (max(b - a, 0.0) / growth for a, b in zip(short.seen, long.seen, strict=True))
-    # rare slips are slips: wheels are only called better than configured if all that was seen says so
+    # rare slips count: a factor below 1 must hold for the robust and for the whole variance
     factor = usual if usual > 1.0 else min(max(whole, usual), 1.0)
     if factor <= 0.0:
         return None
-    # of white noise, the variance of a variance of n values is 2 / n of its square
+    # white noise: the variance of a variance of n values is 2 / n of its square
     return factor, math.sqrt(sum(2.0 * s.seen[1] ** 2 / s.number for s in (short, long))) / growth
 
 
 def _turns(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:
-    """Return the turn differences between sensor and wheels over windows, and the part that slip explains."""
+    """Return the spread of turn differences between a sensor and the wheels over windows [s]; or None."""
     last = np.searchsorted(t, t + window)
     first = np.flatnonzero(last < len(t))
     start, end = t[first], t[last[first]]
@@ -157,7 +156,7 @@ def _turns(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread |
 
 
 def _distances(wheels: Wheels, begin: Array, t: Array, pose: Array, window: float) -> _Spread | None:
-    """Return the differences of a path's distances from the wheels', and those that slip should cause."""
+    """Return the spread of distance differences between a path and the wheels over windows [s]; or None."""
     begin = begin[(begin >= max(t[0], wheels.t[0])) & (begin + window <= min(t[-1], wheels.t[-1]))]
     if len(begin) < 2 or np.ptp(begin) < MIN_WINDOWS * window:
         return None
@@ -166,16 +165,16 @@ def _distances(wheels: Wheels, begin: Array, t: Array, pose: Array, window: floa
 
 
 def _ahead(t: Array, pose: Array, begin: Array, window: float) -> Array:
-    """Return the distance (m,) [m] that a path (n, 3) at t (n,) moves forward in the window after each `begin`."""
+    """Return the forward distances (m,) [m] of a path (n, 3) in the windows [s] after times `begin` (m,)."""
     first, last = (np.stack([np.interp(at, t, c) for c in pose.T], axis=-1) for at in (begin, begin + window))
     ahead: Array = se2.between(first, last)[:, 0]
     return ahead
 
 
 def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:
-    """Return the spread of differences (n,) from the wheels, and that by slips' variances (n,).
+    """Return the variances of `own` (n,) minus its linear fit by `by_wheels` (n,), and the mean of `slips` (n,).
 
-    A wrong track or radius, or a sensor whose scale is off, is no noise: the slope between the two is taken out.
+    The linear fit removes scale errors (track, radius, scale of the sensor), which are not noise.
     """
     A = np.stack((by_wheels, np.ones_like(by_wheels)), axis=-1)
     x, *_ = np.linalg.lstsq(A, own, rcond=None)
@@ -184,17 +183,15 @@ def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:
 
 
 def _robust_sigma(rest: Array) -> float:
-    """Return the standard deviation of errors (n,) by their median distance from the median."""
+    """Return the standard deviation of errors (n,) by their median absolute deviation."""
     return float(np.median(np.abs(rest - np.median(rest)))) / MAD
 
 
 def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[float] = ()) -> list[Finding]:
-    """Return a finding on times at which the wheels rolled further than a path (n, 3) at t (n,) moved.
+    """Return findings on intervals in which wheel distance and distance of a path (n, 3) at t (n,) [s] differ.
 
-    A path may jump at the times `jumps` [s] where it was corrected: these tell nothing of the wheels.
-
-    A scale error is the same at all times, and a late clock shows at every start and stop: the median takes the
-    one out, the spread of all windows covers the other.
+    Windows with corrections of the path at times `jumps` [s] are left out. The median ratio removes a scale error;
+    the spread of all windows allows for a late clock.
     """
     wheels = drive.wheels
     begin = t[np.diff(np.floor(t / STEP_S), prepend=-np.inf) > 0]

@@ -1,8 +1,8 @@
-"""Sweep check: does the laser take its beams in the order that its driver says?
+"""Sweep check: whether the laser measures its beams in the order given by its driver.
 
-A robot that turns smears a scan. `time_increment` and the wheels take this out. In the wrong order of the beams
-they double it, and a wall seen in a turn points elsewhere than the same wall seen a second later. So it is with a
-driver that hands over the ranges in reverse and leaves time_increment positive.
+Deskewing with `time_increment` and the wheels corrects a scan for the robot's turn. With the wrong order of beams
+it doubles the error, and a wall seen in a turn has another direction than the same wall a second later. This
+happens if a driver reverses the ranges but leaves time_increment positive.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from locfuse.fusion.wheels.motion import Wheels
 from .finding import Finding
 from .laser import MAX_WALL_TURN_RAD, seen_twice
 
-MIN_RATE_RADPS = 0.3  # rad/s between the turn rates of two scans: what a sweep smears alike shows nothing
-MIN_PAIRS = 60  # walls seen twice so
+MIN_RATE_RADPS = 0.3  # rad/s between the turn rates of two scans
+MIN_PAIRS = 60  # walls seen at such different turn rates
 MAX_MISFIT_RATIO = 0.65  # of the misfit in the other order over the one as configured
 RATE_STEP_S = 0.1  # s over which the turn rate is taken
 ORDERS = {"forward": "backward", "backward": "forward"}
 
 
 def of_sweep(stream: Stream, drive: Drive, robot: Robot, t: Array) -> list[Finding]:
-    """Return a finding if walls seen while turning fit clearly better in the other order of the beams.
+    """Return a finding if walls seen while turning fit clearly better in the reverse order of the beams.
 
     `t` (n,) [s] are the times of the measured scans on the wheels' clock.
     """
@@ -53,9 +53,9 @@ def of_sweep(stream: Stream, drive: Drive, robot: Robot, t: Array) -> list[Findi
 
 
 def _misfit(stream: Stream, drive: Drive, settings: LrfSettings) -> float | None:
-    """Return by how much the directions of walls seen at two turn rates differ [rad, median]; None for too few.
+    """Return the median difference [rad] of wall directions seen at different turn rates; None for few walls.
 
-    A clock that is slightly off turns them by the difference of the rates times a constant, which is left out.
+    The effect of a slightly wrong clock, proportional to the difference of the rates, is subtracted.
     """
     m: Measurements = Lrf().measure(stream, settings, drive.wheels, drive.epoch_ns)
     walls = seen_twice(m, m.t, drive, np.array([settings.x, settings.y]))
@@ -73,6 +73,6 @@ def _misfit(stream: Stream, drive: Drive, settings: LrfSettings) -> float | None
 
 
 def _rate(wheels: Wheels, t: Array) -> Array:
-    """Return the turn rates [rad/s] at t (k,) [s]."""
+    """Return the wheels' turn rates [rad/s] at t (k,) [s]."""
     begin, end = (np.clip(t + s, wheels.t[0], wheels.t[-1]) for s in (-0.5 * RATE_STEP_S, 0.5 * RATE_STEP_S))
     return (wheels.heading(end) - wheels.heading(begin)) / RATE_STEP_S

@@ -1,9 +1,9 @@
-"""Several logs of one robot asked together: one lag, one track, one mount, with the spread over the logs.
+"""Several logs of one robot: common clock offset, track and mount, with their spread over the logs.
 
-Each log shows numbers with their standard deviations (`shown`), also where they are as configured. A number is
-common where the logs agree on it, but for a few that are named; its standard deviation holds what the logs scatter
-beyond their own (random effects: DerSimonian & Laird, Controlled Clinical Trials 1986). Of clocks the differences
-are pooled, so that all logs accuse the same one. A common setting is a fix if no log loses by it and most gain.
+Each log gives estimates with standard deviations (`shown`). An estimate is common if all logs but a few agree on
+it; its standard deviation includes the scatter between logs (random effects: DerSimonian & Laird, Controlled
+Clinical Trials 1986). Clock differences are pooled, so that all logs give the same wrong clock. A common setting
+is a fix if it makes no log worse and improves most logs.
 """
 
 from __future__ import annotations
@@ -39,29 +39,30 @@ from .truth import axle_path, swing, wheels_metre
 from .turning import aligned, observed_track, turnings, turns_by_truth
 
 LASER, CLOCK = "lrf", "time_offset"
-EVERY = {"wheels", "truth"}  # roles whose settings move every configuration
-SIGMAS = 4.0  # of their difference: two logs that are further apart disagree
-MAX_APART_SHARE = 0.25  # of the logs; of three one: with more that disagree there is no common value
-# by the end of a key: digits, unit, difference of two logs that agree whatever their sigmas, error that is none
+AFFECT_ALL = {"wheels", "truth"}  # roles whose settings affect every configuration
+SIGMAS = 4.0  # of their difference, beyond which two logs disagree
+MAX_APART_SHARE = 0.25  # of the logs (one of three) that may disagree about a common value
+# by the end of a key: format, unit, difference at which two logs always agree, smallest reported error
 SCALES = {
     CLOCK: ("z.3f", " s", 0.03, MIN_LAG_S),
     "x": ("z.3f", " m", 0.01, 0.004),
     "y": ("z.3f", " m", 0.01, 0.004),
     "yaw_deg": ("z.2f", "°", 0.5, 0.2),
 }
-RELATIVE = {  # the same, the last two of the configured value
+RELATIVE = {  # the same, the last two relative to the configured value
     "track": (".4g", " m", 0.03, 0.01),
     "radius": (".4g", " m", 0.02, 0.01),
     "range_scale": (".4g", "", 0.01, 0.005),
 }
-CLASSES = ("radius range_scale", "track", "x y yaw_deg")  # ends of keys; an earlier one looks like a later one
-MAX_PRIOR_SHARE = 0.7  # of the prior's sigma: a state that is known no better tells of the prior
+# ends of keys; an error of an earlier class looks like one of a later class
+CLASSES = ("radius range_scale", "track", "x y yaw_deg")
+MAX_PRIOR_SHARE = 0.7  # of the prior's sigma: with more, a state is hardly determined by the drive
 MAX_MEAN_LOSS = 0.02  # ln, of the mean over the logs of any configuration with sensors
 MAX_STEPS = 6  # fixes of one robot
 
 
 class Number(msgspec.Struct, frozen=True):
-    """A number of robot.toml as one log shows it, in the unit of its key."""
+    """Estimate of one setting of robot.toml by one log, in the unit of the setting."""
 
     value: float
     sigma: float
@@ -69,7 +70,7 @@ class Number(msgspec.Struct, frozen=True):
 
 
 class Shown(msgspec.Struct, frozen=True):
-    """The numbers that one log shows of its robot."""
+    """Estimates of settings and clock lags by one log."""
 
     settings: dict[str, Number] = field(default_factory=dict)  # "wheels.track" -> its value
     lags: dict[str, Number] = field(default_factory=dict)  # "gyro wheels.time_offset" -> s to add to the first's
@@ -77,30 +78,30 @@ class Shown(msgspec.Struct, frozen=True):
 
 
 class Common(msgspec.Struct, frozen=True):
-    """A number over several logs; `value` is None where they differ."""
+    """Estimate of one setting over several logs; `value` is None if they differ."""
 
     key: str
     now: float  # as configured
-    each: dict[str, float]  # log -> its own value
+    each: dict[str, float]  # log -> its value
     value: float | None = None
     sigma: float = 0.0
-    apart: dict[str, float] = field(default_factory=dict)  # log that disagrees -> by how many sigmas
+    apart: dict[str, float] = field(default_factory=dict)  # log that disagrees -> difference in sigmas
 
     @property
     def off(self) -> bool:
-        """Whether the logs surely show another value than the configured one."""
+        """Whether the common value differs significantly from the configured one."""
         return self.value is not None and abs(self.value - self.now) > max(
             SIGMAS * self.sigma, _scale(self.key, self.now)[3]
         )
 
     @property
     def setting(self) -> str:
-        """The value as a setting."""
+        """The common value as a setting, such as "wheels.track=0.32"."""
         return f"{self.key}={format(self.value or 0.0, _scale(self.key, self.now)[0])}"
 
     @property
     def words(self) -> str:
-        """The value, its spread, and who disagrees: "lrf.time_offset = 0.17 s in 6 logs (0.16 to 0.19)"."""
+        """Text like "lrf.time_offset = 0.17 s in 6 logs (0.16 to 0.19)", with the logs that disagree."""
         digits, unit, *_ = _scale(self.key, self.now)
         each = {log: f"{format(value, digits)}{unit}" for log, value in self.each.items()}
         if self.value is None:
@@ -115,7 +116,7 @@ class Common(msgspec.Struct, frozen=True):
 
 
 class Look(msgspec.Struct, frozen=True):
-    """One log under some settings: what it shows, and the figures of its configurations."""
+    """One log under given settings: estimates of its settings, and errors of its configurations."""
 
     shown: Shown
     sensors: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of every configuration
@@ -123,7 +124,7 @@ class Look(msgspec.Struct, frozen=True):
 
 
 class Step(msgspec.Struct, frozen=True):
-    """A common setting that was tried on every log."""
+    """Result of one common setting that was tried on all logs."""
 
     fixes: Fixes
     configuration: str = ""  # the one that gains most
@@ -134,7 +135,7 @@ class Step(msgspec.Struct, frozen=True):
 
 
 class Together(msgspec.Struct, frozen=True):
-    """The numbers of several logs of one robot, and the settings that were tried on all of them."""
+    """Common estimates by several logs of one robot, and the settings that were tried on all of them."""
 
     common: tuple[Common, ...] = ()
     fix: Step | None = None  # all settings that help, together
@@ -145,7 +146,7 @@ Looks = Callable[[Sequence[Fixes]], Mapping[str, Mapping[Fixes, Look]]]  # setti
 
 
 def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
-    """Return the numbers that a drive shows; those of states by the `runs` of the filter."""
+    """Return the estimates of settings and clock lags by one drive and its filter `runs`."""
     wheels, found = robot.wheels, dict[str, Number]()
     by_sensor, lrf = turnings(drive), drive.measurements.get(LASER)
     motion = None
@@ -170,22 +171,23 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
             found["lrf.range_scale"] = Number(now * ratio, now * MIN_SCALE, now)
     pairs = differences(drive, robot, runs)
     clocks = {
-        name: float((getattr(robot, name) if name in EVERY else robot.settings(name)).time_offset)
+        name: float((getattr(robot, name) if name in AFFECT_ALL else robot.settings(name)).time_offset)
         for name in sorted({name for pair in pairs for name in pair})
     }
     lags = {
         f"{a} {b}.{CLOCK}": Number(float(lag.offset), float(lag.sigma), clocks[a] - clocks[b])
         for (a, b), lag in pairs.items()
-        if lag.offset or lag.sigma < SPEED_SIGMA_S  # 0 by speed: no lag is seen, where none can be
+        if lag.offset
+        or lag.sigma < SPEED_SIGMA_S  # without a lag of 0 by speeds, which only means that none was found
     }
     known = {k: Number(*map(float, (n.value, n.sigma, n.now))) for k, n in found.items() if math.isfinite(n.sigma)}
     return Shown(known, lags, clocks)
 
 
 def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
-    """Return the mount of a run's only sensor, if it is a state, as measured by the drive without the prior.
+    """Return the mount of a run's only sensor as estimated by the drive alone, without its prior.
 
-    The state's information is that of the drive and of the prior, at its configured value, added up.
+    The state's information is the sum of the drive's and the prior's, whose mean is the configured value.
     """
     (sensor,), found = e.sensors, {}
     for part, (key, scale) in MOUNT_KEYS.items():
@@ -197,13 +199,13 @@ def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
             for block, i in ((e.blocks[name], -1), (e.block_sigmas[name], -1), (e.block_sigmas[name], 0))
         )
         if sigma < MAX_PRIOR_SHARE * prior:
-            share = 1.0 - (sigma / prior) ** 2  # of the information that is the drive's
+            share = 1.0 - (sigma / prior) ** 2  # of the information, by the drive
             found[f"{sensor}.{key}"] = Number(now + (value - now) / share, sigma / math.sqrt(share), now)
     return found
 
 
 def _scale(key: str, now: float) -> tuple[str, str, float, float]:
-    """Return a key's digits, unit, largest difference between logs, and smallest reported error."""
+    """Return format and unit of a setting, the largest difference between logs, the smallest reported error."""
     end = key.rpartition(".")[2]
     if end in SCALES:
         return SCALES[end]
@@ -212,7 +214,7 @@ def _scale(key: str, now: float) -> tuple[str, str, float, float]:
 
 
 def commons(logs: Mapping[str, Mapping[str, Number]]) -> list[Common]:
-    """Return every number that at least two logs show; logs configured differently are not of one robot."""
+    """Return the common estimates of all settings that at least two equally configured logs show."""
     found = dict.fromkeys(key for numbers in logs.values() for key in numbers)
     by_key = {key: {log: numbers[key] for log, numbers in logs.items() if key in numbers} for key in found}
     alike = {
@@ -223,7 +225,7 @@ def commons(logs: Mapping[str, Mapping[str, Number]]) -> list[Common]:
 
 
 def common(key: str, numbers: Mapping[str, Number]) -> Common:
-    """Return the value on which the logs agree; it has no value if too many logs disagree."""
+    """Return the value of a setting that most logs agree on; without a value if too many disagree."""
     logs, each = list(numbers), {log: n.value for log, n in numbers.items()}
     now = numbers[logs[0]].now
     close = _scale(key, now)[2]
@@ -245,7 +247,7 @@ def common(key: str, numbers: Mapping[str, Number]) -> Common:
 
 
 def _pooled(numbers: Sequence[Number]) -> tuple[float, float, float]:
-    """Return the weighted mean, its sigma, and the scatter between logs that their sigmas do not explain."""
+    """Return the weighted mean, its sigma, and the scatter between logs beyond their sigmas."""
     variances = [max(n.sigma, 1e-6) ** 2 for n in numbers]
     scatter = 0.0
     for _ in range(2):
@@ -259,9 +261,9 @@ def _pooled(numbers: Sequence[Number]) -> tuple[float, float, float]:
 
 
 def clocks_of(logs: Mapping[str, Shown]) -> list[list[Common]]:
-    """Return which clocks are off by all logs together, the best explanation first; [] for none.
+    """Return the wrong clocks by all logs together, the best explanation first; [] for none.
 
-    Differences on which the logs do not agree are left out: a truth may be late by another time in every log.
+    Lags on which the logs do not agree are left out: a truth may have another lag in every log.
     """
     lags = {pair_of(c.key): Lag(c.value, 1.0, 1.0, c.sigma) for c in lags_of(logs) if c.value is not None}
     found = []
@@ -280,25 +282,25 @@ def clocks_of(logs: Mapping[str, Shown]) -> list[list[Common]]:
 
 
 def lags_of(logs: Mapping[str, Shown]) -> list[Common]:
-    """Return the common values of all clock lags, by pair of clocks."""
+    """Return the common lags of all pairs of clocks."""
     return commons({log: one.lags for log, one in logs.items()})
 
 
 def pair_of(key: str) -> Pair:
-    """Return the two clocks in a key: "gyro wheels.time_offset" gives gyro and wheels."""
+    """Return the two clocks in a key: ("gyro", "wheels") for "gyro wheels.time_offset"."""
     first, second = key.removesuffix(f".{CLOCK}").split()
     return first, second
 
 
 def settings_of(logs: Mapping[str, Shown]) -> list[Common]:
-    """Return the common values of all settings except clock offsets."""
+    """Return the common estimates of all settings except clock offsets."""
     return commons({log: one.settings for log, one in logs.items()})
 
 
 def asked(first: Mapping[str, Shown], look: Looks) -> Together:
-    """Return the common numbers of logs of one robot, and the settings that help all of them.
+    """Return the common estimates of several logs of one robot, and the settings that help in all of them.
 
-    The best setting of the first class that has one is kept; then all logs are measured again.
+    The best setting of the first class with a helpful one is kept; then all logs are measured again.
     """
     kept: Fixes = ()
     logs, seen, apart = first, dict[str, dict[Fixes, Look]](), set[str]()
@@ -331,9 +333,9 @@ def asked(first: Mapping[str, Shown], look: Looks) -> Together:
 
 
 def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
-    """Return settings that are surely off, by class of evidence, and the logs that disagree about each.
+    """Return settings to try, in order of evidence, each with the logs that disagree about its value.
 
-    Last come all of them together: several faults may hide what each of their fixes does.
+    The last class is all of them together, since several faults may hide the effect of each fix.
     """
     off = [c for c in settings_of(logs) if c.off]
     classes = [[tuple(clocks) for clocks in clocks_of(logs) if all(c.off for c in clocks)]]
@@ -351,7 +353,7 @@ def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
 
 
 def _with_track(one: Sequence[Common], logs: Mapping[str, Shown]) -> list[Fixes]:
-    """Return the fixes of some values; a new wheel radius also scales the track, so that turns stay equal."""
+    """Return settings for common values; a new wheel radius also scales the track, so that turns stay equal."""
     fixes, given = tuple(c.setting for c in one), {c.key: c for c in one}
     track = next((n for s in logs.values() if (n := s.settings.get("wheels.track")) is not None), None)
     radius = given.get("wheels.radius")
@@ -364,7 +366,7 @@ def _with_track(one: Sequence[Common], logs: Mapping[str, Shown]) -> list[Fixes]
 
 
 def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]], apart: Iterable[str]) -> Step:
-    """Return whether settings help over all logs and make none worse; those `apart` do not count."""
+    """Return the result of settings over all logs; logs in `apart` may get worse."""
     of: dict[str, dict[str, tuple[Marks, Marks]]] = {}  # log -> configuration -> before and after
     losers, gained = list[str](), 0
     roles = {key.partition(".")[0] for key in keys(fixes)}
@@ -372,14 +374,14 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
         one, other = looks.get(kept), looks.get(together(kept, fixes))
         if one is None or other is None:
             continue
-        using = [n for n in one.marks if n in other.marks and (roles & EVERY or roles & set(one.sensors[n]))]
+        using = [n for n in one.marks if n in other.marks and (roles & AFFECT_ALL or roles & set(one.sensors[n]))]
         if not using:
             continue
         pairs = of[log] = {name: readable(one.marks[name], other.marks[name]) for name in using}
         if log in apart:
             continue
         kept_by_user = {max(using, key=lambda n: len(one.sensors[n])), _best(using, one.marks)}
-        # one log loses by chance, and wheels alone are one random walk: only the mean over the logs tells of these
+        # other configurations may get worse by chance in one log: only the mean over the logs counts
         if any(
             worsens_alone(*pairs[n]) if n in kept_by_user else n not in BASES and worsens_far(*pairs[n])
             for n in using
@@ -401,7 +403,7 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
 
 
 def _best(names: Sequence[str], marks: Mapping[str, Marks]) -> str:
-    """Return the configuration with the smallest error, of those with sensors if any; without truth the first."""
+    """Return the configuration with the smallest position error; without truth the first one."""
     names = [n for n in names if n not in BASES] or names
     known = {n: p for n in names if (p := marks[n].position) is not None}
     return min(known, key=lambda n: known[n]) if known else names[0]

@@ -1,7 +1,7 @@
-"""The loop that tries fixes: take the best one of the first class of evidence that has one, then repeat.
+"""Trial of fixes: each class of faults in turn, the best fix is kept, and the log is measured again.
 
-So no sensor is blamed for the fault of another: a late laser makes the compass look wrong, until the laser's clock
-is set. A fix is taken if no configuration gets worse by it and one gets better.
+The order of the classes matters: a late laser makes the compass look wrong until the laser's clock is corrected. A
+fix is taken if it makes no configuration worse and one better.
 """
 
 from __future__ import annotations
@@ -16,54 +16,54 @@ from msgspec.structs import replace
 
 from .finding import Finding
 
-MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
-MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration that no user would keep
-MAX_CONSISTENT_LOSS = 0.3  # the same, where its errors stay within what it claims
-MAX_SMOOTHED_LOSS = 1.0  # of a smoothed path whose errors stay within what it claims
-MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: more than chance does to any configuration
-MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
+MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: largest growth of a position error
+MAX_CHANCE_LOSS = 0.15  # relative, for a configuration that no user would keep
+MAX_CONSISTENT_LOSS = 0.3  # the same, if its ANEES stays within its chance range
+MAX_SMOOTHED_LOSS = 1.0  # of a smoothed path whose ANEES stays within its chance range
+MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: more than chance explains
+MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may move away from its chance range at equal error
 MIN_GAIN = 0.1  # relative gain of the position error
-MIN_TURN_DEG = 0.1  # by which a heading error must change, and by how much it may grow beside MAX_LOSS
+MIN_TURN_DEG = 0.1  # deg: smallest change of a heading error; allowed growth in addition to MAX_LOSS
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
-MAX_SETTLED_SHARE = 0.5  # of the error before: a fix that leaves less is right, whatever chance does elsewhere
-MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that takes more away is right
-MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
+MAX_SETTLED_SHARE = 0.5  # of the error before: a fix with a smaller error after it is right
+MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that reduces it by more is right
+MIN_GAIN_M = 2e-4  # m: smaller changes of the position error count as none
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that no user would keep
-MAX_ANEES = 50.0  # above, it only says that the noise is wrong
-MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
-WEIGHT_OF_HEADING = 0.5  # of a factor on the heading error, against one on the position error
-WEIGHT_OF_ANEES = 0.5  # of a factor on ANEES, against one on the position error
+MAX_ANEES = 50.0  # larger values are not compared
+MAX_LOST_SHARE = 0.005  # of the drive: largest growth of the lost share
+WEIGHT_OF_HEADING = 0.5  # of ln heading error, relative to ln position error
+WEIGHT_OF_ANEES = 0.5  # of ln ANEES, relative to ln position error
 
 
 class Marks(NamedTuple):
-    """One configuration's figures under some settings."""
+    """Error figures of one configuration under given settings."""
 
     position: float | None = None  # m, position rmse against truth
     anees: float | None = None
-    bounds: tuple[float, float] | None = None  # where a consistent filter's ANEES lies on such a drive
+    bounds: tuple[float, float] | None = None  # chance range of a consistent filter's ANEES on this drive
     prediction: float | None = None  # nats per number of the sensors that only listened; without truth
     lost: float = 0.0  # share of the drive
-    shape: float | None = None  # m, position rmse of the path laid on the truth as a whole
-    aligned: bool = False  # `position` is that of the shape
+    shape: float | None = None  # m, position rmse after rigid alignment with the truth
+    aligned: bool = False  # whether `position` is after alignment
     heading: float | None = None  # deg, heading rmse against truth
 
     def of_shape(self) -> Marks:
-        """Return the score of the path's shape alone: where it lies in the world does not count."""
+        """Return the figures after rigid alignment of the path with the truth."""
         return self._replace(position=self.shape, anees=None, bounds=None, aligned=True, heading=None)
 
 
 def readable(before: Marks, after: Marks) -> tuple[Marks, Marks]:
-    """Return figures to compare, without ANEES if both are so large that they only show wrong noise."""
+    """Return both figures, without ANEES if both ANEES exceed MAX_ANEES."""
     if min(before.anees or 0.0, after.anees or 0.0) > MAX_ANEES:
         return before._replace(anees=None), after._replace(anees=None)
     return before, after
 
 
 def worsens(before: Marks, after: Marks, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:
-    """Return whether any figure gets notably worse or is missing.
+    """Return whether a figure gets notably worse or is missing after a fix.
 
-    `allowed` is the share by which the position error may grow, `allowed_nats` what a prediction may lose.
+    `allowed` is the largest relative growth of the position error, `allowed_nats` the largest loss of prediction.
     """
     if after.lost > before.lost + MAX_LOST_SHARE:
         return True
@@ -80,45 +80,44 @@ def worsens(before: Marks, after: Marks, allowed: float = MAX_LOSS, allowed_nats
 
 
 def _turns_worse(before: Marks, after: Marks, allowed: float) -> bool:
-    """Return whether the heading error grows by more than the share that is `allowed` and MIN_TURN_DEG."""
+    """Return whether the heading error grows by more than the share `allowed` plus MIN_TURN_DEG."""
     if before.heading is None or after.heading is None:
         return False
     return after.heading > (1.0 + allowed) * before.heading + MIN_TURN_DEG
 
 
 def turns_right(before: Marks, after: Marks) -> bool:
-    """Return whether the heading error falls by more than a third: more than chance on one drive."""
+    """Return whether the heading error falls by more than a third, which is more than chance."""
     return _turned(before, after) > -math.log(1.0 - MAX_TURNED_SHARE)
 
 
 def worsens_alone(before: Marks, after: Marks) -> bool:
-    """Return whether a configuration that no user would keep gets notably worse.
+    """Return whether a configuration that no user would keep gets worse by more than chance.
 
-    One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
-    configuration may not hinder what helps the better ones; least where both errors are no larger than it claims,
-    or where only the new ones are.
+    Small changes of weights change the error on one drive by many percent by chance, so such a configuration may
+    get worse within wider limits: the widest if its ANEES after the fix is within its chance range.
     """
     allowed = MAX_CONSISTENT_LOSS if within_claim(before, after) or was_chance(before, after) else MAX_CHANCE_LOSS
     return worsens(before, after, allowed, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
 
 
 def within_claim(before: Marks, after: Marks) -> bool:
-    """Return whether both ANEES are known and not above their chance ranges: no error is larger than claimed."""
+    """Return whether the ANEES before and after a fix are known and not above their chance ranges."""
     known = [(m.anees, m.bounds) for m in (before, after) if m.anees is not None and m.bounds is not None]
     return len(known) == 2 and all(anees <= high for anees, (_, high) in known)
 
 
 def worsens_smoothed(before: Marks, after: Marks) -> bool:
-    """Return whether a smoothed path gets worse: its errors, since no fix is about its covariance.
+    """Return whether the errors of a smoothed path get notably worse; its ANEES does not count.
 
-    One whose errors stay within what it claims may lose by chance.
+    If its ANEES stays within its chance range, it may get worse by chance.
     """
     allowed = MAX_SMOOTHED_LOSS if within_claim(before, after) else MAX_LOSS
     return worsens(before._replace(anees=None), after._replace(anees=None), allowed)
 
 
 def _only_underconfident(before: Marks, after: Marks) -> bool:
-    """Return whether only the claimed uncertainty grows and the error does not: that does no harm."""
+    """Return whether a fix leaves the error nearly equal and makes the filter underconfident (ANEES < 1)."""
     if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
         return False
     small = after.position <= before.position * (1.0 + MAX_CHANCE_LOSS) + MAX_LOSS_M
@@ -137,19 +136,19 @@ def worsens_far(before: Marks, after: Marks) -> bool:
 
 
 def was_chance(before: Marks, after: Marks) -> bool:
-    """Return whether the smaller error before the fix was chance: only the run before was inconsistent."""
+    """Return whether the smaller error before a fix was chance: the ANEES was inconsistent only then."""
     if before.position is None or not after.anees:
         return False
     return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0
 
 
 def leaves(before: Marks, after: Marks) -> bool:
-    """Return whether an ANEES leaves its chance range."""
+    """Return whether an ANEES leaves its chance range by a fix."""
     return before.bounds is not None and _off(before) == 0.0 and _off(after) > MAX_LN_ANEES_LOSS
 
 
 def improves(before: Marks, after: Marks) -> bool:
-    """Return whether one figure gets notably better. An ANEES within its chance range has nothing to gain."""
+    """Return whether a figure gets notably better by a fix."""
     if before.lost - after.lost > MAX_LOST_SHARE:
         return True
     if before.position is not None and after.position is not None:
@@ -159,7 +158,7 @@ def improves(before: Marks, after: Marks) -> bool:
         if turns_right(before, after) and less >= -MAX_CHANCE_LOSS * before.position:
             return True
         nearer = _off(before) - _off(after)
-        # and outweighs an error that grows: 220 and 176 are both far off
+        # a better ANEES must outweigh a larger error
         return nearer > MIN_LN_ANEES_GAIN and gain(before, after) > WEIGHT_OF_ANEES * MIN_LN_ANEES_GAIN - 1e-9
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction > MIN_GAIN_NATS
@@ -167,18 +166,18 @@ def improves(before: Marks, after: Marks) -> bool:
 
 
 def settles(before: Marks, after: Marks) -> bool:
-    """Return whether a configuration's error falls to less than half: more than chance on one drive."""
+    """Return whether the position error falls to less than half, which is more than chance."""
     if before.position is None or after.position is None:
         return False
     return after.position < MAX_SETTLED_SHARE * before.position and not worsens(before, after)
 
 
 def gain(before: Marks, after: Marks) -> float:
-    """Return the worth of a fix: ln(error before / after) of position, plus half of heading's and of ANEES'."""
+    """Return the gain of a fix: ln(error before / after) of position, plus half of those of heading and ANEES."""
     if before.position is not None and after.position is not None:
         turned = WEIGHT_OF_HEADING * _turned(before, after)
         return (
-            _less(before, after)
+            math.log(max(before.position, MIN_GAIN_M) / max(after.position, MIN_GAIN_M))
             + turned
             + WEIGHT_OF_ANEES * (_off(before) - _off(after))
             + before.lost
@@ -197,17 +196,10 @@ def _turned(before: Marks, after: Marks) -> float:
     return 0.0 if small else math.log(before.heading / max(after.heading, MIN_TURN_DEG))
 
 
-def _less(before: Marks, after: Marks) -> float:
-    """Return ln of how many times smaller the position error gets."""
-    if before.position is None or after.position is None:
-        return 0.0
-    return math.log(max(before.position, MIN_GAIN_M) / max(after.position, MIN_GAIN_M))
-
-
 def _off(score: Marks) -> float:
-    """Return how far ln ANEES lies outside its chance range, 0 inside it or where there is none.
+    """Return the distance of ln ANEES from its chance range; 0 inside it or if unknown.
 
-    Inside, one drive cannot tell one ANEES from another: 0.73 before and 0.47 after are no loss.
+    Values inside differ by chance only: 0.73 before and 0.47 after are no loss.
     """
     if not score.anees:
         return 0.0
@@ -216,14 +208,14 @@ def _off(score: Marks) -> float:
 
 
 MAX_FIXES = 6  # of one log
-MAX_MOVES = 2  # of a value by one finding; a third one must be smaller than MAX_MOVED_SHARE
-MAX_MOVED_SHARE = 0.5  # of the largest change of a value, by which measuring it again may move it on
-# findings that are measured again, better, once others are fixed
+MAX_MOVES = 2  # of a value by one finding; the next must be smaller than MAX_MOVED_SHARE
+MAX_MOVED_SHARE = 0.5  # of the largest move of a value
+# findings that are measured again, more exactly, once others are fixed
 REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
-# findings whose first value is the one that was measured: others beside it are tried only where it does not help
+# findings whose first alternative was measured: others are tried only if it does not help
 FIRST_VALUE = ("lag",)
-CLEAR = 1.0  # worth of a fix beyond which nothing of a later class is likely to explain the same
-CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
+CLEAR_GAIN = 1.0  # gain of a fix beyond which later classes are not tried
+CHANCE_GAIN = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # gain of two configurations that chance can give
 
 Fixes = tuple[str, ...]  # "table.key=value"
 Scores = Mapping[str, Marks]  # by configuration
@@ -231,18 +223,18 @@ Try = Callable[[Fixes, Sequence[str]], Scores]  # settings, configurations -> th
 
 
 class Candidate(msgspec.Struct, frozen=True):
-    """A finding, the ways to fix it, and the configurations by which they are judged."""
+    """A finding, alternative fixes, and the configurations that judge these fixes."""
 
     finding: Finding
     alternatives: tuple[Fixes, ...]
     judges: tuple[str, ...]
-    minor: tuple[str, ...] = ()  # of these, by which a gain shows and a little more error is no harm
-    others: tuple[str, ...] = ()  # of these, which no fix may ruin: what moves the wheels moves them too
-    offer: bool = False  # no observation, only a setting that may help: silent where it does not
-    measured: bool = False  # the drive shows the value: without truth and by shape it is taken if nothing is lost
-    proven: bool = False  # several others agree on the value: it is taken if nothing is lost, with truth too
-    guards: tuple[str, ...] = ()  # configurations whose ANEES may not leave its chance range: of noise
-    by_shape: bool = False  # may be judged by the path's shape: where its map lies is not observed
+    minor: tuple[str, ...] = ()  # of these, which may get slightly worse
+    others: tuple[str, ...] = ()  # of these, which only must not get far worse: they also depend on the wheels
+    offer: bool = False  # a setting that may help, without an observation: not reported if it does not
+    measured: bool = False  # value measured on the drive: without truth and by shape it need not improve a figure
+    proven: bool = False  # value of several other logs: it need not improve a figure, with truth neither
+    guards: tuple[str, ...] = ()  # configurations whose ANEES must stay in its chance range
+    by_shape: bool = False  # may be judged after alignment, as the position of its map is not observed
 
     @property
     def key(self) -> tuple[str, str]:
@@ -251,39 +243,39 @@ class Candidate(msgspec.Struct, frozen=True):
 
 
 class Advice(msgspec.Struct, frozen=True):
-    """A finding with the fix that was tried, and what it did; no fixes where none of them helps."""
+    """A finding with the fix that was found by trial, and the figures before and after it."""
 
     finding: Finding
     fixes: Fixes = ()
     before: Mapping[str, Marks] | None = None
     after: Mapping[str, Marks] | None = None
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
-    harmless: bool = False  # one of what was tried changes little; else all of it makes something worse
-    candidate: Candidate | None = None  # what it came from
+    harmless: bool = False  # whether some alternative made nothing worse
+    candidate: Candidate | None = None  # the candidate of the finding
 
     @property
     def judges(self) -> tuple[str, ...]:
-        """The configurations by which the fix is judged, as in the candidate."""
+        """Names of the configurations that judge the fix."""
         return () if self.candidate is None else self.candidate.judges
 
     @property
     def measured(self) -> bool:
-        """Whether the drive shows the fix's value, as in the candidate."""
+        """Whether the fix's value was measured from the drive."""
         return self.candidate is not None and self.candidate.measured
 
     @property
     def proven(self) -> bool:
-        """Whether several other logs agree on the fix's value, as in the candidate."""
+        """Whether several other logs agree on the fix's value."""
         return self.candidate is not None and self.candidate.proven
 
     @property
     def helps(self) -> bool:
-        """Whether the fix was tried and found to help."""
+        """Whether a fix was found that helps."""
         return bool(self.fixes)
 
     @property
     def shown_by(self) -> str | None:
-        """The configuration that gains most by the fix."""
+        """Name of the configuration that gains most by the fix."""
         if not self.before or not self.after:
             return None
         before, after = self.before, self.after
@@ -291,57 +283,57 @@ class Advice(msgspec.Struct, frozen=True):
 
 
 def together(one: Fixes, other: Fixes) -> Fixes:
-    """Return two sets of settings merged; where both set a key, the second one wins."""
+    """Return two sets of settings merged; for a key in both, the second value wins."""
     return tuple(f"{key}={value}" for key, value in by_key((*one, *other)).items())
 
 
 def keys(fixes: Iterable[str]) -> set[str]:
-    """Return the keys that fixes set."""
+    """Return the keys of settings."""
     return set(by_key(fixes))
 
 
 def by_key(fixes: Iterable[str]) -> dict[str, str]:
-    """Return the values that fixes set, by key; of several fixes with one key, the last one counts."""
+    """Return settings as key -> value; of several values for one key, the last one wins."""
     return dict(fix.partition("=")[::2] for fix in fixes)
 
 
 class Case(Protocol):
-    """A log under some settings, with the methods that the loop of `tried` calls."""
+    """A log, measured and fused under given settings."""
 
     def suspicious(self) -> bool:
-        """Return whether anything looks wrong; if not, no fix is tried."""
+        """Return whether some figure or finding is unusual; if not, no fix is tried."""
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return possible faults by class of evidence: a fault of an earlier class may look like a later one.
+        """Return functions that give candidates, grouped by class of evidence.
 
-        Where something severe of a group is open, those of later groups are not asked.
+        An earlier class looks like a later one. Later groups are not used while a severe finding has no fix.
         """
 
     def kept(self, role: str) -> Collection[str]:
-        """Return the configurations that a user of a sensor would keep."""
+        """Return the configurations with a sensor that a user would keep."""
 
 
 Now = Callable[[str], float | None]
-Look = Callable[[Fixes], Case | None]  # measures and fuses a log under settings; None: it cannot be
+Look = Callable[[Fixes], Case | None]  # measures and fuses a log under settings; None if that fails
 
 
 def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Advice], Fixes]:
-    """Try fixes, take the best one of the first class that has one, measure again, repeat; helpful ones first.
+    """Find fixes that help by trial; return the advice, helpful fixes first, and all kept settings.
 
-    `now` returns the number that a key has as configured. A value that moves on when it is measured again under
-    itself is none: something else is wrong.
+    `now` returns the configured number of a key. A value that moves again and again when it is measured under its
+    own fix is not used.
     """
     helped: list[Advice] = []
     open_: dict[str, Advice] = {}
     kept: Fixes = ()
-    rests: set[tuple[str, str]] = set()  # what is measured off again under its own fix, and no value helps
+    rests: set[tuple[str, str]] = set()  # findings that are measured again under their own fix, and no value helps
     case = look(kept)
     while case is not None and len(helped) < MAX_FIXES:
         rests = set()
         if not case.suspicious():
-            open_ = {}  # what had no fix looked wrong only beside what now has one
+            open_ = {}  # the other findings are gone with the fixes
             break
-        done = {(a.finding.role, a.finding.code) for a in helped}
+        done = {_key(a) for a in helped}
         found = _first_that_helps(case, kept, trial, done)
         open_ = {a.finding.role: a for a in found if not a.helps}
         rests = {_key(a) for a in open_.values() if any(together(kept, fixes) != kept for fixes in a.tried)}
@@ -370,9 +362,9 @@ def _key(advice: Advice) -> tuple[str, str]:
 
 
 def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
-    """Return whether a fix moves a number again, after several moves, by more than half of the largest one.
+    """Return whether a fix moves a setting again, after MAX_MOVES moves, by more than half of the largest move.
 
-    A second move may be large: under a late clock half of the scans were refused, and the rest showed too little.
+    A second move may be large, as when a late clock made the filter reject half of the scans.
     """
     same = [by_key(a.fixes) for a in (*helped, advice) if _key(a) == _key(advice)]
     for key in by_key(advice.fixes):
@@ -398,17 +390,16 @@ def _without_fix(advice: Advice) -> Advice:
 
 
 def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tuple[str, str]]) -> list[Advice]:
-    """Return the best fix of the first class of evidence that has one; else all findings, without fixes.
+    """Return the best fix of the first class that has one; else all findings, without fixes.
 
-    A fix that only its own success speaks for, and that gains little, waits for the later classes: the best is
-    taken.
+    A fix without an observation that gains little is compared with the fixes of later classes.
     """
     open_: list[Advice] = []
     best: Advice | None = None
     last = 0
     for group, candidates_of in ((i, one) for i, several in enumerate(case.classes()) for one in several):
         if group != last and any(a.finding.severe for a in open_):
-            break  # while this is open, nothing is said of offsets and noise
+            break  # later classes (offsets, noise) wait for a fix of this one
         last = group
         candidates = [c for c in candidates_of() if c.key not in done or c.finding.code in REFINED]
         results = [(c, best_of(c, kept, trial)) for c in candidates]
@@ -417,7 +408,7 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
             first = max(helpful, key=lambda a: _rank(a, helpful))
             best = first if best is None or _weight(first) > _weight(best) else best
             observed = any(not c.offer for c, a in results if a is first)
-            if observed or worth(best) > CLEAR:
+            if observed or worth(best) > CLEAR_GAIN:
                 break
         open_ += (a for c, a in results if not a.helps and not c.offer)
     if best is not None:
@@ -429,20 +420,20 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
 
 
 def _weight(advice: Advice) -> float:
-    """Return the weight of a fix when it competes with a fix of a later class for the same error.
+    """Return the weight of a fix in the comparison with fixes of later classes.
 
-    A clock that is measured to be off and noise that would hide it: chance alone may make noise look better.
+    A measured value gets a bonus, since another fix (more noise, say) may gain more by chance.
     """
-    return worth(advice) + (CHANCE if advice.measured else 0.0)
+    return worth(advice) + (CHANCE_GAIN if advice.measured else 0.0)
 
 
 def _beside_another(
     found: Sequence[Advice], kept: Fixes, look: Look, trial: Try, done: Collection[tuple[str, str]]
 ) -> list[Advice]:
-    """Return a severe finding's fix together with a second fix, where only both together help.
+    """Return two fixes that help only together, the first one of a severe finding; [] if there are none.
 
-    Two faults may hide each other: a compass that is refused because it is late does not disturb a laser whose
-    noise is set too high, and disturbs it as soon as it is used.
+    Two faults may hide each other: a late compass is rejected and does no harm to a laser with too high noise,
+    until the clock of the compass is corrected.
     """
     for advice in found:
         for fixes in advice.tried if advice.finding.severe else ():
@@ -452,7 +443,7 @@ def _beside_another(
             case = look(beside)
             if case is None:
                 continue
-            now = {*done, (advice.finding.role, advice.finding.code)}
+            now = {*done, _key(advice)}
             others = [a for a in _first_that_helps(case, beside, trial, now) if a.helps]
             both = beside
             for other in others:
@@ -470,23 +461,23 @@ def _any_worsened(pairs: Mapping[str, tuple[Marks, Marks]], kept: Collection[str
 
 
 def scored(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Try) -> dict[str, tuple[Marks, Marks]]:
-    """Return the scores of configurations under two sets of fixes; {} where one has none."""
+    """Return the figures of configurations before and after `fixes`; {} if some are missing."""
     before, after = trial(kept, judges), trial(fixes, judges)
     return {name: (before[name], after[name]) for name in before} if before and after else {}
 
 
 def worth(advice: Advice) -> float:
-    """Return the sum of the gains of all configurations that judged it."""
+    """Return the sum of the gains of all configurations that judged a fix."""
     if advice.before is None or advice.after is None:
         return 0.0
     return sum(gain(advice.before[name], advice.after[name]) for name in advice.before)
 
 
 def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
-    """Return a fix's rank for sorting.
+    """Return the gain of a fix in the comparison with rival fixes.
 
-    Without truth a sensor that is moved to where a wrong one is predicts that one better: two sensors that
-    disagree accuse each other. So only configurations that judged all of them are counted, where there are any.
+    Without truth, two sensors that disagree each predict better with a change of the other one. So only
+    configurations that judged all rivals count, if there are any.
     """
     if (
         advice.before is None
@@ -499,7 +490,7 @@ def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
 
 
 def best_of(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
-    """Return the alternative that gains most of those that help, by position, else by the path's shape."""
+    """Return the alternative that helps most, by position errors, else by errors after alignment."""
     found = _best_by(candidate, kept, trial, False)
     if found.helps or not candidate.by_shape:
         return found
@@ -518,8 +509,9 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
             break
         pairs = judged_pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
-        # by the drive itself: not to lose is enough, but then in every configuration, kept or not
-        sure = (candidate.proven or _by_prediction(pairs)) and not _any_loses(pairs)
+        # a measured value need not improve a figure, but no configuration may get worse
+        by_prediction = all(one.position is None for one, _ in pairs.values())
+        sure = (candidate.proven or by_prediction) and not any(worsens(*pair) for pair in pairs.values())
         shown = candidate.measured and bool(pairs) and (shape or sure)
         if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
@@ -533,18 +525,10 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
     return max(options, key=worth, default=replace(unfixed, harmless=harmless))
 
 
-def _by_prediction(pairs: Mapping[str, tuple[Marks, Marks]]) -> bool:
-    return all(before.position is None for before, _ in pairs.values())
-
-
-def _any_loses(pairs: Mapping[str, tuple[Marks, Marks]]) -> bool:
-    return any(worsens(*pair) for pair in pairs.values())
-
-
 def judged_pairs(
     candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool = False
 ) -> dict[str, tuple[Marks, Marks]]:
-    """Return every judge's scores before and after a fix; stop with {} at the first that gets worse."""
+    """Return each judge's figures before and after a fix; {} if one of them gets worse."""
     pairs: dict[str, tuple[Marks, Marks]] = {}
     settled = chance_alone = False
     for name in candidate.judges:
@@ -554,14 +538,14 @@ def judged_pairs(
         if shape:
             before, after = ({name: scores[name].of_shape()} for scores in (before, after))
         one, other = readable(before[name], after[name])
-        # what takes one configuration's error to less than half is right: another one's may lose what chance does
+        # after one error fell to less than half, others may get worse by chance
         right = candidate.measured and turns_right(one, other)
         chance = name in candidate.minor or settled or right
         worse = worsens_far if name in candidate.others else worsens_alone if chance else worsens
         if worse(one, other):
             if name not in candidate.minor or not was_chance(one, other):
                 return {}
-            chance_alone = True  # which excuses nothing unless the fix is right
+            chance_alone = True  # accepted only if some error is settled
         pairs[name] = one, other
         observed = candidate.measured or not candidate.offer
         settled = settled or (observed and settles(one, other))

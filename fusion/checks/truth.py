@@ -1,4 +1,4 @@
-"""Checks of the truth: its jumps and gaps, the tracked point, and its distance scale against the wheels'."""
+"""Truth checks: jumps, gaps and noise of the truth, tracked point, distance scale, start pose."""
 
 from __future__ import annotations
 
@@ -18,43 +18,46 @@ from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 from .finding import Finding, Least
 from .laser import OPEN_SCALE, Motion, range_fix, who_is_right
 
-UNIT, JUMP = "unit", "jump"  # codes of the findings on a truth by which no error means anything
-UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}  # by the ways in it over those in m
-MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5  # standard errors; of the truth's error: wheels and laser agree better
-MAX_UNIT_RATIO = 1.5  # of the ways over what the unit explains, either way
+UNIT, JUMP = "unit", "jump"  # codes of the findings on an unusable truth
+# by the ratio of its distances to those in m
+UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}
+MAX_UNIT_RATIO = 1.5  # of that ratio, either way
+# standard errors; share of the truth's scale error that wheels and laser may differ by
+MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: 99th percentile of the speeds of a robot
-STEP = "step"  # code of the finding on a truth that steps aside
-POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on wheels that creep
+STEP = "step"  # code of the finding on sideways steps
+POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on sideways motion
 MIN_CREEP, CREEP_SIGMAS = 0.008, 5.0  # m per m; standard errors
-WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' metre
+WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
 MIN_READINGS = 5  # of a truth that is checked
-WINDOW_S = 1.0  # s over which ways are compared
-STRETCHES = 8  # stretches of the drive whose estimates must agree
+WINDOW_S = 1.0  # s over which distances are compared
+STRETCHES = 8  # of the drive, for the jackknife
 MIN_WAY_M = 0.1  # m per window, by the wheels
-MIN_SEEN_M = 1e-6  # m per window, by the truth: one that stands still measures no wheels
-MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' metre
+MIN_SEEN_M = 1e-6  # m per window, by the truth
+MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' distances
 WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
-MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps no error by it means anything
-JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a step is a jump if it is this many times the wheels', and this much [m] more
+MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps it is unusable
+JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a jump is longer than this factor times the wheels' step plus this distance
 MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
-MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5  # m; times the usual difference from the wheels; steps in all
-MIN_STEPS, AROUND = 100, 5  # steps of a truth by which its noise is judged; readings before and after one
-CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # larger steps count as that; standard errors of a noise that is sure
-MIN_NOISE_FACTOR = 2.0  # times what is configured: more is named
-MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # of a truth's poses; what is smaller changes no figure
+# m; times the median difference from the wheels; number of steps
+MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5
+MIN_STEPS, AROUND = 100, 5  # steps for an estimate of the noise; readings before and after a step
+CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # steps are clipped at; standard errors of a significant noise
+MIN_NOISE_FACTOR = 2.0  # times the configured noise: more is reported
+MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # smaller noise is not reported
 MIN_TURN_RAD = math.radians(60.0)
-MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of the laser's ways beside the wheels'
+MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of laser distances and wheel distances
 
 
 def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
-    """Check the ground truth: where it cannot be used, its noise, the tracked point, and the start."""
+    """Return findings on the truth: jumps, gaps, noise, tracked point, start pose, sideways motion."""
     truth = drive.truth
     if truth is None or len(truth.t) < MIN_READINGS:
         return []
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive, axle_path(truth, drive.wheels))
     point = of_point(truth, swings)
-    # a truth that jumps, or is of another point, does not show the start
+    # jumps and a wrong tracked point would look like a wrong start
     creep = of_creep(swings)
     aside = abs(float(swings.x[3])) if swings is not None and creep else 0.0
     start = [] if jumps or point else of_start(truth, drive, robot, aside)
@@ -62,9 +65,9 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
 
 
 def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
-    """Return the axle's path at the truth's stamps (n, 2) [m, map frame]: wheel distance along truth headings.
+    """Return the axle's path (n, 2) [m, map frame] from wheel distances and truth headings, at the truth's stamps.
 
-    The wheels' own turns, which slips spoil, have no part in it. None where the truth has no headings.
+    The wheels' turns, with errors by slip, are not used. None for a truth without headings.
     """
     if truth.theta is None:
         return None
@@ -76,14 +79,14 @@ def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
 
 
 def _inside(truth: Truth, wheels: Wheels) -> Mask:
-    """Return which of the truth's steps (n - 1,) lie within the drive and across no gap."""
+    """Return which of the truth's steps (n - 1,) lie within the drive and not across a gap."""
     usual = np.diff(truth.t) < gap_limit(truth.t)
     within: Mask = usual & (truth.t[:-1] >= wheels.t[0]) & (truth.t[1:] <= wheels.t[-1])
     return within
 
 
 def _steps(truth: Truth, drive: Drive) -> list[Finding]:
-    """Return where the truth jumps sideways within one period and stays there, which a robot cannot do."""
+    """Return a finding on sideways steps of the truth between two stamps that do not return."""
     path = axle_path(truth, drive.wheels)
     if path is None or truth.theta is None:
         return []
@@ -100,7 +103,7 @@ def _steps(truth: Truth, drive: Drive) -> list[Finding]:
         if stays > 0.7 * float(size[k]):
             found.append((float(truth.t[k + 1]), stays))
     if not found or len(found) > MAX_STEPS:
-        return []  # so many are no steps of a truth: a robot that was carried, wheels that slipped
+        return []  # many steps have other causes: a carried robot, wheel slip
     where = ", ".join(f"{away:.2f} m at {t:.1f} s" for t, away in found)
     words = f"it steps aside by {where}, while the robot rolls on: errors after that are the truth's"
     return [Finding("truth", STEP, words, (), True)]
@@ -116,7 +119,7 @@ def _gaps(truth: Truth) -> list[Finding]:
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
-    """Return a finding if the truth is noisier than truth.sigma; ANEES counts that as an error of the estimate."""
+    """Return a finding if the truth is noisier than truth.sigma."""
     rest, moving = truth_sigma(truth, drive.wheels), _scatter(truth, drive.wheels)
     place, turn = max(rest.xy, moving.xy), max(rest.theta, moving.theta)
     parts: list[tuple[str, str]] = []
@@ -131,20 +134,20 @@ def _noise(truth: Truth, drive: Drive) -> list[Finding]:
 
 
 def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
-    """Return the noise of poses by neighbouring steps: an error in one step is reversed in the next.
+    """Return the noise of truth poses by the negative correlation of neighbouring steps.
 
-    Only across the way: along it stamps that jitter do the same. Zero where nothing is sure.
+    Only sideways, since along the path jitter of stamps looks the same. Zero if not significant.
     """
     path, inside = axle_path(truth, wheels), _inside(truth, wheels)
     if path is None or truth.theta is None or inside.sum() < MIN_STEPS:
         return Sigma(0.0, 0.0)
     step = se2.rotated(-truth.theta[:-1], np.diff(truth.xy - path, axis=0))[:, 1]
     turn = np.diff(np.unwrap(truth.theta) - np.interp(truth.t, wheels.t, wheels.pose[:, 2]))
-    return Sigma(_taken_back(step[inside]), _taken_back(turn[inside]))
+    return Sigma(_white_sigma(step[inside]), _white_sigma(turn[inside]))
 
 
-def _taken_back(steps: Array) -> float:
-    """Return the sigma of white noise on positions, from their steps (n,); 0 if it is not significant.
+def _white_sigma(steps: Array) -> float:
+    """Return the sigma of white position noise by the correlation of steps (n,); 0 if not significant.
 
     Noise of one position adds to one step and is subtracted in the next one.
     """
@@ -155,7 +158,7 @@ def _taken_back(steps: Array) -> float:
 
 
 class Jumps(NamedTuple):
-    """Steps of a truth that are metres longer than the wheels rolled meanwhile: a tracker that lost its body."""
+    """Jumps of the truth: steps much longer than the wheels rolled, as by a tracker that loses its body."""
 
     number: int
     spikes: int  # readings that jump away and return
@@ -169,7 +172,7 @@ class Jumps(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The problem with the truth, in words."""
+        """Text on the jumps."""
         words = f"it jumps {times(self.number)} by more than the wheels rolled"
         words += f"; {self.spikes} readings can be left out" if self.spikes else ""
         if self.staying > 0:
@@ -199,14 +202,14 @@ def _jumps(drive: Drive) -> list[Finding]:
 
 
 def _fastest(drive: Drive) -> float:
-    """Return the 99th percentile of the speeds [m/s] by the wheels."""
+    """Return the 99th percentile of the wheels' speed [m/s]."""
     return float(np.percentile(np.hypot(*drive.wheels.twist[:, :2].T) / np.diff(drive.wheels.t), 99.0))
 
 
 def of_unit(drive: Drive) -> list[Finding]:
-    """Return a finding if the truth's unit is not the metre: its ways are another power of ten of the wheels'.
+    """Return a finding if the truth is not in metres: its distances are a power of ten times the wheels'.
 
-    Wheels of a wrong radius show the same: it is the truth's if a robot drives as fast as the wheels say.
+    (Not if the wheels' speed is implausible for a robot, as with a wrong radius.)
     """
     factor, (slowest, fastest), speed = (wheels_metre(drive) or (1.0,))[0], ROBOT_SPEEDS_MPS, _fastest(drive)
     unit = next((u for f, u in UNITS.items() if 1.0 / MAX_UNIT_RATIO < factor / f < MAX_UNIT_RATIO), None)
@@ -243,7 +246,7 @@ def of_size(drive: Drive, motion: Motion | None) -> list[Finding]:
 
 
 def unusable(drive: Drive) -> Finding | None:
-    """Return why no error by this truth means anything: its unit, or its many jumps; None if it can be used."""
+    """Return a finding if no error can be computed by this truth (unit, many jumps); None if it is usable."""
     for found in of_unit(drive):
         return found
     jumps = jumps_of(drive)
@@ -254,15 +257,15 @@ def unusable(drive: Drive) -> Finding | None:
 
 
 def step_limits(truth: Truth, drive: Drive) -> Array:
-    """How far the truth may step (n-1,) [m], given what the wheels rolled meanwhile."""
+    """Return the longest plausible steps (n - 1,) [m] of the truth, by the wheels' motion."""
     limit: Array = JUMP_FACTOR * np.diff(drive.wheels.driven(truth.t)) + MIN_JUMP_M + 6.0 * truth.sigma
     return limit
 
 
 def wheels_metre(drive: Drive) -> tuple[float, float] | None:
-    """Return the factor from the wheels' distance scale to the truth's, and its sigma; None for a short path.
+    """Return the ratio of truth distances to wheel distances, and its sigma; None for a short path.
 
-    Chords of a few windows' length are compared: the truth's noise adds to short ones, wrong turns to long ones.
+    Chords over WINDOW_S are compared: noise of the truth lengthens shorter ones, wrong turns longer ones.
     """
     truth, wheels = drive.truth, drive.wheels
     if truth is None:
@@ -283,7 +286,7 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
 
 
 def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
-    """Return the scale factor of the wheels' distances and its fix, if it is off by `least` or more."""
+    """Return the factor that corrects the wheels' distances, and a finding if it is off by `least` or more."""
     found = wheels_metre(drive)
     by_driver = robot.wheels.is_of_driver
     if found is None or drive.wheels.matched is not None or (robot.wheels.radius is None and not by_driver):
@@ -304,25 +307,24 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
 def wheels_fix(robot: Robot, factor: float) -> tuple[str, ...]:
     """Return settings by which the wheels measure `factor` times as far; () if the filter finds the scale."""
     wheels = robot.wheels
-    if wheels.radius is None:  # the driver's radius, which no setting here changes: the filter may find the scale
+    if wheels.radius is None:  # no setting changes a driver's radius: the filter estimates the scale
         return () if wheels.estimate else ("wheels.estimate=true",)
-    # what turns right must go on turning right
-    track = () if wheels.track is None else (f"wheels.track={wheels.track * factor:.4g}",)
+    track = () if wheels.track is None else (f"wheels.track={wheels.track * factor:.4g}",)  # turns stay equal
     return (f"wheels.radius={wheels.radius * factor:.4g}", *track)
 
 
 class Swing(NamedTuple):
-    """How the truth moves relative to the path of the base."""
+    """Fit of the truth's motion to the path of the base: tracked point, scale, sideways motion."""
 
-    x: Array  # (4,) the tracked point (x, y) [m], the path's scale, by how much it drives aside [m per m]
+    x: Array  # (4,) tracked point (x, y) [m], scale of the path, sideways motion [m per m]
     sigma: Array  # (4,)
 
 
 def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
-    """Fit how a tracked point swings while the robot turns; None where it hardly turns.
+    """Return the fit of the tracked point's motion while the robot turns; None if it hardly turns.
 
     With p(t) = base + R(theta) l, a step of the point is that of the base's `path` (n, 2) [m] at the truth's
-    stamps, up to a factor and a small turn, and (R(theta') - R(theta)) l. NaN where nothing is known of the path.
+    stamps, times a factor and turned by a small angle, plus (R(theta') - R(theta)) l. `path` is NaN where unknown.
     """
     if path is None or truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
         return None
@@ -346,7 +348,7 @@ def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
 
 
 def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
-    """Return the body point that was tracked, if it is not the configured one."""
+    """Return a finding if the tracked point is not the configured one."""
     if found is None:
         return []
     (x, y), sigma, configured = found.x[:2].tolist(), float(np.hypot(*found.sigma[:2])), truth.point
@@ -361,7 +363,7 @@ def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
 
 
 def of_creep(found: Swing | None) -> list[Finding]:
-    """Report that, by the truth, the robot drives sideways to its heading."""
+    """Return a finding if, by the truth, the robot drives sideways to its heading."""
     if found is None or abs(found.x[3]) < max(MIN_CREEP, CREEP_SIGMAS * found.sigma[3]):
         return []
     aside, sigma = (math.degrees(float(v)) for v in (found.x[3], found.sigma[3]))
@@ -373,7 +375,7 @@ def of_creep(found: Swing | None) -> list[Finding]:
 
 
 def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
-    """Return a finding if the laser's own `run` and the wheels differ in distance; either may be right."""
+    """Return findings if distances of the wheels and of a `run` with only the laser differ."""
     rows = np.unique(drive.instant[run.sensors[0]])
     by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
     found = swing(by_laser, drive, axle_path(by_laser, drive.wheels))
@@ -394,7 +396,7 @@ def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
 
 
 def _robust(A: Array, y: Array) -> Array:
-    """Return the least squares (4,) of steps y (n, 2) by A (n, 2, 4), without those that do not fit."""
+    """Return the least-squares solution (4,) of A x = y, A (n, 2, 4), y (n, 2), without outliers."""
     keep = np.ones(len(y), dtype=bool)
     x: Array = np.zeros(4)
     for _ in range(3):
@@ -406,16 +408,16 @@ def _robust(A: Array, y: Array) -> Array:
 
 START = "start"  # code of the finding
 SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD = 0.1, math.radians(5.0)
-MIN_START_ERROR_M, MIN_START_ERROR_RAD = 0.02, math.radians(1.0)  # by poses; the shape of points is less exact
-SIGMAS = 3.0  # standard deviations of the start, as it is configured and as the truth shows it
+MIN_START_ERROR_M, MIN_START_ERROR_RAD = 0.02, math.radians(1.0)  # limits for a truth with headings
+SIGMAS = 3.0  # of the combined sigma of configured and true start
 SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is found: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
 
 def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> list[Finding]:
-    """Return a finding if the configured start is not the pose with which the wheels' path fits the truth.
+    """Return a finding if the configured start differs from the start pose by the truth.
 
-    Where the robot drives `aside` [rad] of the truth's headings, the shape of the way tells the start's heading.
+    If the robot drives sideways by the angle `aside` [rad], the heading is found from the shape of the path.
     """
     fitted = start_pose(truth, drive, by_shape=aside > 0.0)
     if fitted is None:
@@ -425,16 +427,18 @@ def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> li
     both = np.stack((np.array(robot.start.pose), fitted.pose))
     wheels = drive.wheels
     configured, (x, y, theta) = se2.compose(both, wheels.relative(wheels.t[0], at)).tolist()
-    blur = fitted.sigma
+    heading_sigma = fitted.sigma
     away, turn = math.hypot(x - configured[0], y - configured[1]), abs(se2.wrap(theta - configured[2]))
     severe = away > SEVERE_START_ERROR_M or turn > SEVERE_START_ERROR_RAD
     least = (MIN_START_ERROR_M, MIN_START_ERROR_RAD)
     if truth.theta is None or aside:
         least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
-    # the way is laid on the truth about its middle: half of it swings with the turn
-    spread = robot.start.sigma_xy, 0.5 * fitted.way * blur, fitted.spread, truth.sigma
+    # the path is aligned about its middle: an error of the turn moves the start by half the path
+    spread = robot.start.sigma_xy, 0.5 * fitted.way * heading_sigma, fitted.spread, truth.sigma
     place = least[0] + SIGMAS * math.hypot(*spread)
-    if away < place and turn < least[1] + SIGMAS * math.hypot(math.radians(robot.start.sigma_theta_deg), blur):
+    if away < place and turn < least[1] + SIGMAS * math.hypot(
+        math.radians(robot.start.sigma_theta_deg), heading_sigma
+    ):
         return []
     where = f"the drive is at {at:.1f} s" if fitted.t else "the drive starts"
     words = (
@@ -449,19 +453,19 @@ def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> li
 
 
 class Start(NamedTuple):
-    """Where the truth says that the drive started."""
+    """Start pose of the drive by the truth."""
 
-    pose: Array  # (3,) of the base at the first wheel reading, as the wheels lead back to it
-    way: float  # m of the drive from which it is found
-    sigma: float  # rad by which the wheels may have turned wrongly meanwhile, or the truth's headings scatter
-    spread: float  # m by which the truth's places scatter
-    t: float  # s at which the truth begins, where the robot has moved by then; else at the first reading
+    pose: Array  # (3,) of the base at the first wheel reading
+    way: float  # m of the drive that were used
+    sigma: float  # rad, of the heading: by slip, or by noise of the truth's headings
+    spread: float  # m, standard error by the truth's positions
+    t: float  # s: start of the truth if the robot moved before it, else the first wheel reading
 
 
 def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> Start | None:
-    """Return where the drive started; None if its first metres do not show it.
+    """Return the start pose by the truth; None if the first metres of the drive do not show it.
 
-    A truth with headings tells at once, points only by the shape of the first metres of the truth.
+    By the first poses of a truth with headings, else by the shape of its first metres.
     """
     wheels, headings = drive.wheels, None if by_shape else truth.theta
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
@@ -486,9 +490,11 @@ def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> Start | No
     places = tracked - metre * se2.rotated(np.full(len(points), turn), points)
     place = np.median(places, axis=0)
     if headings is None:
-        blur = math.sqrt(2.0 * wheels.noise * way) / wheels.track
+        heading_sigma = math.sqrt(2.0 * wheels.noise * way) / wheels.track
     else:
-        blur = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))
+        heading_sigma = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))
     spread = float(np.hypot(*(places - place).std(axis=0))) / math.sqrt(len(points))
     moved = float(wheels.driven(first) - wheels.driven(wheels.t[0])) > POSE_WAY_M
-    return Start(np.array([*place, se2.wrap(turn)]), way, blur, spread, first if moved else float(wheels.t[0]))
+    return Start(
+        np.array([*place, se2.wrap(turn)]), way, heading_sigma, spread, first if moved else float(wheels.t[0])
+    )

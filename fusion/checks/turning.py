@@ -1,7 +1,7 @@
-"""Do the wheels turn the robot as its other sensors see it turn? Mirrored, swapped and dead wheels, and the track.
+"""Turning checks: wheels compared with sensors that measure turns; mirrored, swapped or dead wheels, track.
 
-Over windows of a second a sensor's own turn is a R + b L, with L, R what the wheels rolled: a = 1/track and
-b = -1/track on a robot that is described as it is. The signs of a and b tell what is the wrong way round.
+Over windows of a second a sensor's turn is a R + b L, with L, R the distances of left and right wheel: a = 1/track
+and b = -1/track on a correctly configured robot. The signs of a and b show reversed wheels and sensors.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 WINDOW_S = 1.0  # s
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
 MIN_RMS_TURN_RAD = math.radians(5.0)  # rms turn of a window
-MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turning that the wheels must explain, in whatever sense
-MAX_WHEEL_CORRELATION = 0.98  # correlation of both wheels above which their effects cannot be separated
-MIN_TRACK_ERROR, MIN_SIGMAS = 0.04, 4.0  # relative error of the track worth saying; standard errors
+MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turns that the wheels must explain, with either sign
+MAX_WHEEL_CORRELATION = 0.98  # of both wheels, above which their effects cannot be separated
+MIN_TRACK_ERROR, MIN_SIGMAS = 0.04, 4.0  # smallest reported relative error of the track; standard errors
 SEVERE_TRACK_ERROR = 0.06
 WORTH_SAYING = Least(MIN_TRACK_ERROR, MIN_SIGMAS)
 MIN_ROLL_SPREAD_M = 1e-3  # m per window
 MAX_READINGS = 3000
 GYRO_SCALE_SIGMA = 0.01  # 1 sigma of a gyro's scale
-CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of a direction of travel; rad that the wheels turn in a piece
-MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per the wheels': less, or less sure, is no track
+CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of path for a direction of travel; rad of a piece
+MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per turn of the wheels: limits for a track
 BOTH_TURNED: Mapping[str, str] = {"none": "both", "both": "none", "left": "right", "right": "left"}
-MIN_PIECES_OF_SIGN, MAX_AGAINST_SIGMA = 3, 0.25  # pieces, share of the slope: the wheels turn against the truth
+MIN_PIECES_OF_SIGN, MAX_AGAINST_SIGMA = 3, 0.25  # pieces, sigma as a share of the slope: for its sign
 
 
 class Turning(msgspec.Struct, frozen=True):
-    """One sensor's turning explained by the wheels."""
+    """Linear fit of one sensor's turns by the distances of both wheels."""
 
     a: float  # per metre of the right wheel [rad/m]
     b: float  # per metre of the left wheel
@@ -56,7 +56,7 @@ class Turning(msgspec.Struct, frozen=True):
 
 
 def turnings(drive: Drive) -> dict[str, Turning]:
-    """Return how the wheels explain the turning of every sensor that turns by itself."""
+    """Return the fit of turns by wheel distances, for each sensor that measures turns."""
     found = {}
     for name, m in drive.measurements.items():
         sensor = REGISTRY[name]
@@ -64,21 +64,16 @@ def turnings(drive: Drive) -> dict[str, Turning]:
         if heading is None:
             continue
         t, own = heading
-        turning = explain(
-            t, own, drive.wheels, _turns_without_lines(own) if sensor.heading_holds else np.zeros(len(t))
-        )
+        # turns of exactly zero so far: scans without matching lines
+        unknown = np.cumsum(np.diff(own, prepend=np.nan) == 0.0) if sensor.heading_holds else np.zeros(len(t))
+        turning = explain(t, own, drive.wheels, unknown.astype(np.float64))
         if turning is not None:
             found[name] = turning
     return found
 
 
-def _turns_without_lines(heading: Array) -> Array:
-    """Return for each reading (n,) how many turns so far were exactly zero, as without matching lines."""
-    return np.cumsum(np.diff(heading, prepend=np.nan) == 0.0).astype(np.float64)
-
-
 def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> Turning | None:
-    """Fit a heading's turns by what either wheel rolled, at the clock offset that explains most, or None."""
+    """Return the fit of turns by wheel distances at the best clock offset; None if they do not fit."""
     start = t[(t >= wheels.t[0] + MAX_LAG_S) & (t <= wheels.t[-1] - MAX_LAG_S - WINDOW_S)]
     start = start[start + WINDOW_S <= t[-1]]
     start = start[np.interp(start + WINDOW_S, t, without_lines) == np.interp(start, t, without_lines)]
@@ -97,12 +92,12 @@ def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> T
 
 
 def _way(wheels: Wheels, way: Array, t: Array) -> Array:
-    """Return what left and right wheel had rolled at t, (n, 2) m."""
+    """Return the distances (n, 2) [m] that left and right wheel rolled until times t (n,) [s]."""
     return np.stack([np.interp(t, wheels.t, column) for column in way.T], axis=-1)
 
 
 def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
-    """Explain turns (n,) by both wheels (n, 2); if both move together, by their difference or sum."""
+    """Return the fit of turns (n,) by wheel distances (n, 2); or None."""
     left, right = rolled.T
     if np.std(left) < MIN_ROLL_SPREAD_M or np.std(right) < MIN_ROLL_SPREAD_M or own.var() == 0.0:
         return None
@@ -111,14 +106,14 @@ def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
     turn = _regression(own, (right - left)[:, None], np.array([[1.0, -1.0]]), offset)
     if turn is not None and turn.explained > MIN_EXPLAINED_SHARE:
         return turn
-    # at constant speed the wheels of a robot seem to turn against each other if one of them counts backward
+    # at constant speed the sum counts if one wheel counts backward
     return _regression(own, (right + left)[:, None], np.array([[1.0, 1.0]]), offset) or turn
 
 
 def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning | None:
-    """Fit turns by wheel distances with errors in both: the geometric mean of the two regressions.
+    """Return the fit of turns by wheel distances with errors in both: geometric mean of the two regressions.
 
-    `by` (n, k) is what explains, `shares` (k, 2) what each column is per metre of the right and the left wheel.
+    `by` (n, k) are the regressors, `shares` (k, 2) their values per metre of the right and the left wheel.
     """
     A = np.concatenate((by, np.ones((len(own), 1))), axis=1)
     x, _, rank, _ = np.linalg.lstsq(A, own, rcond=None)
@@ -126,7 +121,7 @@ def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning 
     explained = 1.0 - float(rest.var() / own.var())
     if explained <= 0.0 or rank < A.shape[1]:
         return None
-    # windows overlap: as many are independent as fit side by side
+    # windows overlap
     independent = max(4.0, len(own) * 0.25)
     covariance = np.linalg.inv(A.T @ A)[:-1, :-1] * float(rest.var()) * len(own) / independent
     a, b = (x[:-1] / math.sqrt(explained) @ shares).tolist()
@@ -137,7 +132,7 @@ def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning 
 def of_turning(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], streams: Mapping[str, Stream]
 ) -> list[Finding]:
-    """Return findings on directions of wheels and mounts, by rotations: the wheels' against each sensor's."""
+    """Return findings on wrong directions of wheels and mounts, by the turns of wheels and sensors."""
     counts_wheels = streams["wheels"].msgtype not in BODY_READS
     found = _dead_wheel(drive.wheels) if counts_wheels else []
     mirrored = [w for t in by_sensor.values() if (w := _mirrored(t)) is not None]
@@ -158,7 +153,7 @@ def of_turning(
 
 
 def _mirrored(t: Turning) -> str | None:
-    """Return the wheel with the wrong sign; None if neither has it or it is unclear."""
+    """Return the wheel whose distance has the wrong sign; None if neither has it or it is unclear."""
     weak = 0.3 * max(abs(t.a), abs(t.b))
     if abs(t.a) < weak or abs(t.b) < weak or t.a * t.b < 0.0:
         return None
@@ -166,21 +161,21 @@ def _mirrored(t: Turning) -> str | None:
 
 
 def _also(robot: Robot, wheel: str) -> str:
-    """Return the new value of wheels.mirrored if one more wheel is found to count backward."""
+    """Return the value of wheels.mirrored if one more wheel counts backward."""
     now = robot.wheels.mirrored
     other = "right" if wheel == "left" else "left"
     return {"none": wheel, wheel: "none", other: "both", "both": other}[now]
 
 
 def _against(by_sensor: Mapping[str, Turning]) -> list[str]:
-    """Return the sensors whose turning is opposite to the wheels'."""
+    """Return the sensors that turn opposite to the wheels."""
     return [name for name, t in by_sensor.items() if t.a < 0.0 < t.b]
 
 
 def _exchanged(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], others: Sequence[str], stream: Stream
 ) -> Finding:
-    """Return the finding on wheels that turn against `others`: exchanged, or both counting backward."""
+    """Return the finding on wheels that turn opposite to `others`: swapped, or both counting backward."""
     words = f"the wheels turn against {' and '.join(others)}"
     if stream.msgtype in BODY_READS:
         return Finding("wheels", SWAPPED, f"{words}: the odometry turns the wrong way round", (), True)
@@ -191,7 +186,7 @@ def _exchanged(
 
 
 def _backward(drive: Drive, robot: Robot, turning: Turning | None) -> bool:
-    """Return whether wheels that turn the wrong way also roll backward, by the truth's headings or by walls."""
+    """Return whether the wheels also roll backward, by the truth's headings or by walls."""
     wheels, truth, lrf = drive.wheels, drive.truth, drive.measurements.get("lrf")
     if truth is not None and truth.theta is not None:
         middle = 0.5 * (truth.t[1:] + truth.t[:-1])
@@ -219,14 +214,14 @@ def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
 
 
 def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream]) -> Finding:
-    """Return the finding for one sensor that turns in the other direction."""
+    """Return the finding on one sensor that turns opposite to the wheels."""
     why, sets = REGISTRY[name].reversal(robot.settings(name), streams[name].msgtype)
     fixes = tuple(f"{name}.{key}={_toml(value)}" for key, value in sets.items())
     return Finding(name, "reversed", f"it turns the other way round than the wheels: {why}", fixes, True)
 
 
 def _toml(value: str | float | bool) -> str:
-    """Return a value as --set takes it."""
+    """Return a value in the form that --set takes."""
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else value
 
 
@@ -238,10 +233,10 @@ def of_track(
     metre: float = 1.0,
     least: Least = WORTH_SAYING,
 ) -> list[Finding]:
-    """Compare the track with the truth, else the laser's walls, the compass, or a gyro, whose scale may be off.
+    """Return a finding if the track is wrong by the truth, else by walls, the compass or a gyro.
 
-    `metre` is by how much another fix will scale the wheels' metre: the track follows. A track that is off by less
-    than `least` is not named; slips, which turn the robot by chance, are part of its sigma.
+    `metre` is the factor by which another fix changes the wheels' distances and the track. Errors below `least`
+    are not reported; the sigma includes slip.
     """
     of_driver = settings.is_of_driver
     if of_driver and (settings.track is not None or settings.estimate or drive.wheels.matched is not None):
@@ -255,7 +250,7 @@ def of_track(
     track, own, by = metre * found[0], metre * found[1], found[2]
     off = track / (metre * configured) - 1.0
     sigma = max(own, track * (0.0 if motion is None else motion.by_slips))
-    # who tries the fix sees what it does on this drive; who does not needs more than slips can do
+    # a caller that tries the fix needs no margin for slip
     slips = sigma if least == WORTH_SAYING else 0.0
     if abs(off) < max(least.error + least.sigmas * own / track, least.sigmas * slips / track):
         return []
@@ -272,7 +267,7 @@ def of_track(
 def observed_track(
     configured: float, drive: Drive, by_sensor: Mapping[str, Turning], motion: Motion | None
 ) -> tuple[float, float, str] | None:
-    """Return an estimate of the track, its sigma, and its source."""
+    """Return the track by turns of other sensors, its sigma, and its source; None without a source."""
     turns = turns_by_truth(drive)
     if turns is not None:
         return configured / turns[0], configured * turns[1] / turns[0] ** 2, "the truth"
@@ -287,16 +282,16 @@ def observed_track(
 
 
 def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
-    """Return the robot's turn per turn of the wheels by the truth, and its sigma; None if it is not shown."""
+    """Return the ratio of the truth's turns to the wheels' turns, and its sigma; None if unclear."""
     found = _slope_by_truth(drive, MIN_PIECES, by_path=False)
     return found if found is not None and found[0] > MIN_SLOPE and found[1] < MAX_SLOPE_SIGMA else None
 
 
 def _slope_by_truth(drive: Drive, fewest: int, by_path: bool) -> tuple[float, float] | None:
-    """Return the robot's turn per turn of the wheels, with its sign, and sigma; None without `fewest` pieces.
+    """Return the signed ratio of the truth's turns to the wheels', and its sigma; None for short drives.
 
-    A truth of points, or one that is asked `by_path`, tells the direction of travel. Turns are summed over pieces
-    of the way: each slips by itself.
+    By headings, or by the direction of travel (`by_path`, or a truth without headings). Turns are summed over
+    pieces with independent slip.
     """
     truth, wheels = drive.truth, drive.wheels
     if truth is None:
@@ -330,7 +325,7 @@ def _slope_by_truth(drive: Drive, fewest: int, by_path: bool) -> tuple[float, fl
 
 
 def _sense_by_truth(drive: Drive, by_path: bool) -> int:
-    """Return 1 if the truth turns as the wheels do, -1 if it turns the other way, 0 if it does not show that."""
+    """Return 1 if truth and wheels turn in the same direction, -1 if opposite, 0 if unclear."""
     slope, sigma = _slope_by_truth(drive, MIN_PIECES_OF_SIGN, by_path) or (0.0, 0.0)
     if abs(slope) < MIN_SLOPE or sigma > MAX_AGAINST_SIGMA * abs(slope):
         return 0
@@ -340,9 +335,9 @@ def _sense_by_truth(drive: Drive, by_path: bool) -> int:
 def _against_the_truth(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], stream: Stream
 ) -> list[Finding]:
-    """Report that truth and wheels turn in opposite directions: a third sensor tells which of them is right.
+    """Return a finding if truth and wheels turn in opposite directions.
 
-    A truth whose path and headings turn in opposite directions is wrong whatever the wheels do.
+    A third sensor shows which of them is right. A truth whose own path and headings disagree is wrong.
     """
     truth = drive.truth
     by_path = _sense_by_truth(drive, by_path=True)
@@ -352,7 +347,7 @@ def _against_the_truth(
         return [Finding("truth", MIRROR, words, (), True)]
     if sense >= 0:
         return []
-    matched = drive.wheels.matched is not None  # then the laser is the wheels, and no third sensor
+    matched = drive.wheels.matched is not None  # the laser replaces the wheels, so it is no third sensor
     others = {name: t for name, t in by_sensor.items() if not (matched and name == "lrf")}
     back = _against(others)
     if back and len(back) == len(others) and not matched:
@@ -379,7 +374,7 @@ def _dead_wheel(wheels: Wheels) -> list[Finding]:
 
 
 def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Finding]:
-    """Without another sensor that turns, report wheels that nearly always roll in opposite directions."""
+    """Return a finding if the wheels nearly always roll in opposite directions."""
     left, right = wheels.rolled.T
     moving = (np.abs(left) > 1e-5) & (np.abs(right) > 1e-5)
     against = float(np.mean(left[moving] * right[moving] < 0.0)) if moving.any() else 0.0

@@ -1,1 +1,1 @@
-"""Judging estimates: deviation from truth, consistency, the effect of each sensor. No filter runs here."""
+"""Evaluation of estimates: errors against truth, consistency, effect of each sensor. No filter runs here."""

@@ -1,7 +1,7 @@
-"""A reference instead of truth: the solution of a whole drive, with which estimates are compared.
+"""Reference solution: a smoothed whole-drive estimate that replaces truth, for logs without truth.
 
-It is no truth: it shares the wheels with every estimate, and it has the errors of its own sensors. So a sensor is
-judged by a reference that was solved without it, and only where that one is exact enough to judge.
+The reference uses the same wheels as every estimate and has the errors of its own sensors. So a sensor is judged
+by a reference that was solved without this sensor, and only if that reference is exact enough.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from .evaluate import Align, evaluate
 
 TOPIC = "reference"
 MAX_SIGMA_SHARE = 1.0 / 3.0  # of the error that a reference judges: it then changes that error by 6 % at most
-MAX_APART_SIGMAS = 3.0  # of two references: further apart, one of them is wrong
-MIN_ERROR_SHARE = 1e-3  # of an error, below which nothing is said of it
+MAX_APART_SIGMAS = 3.0  # of two references; if they differ by more, one of them is wrong
+MIN_ERROR_SHARE = 1e-3  # smallest error in the interval, as a share of the measured error
 
 
 class Reference(msgspec.Struct, frozen=True):
     """The smoothed estimate of a drive, used instead of truth."""
 
-    sensors: tuple[str, ...]  # it was solved with, beside the wheels
-    left_out: tuple[str, ...]  # sensors of the log that it was solved without
-    sigma: float  # m, median over the drive of the standard deviation of its place, sqrt(P_xx + P_yy)
+    sensors: tuple[str, ...]  # that were used, beside the wheels
+    left_out: tuple[str, ...]  # sensors of the log that were not used
+    sigma: float  # m, median over the drive of sqrt(P_xx + P_yy)
     drive: Drive  # with the reference as its truth, at every instant
 
     @classmethod
@@ -45,21 +45,20 @@ class Reference(msgspec.Struct, frozen=True):
         )
 
     def can_judge(self, error: float | None) -> bool:
-        """Return whether it is exact enough to judge an error [m]."""
+        """Return whether the reference is exact enough to measure an error of this size [m]."""
         return error is not None and self.sigma <= MAX_SIGMA_SHARE * error
 
     def agrees(self, other: Reference) -> bool:
-        """Return whether two references of one drive differ by no more than their sigmas allow."""
+        """Return whether two references of one drive differ by less than their sigmas allow."""
         assert self.drive.truth is not None
         assert other.drive.truth is not None
         apart = np.hypot(*(self.drive.truth.xy - other.drive.truth.xy).T)
         return float(np.sqrt((apart**2).mean())) <= MAX_APART_SIGMAS * math.hypot(self.sigma, other.sigma)
 
     def judge(self, judged: Evaluation, e: Estimates, align: Align = "none") -> Evaluation:
-        """Return an evaluation without truth with its deviations from the reference.
+        """Return an evaluation of an estimate, with its deviations from the reference in place of truth.
 
-        It has no ANEES: an estimate shares wheels and sensors with the reference, so their errors are no
-        independent ones.
+        ANEES is None: an estimate shares wheels and sensors with the reference, so their errors are correlated.
         """
         found = evaluate(self.seen(e), self.drive, align)
         figures = {**found.figures, "anees": None, "truth_coverage": None}
@@ -73,17 +72,17 @@ class Reference(msgspec.Struct, frozen=True):
         )
 
     def seen(self, e: Estimates) -> Estimates:
-        """Return an estimate with poses at the reference's stamps, as if these were truth, without audits."""
+        """Return the estimate with its poses at the reference's stamps as `truth_pose`, without audits."""
         t = self.drive.t
         same = len(e.t) == len(t) and bool((e.t == t).all())
         pose, P = (e.pose, matrices(e.triangles)) if same else interpolated(t, e.t, e.pose, e.triangles)
         return replace(e, audits={}, truth_pose=pose, truth_P=P)
 
     def widened(self, effect: Effect, before: float, after: float) -> Effect:
-        """Return an effect, ln(before / after) of errors [m]; its interval includes the reference's uncertainty.
+        """Return an effect ln(before / after) of errors [m], its interval widened by the reference's sigma.
 
-        Of an estimate that has nothing to do with the reference the squared error is smaller by sigma^2; of one
-        that shares its sensors, larger by as much.
+        The true squared error is smaller by sigma^2 if the errors of estimate and reference are independent, and
+        larger by up to sigma^2 if they share sensors.
         """
         least, most = (self._bounds(error) for error in (before, after))
         low = math.log(least[0] / before) - math.log(most[1] / after)
@@ -98,7 +97,7 @@ class Reference(msgspec.Struct, frozen=True):
 def interpolated(stamps: Array, t: Array, pose: Array, triangles: Array) -> tuple[Array, Array]:
     """Return poses (q, 3) and covariances (q, 3, 3) at stamps (q,), from rows at t (n,); NaN outside and in gaps.
 
-    A covariance is that of the row before: how it grows between two rows is unknown.
+    A covariance is that of the row before, since its growth between two rows is unknown.
     """
     before = np.maximum(np.searchsorted(t, stamps, side="right") - 1, 0)
     after = np.minimum(before + 1, len(t) - 1)

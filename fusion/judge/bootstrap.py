@@ -1,9 +1,9 @@
-"""How certain is a comparison on one drive? Intervals for contrasts of ln(RMSE) from correlated errors.
+"""Confidence intervals for contrasts of ln(RMSE) between configurations on one drive with correlated errors.
 
 Errors of one drive are not independent samples: odometry's are one random walk. So the drive is resampled in
-blocks longer than the errors remember (moving-block bootstrap, Künsch 1989), and since few blocks understate
-the spread, the interval is never narrower than what so many independent Gaussian pairs could tell (Pitman 1939,
-Morgan 1939: for paired errors the ln of the ratio of their deviations is known to asinh(t sqrt((1 - r^2) / n))).
+blocks longer than the correlation time (moving-block bootstrap, Künsch 1989). Since few blocks understate the
+spread, the interval is at least as wide as that of as many independent Gaussian pairs (Pitman 1939, Morgan 1939:
+for paired errors the ln of the ratio of their deviations is known to asinh(t sqrt((1 - r^2) / n))).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from locfuse.fusion.data import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-STARTS_AT_ONCE = 1 << 20  # of blocks that are held: a drive of many short ones would fill the memory
-CHANCE_DRAWS = 20_000  # of an effect of chance: its tails are thin
-MIN_REPLICATES = 4  # drives or robots: of fewer, Student's interval says nothing, and none is given
+STARTS_AT_ONCE = 1 << 20  # block starts in memory at a time
+CHANCE_DRAWS = 20_000  # random effects, for the quantiles of their distribution
+MIN_REPLICATES = 4  # drives or robots: with fewer, Student's interval is too wide to be given
 MAX_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
-MIN_MSE_M2 = 1e-18  # m^2: a mean squared error below is taken as this
+MIN_MSE_M2 = 1e-18  # m^2: smaller mean squared errors are raised to this
 
 
 class Errors(msgspec.Struct, frozen=True):
-    """Deviations of k configurations at the same q truth stamps of one drive, and their autocorrelation."""
+    """Deviations of k configurations at q common truth stamps of one drive, with their autocorrelation."""
 
     deviation: Array  # (k, q, 2) m
     ln_rmse: Array  # (k,)
@@ -37,7 +37,7 @@ class Errors(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, deviation: Array) -> Errors:
-        """Prepare deviations (k, q, 2) of q >= 1 stamps."""
+        """Return the statistics of deviations (k, q, 2) [m], q >= 1."""
         q = deviation.shape[1]
         squares = (deviation**2).sum(axis=2)
         samples = np.array([effective_samples(d) for d in deviation])
@@ -52,7 +52,7 @@ class Errors(msgspec.Struct, frozen=True):
         )
 
     def interval(self, weights: Array) -> tuple[float, float]:
-        """Return the interval of sum(weights * ln_rmse) for weights (k,) that sum to zero, at CONFIDENCE."""
+        """Return the confidence interval of sum(weights * ln_rmse), for weights (k,) that sum to zero."""
         value = float(weights @ self.ln_rmse)
         tail = 50.0 * (1.0 - CONFIDENCE)
         low, high = np.percentile(self.resampled @ weights, (tail, 100.0 - tail))
@@ -60,7 +60,7 @@ class Errors(msgspec.Struct, frozen=True):
         return min(float(low), value - least), max(float(high), value + least)
 
     def _gaussian(self, weights: Array) -> float:
-        """Half width for Gaussian errors with so many independent pairs (x and y count)."""
+        """Return the interval's half width for Gaussian errors with this number of independent samples."""
         n = 2.0 * self.samples
         scaled = weights / np.sqrt(n)
         variance = 0.5 * float(scaled @ self.correlation**2 @ scaled)
@@ -68,14 +68,14 @@ class Errors(msgspec.Struct, frozen=True):
         if not own.any():
             return 0.0
         freedom = float(own.sum() ** 2 / (own**2 / n).sum())  # Welch and Satterthwaite
-        return math.asinh(student_t(CONFIDENCE, max(1.0, freedom - 1.0)) * math.sqrt(max(variance, 0.0)))
+        return math.asinh(student_t(max(1.0, freedom - 1.0)) * math.sqrt(max(variance, 0.0)))
 
 
 def effective_samples(deviation: Array) -> float:
-    """Return how many independent stamps a series of deviations (q, 2) is worth: q / (1 + 2 sum rho).
+    """Return the effective number of independent samples of deviations (q, 2): q / (1 + 2 sum rho).
 
-    The autocorrelation is about zero, not about the mean: an error that stays is one error. It is summed until
-    it first turns negative (Geyer 1992).
+    The autocorrelation rho is about zero, not about the mean: a constant error counts as one sample. It is summed
+    up to its first negative value (Geyer 1992).
     """
     q = len(deviation)
     size = 1 << (2 * q - 1).bit_length()
@@ -90,9 +90,9 @@ def effective_samples(deviation: Array) -> float:
 
 
 def block_means(values: Array, block: int) -> Array:
-    """Return means of `values` (k, q) over RESAMPLES drives pieced together from blocks, (RESAMPLES, k).
+    """Return the means of `values` (k, q) over RESAMPLES block-bootstrap samples, (RESAMPLES, k).
 
-    Blocks start anywhere and wrap around the end; all k rows use the same blocks, so that pairs stay pairs.
+    Blocks start anywhere and wrap around the end; all k rows use the same blocks, so that they stay paired.
     """
     k, q = values.shape
     count = math.ceil(q / block)
@@ -115,24 +115,24 @@ def _ln_rms(mean_squares: Array) -> Array:
 
 
 def _correlation(deviation: Array, samples: Array) -> Array:
-    """Return correlations (k, k) about zero, each lowered by its uncertainty for so few samples (Fisher's z)."""
+    """Return correlations (k, k) of deviations (k, q, 2), reduced to their lower confidence bound (Fisher's z)."""
     k = len(deviation)
     flat = deviation.reshape(k, -1)
     norms = np.linalg.norm(flat, axis=1)
     r = np.clip(flat @ flat.T / np.maximum(np.outer(norms, norms), MIN_MSE_M2), -1.0, 1.0)
     n = 2.0 * np.minimum.outer(samples, samples)
-    open_ = np.where(n > 3.0, 1.0 / np.sqrt(np.maximum(n - 3.0, 1e-9)), np.inf)
+    uncertainty = np.where(n > 3.0, 1.0 / np.sqrt(np.maximum(n - 3.0, 1e-9)), np.inf)
     z = np.arctanh(np.minimum(np.abs(r), 1.0 - 1e-12))
-    lowered: Array = np.tanh(np.maximum(z - open_, 0.0))
+    lowered: Array = np.tanh(np.maximum(z - uncertainty, 0.0))
     np.fill_diagonal(lowered, 1.0)
     return lowered
 
 
 @cache
 def by_chance(move: float, n: float) -> tuple[float, float]:
-    """Return the interval of ln(error before / after) if n random moves are added to n equal errors.
+    """Return the interval of ln(error before / after) if n errors of size 1 change by independent random moves.
 
-    `move` is a move's standard deviation over an error's. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
+    `move` is the ratio of their standard deviations. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
     """
     rng = np.random.default_rng(1)
     along = (math.sqrt(n) + move * rng.standard_normal(CHANCE_DRAWS)) ** 2
@@ -142,16 +142,16 @@ def by_chance(move: float, n: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def student_t(confidence: float, freedom: float) -> float:
-    """Return the two-sided quantile of Student's t: with x = sqrt(f) tan(a) the density is cos(a)^(f-1) da."""
-    a, cosine = _quarter_turn()
+def student_t(freedom: float) -> float:
+    """Return the two-sided quantile of Student's t at CONFIDENCE, with `freedom` degrees of freedom."""
+    a, cosine = _quarter_turn()  # with x = sqrt(f) tan(a) the density is cos(a)^(f - 1) da
     density = cosine ** (freedom - 1.0)
     mass = np.concatenate(([0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))))
-    return math.sqrt(freedom) * math.tan(float(np.interp(confidence * mass[-1], mass, a)))
+    return math.sqrt(freedom) * math.tan(float(np.interp(CONFIDENCE * mass[-1], mass, a)))
 
 
 @cache
 def _quarter_turn() -> tuple[Array, Array]:
-    """Return angles from 0 to a right one [rad] and their cosines, (20001,)."""
+    """Return angles (20001,) from 0 to pi / 2 [rad], and their cosines."""
     a = np.linspace(0.0, 0.5 * math.pi, 20001)
     return a, np.cos(a)

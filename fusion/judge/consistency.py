@@ -1,8 +1,8 @@
-"""Can the covariance be trusted? A verdict on every sensor's noise, without truth, with the fix.
+"""Consistency of each sensor's configured noise, without truth: a verdict and the settings that fix it.
 
-A sensor is best judged by a run that does not use it and is healthy itself; else by its own innovations. Where two
-sensors disagree, the one that others disagree with too is flagged. A run that uses a sensor whose noise is
-understated judges no other sensor. A truth with headings shows first whose mean is off: no run is as exact.
+A sensor is judged by a consistent run that does not use it, else by its own innovations. If two sensors disagree,
+the one that other sensors disagree with too is flagged. A run that uses a sensor with understated noise judges no
+other sensor. A truth with headings is used first to find biased sensors, since it is more exact than any run.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from .innovations import ComparedReadings, Own, compare_readings, own, usual_per
 Verdict = Literal[
     "consistent", "understated", "overstated", "biased", "contradicts", "correlated", "outliers", "unclear"
 ]
-MAX_DRAWN_RATIO = 2.0  # of a mean's sigma over that by its readings' own noise: more is another's error
-MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between these is no complaint
+MAX_DRAWN_RATIO = 2.0  # of a mean's sigma over that by the readings' noise; above it, the reference adds errors
+MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between these is consistent
 MIN_SIGMAS = 3.0  # standard errors
-MIN_BIAS_SIGMAS = 0.5  # of its noise: a smaller bias is no complaint
+MIN_BIAS_SIGMAS = 0.5  # of the noise: a smaller bias is not reported
 MIN_SLOW_VARIANCE_RATIO = 3.0  # times the reference's own variance: slower errors must be the sensor's
-MIN_MEAN_VARIANCE_RATIO = 4.0  # times the claimed variance: what a mean of many readings may be off
-MAX_REFERENCE_VARIANCE_RATIO = 4.0  # times the sensor's variance: a reference with more is no judge
+MIN_MEAN_VARIANCE_RATIO = 4.0  # times the claimed variance: largest consistent variance of a mean
+MAX_REFERENCE_VARIANCE_RATIO = 4.0  # times the sensor's variance: a reference with more is not used
 MIN_NOISE_SHARE = 0.1  # of R in the innovations' variance S: with less, a small S is no sign of a small R
 MIN_WHITE_SHARE = 0.3  # share of the innovations' variance: less is not white noise
 MIN_REPEAT_CORRELATION = 0.5  # autocorrelation of innovations that follow their sensor's own slow errors
-MIN_WANDER_CORRELATION = 0.25  # autocorrelation of innovations from which the prediction is said to wander
+MIN_WANDER_CORRELATION = 0.25  # autocorrelation of innovations from which they count as correlated
 MAX_REFUSED_SHARE, MAX_REFUSED_LINE_SHARE = 0.05, 0.25  # share of readings; of the lines of scans
-MAX_REFERENCE_NIS_RATIO = MAX_SIGMA_FACTOR**2  # of a run: one that understates a variance more is no reference
+MAX_REFERENCE_NIS_RATIO = MAX_SIGMA_FACTOR**2  # of a reference run: its factors on R are below this
 MIN_READINGS = 20  # readings
-MAX_START_M, MAX_START_RAD = 0.5, math.radians(20.0)  # a truth that starts further from a run: another frame
+MAX_START_M, MAX_START_RAD = 0.5, math.radians(20.0)  # a truth that starts further away is in another frame
 
 
 class Consistency(msgspec.Struct, frozen=True):
-    """The verdict of all runs on a sensor's noise, the settings that fix it, and the innovations of one run."""
+    """Verdict on a sensor's noise by all runs, the settings that fix it, and innovation figures of one run."""
 
     verdict: Verdict
     words: str
@@ -59,17 +59,17 @@ class Consistency(msgspec.Struct, frozen=True):
 
 
 def disagrees(h: ComparedReadings) -> bool:
-    """Return whether a sensor's mean innovation is significantly and notably off in a run without the sensor."""
+    """Return whether a sensor's mean innovation, in a run without the sensor, is significant and notable."""
     return h.bias is not None and abs(h.bias) > MIN_SIGMAS * h.sure and notable(h)
 
 
 def notable(h: ComparedReadings) -> bool:
-    """Return whether a sensor's mean is off by more than half its noise."""
+    """Return whether a sensor's mean innovation exceeds half of its noise."""
     return h.bias is not None and abs(h.bias) > MIN_BIAS_SIGMAS * math.sqrt(h.white)
 
 
 def by_reference_run(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | None:
-    """Judge a sensor by a run that does not use it; None where that run is too uncertain."""
+    """Return the verdict on a sensor by a run that does not use it; None if that run is too uncertain."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
     is_slow = h.slow > max(MIN_SLOW_VARIANCE_RATIO * h.reference, 0.1 * h.white)
     if is_slow and not _drifts(sensor, settings, h):
@@ -81,13 +81,13 @@ def by_reference_run(sensor: str, settings: Any, h: ComparedReadings) -> Consist
 
 
 def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> Consistency:
-    """Judge a sensor by the innovations of a run that uses it."""
+    """Return the verdict on a sensor by the innovations of a run that uses it."""
     several = len(o.R) > 1  # numbers of one reading
     if not several and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
         return biased(sensor, settings, o.middle[0], o.sure[0], math.sqrt(o.R[0] / o.compared))
     if not several and o.white < MIN_WHITE_SHARE and o.whiteness[0] > MIN_REPEAT_CORRELATION:
         repeats = 1.0 + 2.0 * o.whiteness[0] / (1.0 - min(o.whiteness[0], 0.98))  # as of a Markov chain
-        # the state has followed the slow errors, so that the innovations show a part of them
+        # the state followed the slow errors, so the innovations contain only a part of them
         return by_memory(sensor, settings, o.R[0] * o.nis, repeats, period, o.R[0] / MIN_MEAN_VARIANCE_RATIO)
     if o.raw > MIN_SIGMA_FACTOR and o.whiteness[0] > MIN_WANDER_CORRELATION:
         words = (
@@ -97,17 +97,17 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
         return Consistency("correlated", words)
     factor = _on_sigma(o, floor)
     if factor < MIN_SIGMA_FACTOR and o.share < MIN_NOISE_SHARE:
-        # S = H P H' + R: that all of it is too large says nothing of so small a part
+        # S = H P H' + R: R is so small a part that a large S does not show a large R
         return Consistency("unclear", "noise cannot be judged: its residuals show the error of the prediction")
     if factor < MIN_SIGMA_FACTOR < max(o.raw, o.nis):
-        # residuals as large as configured, in the middle or on average (a few large ones make that: people, walls
-        # that are not flat), do not show that the noise is set too high, however similar neighbouring ones are
+        # if the median or the mean NIS is as configured, the noise is not set too high, even where neighbouring
+        # residuals are similar
         factor = MIN_SIGMA_FACTOR
     return by_share(sensor, o.refused, by_scale(sensor, settings, factor))
 
 
 def _drifts(sensor: str, settings: Any, h: ComparedReadings) -> bool:
-    """Whether the drift of an estimated offset already covers the slow errors."""
+    """Return whether the configured drift of the sensor's offset already covers its slow errors."""
     key = REGISTRY[sensor].drift_key
     if key is None or h.bias is not None:
         return False
@@ -116,20 +116,20 @@ def _drifts(sensor: str, settings: Any, h: ComparedReadings) -> bool:
 
 
 def by_memory(sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float) -> Consistency:
-    """Judge slow errors, whose mean over n readings has the variance `variance` * `repeats` / n."""
+    """Return the verdict on slow errors; the mean of n readings has the variance `variance` * `repeats` / n."""
     if variance * repeats > MIN_MEAN_VARIANCE_RATIO * R:
         return correlated(sensor, settings, math.sqrt(variance), repeats, period)
     return by_scale(sensor, settings, min(1.0, math.sqrt(variance * repeats / R)))
 
 
 def _on_sigma(o: Own, floor: Sequence[float]) -> float:
-    """Convert a factor on R, where R = sigma^2 R_unit + floor, into the factor on sigma."""
+    """Convert a factor on R = sigma^2 R_unit + floor to a factor on sigma."""
     parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
     return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
 
 
 def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
-    """Report a sigma that is off by more than MAX_SIGMA_FACTOR."""
+    """Return "consistent", or that sigma is too small or too large by `factor`."""
     if MIN_SIGMA_FACTOR <= factor <= MAX_SIGMA_FACTOR:
         return Consistency("consistent", f"{sensor} noise matches the configured noise", factor)
     keys = REGISTRY[sensor].noise_keys
@@ -145,7 +145,7 @@ def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
 
 
 def of_messages(sensor: str, found: Consistency) -> Consistency:
-    """Return a verdict on readings that bring their own covariance, which no sigma of robot.toml changes."""
+    """Return the verdict for a sensor whose messages contain covariances, which no setting changes."""
     if found.scale is None or found.verdict not in {"understated", "overstated", "correlated"}:
         return found
     times = f"{rounded(max(found.scale, 1.0 / found.scale)):g} times"
@@ -159,16 +159,15 @@ def of_messages(sensor: str, found: Consistency) -> Consistency:
 
 
 def biased_against(sensor: str, settings: Any, h: ComparedReadings) -> Consistency:
-    """Report a mean that differs from a run that does not use the sensor."""
+    """Return the verdict "biased" by the mean difference from a run that does not use the sensor."""
     return biased(sensor, settings, h.bias or 0.0, h.sure, math.sqrt(h.white / h.readings))
 
 
 def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -> Consistency:
-    """Report a mean that is off; `bias` is measured minus predicted [rad or m], `sure` its sigma.
+    """Return the verdict "biased": `bias` is the mean of measured minus predicted [rad or m], `sure` its sigma.
 
-    A mean that is known less exactly than the readings' own noise would allow (`drawn`) has another's error in it,
-    which is the same in every reading: set as exact, it would pull the estimate with all their weight. So the fix
-    sets how well it is known too.
+    If `sure` is clearly larger than the sigma of the mean by the readings' noise (`drawn`), the reference has a
+    constant error of its own: the fix then also sets the sigma of the offset.
     """
     amount, unit = _human(bias, sensor)
     sigma = rounded(_human(sure, sensor)[0])
@@ -185,7 +184,7 @@ def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -
 
 
 def _accepts(settings: Any, key: str, value: float) -> bool:
-    """Return whether the settings class accepts a value for a key together with the other values."""
+    """Return whether a setting can have this value, given the sensor's other settings."""
     try:
         type(settings)(**{**asdict(settings), key: value})
     except ValueError:
@@ -194,7 +193,7 @@ def _accepts(settings: Any, key: str, value: float) -> bool:
 
 
 def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> Consistency:
-    """Report slow errors: `sigma` [rad or m], correlated over so many readings."""
+    """Return the verdict "correlated": errors of `sigma` [rad or m] last for `repeats` readings."""
     memory = repeats * period
     amount, _ = _human(sigma, sensor)
     key = REGISTRY[sensor].noise_keys[0]
@@ -209,7 +208,7 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
 
 
 def changing(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | None:
-    """Report a mean that steps or drifts by more than half of the noise of one reading; None where it stays."""
+    """Return the verdict on a mean that steps or drifts by more than half of the noise of a reading, or None."""
     if h.change is None or abs(h.change.amount) < max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.sure):
         return None
     amount, sign = _human(h.change.amount, sensor)[0], _sign(sensor)
@@ -221,19 +220,19 @@ def changing(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | N
 
 
 def drift_fix_values(sensor: str, settings: Any, amount: float, span: float) -> dict[str, float]:
-    """Return the keys of an offset that walks by `amount` [unit] in `span` [s]; {} of a sensor without one."""
+    """Return the settings for an offset that drifts by `amount` in `span` [s]; {} if the sensor has no offset."""
     drift, offset = REGISTRY[sensor].drift_key, REGISTRY[sensor].bias
     if drift is None or offset is None:
         return {}
     fix_values = {f"{sensor}.{drift}": rounded(amount / math.sqrt(span))}
     exact = getattr(settings, offset.key) is not None and offset.sigma and not getattr(settings, offset.sigma)
     if exact and _accepts(settings, str(offset.sigma), amount):
-        fix_values[f"{sensor}.{offset.sigma}"] = rounded(amount)  # an exact offset does not walk
+        fix_values[f"{sensor}.{offset.sigma}"] = rounded(amount)  # an offset without sigma cannot drift
     return fix_values
 
 
 def many_refused(sensor: str, share: float) -> bool:
-    """Return whether too large a share of a sensor's readings is rejected; for lines, people cause many."""
+    """Return whether the share of rejected readings is too large; the limit is higher for laser lines."""
     return share > (MAX_REFUSED_LINE_SHARE if _sees_lines(sensor) else MAX_REFUSED_SHARE)
 
 
@@ -242,7 +241,7 @@ def _sees_lines(sensor: str) -> bool:
 
 
 def by_share(sensor: str, share: float, rest: Consistency) -> Consistency:
-    """Report that many readings are rejected, unless their noise is understated anyway."""
+    """Return the verdict "outliers" if too many readings are rejected, else the verdict `rest`."""
     if not many_refused(sensor, share) or rest.verdict == "understated":
         return rest
     if _sees_lines(sensor):
@@ -255,19 +254,19 @@ def by_share(sensor: str, share: float, rest: Consistency) -> Consistency:
 
 
 def _sign(sensor: str) -> str:
-    """Return the unit of the sensor's first component as written after a number: "°", " m"."""
+    """Return the unit of a sensor's first component as a suffix for a number: "°" or " m"."""
     sign = REGISTRY[sensor].components[0].sign
     return sign if sign.startswith("°") else f" {sign}"
 
 
 def _human(value: float, sensor: str) -> tuple[float, str]:
-    """Convert an amount [rad or m] of the sensor's first component to the unit of its settings."""
+    """Return a value [rad or m] of a sensor's first component in display units, and the unit."""
     first = REGISTRY[sensor].components[0]
     return value * first.scale, first.unit
 
 
 def rounded(value: float) -> float:
-    """Return a number with two significant digits."""
+    """Return a number rounded to two significant digits."""
     return float(f"{value:.2g}")
 
 
@@ -276,7 +275,7 @@ def _turned(degrees: float) -> float:
 
 
 class Run(NamedTuple):
-    """One configuration's result on its drive, and the figures of its innovations of every sensor."""
+    """Estimates of one configuration on its drive, with innovation figures of each sensor."""
 
     drive: Drive
     estimates: Estimates  # without audits
@@ -284,7 +283,7 @@ class Run(NamedTuple):
 
     @classmethod
     def of(cls, drive: Drive, estimates: Estimates) -> Run:
-        """Summarise a run's innovations; its audits are not needed afterwards."""
+        """Return a run with the figures of its innovations, without audits."""
         found = {s: own(estimates.audits[s], drive.measurements[s]) for s in estimates.sensors}
         return cls(drive, replace(estimates, audits={}), found)
 
@@ -292,9 +291,9 @@ class Run(NamedTuple):
 def judge(
     runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()
 ) -> dict[str, dict[str, Consistency]]:
-    """Return the consistency of every sensor in every configuration: configuration -> sensor -> Consistency.
+    """Return the consistency of each sensor in each configuration, as configuration -> sensor -> Consistency.
 
-    `overconfident` are configurations that truth shows to be so: their covariance is no evidence against a sensor.
+    `overconfident` are configurations that truth shows to be so: their covariance is not used.
     """
     evidence = Evidence([r for r in runs if not r.estimates.smoothed], robot, overconfident)
     findings = {s: evidence.finding(s) for s in evidence.sensors}
@@ -302,29 +301,26 @@ def judge(
 
 
 def _of_run(o: Own | None, found: Consistency) -> Consistency:
-    """Return the verdict of all runs with the figures of one."""
+    """Return a sensor's verdict by all runs, with the innovation figures `o` of one run."""
     if o is None:
         return found
     return replace(found, nis_bounds=o.bounds, bias_sigma=o.bias, whiteness=o.whiteness, refused=o.refused)
 
 
 class Evidence:
-    """The evidence of all runs together."""
+    """Innovations of all sensors in all runs, from which the verdict on each sensor follows."""
 
     def __init__(self, runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()) -> None:
         self.robot, self.runs, self.overconfident = robot, runs, overconfident
         self.sensors = sorted({s for r in runs for s in r.estimates.sensors})
-        self.own: dict[tuple[str, str], Own | None] = {
-            (r.estimates.name, s): found for r in runs for s, found in r.own.items()
-        }
-        self._heard: dict[tuple[str, str], ComparedReadings | None] = {}
+        self._compared: dict[tuple[str, str], ComparedReadings | None] = {}
         self._truth = as_run(runs[0].drive, runs[0].estimates) if runs else None
         self.flagged: dict[str, ComparedReadings] = {}
         self.contradict: set[str] = set()
         self._flag()
 
     def finding(self, sensor: str) -> Consistency:
-        """Return the verdict on a sensor and its words."""
+        """Return the verdict on a sensor."""
         found = self._finding(sensor)
         m = next(r.drive.measurements[sensor] for r in self.runs if sensor in r.estimates.sensors)
         return of_messages(sensor, found) if REGISTRY[sensor].brings_covariance(m) else found
@@ -343,7 +339,7 @@ class Evidence:
             if found is not None:
                 return found
         run = self._purest(sensor)
-        mine = None if run is None else self.own[run.estimates.name, sensor]
+        mine = None if run is None else run.own[sensor]
         if run is None or mine is None or mine.compared < MIN_READINGS:
             return self._unclear(sensor)
         m = run.drive.measurements[sensor]
@@ -352,62 +348,63 @@ class Evidence:
         return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
 
     def _unclear(self, sensor: str) -> Consistency:
-        found = {s for (_, s), o in self.own.items() if s != sensor and o and o.scale > MAX_REFERENCE_NIS_RATIO}
+        own = [(s, o) for r in self.runs for s, o in r.own.items() if s != sensor]
+        found = {s for s, o in own if o and o.scale > MAX_REFERENCE_NIS_RATIO}
         why = f"the noise of {' and '.join(sorted(found))} must be set first" if found else "too few measurements"
         return Consistency("unclear", f"noise cannot be judged: {why}")
 
     def reference_runs(self, sensor: str) -> list[tuple[Run, ComparedReadings]]:
-        """Return consistent runs that use neither the sensor nor a flagged one, the most certain first."""
+        """Return consistent runs without the sensor and without flagged ones, smallest variance first."""
         found = []
         for run in self.runs:
             used = set(run.estimates.sensors)
             if not used or used & {sensor, *self.flagged} or run.estimates.name in self.overconfident:
                 continue
             if self._healthy(run):
-                evidence = self._hear(run, sensor)
+                evidence = self._compare(run, sensor)
                 if evidence is not None and evidence.readings >= MIN_READINGS:
                     found.append((run, evidence))
         return sorted(found, key=lambda w: w[1].reference)
 
     def bias(self, sensor: str) -> Consistency | None:
-        """Return a verdict if a sensor's mean innovation is notable, even if uncertain; None if it is not."""
-        found = self._hear_by_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
+        """Return the verdict "biased" if a sensor's mean innovation is notable, even if uncertain; else None."""
+        found = self._compare_with_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
         if found is None or not notable(found):
             return None
         return biased_against(sensor, self.robot.settings(sensor), found)
 
-    def _hear_by_truth(self, sensor: str) -> ComparedReadings | None:
-        found = None if self._truth is None else self._hear(self._truth, sensor)
+    def _compare_with_truth(self, sensor: str) -> ComparedReadings | None:
+        found = None if self._truth is None else self._compare(self._truth, sensor)
         return found if found is not None and found.readings >= MIN_READINGS else None
 
-    def _hear(self, run: Run, sensor: str) -> ComparedReadings | None:
+    def _compare(self, run: Run, sensor: str) -> ComparedReadings | None:
         key = run.estimates.name, sensor
-        if key not in self._heard:
-            self._heard[key] = compare_readings(run.drive, self.robot, run.estimates, sensor)
-        return self._heard[key]
+        if key not in self._compared:
+            self._compared[key] = compare_readings(run.drive, self.robot, run.estimates, sensor)
+        return self._compared[key]
 
     def _healthy(self, run: Run, but: str = "") -> bool:
         """Return whether every sensor of a run, except `but`, has plausible noise and few rejections."""
-        found = [self.own[run.estimates.name, s] for s in run.estimates.sensors if s != but]
+        found = [run.own[s] for s in run.estimates.sensors if s != but]
         return all(
             o is not None and o.scale < MAX_REFERENCE_NIS_RATIO and o.refused < MAX_REFUSED_LINE_SHARE
             for o in found
         )
 
     def _purest(self, sensor: str) -> Run | None:
-        """Return the run that uses a sensor with the fewest other sensors, all of them healthy."""
+        """Return the run that uses a sensor with the fewest other sensors, all of them healthy; or None."""
         using = [r for r in self.runs if sensor in r.estimates.sensors]
         pure = [r for r in using if self._healthy(r, sensor) or self._worst(r) == sensor]
         return min(pure, key=lambda r: len(r.estimates.sensors)) if pure else None
 
     def _worst(self, run: Run) -> str:
-        """Return the sensor of a run whose innovations are too large by the greatest factor."""
-        scales = {s: o.scale for s in run.estimates.sensors if (o := self.own[run.estimates.name, s])}
+        """Return the sensor of a run whose R is understated most; "" if there is none."""
+        scales = {s: o.scale for s in run.estimates.sensors if (o := run.own[s])}
         return max(scales, key=lambda s: scales[s]) if scales else ""
 
     def _flag(self) -> None:
-        """Find the sensors whose mean is off: by truth if there is one, else the most certain evidence first."""
-        by_truth = {s: h for s in self.sensors if (h := self._hear_by_truth(s)) is not None}
+        """Set `flagged` (sensors with a biased mean) and `contradict` (sensors that contradict each other)."""
+        by_truth = {s: h for s in self.sensors if (h := self._compare_with_truth(s)) is not None}
         self.flagged |= {s: h for s, h in by_truth.items() if disagrees(h)}
         left = [s for s in self.sensors if s not in by_truth]
         surest = {s: found[0][1] for s in left if (found := self.reference_runs(s))}
@@ -419,7 +416,7 @@ class Evidence:
             rivals = [x for x in run.estimates.sensors if x in surest]
             others = {x: [w for r, w in self.reference_runs(x) if s not in r.estimates.sensors] for x in rivals}
             if any(disagrees(w) for found_x in others.values() for w in found_x[:1]):
-                continue  # this reference is contradicted by others, and its turn comes
+                continue  # others contradict this reference, which is flagged later
             if rivals and not any(others.values()):
                 self.contradict |= {s, *rivals}
             else:
@@ -428,9 +425,9 @@ class Evidence:
 
 
 def as_run(drive: Drive, estimates: Estimates) -> Run | None:
-    """Return a truth with headings as a run that uses no sensor; None where there is none in the run's frame.
+    """Return the truth as a run without sensors; None without headings, or if it is in another frame.
 
-    Its poses are NaN where the truth has a gap: nothing is compared there.
+    Its poses are NaN in gaps of the truth.
     """
     truth = drive.truth
     if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:

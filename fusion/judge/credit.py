@@ -1,9 +1,9 @@
-"""The effect of each sensor: its share of the improvement, the interval of that, and a verdict in one word.
+"""Effect of each sensor on the position error: Shapley value, confidence interval, one-word verdict.
 
 The value of a set of sensors is -ln(position RMSE), so that effects are factors: +0.69 halves the error. A
-sensor's credit is its Shapley value (Shapley 1953): its effect averaged over every order in which the sensors
-could have been added; credits sum to the effect of all sensors together. Beside it stand its effect alone
-(compared with odometry) and last (leave one out: `all` against `all` without it).
+sensor's credit is its Shapley value (Shapley 1953): its effect averaged over every order in which the sensors can
+be added; credits sum to the effect of all sensors together. Two more effects are given: alone (compared with
+odometry) and last (`all` compared with `all` without the sensor).
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ import numpy as np
 from locfuse.fusion.data import Array, Evaluation
 from locfuse.fusion.sensors.registry import needed
 
-from .bootstrap import CONFIDENCE, MIN_REPLICATES, Errors, by_chance, student_t
+from .bootstrap import MIN_REPLICATES, Errors, by_chance, student_t
 
 Verdict = Literal["helps", "seems to help", "no effect seen", "seems to hurt", "hurts", "no verdict"]
 
-MIN_EFFECT = 0.02  # an effect below 2 % is none, however certain
-MIN_EXPECTED_EFFECT = 0.15  # an effect whose interval includes none is only seen from 15 % on
-MAX_UNSURE = math.log(10.0)  # of an effect's interval, the other way: beyond it shows nothing
-MIN_HARM_LAST = 0.10  # a set that is surely 10 % better without the sensor is hurt by it
+MIN_EFFECT = 0.02  # an effect below 2 % counts as none, however certain
+MIN_EXPECTED_EFFECT = 0.15  # smallest effect that counts if its interval includes zero
+MAX_UNSURE = math.log(10.0)  # largest bound of an effect's interval on the side of the opposite sign
+MIN_HARM_LAST = 0.10  # `all` is significantly 10 % better without the sensor: it hurts
 MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # overconfident: ANEES above this, and this many times the one before
-MAX_CONSISTENT_ANEES = 3.0  # a run with more is inconsistent, and its covariance is no evidence
+MAX_CONSISTENT_ANEES = 3.0  # the covariance of a run with more is not used as evidence
 Subset = frozenset[str]
 
 
 class Effect(msgspec.Struct, frozen=True):
-    """A contrast of ln(position RMSE): positive means that the sensor makes the error smaller.
+    """Contrast of ln(position RMSE): a positive value means that the sensor reduces the error.
 
-    Its bounds are NaN over so few drives that there is no interval.
+    Its bounds are NaN over fewer than MIN_REPLICATES drives.
     """
 
     value: float
@@ -47,12 +47,12 @@ class Effect(msgspec.Struct, frozen=True):
 def verdict(
     shapley: Effect | None, alone: Effect | None, last: Effect | None, anees: tuple[float, float] | None
 ) -> Verdict:
-    """Return the grade of a sensor; "no verdict" if nothing was compared.
+    """Return the verdict on a sensor's effect; "no verdict" if no effect was computed.
 
-    Helps or hurts: the interval of the effect excludes none (or the set is surely better off without the sensor).
-    Seems to: the effect is large and its interval includes none, but not far the other way (`unsure`). The own
-    covariance of the filter has a veto where it is consistent (ANEES): a sensor from which it takes nothing
-    changed the error by chance. Being overconfident is no harm: `overconfident` says it beside the grade.
+    Helps or hurts: the interval of the effect excludes zero (hurts also if `all` is significantly better without
+    the sensor). Seems to: the effect is large and its interval includes zero, but no large opposite effect
+    (`unsure`). If the covariance of a consistent filter (by ANEES) hardly changes by the sensor, the change of the
+    error is chance: no effect. Overconfidence does not count here; see `overconfident`.
     """
     main = shapley or alone or last
     if main is None:
@@ -71,20 +71,20 @@ def verdict(
 
 
 def unsure(effect: Effect) -> bool:
-    """Return whether an effect may as well be ten times the other way."""
+    """Return whether the interval includes a tenfold effect of the opposite sign."""
     return (-effect.low if effect.value > 0.0 else effect.high) > MAX_UNSURE
 
 
 def overconfident(anees: tuple[float, float] | None) -> bool:
-    """Return whether adding a sensor, ANEES (without, with), makes the filter much more overconfident."""
+    """Return whether ANEES (without, with) a sensor shows that it makes the filter overconfident."""
     return anees is not None and anees[1] > max(MAX_ANEES, MAX_ANEES_RATIO * anees[0])
 
 
 def _surely(effect: Effect, sign: float) -> bool:
-    """Whether an effect of this sign is large enough and its interval excludes zero.
+    """Return whether an effect of this sign is large enough and its interval excludes zero.
 
-    The filter itself takes little from a sensor that its covariances expect little of: there chance is the
-    likelier reason for an effect, and 1 in 20 would be too often.
+    The interval counts twice as wide if the predicted covariances hardly change by the sensor: the effect is then
+    probably chance.
     """
     bound = effect.low if sign > 0 else effect.high
     if effect.expected is not None and abs(effect.expected) < MIN_EXPECTED_EFFECT:
@@ -93,34 +93,34 @@ def _surely(effect: Effect, sign: float) -> bool:
 
 
 class SensorCredit(msgspec.Struct, frozen=True):
-    """The effect of one sensor."""
+    """Verdict and effects of one sensor."""
 
     verdict: Verdict
     credit: Effect | None  # Shapley value; None unless every subset was run
     alone: Effect | None  # compared with odometry, or `beside`
     last: Effect | None  # leave one out
     share: float | None  # of the whole improvement
-    anees: tuple[float, float] | None  # without and with it, where adding it made the filter most overconfident
+    anees: tuple[float, float] | None  # without and with it, for the subset where it grows most
     beside: tuple[str, ...] = ()  # sensors whose map it reads, or without which it was not run
 
 
 class Credit(msgspec.Struct, frozen=True):
-    """The effect of every sensor, and the samples behind the intervals."""
+    """Effects of all sensors, and how their intervals were computed."""
 
     sensors: Mapping[str, SensorCredit]
-    total: float | None  # ln of how many times smaller the error is with all sensors than with none
+    total: float | None  # ln(error with odometry / error with all sensors)
     complete: bool  # every subset was run
     method: str
-    effective_samples: float  # independent stretches of one drive, or logs
+    effective_samples: float  # independent samples of one drive, or logs
     block_s: float | None
     logs: int = 1
 
 
 def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credit | None:
-    """Return the credit of `sensors` on one drive from evaluations by subset; None without truth.
+    """Return the effects of `sensors` on one drive, by evaluations of subsets of sensors; None without truth.
 
-    What can be said depends on which subsets were run: all 2^n for Shapley values, else alone and leave one out.
-    Of a sensor in none of them nothing is said.
+    Shapley values need all 2^n subsets; with fewer, only the effects alone and last are computed. A sensor in none
+    of the subsets is left out.
     """
     if not judged or not sensors or any(len(e.t) == 0 for e in judged.values()):
         return None
@@ -141,7 +141,7 @@ def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credi
 
 
 def credit_over_logs(drives: Sequence[Credit]) -> Credit:
-    """Return the mean credit over several drives; its intervals are Student's, from four drives on."""
+    """Return the effects averaged over logs, with Student's t intervals from four logs on."""
     names = [s for s in drives[0].sensors if all(s in c.sensors for c in drives)]
     sensors = {s: _over_logs([c.sensors[s] for c in drives]) for s in names}
     totals = [c.total for c in drives if c.total is not None]
@@ -157,12 +157,12 @@ def credit_over_logs(drives: Sequence[Credit]) -> Credit:
 
 
 def subsets(sensors: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return all 2^n sets: none, each alone, pairs, ..., all; in the order of `sensors`."""
+    """Return all 2^n subsets of sensors, the smallest first."""
     return [c for k in range(len(sensors) + 1) for c in combinations(sensors, k)]
 
 
 class Step(NamedTuple):
-    """One way of adding a sensor: how much it counts, the set before, the set after."""
+    """Adding one sensor to a subset of sensors: weight of this step, subset before, subset after."""
 
     weight: float
     before: Subset
@@ -170,7 +170,7 @@ class Step(NamedTuple):
 
 
 def shapley_steps(sensor: str, sensors: Sequence[str]) -> list[Step]:
-    """Return the 2^(n-1) ways of adding a sensor; the Shapley value is their weighted mean effect."""
+    """Return the 2^(n-1) subsets to which a sensor can be added, with their Shapley weights."""
     n = len(sensors)
     sets = subsets([s for s in sensors if s != sensor])
     return [
@@ -184,7 +184,7 @@ def shapley_steps(sensor: str, sensors: Sequence[str]) -> list[Step]:
 
 
 class _Book(msgspec.Struct, frozen=True):
-    """Errors by subset of sensors, and the effects computed from them."""
+    """Errors and ANEES of every subset of sensors that was run."""
 
     sets: list[Subset]
     errors: Errors
@@ -199,7 +199,7 @@ class _Book(msgspec.Struct, frozen=True):
         return None if effect is None else effect.value
 
     def effect(self, steps: Sequence[Step]) -> Effect | None:
-        """Return the weighted sum of ln(RMSE before / RMSE after); None if a subset was not run."""
+        """Return the weighted sum of ln(RMSE before / RMSE after) over steps; None if a subset was not run."""
         if any(s not in self.sets for step in steps for s in (step.before, step.after)):
             return None
         w = np.zeros(len(self.sets))
@@ -208,19 +208,19 @@ class _Book(msgspec.Struct, frozen=True):
             i, j = self.sets.index(step.before), self.sets.index(step.after)
             w[i] += step.weight
             w[j] -= step.weight
-            worst, best = self._luck(i, j)
+            worst, best = self._chance_range(i, j)
             least, most = least + step.weight * worst, most + step.weight * best
         value, (low, high) = float(w @ self.errors.ln_rmse), self.errors.interval(w)
         expected = None if self.expected is None else float(w @ self.expected)
         return Effect(value, min(low, value - most), max(high, value - least), expected)
 
-    def _luck(self, i: int, j: int) -> tuple[float, float]:
-        """Return the range of ln(RMSE before / after) that chance alone can give when a sensor moves the estimate.
+    def _chance_range(self, i: int, j: int) -> tuple[float, float]:
+        """Return the interval of ln(RMSE before / after) that chance alone can give between subsets i and j.
 
-        A sensor that shrinks the predicted variance has moved the estimate by the square root of what it shrank
-        it by. On a drive worth few independent stretches such a move helps or hurts by its direction alone, and
-        the bootstrap cannot see that: the moved error has the shape of the old one. Along a path, x and y and
-        neighbouring stretches err together through the heading, so that few stretches count as half as many.
+        A sensor that reduces the predicted variance moves the estimate by about the square root of the reduction.
+        With few independent samples such a move reduces or increases the error by its direction alone, which the
+        bootstrap does not show, as the moved error has the shape of the old one. Errors of x, y and neighbouring
+        samples are correlated through the heading: the number of samples is halved.
         """
         if self.expected is None:
             return 0.0, 0.0
@@ -240,8 +240,8 @@ class _Book(msgspec.Struct, frozen=True):
         return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees, beside)
 
     def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
-        """Return the sensors that "alone" includes: those this one needs, else the smallest set run both ways."""
-        usual = needed(sensor)  # its effect "alone" is what it adds to them
+        """Return the sensors that the effect "alone" is compared with: needed ones, else the smallest subset."""
+        usual = needed(sensor)  # the effect "alone" is compared with these
         run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
         if not run or frozenset(usual) in run:
             return usual
@@ -249,7 +249,7 @@ class _Book(msgspec.Struct, frozen=True):
         return tuple(s for s in sensors if s in fewest)
 
     def _worst_anees(self, sensor: str) -> tuple[float, float] | None:
-        """Return ANEES without and with a sensor, for the set of sensors whose ANEES grows most by it."""
+        """Return the ANEES (without, with) a sensor, for the subset where adding it increases ANEES most."""
         pairs = [
             (a, b)
             for s, a in zip(self.sets, self.anees, strict=True)
@@ -261,7 +261,7 @@ class _Book(msgspec.Struct, frozen=True):
 
 
 def _expected(judged: Iterable[Evaluation]) -> Array | None:
-    """Return ln of the position error that each filter expects by its covariance, (k,)."""
+    """Return ln of the predicted position RMSE of each configuration (k,); None if a variance is zero."""
     mean = np.array([float((e.sigma[:, :2] ** 2).sum(axis=1).mean()) for e in judged])
     return 0.5 * np.log(mean) if (mean > 0.0).all() else None
 
@@ -283,7 +283,7 @@ def _mean_effect(effects: Sequence[Effect | None]) -> Effect | None:
     values = np.array([e.value for e in known])
     half = math.nan
     if len(values) >= MIN_REPLICATES:
-        half = student_t(CONFIDENCE, len(values) - 1.0) * float(values.std(ddof=1)) / math.sqrt(len(values))
+        half = student_t(len(values) - 1.0) * float(values.std(ddof=1)) / math.sqrt(len(values))
     expected = [e.expected for e in known if e.expected is not None]
     mean = float(values.mean())
     return Effect(

@@ -1,11 +1,11 @@
-"""Judging an estimate: deviation from truth if there is truth, and the filter's own consistency figures.
+"""Evaluation of an estimate: errors against truth, ANEES and NIS.
 
-Errors are taken at the truth's stamps, where the filter's own prediction is exact; nothing is aligned unless
-asked, since an aligned error hides the start.
+Errors are computed at the truth's stamps, to which the filter predicts; by default nothing is aligned, since
+alignment hides an error of the start.
 
-The truth's path: steps between readings as recorded are none, since 2 mm of noise at 100 Hz are 0.35 m in a second
-of standing still, and a drift per metre looks better by what they add. So the path is made of chords between
-readings that lie further apart than noise can move them.
+Length of the truth's path: the sum of steps between readings would be too long, since 2 mm of noise at 100 Hz are
+0.35 m in a second of standing still. So the path consists of chords between readings that are further apart than
+noise can move them.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from locfuse.fusion.streams import gap_limit
 
 from .bootstrap import effective_samples
 
-CHORD_SIGMAS = 10.0  # sigmas of the truth's noise, per axis: two readings of one place do not lie so far apart
+CHORD_SIGMAS = 10.0  # length of a chord in sigmas of the truth's noise, per axis
 TANGENT_SIGMAS = 30.0  # the same for chords that give directions: noise turns them by 3 degrees (1 sigma)
-MIN_CHORD_M = 1e-6  # m: what is shorter is rounding
-MAX_NOISE_S = 0.1  # s: what varies faster is noise
-MAX_PERIOD_S = 1.5  # s: between readings further apart the motion of the robot varies, not only noise
+MIN_CHORD_M = 1e-6  # m: shorter chords are rounding errors
+MAX_NOISE_S = 0.1  # s: faster variations are noise
+MAX_PERIOD_S = 1.5  # s: with a longer period, noise and motion of the robot cannot be separated
 NOISE_ORDER = 5  # of the differences: a path that is a polynomial of degree 4 over six readings has no noise
 MAX_NOISE_SAMPLES = 2000  # places along the truth at which the noise is sampled, at most
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS_M = (1.0, 5.0, 10.0)  # m
-ERRORS_AT_ONCE = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
+ERRORS_AT_ONCE = 4096  # errors in one step, to limit memory
 MIN_EIGENVALUE_RATIO = 1e-12  # of the smallest to the largest, below which a covariance is singular
 ERROR_KEYS = (
     "position_rmse_m",
@@ -69,10 +69,10 @@ ERROR_KEYS = (
 
 
 def steps_of(t: Array, xy: Array, segments: Ints, sigmas: float = CHORD_SIGMAS) -> Array:
-    """Return the robot's step to each stamp (q, 2) [m] by a noisy truth xy (q, 2) [m] at t (q,) [s].
+    """Return the robot's displacement up to each stamp (q, 2) [m], from a noisy truth xy (q, 2) [m] at t (q,) [s].
 
-    There is none across a hole: `segments` (q,) numbers the pieces between holes. The end of a piece that is
-    shorter than a chord is not counted. Noise across a chord makes it longer by sigma^2 / length: that is removed.
+    It is 0 across a gap: `segments` (q,) numbers the pieces between gaps. The rest of a piece after its last chord
+    is not counted. Noise across a chord makes it longer by sigma^2 / length, which is subtracted.
     """
     noise = noise_of(t, xy, segments)
     is_mark = _marks(xy, segments, max(sigmas * noise, MIN_CHORD_M))
@@ -83,18 +83,18 @@ def steps_of(t: Array, xy: Array, segments: Ints, sigmas: float = CHORD_SIGMAS) 
     within = np.diff(segments[marks]) == 0
     chords = np.where(within[:, None], np.diff(xy[marks], axis=0), 0.0)
     square = np.where(within, np.square(chords).sum(axis=1), 1.0)
-    chord = np.minimum(np.cumsum(is_mark) - 1, len(chords) - 1)  # (q,) on which a reading lies
+    chord = np.minimum(np.cumsum(is_mark) - 1, len(chords) - 1)  # (q,) index of the chord of each reading
     along = ((xy - xy[marks[chord]]) * chords[chord]).sum(axis=1) / square[chord]
-    gone = np.maximum.accumulate(chord + np.clip(along, 0.0, 1.0))  # (q,) in chords: noise turns no robot back
+    gone = np.maximum.accumulate(chord + np.clip(along, 0.0, 1.0))  # (q,) in chords, never decreasing
     chords *= (1.0 - noise**2 / square)[:, None]
     steps[1:] = np.diff(gone)[:, None] * chords[chord[:-1]]
     return steps
 
 
 def directions(t: Array, xy: Array, segments: Ints) -> Array:
-    """Return the direction of travel (q,) [rad] by the steps before and after each stamp.
+    """Return the direction of travel (q,) [rad, map frame] at the stamps of a truth xy (q, 2).
 
-    Where the robot rests it is the direction in which it came; before its first motion, that of this motion.
+    It is computed from the steps before and after each stamp; at rest, from the last motion or else the first one.
     """
     steps = steps_of(t, xy, segments, TANGENT_SIGMAS)
     both = steps + np.append(steps[1:], np.zeros((1, 2)), axis=0)
@@ -107,10 +107,10 @@ def directions(t: Array, xy: Array, segments: Ints) -> Array:
 
 
 def noise_of(t: Array, xy: Array, segments: Ints) -> float:
-    """Return the standard deviation [m, per axis] of changes in a path (q, 2) that are faster than MAX_NOISE_S.
+    """Return the standard deviation [m, per axis] of path changes (q, 2) that are faster than MAX_NOISE_S.
 
-    By divided differences of six readings, scaled so that white noise keeps its size: of neighbours, and of
-    readings further apart, since noise may last. The median ignores where the robot starts and stops.
+    By divided differences of six readings, scaled to keep the size of white noise, at several spacings: noise may
+    be correlated. The median ignores starts and stops of the robot.
     """
     period = float(np.median(np.diff(t))) if len(t) > 1 else math.inf
     if period > MAX_PERIOD_S:
@@ -132,10 +132,10 @@ def noise_of(t: Array, xy: Array, segments: Ints) -> float:
 
 
 def _marks(xy: Array, segments: Ints, least: float) -> NDArray[np.bool_]:
-    """Mark where chords end (q,): the first reading of a piece, and each that is `least` [m] from the last."""
+    """Return which readings (q,) end a chord: the first of a piece, and each `least` [m] from the end before."""
     marks = np.diff(segments, prepend=-1) > 0
     x = y = 0.0
-    columns = (memoryview(column) for column in xy.T.copy())  # an hour as lists of floats would be big
+    columns = (memoryview(column) for column in xy.T.copy())  # lists of floats would need more memory
     for i, (begins, px, py) in enumerate(zip(marks.tolist(), *columns, strict=True)):
         if begins or math.hypot(px - x, py - y) > least:
             marks[i], x, y = True, px, py
@@ -143,7 +143,7 @@ def _marks(xy: Array, segments: Ints, least: float) -> NDArray[np.bool_]:
 
 
 class _Pairs(NamedTuple):
-    """Estimate and truth at the truth stamps inside the drive."""
+    """Estimated and true poses at the truth stamps within the drive."""
 
     t: Array  # (q,)
     pose: Array  # (q, 3) of the estimate
@@ -153,7 +153,7 @@ class _Pairs(NamedTuple):
 
 
 def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evaluation:
-    """Return deviations and figures of one configuration."""
+    """Return errors, ANEES and NIS of one configuration."""
     sensors = {s: _sensor_figures(a, drive.measurements[s].absent) for s, a in estimates.audits.items()}
     way = float(np.hypot(*np.diff(estimates.pose[:, :2], axis=0).T).sum())
     own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": way}
@@ -209,7 +209,7 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
 
 
 def shape_error(estimates: Estimates, drive: Drive) -> float | None:
-    """Return the position error (rms) of a path laid on the truth as a whole [m]; None without truth."""
+    """Return the position RMSE [m] after rigid alignment of the path with the truth; None without truth."""
     pairs = None if drive.truth is None else _pairs(estimates, drive.truth)
     if drive.truth is None or pairs is None or len(pairs.t) == 0:
         return None
@@ -222,7 +222,7 @@ def _pairs(estimates: Estimates, truth: Truth) -> _Pairs:
     if estimates.truth_pose is None or estimates.truth_P is None:
         raise ValueError("estimates hold no prediction at the truth stamps")
     found = np.isfinite(estimates.truth_pose[:, 0])
-    inside = slice(None) if found.all() else found  # all of them are not copied
+    inside = slice(None) if found.all() else found  # a slice does not copy
     theta = None if truth.theta is None else truth.theta[inside]
     return _Pairs(
         truth.t[inside], estimates.truth_pose[inside], estimates.truth_P[inside], truth.xy[inside], theta
@@ -230,9 +230,9 @@ def _pairs(estimates: Estimates, truth: Truth) -> _Pairs:
 
 
 def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> _Pairs:
-    """Return the pairs with the estimate and its covariances moved rigidly onto the truth.
+    """Return the pairs with the estimated poses and covariances moved rigidly onto the truth.
 
-    "origin": its first pose onto the truth's first (its first position only, where the truth has no heading).
+    "origin": the first pose onto the truth's first pose (only the position, where the truth has no heading).
     "se2": least squares over all positions (Umeyama 1991 without scale).
     """
     body = np.broadcast_to(np.array(point), pairs.xy.shape)
@@ -251,10 +251,10 @@ def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> _Pairs:
 
 
 def _expected(pairs: _Pairs, deviation: Array, heading: Array | None, truth: Truth) -> tuple[Array, Array]:
-    """Return the claimed standard deviations (q, 3) of the tracked point and theta, and NEES (q,).
+    """Return predicted standard deviations (q, 3) of the tracked point and heading [m, m, rad], and NEES (q,).
 
-    The point's lever arm turns heading error into position error. NEES is per degree of freedom (Bar-Shalom 2001,
-    5.4.2), and the truth's own noise counts: of its position, and of its heading where it has one.
+    The lever arm of the point turns heading error into position error. NEES is per degree of freedom (Bar-Shalom
+    2001, 5.4.2) and includes the truth's noise of position and, where it has one, heading.
     """
     e = deviation if heading is None else np.column_stack((deviation, heading))
     dof, own = e.shape[1], np.diag(np.square((truth.sigma, truth.sigma, truth.sigma_theta)))
@@ -269,10 +269,10 @@ def _expected(pairs: _Pairs, deviation: Array, heading: Array | None, truth: Tru
 
 
 def nees(e: Array, S: Array) -> Array:
-    """Return e' S^-1 e / d of errors e (n, d) of covariances S (n, d, d), NaN where one is singular.
+    """Return e' S^-1 e / d for errors e (n, d) with covariances S (n, d, d); NaN for a singular S.
 
-    One is singular where 1 / tr S^-1 is not above MIN_EIGENVALUE_RATIO of tr S, or of that ratio itself: up to the
-    factor d these are its smallest and its largest eigenvalue, however the numbers are ordered.
+    S is singular if 1 / tr S^-1 <= r max(tr S, r), with r = MIN_EIGENVALUE_RATIO: up to the factor d these are its
+    smallest and its largest eigenvalue.
     """
     found = np.full(len(e), np.nan)
     finite = np.flatnonzero(np.isfinite(S).all(axis=(1, 2)))
@@ -303,10 +303,10 @@ def _position_figures(deviation: Array, along_cross: Array) -> dict[str, float |
 def _drift_figures(
     pairs: _Pairs, deviation: Array, distance: Array, segments: NDArray[np.int64]
 ) -> dict[str, float | None]:
-    """Mean relative position error per metre over fixed lengths of the truth's path (m/m).
+    """Return the mean relative position error per metre [m/m] over fixed lengths of the truth's path.
 
-    With heading the error is of the relative pose (Kümmerle et al. 2009); without, of the displacement. A length
-    ends between two stamps, so that the truth's rate does not matter: there both paths are straight.
+    With heading the error is of the relative pose (Kümmerle et al. 2009); without, of the displacement. The end of
+    a length is interpolated between two stamps, so that the truth's rate does not matter.
     """
     out: dict[str, float | None] = {}
     both = np.column_stack((pairs.xy + deviation, pairs.xy))
@@ -349,53 +349,51 @@ def _mean(values: Array) -> float | None:
 
 # ---- is the covariance right? ----
 #
-# With truth: are the errors as large as claimed, for all states and for each. Without truth: the mean NIS of short
-# intervals, with its bounds for so many values.
+# With truth: squared errors over predicted variances, for all states together and for each. Without truth: the
+# mean NIS of short intervals, with its bounds for this number of values.
 
-STRETCHES = 80
-MIN_MEASUREMENTS = 8  # accepted measurements that a stretch should hold
-CONFIDENCE = 0.95
+MAX_INTERVALS = 80
+MIN_MEASUREMENTS = 8  # accepted measurements in one interval, at least
 STATES = ("x", "y", "theta")
 
 
 def running_nis(audit: Audit, t: Array) -> RunningNis:
-    """Return the running NIS of one run's accepted innovations; `t` (n,) are the drive's instants [s]."""
+    """Return the mean NIS of accepted innovations over successive intervals; `t` (n,) [s] are the update times."""
     accepted = audit.verdict == 0
-    stretches = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, STRETCHES))
-    edges = np.linspace(t[0], t[-1], stretches + 1)
+    intervals = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, MAX_INTERVALS))
+    edges = np.linspace(t[0], t[-1], intervals + 1)
     dof = audit.y.shape[1]
     nis = audit.nis[accepted] / dof
-    place = np.clip(np.searchsorted(edges, t[audit.instant[accepted]], side="right") - 1, 0, stretches - 1)
-    counts = np.bincount(place, minlength=stretches)
-    sums = np.bincount(place, weights=nis, minlength=stretches)
+    place = np.clip(np.searchsorted(edges, t[audit.instant[accepted]], side="right") - 1, 0, intervals - 1)
+    counts = np.bincount(place, minlength=intervals)
+    sums = np.bincount(place, weights=nis, minlength=intervals)
     mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    bounds = np.array([mean_bounds(CONFIDENCE, dof, int(c)) if c else (np.nan, np.nan) for c in counts])
+    bounds = np.array([mean_bounds(dof, int(c)) if c else (np.nan, np.nan) for c in counts])
     return RunningNis(0.5 * (edges[1:] + edges[:-1]), mean, bounds[:, 0], bounds[:, 1])
 
 
 class CovarianceCheck(msgspec.Struct, frozen=True):
-    """ANEES: mean squared error over predicted variance. 1 is right, above 1 is overconfident."""
+    """ANEES of one configuration: mean of squared error over predicted variance; above 1 is overconfident."""
 
     anees: float
-    bounds: tuple[float, float]  # of a consistent filter's ANEES at CONFIDENCE, for one drive's worth of errors
-    states: Mapping[str, float] = field(default_factory=dict)  # of x, y and theta, each on its own
-    state_bounds: tuple[float, float] = (0.0, math.inf)
-    independent: float = math.nan  # how many independent errors the drive is worth
+    bounds: tuple[float, float]  # of a consistent filter's ANEES 95 %, on a drive like this
+    states: Mapping[str, float] = field(default_factory=dict)  # ANEES of x, y and theta alone
+    independent: float = math.nan  # effective number of independent errors
     words: str = ""
 
     @property
     def overconfident(self) -> bool:
-        """Whether the errors are larger than those of a consistent filter by more than chance."""
+        """Whether ANEES is above the bounds of a consistent filter."""
         return self.anees > self.bounds[1]
 
     @property
     def consistent(self) -> bool:
-        """Whether the ANEES is one that a consistent filter can have."""
+        """Whether ANEES is within the bounds of a consistent filter."""
         return self.bounds[0] <= self.anees <= self.bounds[1]
 
 
 def covariance_check(judged: Evaluation) -> CovarianceCheck | None:
-    """Return the consistency of a configuration's covariance; None without truth or after alignment."""
+    """Return the consistency check of a configuration's covariance; None without truth or after alignment."""
     anees = judged.figures.get("anees")
     e = judged.deviation if judged.heading is None else np.column_stack((judged.deviation, judged.heading))
     sigma = judged.sigma[:, : e.shape[1]]
@@ -404,10 +402,9 @@ def covariance_check(judged: Evaluation) -> CovarianceCheck | None:
         return None
     unit = e[good] / sigma[good]
     independent = effective_samples(unit)
-    bounds = mean_bounds(CONFIDENCE, unit.shape[1], independent)
+    bounds = mean_bounds(unit.shape[1], independent)
     states = dict(zip(STATES, (unit**2).mean(axis=0).tolist(), strict=False))
-    alone = mean_bounds(CONFIDENCE, 1, independent)
-    return CovarianceCheck(anees, bounds, states, alone, independent, _words(anees, bounds))
+    return CovarianceCheck(anees, bounds, states, independent, _words(anees, bounds))
 
 
 def _words(anees: float, bounds: tuple[float, float]) -> str:

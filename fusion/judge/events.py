@@ -1,4 +1,4 @@
-"""Events of a drive in time: rest, lost, jumps, closed loops, readings rejected in a row, labelled faults."""
+"""Events of a drive over time: standstill, robot lost, pose jumps, loop closures, rejected readings in a row."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from locfuse.fusion.data import (
 )
 
 MIN_REST_S = 2.0
-REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # of one interval of the wheels: below, nothing turned
-SAME_LOOP_S = 5.0  # closer together, loops are reported as one
-MIN_REFUSED = 5  # readings in a row; fewer are outliers, and the gates show them
+REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # in one interval of the wheels: smaller is standstill
+SAME_LOOP_S = 5.0  # loops in closer succession are reported as one
+MIN_REFUSED = 5  # readings in a row; fewer are single outliers
 JUMPS = {SLIP: "wheel slip undone", RELOCALISED: "lost robot found", LOOP_TAKEN: "loop closed"}
 USED_VERDICTS = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 def events_of_drive(drive: Drive) -> list[Event]:
-    """Return the intervals in which the robot stood still, as events."""
+    """Return the standstills of the robot as events."""
     return [Event(a, b, REST, f"at rest for {b - a:.1f} s") for a, b in rests(drive)]
 
 
 def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
-    """Return when a run was lost, jumped, closed a loop, or rejected a sensor for a while, in order of time.
+    """Return the events of a run (lost, jumps, loop closures, rejections) in order of time.
 
     Args:
-        drive: as the configuration saw it: its audits count the readings of this one.
+        drive: the drive whose readings the audits count (thinned as in the run).
         e: the run, with its audits.
     """
     found = [Event(a, b, LOST, f"lost for {b - a:.1f} s", e.name) for a, b in e.lost]
@@ -56,7 +56,7 @@ def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
 
 
 def _loops(e: Estimates) -> Iterator[Event]:
-    """Yield the times at which places were recognised; times in close succession are one event."""
+    """Yield loop closures as events; loop closures in close succession are one event."""
     if not len(e.loops):
         return
     then, now = e.loops.T
@@ -67,18 +67,18 @@ def _loops(e: Estimates) -> Iterator[Event]:
 
 
 def _step(jump: Jump) -> str:
-    """Return kind and size of a jump in words."""
+    """Return the kind and the size of a pose jump as text."""
     x, y, turn = jump.step
     return f"{JUMPS[jump.kind]}: moved {math.hypot(x, y):.2f} m, turned {math.degrees(turn):+.1f}°"
 
 
 def rests(drive: Drive) -> Iterator[tuple[float, float]]:
-    """Yield (start, end) [s] of every stretch of MIN_REST_S and more in which no wheel turned."""
+    """Yield (start, end) [s] of every interval of at least MIN_REST_S without wheel motion."""
     u = drive.motions.u
     if len(u) != len(drive.t):
         return  # a result read back from its files
     still = (np.hypot(u[:, 0], u[:, 1]) < REST_STEP_M) & (np.abs(u[:, 2]) < REST_STEP_RAD)
-    still[0] = False  # before the first interval there is none
+    still[0] = False  # the first instant ends no interval
     for first, last in stretches(still):
         start, end = float(drive.t[first - 1]), float(drive.t[last])
         if end - start >= MIN_REST_S:
@@ -86,11 +86,11 @@ def rests(drive: Drive) -> Iterator[tuple[float, float]]:
 
 
 def _refusals(sensor: str, m: Measurements, t: Array, audit: Audit, name: str) -> Iterator[Event]:
-    """Yield the intervals of MIN_REFUSED and more readings in a row that were all rejected."""
+    """Yield as events the intervals with at least MIN_REFUSED consecutive rejected readings of a sensor."""
     n = len(m.t)
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
     taken = np.bincount(owner[np.isin(audit.verdict, USED_VERDICTS)], minlength=n) > 0
-    seen = np.flatnonzero(np.bincount(owner, minlength=n) > 0)  # an empty scan says nothing either way
+    seen = np.flatnonzero(np.bincount(owner, minlength=n) > 0)  # readings without measurements are skipped
     for first, last in stretches(~taken[seen]):
         if last - first + 1 < MIN_REFUSED:
             continue

@@ -1,7 +1,7 @@
-"""What innovations show of the configured noise, without truth (Mehra 1970; Bar-Shalom et al. 2001).
+"""Innovation statistics: a sensor's actual noise, without truth (Mehra 1970; Bar-Shalom et al. 2001).
 
-`own` judges a sensor by the run that uses it: the filter has followed it, so that its errors show twice, in the
-innovation and in the state. `heard` judges a sensor by a run that does not use it: there its errors show alone.
+`own` takes the innovations of a run that uses the sensor: the sensor's errors are also in the state. With
+`compare_readings` the run does not use the sensor: the innovations contain its full errors.
 """
 
 from __future__ import annotations
@@ -23,25 +23,24 @@ from locfuse.fusion.sensors.registry import REGISTRY
 ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
     VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
 )
-CONFIDENCE = 0.95
 MAX_LAG_READINGS = 5
-MIN_AUTOCORRELATION = 0.05  # autocorrelation below which errors have forgotten
-MAX_LISTENED_READINGS, STRETCH_READINGS = 1500, 150  # that are compared, in stretches of neighbours
-MIN_CHANGE_SHARE = 0.85  # of the variance that is not white: a step or a drift that explains less is neither
+MIN_AUTOCORRELATION = 0.05  # a smaller autocorrelation counts as zero
+MAX_COMPARED_READINGS, STRETCH_READINGS = 1500, 150  # that are compared, in intervals of consecutive ones
+MIN_CHANGE_SHARE = 0.85  # of the variance that is not white, which a step or a drift must explain
 MIN_SIDE_SHARE = 0.1  # of the readings, before a step and after it
 OUTLIER_SIGMAS = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
 
 
 class Own(NamedTuple):
-    """One sensor's innovations in a run that used it."""
+    """Innovation figures of one sensor, in a run that uses the sensor."""
 
     compared: int
     refused: float  # share
     nis: float  # mean per degree of freedom of what was accepted
-    bounds: tuple[float, float]  # of the mean, for as many independent values
-    bias: tuple[float, ...]  # mean in predicted standard deviations, of all that was compared
-    middle: tuple[float, ...]  # median innovation, of all that was compared
-    sure: tuple[float, ...]  # standard error of it
+    bounds: tuple[float, float]  # of the mean NIS of a consistent filter, 95 %
+    bias: tuple[float, ...]  # mean in predicted standard deviations
+    middle: tuple[float, ...]  # median innovation
+    sure: tuple[float, ...]  # standard error of the median
     whiteness: tuple[float, ...]  # autocorrelation at lags 1..LAGS
     raw: float  # factor on the innovations' covariance S
     scale: float  # factor on the covariance R
@@ -51,7 +50,7 @@ class Own(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A mean that does not stay: it steps once, or drifts."""
+    """Change of a sensor's mean error during a drive: one step or a steady drift."""
 
     step_s: float | None  # s: when it steps; None: it drifts
     amount: float  # rad or m, over the drive
@@ -59,24 +58,24 @@ class Change(NamedTuple):
 
 
 class ComparedReadings(NamedTuple):
-    """One sensor's readings compared with a run that did not use it."""
+    """Innovation figures of one sensor, in a run that does not use the sensor."""
 
     readings: int
     wild: float  # share of outliers
     bias: float | None  # None where the sensor's own offset is unknown
     sure: float  # standard error of the bias, the reference's own uncertainty included
-    white: float  # variance of the part that is new in every reading
+    white: float  # variance of the white part
     slow: float  # covariance of neighbouring readings
     spread: float  # variance
-    memory: float  # readings over which the errors repeat: 1 is white
+    memory: float  # correlation length in readings; 1 is white
     period: float  # s between readings
-    reference: float  # variance of the reference, as it says itself
+    reference: float  # predicted variance of the run that does not use the sensor
     R: float  # claimed variance
-    change: Change | None = None  # of the mean, where one step or a steady drift is most of what is slow
+    change: Change | None = None  # step or drift, if it explains most of the slow errors
 
 
 def own(audit: Audit, m: Measurements) -> Own | None:
-    """Return the figures of a run's innovations of one sensor; None if too few were compared."""
+    """Return innovation figures of one sensor in a run that uses it; None if too few were compared."""
     d = audit.y.shape[1]
     far = np.isin(audit.verdict, (GATE, UNMATCHED)) & (audit.nis > audit.threshold)
     compared = np.flatnonzero((audit.verdict == ACCEPTED) | (far & (audit.verdict == GATE)))
@@ -106,25 +105,25 @@ def own(audit: Audit, m: Measurements) -> Own | None:
 
 
 def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float], float]:
-    """Return mean NIS per degree of freedom of the accepted innovations, its bounds, and the factor on S.
+    """Return the mean NIS per degree of freedom of accepted innovations, its bounds, and the factor on S.
 
-    The factor is by the median of all, of which `far` lie beyond the gate.
+    The factor is by the median NIS of the accepted ones and `far` ones beyond the gate.
     """
     used = np.flatnonzero(audit.verdict == ACCEPTED)
     nis, repeats = audit.nis[used], 1.0
     if len(nis):
         order = np.argsort(audit.landmark[used], kind="stable")
         repeats = _memory(np.append(1.0, _whiteness((nis - nis.mean())[order, None], audit.landmark[used][order])))
-    bounds = mean_bounds(CONFIDENCE, d, max(1.0, len(nis) / repeats))
+    bounds = mean_bounds(d, max(1.0, len(nis) / repeats))
     at = (len(nis) + far) // 2
     scale = float(np.sort(nis)[at]) / chi_square(0.5, d) if at < len(nis) else math.inf
     return float(nis.mean()) / d if len(nis) else math.nan, bounds, scale
 
 
 def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
-    """Return medians, robust deviations and normalised means (d,) of innovations in these rows (k,).
+    """Return medians, robust deviations, normalised means (d,) and autocorrelation of the innovations `compared`.
 
-    And their autocorrelation (MAX_LAG_READINGS,). In place, since an hour of lines is big.
+    Arrays are changed in place to save memory.
     """
     y = audit.y.take(compared, axis=0)  # whole rows: ten times faster than audit.y[compared]
     middle = _medians(y)
@@ -132,13 +131,13 @@ def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
     y /= audit.sigma.take(compared, axis=0)
     bias = y.mean(axis=0)
     y -= _medians(y)
-    order = np.argsort(audit.landmark[compared], kind="stable")  # in time for each landmark
+    order = np.argsort(audit.landmark[compared], kind="stable")  # in order of time for each landmark
     y, mark = y.take(order, axis=0), audit.landmark[compared[order]]
     return middle, deviation, bias, _whiteness(y, mark)
 
 
 def _prediction_ratio(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:
-    """Return the median of S / R, where S is the predicted and R the configured variance, and mean R (d,)."""
+    """Return the median of S / R (predicted over configured variance), and the mean configured variance R (d,)."""
     R = np.diagonal(m.R_unit, axis1=1, axis2=2)[audit.row[compared]]
     R *= m.scale**2
     R += np.diagonal(m.floor)
@@ -149,12 +148,12 @@ def _prediction_ratio(audit: Audit, m: Measurements, compared: Ints) -> tuple[fl
 
 
 def _medians(values: Array) -> Array:
-    """Return the median of every column of values (n, d), one column at a time, since each is copied."""
+    """Return the medians (d,) of values (n, d), one column at a time to save memory."""
     return np.array([np.median(column) for column in values.T])
 
 
 def _whiteness(v: Array, mark: Counts) -> Array:
-    """Autocorrelation of values (k, d) that are sorted by their landmark (k,), at lags 1.. (MAX_LAG_READINGS,)."""
+    """Return the autocorrelation of values (k, d), sorted by landmark (k,), at lags 1 to MAX_LAG_READINGS."""
     out = np.zeros(MAX_LAG_READINGS)
     if len(v) < 2:
         return out
@@ -168,21 +167,21 @@ def _whiteness(v: Array, mark: Counts) -> Array:
 
 
 def compare_readings(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> ComparedReadings | None:
-    """Compare a one-number sensor with a run that does not use it; None if they cannot be compared."""
+    """Return the innovation figures of a one-number sensor in a run without it; None if not comparable."""
     m = drive.measurements[sensor]
     model = REGISTRY[sensor].model(robot.settings(sensor))
     if model.joint or m.z.shape[1] != 1 or len(m.t) < 2 * MAX_LAG_READINGS:
         return None
     blocks, angular = model.blocks(), REGISTRY[sensor].components[0].unit == "deg"
     belief, rows = JointBelief.still(blocks), []
-    readings = _some(len(m.t))
-    readings = readings[np.isfinite(run.pose[drive.instant[sensor][readings], 0])]  # a truth may have gaps
+    readings = _sampled(len(m.t))
+    readings = readings[np.isfinite(run.pose[drive.instant[sensor][readings], 0])]  # NaN in gaps of the truth
     instants = drive.instant[sensor][readings]
     poses, covariances = run.pose[instants].tolist(), matrices(run.triangles[instants]).tolist()
     for i, pose, P in zip(readings.tolist(), poses, covariances, strict=True):
         belief.stand(pose, P)
         seen = model.innovations(m, i, belief)
-        assert not isinstance(seen, Reading)  # that is of several numbers
+        assert not isinstance(seen, Reading)  # a Reading has several numbers
         if seen and seen[0].verdict != DISTURBED:
             best = seen[0]
             R = float(belief.equation(seen[:1]).R[0, 0])
@@ -190,27 +189,25 @@ def compare_readings(drive: Drive, robot: Robot, run: Estimates, sensor: str) ->
     return _agreement(np.array(rows), bool(blocks), angular) if len(rows) >= 2 * MAX_LAG_READINGS else None
 
 
-def _some(n: int) -> Ints:
-    """Return all of n readings, or evenly spread runs of neighbouring readings."""
-    if n <= MAX_LISTENED_READINGS:
+def _sampled(n: int) -> Ints:
+    """Return the indices of all n readings, or of evenly spread intervals of consecutive readings."""
+    if n <= MAX_COMPARED_READINGS:
         return np.arange(n)
-    starts = np.linspace(0, n - STRETCH_READINGS, MAX_LISTENED_READINGS // STRETCH_READINGS).astype(np.int64)
+    starts = np.linspace(0, n - STRETCH_READINGS, MAX_COMPARED_READINGS // STRETCH_READINGS).astype(np.int64)
     return (starts[:, None] + np.arange(STRETCH_READINGS)).ravel()
 
 
 def usual_period(t: Array) -> float | None:
-    """Return the median time [s] from one instant with readings to the next; None where all share one instant."""
+    """Return the median time [s] between distinct stamps t (n,); None if all stamps are equal."""
     gaps = np.diff(t)
     apart = gaps[gaps > 0.0]
     return float(np.median(apart)) if len(apart) else None
 
 
 def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | None:
-    """Compare readings (k, 5: t, y, variance of the reference, R, heading); `unknown`: y has an offset.
+    """Return figures of rows (k, 5): t, innovation, reference variance, R, heading; None if all have one stamp.
 
-    Innovations y [rad where `angular`, else m]: the mean of angles is that of their directions.
-
-    None where they share one instant: such readings do not tell how long an error lasts.
+    Innovations are in rad where `angular`, else m; `unknown`: they contain an unknown offset.
     """
     period = usual_period(rows[:, 0])
     if period is None:
@@ -223,9 +220,9 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
         y = rows[:, 1] - mean
     middle = float(np.median(y))
     deviation = float(np.median(np.abs(y - middle))) / MAD
-    tame = np.abs(y - middle) <= OUTLIER_SIGMAS * max(deviation, 1e-12)
-    t, _, h, R, theta = rows[tame].T
-    y = y[tame]
+    inlier = np.abs(y - middle) <= OUTLIER_SIGMAS * max(deviation, 1e-12)
+    t, _, h, R, theta = rows[inlier].T
+    y = y[inlier]
     centred = y - y.mean()
     variance = float((centred**2).mean())
     near = np.diff(t) < 1.5 * period + 1e-9
@@ -237,7 +234,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
     sure = math.sqrt(variance * memory / len(y) + float(h.mean()))
     return ComparedReadings(
         len(y),
-        1.0 - float(tame.mean()),
+        1.0 - float(inlier.mean()),
         bias,
         sure,
         white,
@@ -252,7 +249,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
 
 
 def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
-    """Return a step or steady drift of errors y (k,), mean 0, at t [s], if it explains most slow errors.
+    """Return a step or a steady drift of errors y (k,), mean 0, if it explains most of their slow part.
 
     None where the robot's heading `theta` [rad] explains more: iron on the robot, in a drive of few turns.
     """
@@ -276,7 +273,7 @@ def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
 
 
 def _autocorrelation(y: Array, t: Array, period: float) -> Array:
-    """Autocorrelation of y (k,) at lags 0.. of whole periods, pairs across a gap left out."""
+    """Return the autocorrelation of y (k,) at lags 0, 1, ... periods; pairs across a gap are left out."""
     n = len(y)
     variance = float((y**2).mean())
     out = [1.0]
@@ -289,7 +286,7 @@ def _autocorrelation(y: Array, t: Array, period: float) -> Array:
 
 
 def _memory(correlation: Array) -> float:
-    """Return the correlation length in values: 1 + 2 sum of the autocorrelation up to its first zero."""
+    """Return the correlation length in readings: 1 + 2 sum of the autocorrelation up to its first zero."""
     forgotten = np.flatnonzero(correlation < MIN_AUTOCORRELATION)
     end = int(forgotten[0]) if len(forgotten) else len(correlation)
     return 1.0 + 2.0 * float(correlation[1:end].sum())

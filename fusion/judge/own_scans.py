@@ -1,8 +1,8 @@
-"""A path judged by its own scans, without truth: do places seen twice agree, and is the map crisp?
+"""Path quality from laser scans, without truth: agreement at revisited places, and crispness of the map.
 
-Revisit agreement: of the scans at places that the path has been at before, the share of points that lie on what
-was seen then. Crispness: in how many cells the points of all scans fall; of two paths of one drive the better one
-has fewer. Neither proves a path right: where two paths err alike, both agree with themselves.
+Revisit agreement: of the scans at places that the path visited before, the share of points that coincide with
+points of the earlier scans. Crispness: the number of map cells that contain points; of two paths of one drive the
+better one has fewer. Neither proves that a path is correct: two paths can have the same error.
 """
 
 from __future__ import annotations
@@ -17,16 +17,20 @@ from locfuse.fusion.data import Array, Drive, Estimates, Ints
 from locfuse.fusion.mount import found_mount
 
 LASER = "lrf"
-STRIDE_M, MAX_SCANS = 0.7, 2000  # way between two scans that are looked at, and how many at most
-AGAIN_S, AGAIN_SHORT_S, SHORT_S = 30.0, 8.0, 120.0  # between two visits of a place; in drives shorter than that
-NEAR_M, MAX_EARLIER = 3.0, 10  # how near an earlier scan was taken, and how many of them are asked
+STRIDE_M, MAX_SCANS = 0.7, 2000  # distance between two selected scans, and their largest number
+# shortest time between two visits of a place; in drives shorter than SHORT_S
+AGAIN_S, AGAIN_SHORT_S, SHORT_S = 30.0, 8.0, 120.0
+NEAR_M, MAX_EARLIER = 3.0, 10  # largest distance of an earlier scan, and number of compared earlier scans
 SAME_M = 0.1  # a point this near to an earlier one agrees
-MIN_REVISITS, MIN_OVERLAP = 0.1, 3.0  # share of scans at places seen before; cells of single scans per cell of all
+# smallest share of scans at revisited places; smallest mean number of scans per cell
+MIN_REVISITS, MIN_OVERLAP = 0.1, 3.0
 CELL_M = 0.05
-DOUBT_M, DOUBT_SHARE = 0.3, 0.0075  # of the way: two paths further apart than both are doubted
-MAX_APART_SIGMAS, MIN_APART_M = 3.0, 0.05  # of both claims together; less than this is no contradiction
+# m, and share of the distance driven: paths further apart than both are doubted
+DOUBT_M, DOUBT_SHARE = 0.3, 0.0075
+# of the combined sigma of two paths; smaller distances are no contradiction
+MAX_APART_SIGMAS, MIN_APART_M = 3.0, 0.05
 MAX_CLAIM_RATIO = 1.5  # of the distance to the smoothed path over the claimed standard deviation
-BETTER, GOOD = 0.2, 0.7  # by how much agreement must rise, or what it must be, for a path to be the better one
+MIN_AGREEMENT_RISE, GOOD_AGREEMENT = 0.2, 0.7  # rise of the agreement, or its value, that shows a better path
 
 
 class Distance(msgspec.Struct, frozen=True):
@@ -34,27 +38,27 @@ class Distance(msgspec.Struct, frozen=True):
 
     rms: float  # m
     max: float  # m
-    t_s: float  # when they are furthest apart
+    t_s: float  # time of the largest distance
 
     @classmethod
     def between(cls, t: Array, a: Array, b: Array) -> Distance:
-        """Return the distance of the paths a and b (n, 2) [m] at the instants t (n,)."""
+        """Return the distance between paths a and b (n, 2) [m] at the times t (n,) [s], after rigid alignment."""
         turn, _ = se2.laid_on(a, b)
         p, q = a - a.mean(axis=0), b - b.mean(axis=0)
         off = np.hypot(*(se2.rotated(np.full(len(p), turn), p) - q).T)
         return cls(float(np.sqrt((off**2).mean())), float(off.max()), float(t[off.argmax()]))
 
     def doubted(self, way: float) -> bool:
-        """Return whether the paths differ by more than is plausible for this distance driven [m]."""
+        """Return whether two paths differ by more than is plausible for a distance driven `way` [m]."""
         return self.max > max(DOUBT_M, DOUBT_SHARE * way)
 
     def contradicts(self, a: float, b: float) -> bool:
-        """Return whether the paths differ by more than their standard deviations [m] allow."""
+        """Return whether two paths differ by more than their standard deviations a and b [m] allow."""
         return self.rms > max(MAX_APART_SIGMAS * float(np.hypot(a, b)), MIN_APART_M)
 
 
 class OwnScans(msgspec.Struct, frozen=True):
-    """Scans along a drive that judge every path of it."""
+    """Laser scans selected along a drive, to compare paths of this drive."""
 
     t: Array  # (k,) s
     instants: Ints  # (k,) of the drive
@@ -63,7 +67,7 @@ class OwnScans(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, drive: Drive) -> OwnScans | None:
-        """Return the scans of a drive; None without a laser whose points can be read."""
+        """Return the selected scans of a drive; None without a laser whose points can be read."""
         m = drive.measurements.get(LASER)
         if m is None or m.points is None or not len(m.t):
             return None
@@ -74,9 +78,9 @@ class OwnScans(msgspec.Struct, frozen=True):
         return cls(drive.t[instants[chosen]], instants[chosen], list(m.points.read(chosen)), m.points.mount)
 
     def judge(self, e: Estimates) -> tuple[float | None, int, float]:
-        """Return revisit agreement (0 to 1; None without revisits), cells, and how often scans overlap.
+        """Return revisit agreement (0 to 1; None without revisits), number of map cells, and scans per cell.
 
-        Where a run estimates the laser's mount, its scans are placed by the mount that it found.
+        If the run estimates the laser's mount, the estimated mount is used.
         """
         moved = se2.compose(found_mount(LASER, self.mount, e.blocks), se2.inverse(self.mount))
         pose = se2.compose(e.pose[self.instants], moved)
@@ -103,42 +107,42 @@ class OwnScans(msgspec.Struct, frozen=True):
 
 
 def _cells(placed: list[Array]) -> tuple[int, float]:
-    """Return the number of map cells that hold points, and the mean number of scans per cell."""
+    """Return the number of map cells that contain points, and the mean number of scans per cell."""
     cells = [np.unique(np.floor(p / CELL_M).astype(np.int64) @ (1 << 32, 1)) for p in placed]
     every = len(np.unique(np.concatenate([np.zeros(0, np.int64), *cells])))
     return every, sum(len(c) for c in cells) / max(every, 1)
 
 
 def are_contradictory(a: Estimates, b: Estimates) -> bool:
-    """Return whether estimates at the same instants differ by more than their sigmas: then one is wrong."""
+    """Return whether two estimates at the same times differ by more than their sigmas allow."""
     return Distance.between(a.t, a.pose[:, :2], b.pose[:, :2]).contradicts(_claimed(a), _claimed(b))
 
 
 def _claimed(e: Estimates) -> float:
-    """Return the standard deviation that an estimate claims, rms over the drive [m]."""
+    """Return the predicted position standard deviation of an estimate, rms over the drive [m]."""
     return float(np.sqrt(np.maximum(e.triangles[:, 0] + e.triangles[:, 3], 0.0).mean()))
 
 
 def is_better(before: float | None, after: float | None) -> bool:
-    """Return whether agreement at places seen twice shows that a path is the better one."""
+    """Return whether revisit agreement before and after a change shows that the changed path is better."""
     if before is None or after is None:
         return False
-    return after >= before + BETTER or (after >= GOOD and after >= before)
+    return after >= before + MIN_AGREEMENT_RISE or (after >= GOOD_AGREEMENT and after >= before)
 
 
 class Own(msgspec.Struct, frozen=True):
-    """Figures of one estimate by the drive's own scans."""
+    """Path quality figures of one estimate by the laser scans of its drive."""
 
     revisit_agreement: float | None
     crispness_cells: int | None
-    smoothed: Distance | None = None  # to the same sensors' smoothed path; None where there is none
-    smoothed_is_better: bool = False  # as its revisit agreement proves
-    claimed_m: float = 0.0  # by the estimate: its standard deviation over the drive, sqrt(P_xx + P_yy)
-    contradicted: bool = False  # they lie further apart than both claim
+    smoothed: Distance | None = None  # to the smoothed path of the same sensors, if there is one
+    smoothed_is_better: bool = False  # by revisit agreement
+    claimed_m: float = 0.0  # predicted standard deviation over the drive, sqrt(P_xx + P_yy)
+    contradicted: bool = False  # smoothed and estimated path differ by more than their sigmas allow
 
     @property
     def is_overconfident(self) -> bool:
-        """Whether the smoothed path lies further away than the estimate's covariance allows."""
+        """Whether the smoothed path differs by more than the estimate's covariance allows."""
         apart = 0.0 if self.smoothed is None else self.smoothed.rms
         return apart > max(MAX_CLAIM_RATIO * self.claimed_m, MIN_APART_M)
 
@@ -146,9 +150,9 @@ class Own(msgspec.Struct, frozen=True):
 def judged_by_scans(
     drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
 ) -> dict[str, Own]:
-    """Return the figures by the laser's scans for estimates at the instants of a drive, by name.
+    """Return the path quality figures of estimates, by name of the estimate.
 
-    `smoothed` are the smoothed estimates of those that have one, by the name of the estimate that they smooth.
+    `smoothed` are smoothed estimates, by the name of the filter's estimate with the same sensors.
     """
     scans = OwnScans.of(drive)
     if scans is None or not len(scans.t):

@@ -1,13 +1,13 @@
-"""Judging configurations without truth: how well does each predict the sensors that it does not use?
+"""Ranking of configurations without truth: how well each predicts the readings of sensors it does not use.
 
-A configuration runs while the other sensors listen (`fuse(..., listen=...)`): each reading is compared with what
-the pose, its covariance and that sensor's own map or offset predict, and scored by the logarithm of the
-predicted density (Good 1952; "innovation score"). The score is proper: to be vague costs, to be overconfident
-costs more. Configurations are compared reading by reading, only on sensors that both leave out.
+The readings of sensors that a configuration does not use (they "listen": `fuse(..., listen=...)`) are predicted
+from the pose, its covariance and that sensor's own map or offset, and scored by the logarithm of the predicted
+density (Good 1952; "innovation score"). The score is proper: a large covariance costs, overconfidence costs more.
+Configurations are compared reading by reading, only on sensors that neither of them uses.
 
-A configuration that leaves nothing out is tried in stretches of the drive: each sensor in turn only listens. That
-favours it, since the sensor itself has just set the pose right, and the report says so. What no score can see: an
-error that all sensors share, and walls that were taken for others.
+For a configuration that uses all sensors, each sensor in turn only listens for STRETCH_S. The report notes that
+this favours the configuration, since the same sensor has just corrected the pose. The score does not show an error
+that all sensors share, or walls matched with other walls.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from locfuse.fusion.data import Array, Audit, Drive, Estimates
 
 from .bootstrap import block_means
 
-OUTLIER_SHARE = 0.05  # share of readings that may be anything: one wild reading must not decide
-MIN_GAIN_NATS = 0.02  # nats per number: less is none
+OUTLIER_SHARE = 0.05  # share of readings with any value, so that one outlier does not decide
+MIN_GAIN_NATS = 0.02  # nats per number: a smaller gain counts as none
 BLOCK_S = 5.0  # s: readings this far apart are taken as independent
-LASER = "lrf"  # whose scans are the motion where there are no wheels
-STRETCH_S = 5.0  # s that a sensor listens at a time where it cannot be left out
+LASER = "lrf"  # its scans give the motion if there are no wheels
+STRETCH_S = 5.0  # s that a sensor of the configuration listens at a time
 
 
 class Score(msgspec.Struct, frozen=True):
-    """How well one configuration predicts one sensor that only listened."""
+    """Predictive score of one configuration on one sensor that does not correct its pose."""
 
     configuration: str
     sensor: str
@@ -41,23 +41,23 @@ class Score(msgspec.Struct, frozen=True):
     low: float  # the gain's 95 % interval, by blocks
     high: float
     stretches: bool  # the sensor belongs to the configuration and listened in stretches only
-    shared: bool = False  # odometry was made of the same readings: to be worse than that says nothing
+    shared: bool = False  # odometry uses the same readings: no evidence of a contradiction
 
 
 class Ranked(msgspec.Struct, frozen=True):
-    """The rank of one configuration."""
+    """Mean predictive gain of one configuration, by which configurations are ranked."""
 
     configuration: str
-    gain: float | None  # mean over the sensors that listened; None where the configuration has no place
-    on: tuple[str, ...]  # these sensors
-    stretches: bool  # they are its own and listened in stretches only
+    gain: float | None  # mean over the sensors that listened; None without rank
+    on: tuple[str, ...]  # the sensors that listened
+    stretches: bool  # these sensors belong to the configuration and listened in stretches only
 
 
 def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
-    """Return which readings a configuration of `sensors` only listens to: flags per reading, for `fuse`.
+    """Return flags per reading, by sensor: readings that a run with `sensors` predicts but does not use.
 
-    Sensors left out listen always. Where none is left out, stretches of STRETCH_S take turns: in the first all
-    are used, then one sensor after the other listens.
+    Sensors that are not used always listen. If all are used, intervals of STRETCH_S take turns: in the first all
+    sensors are used, then one after the other listens.
     """
     out = {s: np.ones(len(m.t), dtype=bool) for s, m in drive.measurements.items() if s not in sensors}
     if out:
@@ -67,26 +67,26 @@ def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, NDArray[np.bool
 
 
 def log_density(audit: Audit, z: Array) -> Array:
-    """Return the log predicted density of every number of every measurement, (rows of z,); NaN if not compared.
+    """Return the log predicted density (m,) of measurements z (m, d), mean over components; NaN if not compared.
 
-    A mixture: with probability OUTLIER_SHARE the reading is anything the sensor ever says. A measurement that
-    nothing was predicted for is such a reading. Components count one by one, so that d numbers are d scores.
+    The density is a mixture: with probability OUTLIER_SHARE a value is uniform over all values of the sensor. A
+    measurement without a prediction has this uniform density.
     """
     m, d = z.shape
     width = np.maximum(z.max(axis=0) - z.min(axis=0), 1e-9) if m else np.ones(d)
-    anything = math.log(OUTLIER_SHARE) - np.log(width)
+    log_uniform = math.log(OUTLIER_SHARE) - np.log(width)
     out = np.full(m, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         normal = -0.5 * (np.log(2.0 * np.pi * audit.sigma**2) + (audit.y / audit.sigma) ** 2)
     normal = np.where(np.isfinite(normal), normal + math.log(1.0 - OUTLIER_SHARE), -np.inf)
-    out[audit.row] = np.logaddexp(normal, anything).mean(axis=1)
+    out[audit.row] = np.logaddexp(normal, log_uniform).mean(axis=1)
     return out
 
 
 def scores(drive: Drive, tried: Iterable[Estimates]) -> list[Score]:
-    """Return every configuration's score on every sensor that listened; the first tried must be odometry.
+    """Return the scores of all configurations on all sensors; the first configuration must be odometry.
 
-    Each is let go of before the next is tried: their audits are big.
+    Only one run is kept at a time, since audits need much memory.
     """
     runs = iter(tried)
     base = next(runs)
@@ -98,7 +98,7 @@ def scores(drive: Drive, tried: Iterable[Estimates]) -> list[Score]:
 
 
 def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
-    """Return the scores of one configuration's run, compared with those of odometry's, `base`."""
+    """Return the scores of one configuration's run, compared with `base`, the run of odometry."""
     found = []
     flags = listeners(drive, e.sensors)
     for sensor in (s for s in e.audits if s in flags):
@@ -118,7 +118,7 @@ def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
 
 
 def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool_]]) -> float | None:
-    """Return the mean log density of the sensors that only listened, each in nats per number; None without any."""
+    """Return the mean log predicted density [nats per number] of readings with a flag; None without any."""
     means = []
     for sensor in (s for s in e.audits if s in flags):
         m = drive.measurements[sensor]
@@ -130,10 +130,9 @@ def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool
 
 
 def ranking(found: Sequence[Score], configurations: Sequence[str]) -> list[Ranked]:
-    """Return configurations from the best predictor to the worst; those without a rank come last.
+    """Return the configurations sorted by mean predictive gain, best first; those without a score come last.
 
-    Places go by sensors left out. A configuration that leaves none out has a place only where no other way of
-    comparing is left: where the log has a single sensor.
+    A configuration that uses all sensors has a rank only if the log has a single sensor.
     """
     alone = len({s.sensor for s in found}) == 1
     ranked = []
@@ -145,9 +144,9 @@ def ranking(found: Sequence[Score], configurations: Sequence[str]) -> list[Ranke
 
 
 def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return pairs of sensors of which one certainly makes the prediction of the other worse than odometry's.
+    """Return pairs of sensors of which one makes the prediction of the other significantly worse than odometry.
 
-    `alone` names the configuration that uses a sensor alone.
+    `alone` maps each sensor to the configuration that uses only this sensor.
     """
     sensor_of = {name: sensor for sensor, name in alone.items()}
     pairs = {
@@ -171,7 +170,7 @@ def _later(audit: Audit, rows: int) -> NDArray[np.bool_]:
 
 
 def interval(values: Array, t: Array) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of `values` (n,) at times t (n,), by blocks of BLOCK_S."""
+    """Return the 95 % interval of the mean of `values` (n,) at times t (n,) [s], by block bootstrap."""
     duration = float(t[-1] - t[0])
     share = BLOCK_S / duration if duration > BLOCK_S else 1.0
     block = max(1, min(len(values), math.ceil(share * len(values))))

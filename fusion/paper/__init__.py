@@ -1,1 +1,1 @@
-"""The paper's filter as printed: its equations, its measurement vector, its lock-step loop."""
+"""The paper's filter as printed: its equations, its measurement vector, its loop with a fixed period."""

@@ -1,8 +1,8 @@
 """The equations of the paper as printed: Hoang, Duong, Van, Viet, Vinh, "Multi-Sensor Perceptual System ...".
 
-One function per numbered equation, misprints included; `paper_filter` runs them. What the product uses instead,
-and why, stands in docs/paper.md. State (x, y, theta) [m, m, rad]; L is the distance of the wheels [m], which eq. 8
-calls l. Leading axes are allowed where a function says (...).
+One function per numbered equation, misprints included; `filter` runs them. docs/paper.md describes the corrected
+equations of locfuse. State (x, y, theta) [m, m, rad]; L is the distance of the wheels [m], in eq. 8 called l.
+Leading axes are allowed for shapes with (...).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from locfuse.fusion.data import Array
 
 
 class Printed(msgspec.Struct, frozen=True):
-    """The paper's numbers (sections III and IV); the last three are ours, since it prints none."""
+    """Parameters printed in the paper (sections III and IV); the last three are ours, as it prints none."""
 
     period: float = 0.1  # s, sampling time of the EKF
     delta: float = 0.01  # of eq. 9
@@ -53,7 +53,7 @@ def eq6_P(P: Array, A: Array, W: Array, Q: Array) -> Array:
 
 
 def eq7_A(ds: Array, dtheta: Array, theta: Array) -> Array:
-    """Eq. 7: derivative of eq. 3 by the pose, (..., 3, 3). As printed, and right."""
+    """Eq. 7: derivative of eq. 3 by the pose, (..., 3, 3), correct as printed."""
     m = theta + dtheta / 2
     A = np.zeros((*np.shape(m), 3, 3))
     A[..., 0, 0] = A[..., 1, 1] = A[..., 2, 2] = 1.0
@@ -65,8 +65,8 @@ def eq7_A(ds: Array, dtheta: Array, theta: Array) -> Array:
 def eq8_W(ds: Array, dtheta: Array, theta: Array, L: float) -> Array:
     """Eq. 8 as printed, (..., 3, 2) for (right, left) wheel.
 
-    Dropped are the terms cos/2 and sin/2, so that noise on a straight moves the robot sideways but never along,
-    and the factor dt R that turns wheel speeds into distances.
+    Missing are the terms cos/2 and sin/2, so that noise on a straight path is only sideways, and the factor dt R
+    from wheel speeds to distances.
     """
     m = theta + dtheta / 2
     W = np.empty((*np.shape(m), 3, 2))
@@ -109,14 +109,14 @@ def eq13_H_line(C: float, beta: float) -> Array:
 
 
 def eq13_H_heading() -> Array:
-    """Row of eq. 13 for the compass, and as printed for the camera too, (1, 3)."""
+    """Row of eq. 13 for the compass, (1, 3); as printed also for the camera."""
     return np.array([[0.0, 0.0, 1.0]])
 
 
 def eq14_line(x: Array, r: float, psi: float) -> tuple[float, float]:
-    """Return (rho, beta) of eq. 14 for a line (r, psi) of eq. 15 seen from the pose x (3,): the inverse of eq. 18.
+    """Return (rho, beta) of eq. 14 for a line (r, psi) of eq. 15 and the pose x (3,): the inverse of eq. 18.
 
-    The scan's 0 degrees point to the robot's right, so beta = psi + theta - pi/2; at first sight C = r > 0.
+    The scan's 0 degrees point to the robot's right, so beta = psi + theta - pi/2; C = r > 0.
     """
     beta = psi + float(x[2]) - math.pi / 2
     return r + float(x[0]) * math.cos(beta) + float(x[1]) * math.sin(beta), beta
@@ -133,7 +133,7 @@ def eq18_prediction(C: float, beta: float, theta: float) -> tuple[float, float]:
     return abs(C), beta - (theta - math.pi / 2) + (-0.5 * sign + 0.5) * math.pi
 
 
-def eq19_R(lines: int, compass: bool, camera: bool, numbers: Printed = PRINTED) -> Array:
+def eq19_R(lines: int, compass: bool, camera: bool) -> Array:
     """Eq. 19: diagonal covariance (m, m) of a measurement (16): lines (r, psi), then phi, then gamma."""
-    variances = [numbers.var_r, numbers.var_psi] * lines
-    return np.diag(variances + [numbers.var_phi] * compass + [numbers.var_gamma] * camera)
+    variances = [PRINTED.var_r, PRINTED.var_psi] * lines
+    return np.diag(variances + [PRINTED.var_phi] * compass + [PRINTED.var_gamma] * camera)

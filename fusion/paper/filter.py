@@ -1,7 +1,7 @@
-"""The paper's filter as printed, in lock-step: every 100 ms the newest reading of every sensor, as in eq. 16.
+"""The paper's filter as printed: every 100 ms it uses the newest reading of every sensor (eq. 16).
 
-It shares the front end (lines, headings, bearings) with the product's filter, so that what differs is the filter.
-What the print leaves open, and what is done here, stands in docs/paper.md.
+Measurements (lines, headings, bearings) are those of locfuse's filter, so that only the filter differs.
+docs/paper.md describes how gaps in the print are filled.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels
 
 from . import equations
-from .equations import PRINTED, Printed
+from .equations import PRINTED
 from .rows import PARTS, LineRows, Row, Rows
 
-MAX_STAMP_ROUNDING_S = 1e-9  # s: a stamp that is rounding away from the grid is on it
-MAX_STEPS = 2_000_000  # of the loop, 100 bytes each: two days and more
+MAX_STAMP_ROUNDING_S = 1e-9  # s: largest rounding error of a stamp on the grid
+MAX_STEPS = 2_000_000  # of 100 bytes each: more than two days
 
 
 def fuse_as_printed(
@@ -32,12 +32,11 @@ def fuse_as_printed(
     sensors: Sequence[str],
     name: str | None = None,
     listen: Mapping[str, NDArray[np.bool_]] | None = None,
-    numbers: Printed = PRINTED,
 ) -> Estimates:
-    """Run the printed filter with these sensors: same arguments and result as `fuse.fuse`.
+    """Run the printed filter with these sensors; arguments and result are those of `fuse.fuse`.
 
-    Between two steps the pose is moved on by the wheels, so that the print is not charged with waiting. Raises
-    LocfuseError where the drive lacks a sensor or the print has no equation for it.
+    Between two steps the pose is predicted by the wheels, so that errors do not include the delay. Raises
+    LocfuseError if the drive lacks a sensor or the print has no equation for it.
     """
     listen = listen or {}
     for sensor in (*sensors, *listen):
@@ -49,7 +48,7 @@ def fuse_as_printed(
                 role=sensor,
                 hint="leave it out, or use --preset default",
             )
-    run = PrintedFilter(drive, robot, sensors, listen, numbers)
+    run = PrintedFilter(drive, robot, sensors, listen)
     for k in range(len(run.grid)):
         if k % BLOCK_INSTANTS == 0:
             say_done(k / len(run.grid))
@@ -59,25 +58,25 @@ def fuse_as_printed(
 
 
 class Counts:
-    """Distances rolled by the wheels, as the paper's robot knows them: the newest encoder reading at any time."""
+    """Distances that both wheels rolled since the start, by encoder readings."""
 
     def __init__(self, wheels: Wheels) -> None:
         self.t = wheels.t
         self.rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))  # (n, 2) left, right
 
     def latest(self, t: Array) -> Array:
-        """Return the distances by the newest reading at each time, (..., 2)."""
+        """Return the distances (..., 2) [m] by the newest reading at each time t (...) [s]."""
         newest = np.searchsorted(self.t, t + MAX_STAMP_ROUNDING_S, side="right") - 1
         distances: Array = self.rolled[np.maximum(newest, 0)]
         return distances
 
     def interpolated(self, t: Array) -> Array:
-        """Return the distances at each time, between readings too, (..., 2)."""
+        """Return the distances (..., 2) [m], interpolated at times t (...) [s]."""
         return np.stack([np.interp(t, self.t, side) for side in self.rolled.T], axis=-1)
 
 
 def _grid(end: float, period: float) -> Array:
-    """Return the instants of the filter's loop, (m,) [s]. Raises LocfuseError if they are too many for memory."""
+    """Return the times (m,) [s] of the filter's steps. Raises LocfuseError for more than MAX_STEPS."""
     if end / period > MAX_STEPS:
         raise LocfuseError(
             f"--preset paper steps every {period:g} s, and this drive of {end:.3g} s has {end / period:.3g} "
@@ -87,7 +86,7 @@ def _grid(end: float, period: float) -> Array:
 
 
 class PrintedFilter:
-    """State, covariance, each sensor's part of eq. 16, and the record of a run."""
+    """The printed filter: pose, covariance, measurement rows of each sensor, and the record of a run."""
 
     def __init__(
         self,
@@ -95,27 +94,26 @@ class PrintedFilter:
         robot: Robot,
         sensors: Sequence[str],
         listen: Mapping[str, NDArray[np.bool_]],
-        numbers: Printed = PRINTED,
     ) -> None:
-        self.drive, self.numbers, self.listen = drive, numbers, listen
-        self.grid = _grid(float(drive.t[-1]), numbers.period)
+        self.drive, self.listen = drive, listen
+        self.grid = _grid(float(drive.t[-1]), PRINTED.period)
         self.counts = Counts(drive.wheels)
         self.rolled = np.diff(self.counts.latest(self.grid), axis=0, prepend=0.0)  # (m, 2) left, right by step
         self.L = float(drive.wheels.track)
-        self.dt_R = numbers.period * (
+        self.dt_R = PRINTED.period * (
             robot.wheels.radius or 1.0
         )  # an odometry topic has no radius; it cancels out
         self.x = np.array(robot.start.pose)
         self.P = np.diag(robot.start.variances)
         self.used = tuple(s for s in drive.measurements if s in sensors)
-        self.parts: dict[str, Rows] = {s: PARTS[s](robot, numbers) for s in PARTS if s in sensors or s in listen}
+        self.parts: dict[str, Rows] = {s: PARTS[s](robot) for s in PARTS if s in sensors or s in listen}
         self._newest = {s: newest(self.grid, drive.measurements[s].t) for s in self.parts}
         self._records = {s: Record() for s in self.parts}
         self._poses = np.empty((len(self.grid), 3))
         self._covariances = np.empty((len(self.grid), 3, 3))
 
     def step(self, k: int) -> None:
-        """One sampling period: predict by the wheels, correct by what has arrived since the last step."""
+        """Run one sampling period: predict by the wheels, correct by the newest readings."""
         self.x, self.P = self.predict(self.x, self.P, self.rolled[k])
         seen: dict[str, list[Row]] = {}
         for sensor, part in self.parts.items():
@@ -129,38 +127,37 @@ class PrintedFilter:
         self._poses[k], self._covariances[k] = self.x, self.P
 
     def predict(self, x: Array, P: Array, rolled: Array) -> tuple[Array, Array]:
-        """Eq. 2, 3, 6-9 for the distances (..., 2) [m] that the left and the right wheel rolled.
+        """Return pose and covariance by eq. 2, 3, 6-9 after wheel distances (..., 2) [m] of left and right wheel.
 
-        Eq. 8 takes wheel speeds straight into the pose; literally that is 108 degrees of noise a step at 0.4 m/s.
-        The lost factor dt R is put back.
+        The missing factor dt R of eq. 8 is added: as printed, the noise of a step at 0.4 m/s is 108 degrees.
         """
         ds, dtheta = equations.eq2_increments(rolled[..., 1], rolled[..., 0], self.L)
         A = equations.eq7_A(ds, dtheta, x[..., 2])
         W = self.dt_R * equations.eq8_W(ds, dtheta, x[..., 2], self.L)
         omega = rolled / self.dt_R
-        Q = equations.eq9_Q(self.numbers.delta, omega[..., 1], omega[..., 0])
+        Q = equations.eq9_Q(PRINTED.delta, omega[..., 1], omega[..., 0])
         return equations.eq3_motion(x, ds, dtheta), equations.eq6_P(P, A, W, Q)
 
     def correct(self, seen: dict[str, list[Row]]) -> None:
-        """Eq. 10-12 with all measurements stacked as in eq. 16."""
+        """Correct by eq. 10-12 with all measurements stacked as in eq. 16."""
         stacked = [row for sensor in PARTS for row in seen.get(sensor, [])]
         if not stacked:
             return
         y = np.concatenate([row.seen.y for row in stacked])
         H = np.concatenate([row.H for row in stacked])
         lines, compass, camera = (len(seen.get(sensor, [])) for sensor in PARTS)
-        R = equations.eq19_R(lines, bool(compass), bool(camera), self.numbers)
+        R = equations.eq19_R(lines, bool(compass), bool(camera))
         K = equations.eq10_K(self.P, H, R)
         self.x, self.P = equations.eq11_x(self.x, K, y), equations.eq12_P(K, H, self.P)
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """Return pose (n, 3) and covariance (n, 3, 3) at any times of the drive, predicted from the last step."""
+        """Return pose (n, 3) and covariance (n, 3, 3) at times t (n,) [s], predicted from the step before."""
         k = np.clip(np.searchsorted(self.grid, t + MAX_STAMP_ROUNDING_S, side="right") - 1, 0, len(self.grid) - 1)
         moved = self.counts.interpolated(t) - self.counts.interpolated(self.grid[k])
         return self.predict(self._poses[k], self._covariances[k], moved)
 
     def estimates(self, name: str) -> Estimates:
-        """Return the run at the drive's instants and the truth's stamps."""
+        """Return the estimates at the drive's update times and at the truth's stamps."""
         drive = self.drive
         pose, P = self.at(drive.t)
         truth_pose = truth_P = None
@@ -184,7 +181,7 @@ class PrintedFilter:
         )
 
     def _notes(self) -> list[str]:
-        """Return a note on how many readings the fixed grid leaves out."""
+        """Return notes on readings that the fixed period leaves out."""
         notes = []
         for sensor, used in self._newest.items():
             n = len(self.drive.measurements[sensor].t)
@@ -197,7 +194,7 @@ class PrintedFilter:
 
 
 def newest(grid: Array, t: Array) -> Ints:
-    """Return for each step the newest reading since the step before, (m,); -1 for none. t (n,) s, in order."""
+    """Return the index of the newest reading since the previous step, (m,), -1 for none; t (n,) [s] is sorted."""
     last = np.searchsorted(t, grid + MAX_STAMP_ROUNDING_S, side="right") - 1
     before = np.concatenate(([-1], last[:-1]))
     found: Ints = np.where(last > before, last, -1)

@@ -1,4 +1,4 @@
-"""The filter that a preset runs: the product's own, or the paper's as printed."""
+"""Choice of the filter by preset: the one of locfuse, or the paper's as printed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.robot import Preset
 
-# Settings under which a preset measures a log; robot.toml and --set go over them.
+# Default settings of a preset; robot.toml and --set override them.
 TABLES: dict[Preset, dict[str, Any]] = {
     "default": {},
     "paper": {"lrf": {"map": "first-scan"}, "camera": {"chain": "paper", "bearing": "absolute"}},
@@ -21,7 +21,7 @@ NOTE = (
 
 
 def fuser(preset: Preset) -> Callable[..., Estimates]:
-    """Return the function that fuses a drive under a preset; both have the arguments of `fusion.fuse.fuse`."""
+    """Return the function that runs the filter of a preset, with the arguments of `fusion.fuse.fuse`."""
     if preset == "paper":
         from .filter import fuse_as_printed
 

@@ -1,4 +1,4 @@
-"""Each sensor's part of the paper's measurement vector (16): rows of z - h(x) and of H, as printed."""
+"""Rows of the paper's measurement equation (16) for each sensor: z - h(x) and H, as printed."""
 
 from __future__ import annotations
 
@@ -13,38 +13,37 @@ from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.robot import Robot
 
 from . import equations
-from .equations import Printed
+from .equations import PRINTED
 
 UNMATCHED, NEW = VERDICTS.index("unmatched"), VERDICTS.index("new")
 TO_RIGHT = math.pi / 2  # the scan's 0 degrees point to the robot's right, the base frame's ahead
 
 
 class Row(NamedTuple):
-    """One measurement in (16)."""
+    """One measurement in eq. 16."""
 
     seen: Innovation
     H: Array  # (d, 3) by the pose
 
 
 class Rows(Protocol):
-    """One sensor's part of (16)."""
+    """Measurement equation of one sensor in eq. 16."""
 
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
-        """Compare reading i with the predicted pose x (3,), P (3, 3)."""
+        """Return the rows of reading i at the predicted pose x (3,) with covariance P (3, 3)."""
 
 
 class LineRows:
-    """Lines (r, psi) against the map of the first scan, which is taken as the truth from then on."""
+    """Rows for lines (r, psi), compared with the map of the first scan, which counts as exact."""
 
-    def __init__(self, robot: Robot, numbers: Printed) -> None:
-        self.numbers = numbers
-        self.R = equations.eq19_R(1, compass=False, camera=False, numbers=numbers)
+    def __init__(self, robot: Robot) -> None:
+        self.R = equations.eq19_R(1, compass=False, camera=False)
         self.map: list[tuple[float, float]] = []  # (rho, beta)
         self.ends: list[tuple[float, float]] = []
         self.hits: list[int] = []
 
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
-        """Match every line of scan i with the nearest line of the map; the first scan makes the map."""
+        """Return the rows for the lines of scan i by the nearest map lines; the first scan becomes the map."""
         lines = range(int(m.first[i]), int(m.first[i + 1]))
         if not self.map:
             self._remember(m, lines, x)
@@ -70,36 +69,33 @@ class LineRows:
         return innovation(row, j, np.array([dr, dpsi]), equations.eq13_H_line(C, beta), self.R, P)
 
     def _nearest(self, r: float, psi: float, x: Array) -> tuple[int, float, float]:
-        """Return the map line nearest in (r, psi) and both differences; -1 if none is in the window."""
+        """Return the nearest map line and the differences in r and psi; -1 if none is in the window."""
         best, least = (-1, math.nan, math.nan), math.inf
         for j, (rho, beta) in enumerate(self.map):
             C = equations.eq17_C(rho, beta, float(x[0]), float(x[1]))
             r_, psi_ = equations.eq18_prediction(C, beta, float(x[2]))
             dr, dpsi = r - r_, se2.wrap(psi - psi_)
-            far = max(abs(dr) / self.numbers.window_r, abs(dpsi) / self.numbers.window_psi)
-            if (
-                far <= 1.0
-                and (distance := math.hypot(dr / self.numbers.window_r, dpsi / self.numbers.window_psi)) < least
-            ):
+            far = max(abs(dr) / PRINTED.window_r, abs(dpsi) / PRINTED.window_psi)
+            if far <= 1.0 and (distance := math.hypot(dr / PRINTED.window_r, dpsi / PRINTED.window_psi)) < least:
                 best, least = (j, dr, dpsi), distance
         return best
 
     def lines(self) -> list[MapLine]:
-        """Return the map; its covariance is taken as zero."""
+        """Return the lines of the map, with covariances of zero."""
         known = zip(self.map, self.ends, self.hits, strict=True)
         return [MapLine(j, rho, beta, ends, np.zeros((2, 2)), n) for j, ((rho, beta), ends, n) in enumerate(known)]
 
 
 class CompassRow:
-    """phi: the heading itself. Without a configured offset, the first reading defines it."""
+    """Row for the compass heading phi; without a configured offset, the first reading defines it."""
 
-    def __init__(self, robot: Robot, numbers: Printed) -> None:
+    def __init__(self, robot: Robot) -> None:
         offset = robot.settings("compass").offset_deg
         self.offset = None if offset is None else math.radians(offset)
-        self.R = equations.eq19_R(0, compass=True, camera=False, numbers=numbers)
+        self.R = equations.eq19_R(0, compass=True, camera=False)
 
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
-        """Compare heading i with the predicted one."""
+        """Return the row for heading i."""
         z, theta = float(m.z[i, 0]), float(x[2])
         if self.offset is None:
             self.offset = z - theta
@@ -108,18 +104,18 @@ class CompassRow:
 
 
 class CameraRow:
-    """gamma: the landmark's direction from the start pose minus its bearing, taken as the heading."""
+    """Row for the camera's heading gamma: direction from the start pose to the landmark minus its bearing."""
 
-    def __init__(self, robot: Robot, numbers: Printed) -> None:
+    def __init__(self, robot: Robot) -> None:
         settings, start = robot.settings("camera"), robot.start
         if settings.landmark is None:
             raise LocfuseError("camera.landmark is not set;", role="camera", hint="--set camera.landmark=[X,Y]")
         self.direction = math.atan2(settings.landmark[1] - start.y, settings.landmark[0] - start.x)
         self.yaw = math.radians(settings.yaw_deg)
-        self.R = equations.eq19_R(0, compass=False, camera=True, numbers=numbers)
+        self.R = equations.eq19_R(0, compass=False, camera=True)
 
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
-        """Compare the heading by the largest candidate of picture i with the predicted one."""
+        """Return the row for the largest candidate of picture i."""
         row = int(m.first[i])
         if row == int(m.first[i + 1]):
             return []
@@ -129,7 +125,7 @@ class CameraRow:
 
 
 def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) -> Row:
-    """Return an accepted measurement with y (d,), H (d, 3), R (d, d): the paper has no gate."""
+    """Return an accepted row with y (d,), H (d, 3), R (d, d); the paper has no gate."""
     S = H @ P @ H.T + R
     nis = float(y @ np.linalg.solve(S, y))
     sigma = np.sqrt(np.maximum(np.diag(S), 0.0))
@@ -137,7 +133,7 @@ def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) 
 
 
 def unmatched(row: int, verdict: int) -> Row:
-    """Return a line without a match."""
+    """Return the row of a line without a match."""
     return Row(Innovation.unpredicted(row, verdict, 2, math.inf), np.zeros((0, 3)))
 
 

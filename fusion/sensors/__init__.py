@@ -1,1 +1,1 @@
-"""One file per sensor: its settings (its TOML table), its measurements, and its model in the filter."""
+"""Sensors: one file each, with its settings (its table in robot.toml), its measurements and its filter model."""

@@ -1,7 +1,7 @@
 """Omni-directional camera: the bearing of one red vertical landmark whose place in the map is known.
 
-The paper takes the landmark's column as the robot's orientation, which is right only for a landmark far away.
-Here the bearing is compared with the one predicted from the pose; `bearing = "absolute"` is the printed reading.
+The paper uses the landmark's column as the robot's orientation, which is correct only for a landmark far away.
+Here the measured bearing is compared with the predicted one; `bearing = "absolute"` gives the paper's version.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MIN_CANDIDATE_MARGIN = 9.0  # squared sigmas by which the second-best candidate 
 
 
 class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[camera]: the landmark's place, the calibration of pictures, and the limits of red."""
+    """Settings of [camera] in robot.toml: landmark position, panorama calibration and limits of the colour red."""
 
     landmark: Point | None = None  # m, map frame; without it the camera cannot be used
     centre: Point | None = None  # px, where the mirror's axis meets the picture; not set: its middle
@@ -50,7 +50,7 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
     min_slender: float = 1.5  # length over width
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the numbers are no possible calibration."""
+        """Raise ValueError if a number is not finite or out of its range."""
         super().__post_init__()
         numbers = [v for f in self.__struct_fields__ for v in _numbers(getattr(self, f))]
         if not all(map(math.isfinite, numbers)):
@@ -73,7 +73,7 @@ def _numbers(value: Any) -> tuple[float, ...]:
 
 
 class Camera(Sensor):
-    """Reads CompressedImage (JPEG, PNG) and Image (rgb8, bgr8, rgba8, bgra8)."""
+    """The camera: reads CompressedImage (JPEG, PNG) and Image (rgb8, bgr8, rgba8, bgra8)."""
 
     name = "camera"
     locates = True
@@ -103,7 +103,7 @@ class Camera(Sensor):
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = FIELDS
 
     def missing(self, settings: CameraSettings) -> str | None:
-        """Return why the camera cannot be used with these settings, or None."""
+        """Return the message that camera.landmark is not set, or None."""
         if settings.landmark is not None:
             return None
         return (
@@ -112,13 +112,13 @@ class Camera(Sensor):
         )
 
     def landmark(self, settings: CameraSettings) -> Point | None:
-        """Return where the landmark stands, (x, y) [m, map frame]."""
+        """Return the position of the red landmark, (x, y) [m, map frame]; None if not set."""
         return settings.landmark
 
     def measure(
         self, stream: Stream, settings: CameraSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
-        """Turn pictures into bearings z (m, 1) [rad, camera frame], one row per candidate, the largest first.
+        """Measure bearings z (m, 1) [rad, camera frame] of the red candidates in each picture, largest first.
 
         Pictures of another size than most are not used: their calibration would be another one.
         Raises LocfuseError where no landmark is set.
@@ -129,14 +129,14 @@ class Camera(Sensor):
         return _collect(look(stream, detector(settings)), settings, epoch_ns)
 
     def again(self, before: Measurements, settings: CameraSettings, epoch_ns: int) -> Measurements | None:
-        """Return the result of `measure` without a new detection, after a change of clock, direction or sigma."""
+        """Return the result of `measure` from stored detections; None if the detector's settings changed."""
         seen = before.seen
         if self.missing(settings) or not isinstance(seen, Seen) or not seen.by.looks_like(detector(settings)):
             return None
         return _collect(seen, settings, epoch_ns)
 
     def model(self, settings: CameraSettings) -> Model:
-        """Return the camera's model for a new run."""
+        """Return the filter model of the camera for a new run."""
         missing = self.missing(settings)
         if missing or settings.landmark is None:
             raise LocfuseError(f"camera: {missing}")
@@ -146,7 +146,7 @@ class Camera(Sensor):
 
 
 def detector(settings: CameraSettings) -> Any:
-    """Return the `fusion.camera.detect.Detector` that these settings describe."""
+    """Return the `fusion.camera.detect.Detector` with these settings."""
     from locfuse.fusion.camera.detect import Detector
     from locfuse.fusion.camera.panorama import Red
 
@@ -175,7 +175,7 @@ class Seen(NamedTuple):
 
 
 def look(stream: Stream, by: Any) -> Seen:
-    """Detect in every picture of a stream; pictures of another size than most are left out."""
+    """Detect landmark candidates in all pictures of a stream that have the most frequent size."""
     from locfuse.fusion.camera.detect import Detection, detections
 
     found: list[tuple[int, Detection]] = []
@@ -205,7 +205,7 @@ def _collect(seen: Seen, settings: CameraSettings, epoch_ns: int) -> Measurement
 
     theta, explained, pixels, length, width, _ = seen.candidates.T.copy()
     sigma = math.radians(settings.sigma_deg)
-    # the paper's var(gamma) knows no pixels
+    # the paper's var(gamma) has no term for the pixels
     rest = np.zeros(len(theta)) if settings.bearing == "absolute" else explained
     return Measurements(
         t=(seen.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset,
@@ -215,7 +215,7 @@ def _collect(seen: Seen, settings: CameraSettings, epoch_ns: int) -> Measurement
         scale=sigma,
         floor=np.zeros((1, 1)),
         extra={
-            "rest": rest,  # rad^2, what the pixels explain: not sigma's
+            "rest": rest,  # rad^2, variance by pixel size, on top of sigma^2
             "pixels": pixels,
             "length": length,  # px
             "width": width,  # rad
@@ -234,15 +234,15 @@ class BearingModel(Model):
         self.threshold = chi_square(settings.gate, 1)
 
     def blocks(self) -> list[Block]:
-        """Return the uncertain parts of the camera's mount."""
+        """Return the state block of the camera's mount; empty if the mount is known exactly."""
         return self.mount.blocks()
 
     def notes(self, belief: Any) -> list[str]:
-        """Return the estimated mount of the camera, in words."""
+        """Return a note with the estimated mount of the camera."""
         return self.mount.words(belief)
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Compare the candidates of picture i with the belief: the one inside the gate is the landmark.
+        """Return the innovations of all candidates in picture i; at most one is accepted as the landmark.
 
         Two that fit about equally well are ambiguous, and neither is used.
         """
@@ -255,17 +255,17 @@ class BearingModel(Model):
         if self.mount.free:
             columns, H_block = self.mount.columns(belief), self.mount.rows((by_mount,))
         # the bearing is not linear in the position: second-order variance (sigma_position / distance)^4
-        bend = belief.variance((H[0], H[1], 0.0))
+        bearing_variance = belief.variance((H[0], H[1], 0.0))
         z, variances = m.scalars
         judged = []
         for row in range(first, last):
-            y, R = wrap(z[row] - bearing), ((variances[row] + bend * bend,),)
+            y, R = wrap(z[row] - bearing), ((variances[row] + bearing_variance * bearing_variance,),)
             judged.append(belief.compare(row, (y,), (H,), R, self.threshold, columns, H_block))
         return choose(judged)
 
 
 class OrientationModel(Model):
-    """The paper's camera: gamma = direction of the landmark at the start - bearing observes theta, H = [0 0 1].
+    """The paper's camera model: z is the robot's heading theta, H = [0 0 1].
 
     The start is the belief at the first picture. The largest candidate is the landmark.
     """
@@ -277,7 +277,7 @@ class OrientationModel(Model):
         self.direction: float | None = None  # rad, map frame
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Compare the orientation by the largest candidate of picture i with the belief."""
+        """Return the innovation of the heading computed from the largest candidate of picture i."""
         if self.direction is None:
             self.direction = math.atan2(self.landmark[1] - belief.y, self.landmark[0] - belief.x)
         row = m.plain["first"][i]
@@ -289,9 +289,10 @@ class OrientationModel(Model):
 
 
 def choose(judged: list[Innovation]) -> list[Innovation]:
-    """Give the candidates of one picture their verdicts, best first; at most one is accepted.
+    """Set the verdict of every candidate of one picture and sort them by NIS; at most one is accepted.
 
-    It is the best, if it is within the gate and no other within it is worse by less than MIN_CANDIDATE_MARGIN.
+    Accepted: the smallest NIS, if it is within the gate and every other NIS within the gate is larger by at least
+    MIN_CANDIDATE_MARGIN.
     """
     by_nis = attrgetter("nis")
     best = min(judged, key=by_nis)

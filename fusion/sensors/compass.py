@@ -1,8 +1,8 @@
-"""Compass: the heading of the robot against the magnetic field, with an offset that is a state.
+"""Compass: the robot's heading from the magnetic field; its constant offset is a state of the filter.
 
 The field's direction in the map is not known to a tenth of a degree, and the module's 0.1° is its resolution,
 not its accuracy (docs/paper.md). So theta = measured heading - offset, and the offset is estimated unless given.
-A field is levelled before its heading is taken where an IMU says that the robot tilts (level.py).
+A magnetometer's field is levelled first if an IMU shows that the robot tilts (level.py).
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ OFFSET = "compass_offset"
 DISTURBED = VERDICTS.index("disturbed")
 H_HEADING = ((0.0, 0.0, 1.0),)
 H_OFFSET = ((1.0,),)
-# What disturbs a field changes its strength (share) about as much as its direction [rad]: beyond this many sigmas,
-# strength says how wrong the heading may be.
+# A disturbance changes the field's strength (relative) about as much as its direction [rad]: a deviation of the
+# strength beyond this many sigmas is added to the heading's noise.
 FIELD_SIGMAS = 3.0
-STUCK_READINGS, STUCK_TURN = 10, math.radians(20.0)  # the same heading this often while the robot turned this far
-SAYS_SO = ("compass", "heading", "yaw", "azimuth", "bearing", "mag")  # topics of bare numbers that are headings
+STUCK_READINGS, STUCK_TURN = 10, math.radians(20.0)  # readings with one heading while the robot turns [rad]
+HEADING_TOPICS = ("compass", "heading", "yaw", "azimuth", "bearing", "mag")  # topics of bare headings
 
 
 class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -75,7 +75,7 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
 
 
 class Compass(Sensor):
-    """Reads magnetometer axes, an IMU's yaw, or a heading number."""
+    """The compass: reads a magnetometer's axes, an IMU's orientation, or a heading as a bare number."""
 
     name = "compass"
     Settings = CompassSettings
@@ -102,10 +102,10 @@ class Compass(Sensor):
         "sensor_msgs/msg/Imu": (*(f"orientation.{axis}" for axis in "xyzw"), "orientation_covariance"),
         **dict.fromkeys(BARE_NUMBERS, ("data",)),
     }
-    named: ClassVar[Mapping[str, tuple[str, ...]]] = dict.fromkeys(BARE_NUMBERS, SAYS_SO)
+    named: ClassVar[Mapping[str, tuple[str, ...]]] = dict.fromkeys(BARE_NUMBERS, HEADING_TOPICS)
 
     def carries(self, stream: Stream) -> bool:
-        """Return whether a topic holds a heading: many IMUs leave their orientation empty."""
+        """Return whether a topic holds headings that change; many IMUs leave their orientation empty."""
         if stream.msgtype != "sensor_msgs/msg/Imu":
             return True
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
@@ -115,12 +115,12 @@ class Compass(Sensor):
     def measure(
         self, stream: Stream, settings: CompassSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
-        """Turn readings into headings z (n, 1) [rad] in the field's frame."""
+        """Measure headings z (n, 1) [rad], in the frame of the magnetic field."""
         fields = self.reads[stream.msgtype]
         up = stream.up if isinstance(stream, LevelledField) else None
         is_field = stream.msgtype.endswith("MagneticField")
         if is_field and not settings.roll_deg and not settings.pitch_deg and up is None:
-            fields = fields[:2]  # a level sensor's third axis says nothing
+            fields = fields[:2]  # a level sensor needs no third axis
         columns = cast("dict[str, Array]", stream.columns(*fields))
         if is_field:
             heading, strength = from_field(columns, settings, up)
@@ -153,11 +153,11 @@ class Compass(Sensor):
         )
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
-        """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by this sensor alone."""
+        """Return times (n,) [s] and compass headings (n,) [rad, unwrapped]; their constant offset is unknown."""
         return m.t, np.unwrap(m.z[:, 0])
 
     def reversal(self, settings: CompassSettings, msgtype: str) -> Reversal:
-        """Return the opposite convention; for a magnetometer, that it is upside-down."""
+        """Return why headings turn opposite to the wheels: the convention, or an upside-down magnetometer."""
         if msgtype.endswith("MagneticField"):
             return super().reversal(settings, msgtype)
         frame, unit = settings.convention.split("_")
@@ -165,16 +165,16 @@ class Compass(Sensor):
         return Reversal("its headings grow clockwise", {"convention": f"{other}_{unit}"})
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a key applies to messages of this type: only bare numbers have a convention."""
+        """Return whether a setting applies to a message type: `convention` applies to bare numbers only."""
         return key != "convention" or msgtype.startswith("std_msgs/")
 
     def model(self, settings: CompassSettings) -> CompassModel:
-        """Return the compass' model for a new run."""
+        """Return the filter model of the compass for a new run."""
         return CompassModel(settings)
 
 
 class CompassModel(Model):
-    """z = theta + offset + noise; H = [0 0 1 | 1]."""
+    """z = theta + offset + noise; H = [0 0 1 | 1]: by the pose (x, y, theta) and the offset."""
 
     def __init__(self, settings: CompassSettings) -> None:
         self.settings = settings
@@ -184,7 +184,7 @@ class CompassModel(Model):
         self.threshold = chi_square(settings.gate, 1)
 
     def blocks(self) -> list[Block]:
-        """Return the offset as a state unless it is known exactly; if not given, it is uniform over a turn."""
+        """Return the state block of the heading offset; empty if the offset is known exactly."""
         if self.given:
             return []
         drift = math.radians(self.settings.offset_drift_deg) ** 2
@@ -193,7 +193,7 @@ class CompassModel(Model):
         return [Block(OFFSET, np.array([self.offset]), np.array([[variance]]), np.array([drift]))]
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Compare one heading with the belief; a field of the wrong strength is not a heading."""
+        """Return the innovation of heading i; its verdict is "disturbed" if the field's strength is unusual."""
         z, variances = m.scalars
         offset, columns, H_block = self.offset, NO_COLUMNS, NO_BLOCK
         if not self.given:
@@ -222,9 +222,9 @@ def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> 
 def from_field(
     columns: dict[str, Array], settings: CompassSettings, up: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return the headings theta = phi_B - atan2(m_y, m_x) of a magnetic field, and its strength, (n,) each.
+    """Return headings (n,) [rad] from a magnetometer's field, and the strengths (n,) of its horizontal part.
 
-    The robot's iron, which turns with it, is taken out. `up` (n, 3), in the base's axes, levels the field.
+    theta = phi_B - atan2(m_y, m_x), corrected for iron on the robot; `up` (n, 3), base frame, levels the field.
     """
     x, y = columns["magnetic_field.x"], columns["magnetic_field.y"]
     m = np.column_stack((x, y, columns.get("magnetic_field.z", np.zeros_like(x))))
@@ -237,7 +237,7 @@ def from_field(
 def from_imu(
     columns: dict[str, Array], settings: CompassSettings, topic: str, refuse: bool = True
 ) -> tuple[Array, Array]:
-    """Yaw of the base by an IMU's orientation; a first covariance element of -1 means no orientation."""
+    """Return yaws (n,) [rad] of the base from an IMU's orientation, NaN without orientation; and ones (n,)."""
     q = np.column_stack([columns[f"orientation.{a}"] for a in "xyzw"])
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ((q**2).sum(axis=1) < 0.25)
     if refuse and len(q) and none.all():
@@ -251,7 +251,7 @@ def from_imu(
 
 
 def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
-    """Heading from a bare number, by the configured convention."""
+    """Return headings (n,) [rad] from bare numbers in the configured convention and unit; and ones (n,)."""
     value = columns["data"].astype(np.float64)
     value[~np.isfinite(value)] = np.nan
     convention: str = settings.convention

@@ -1,4 +1,4 @@
-"""GPS: positions on the earth, tied to the map by a place and a direction, which are states if not given.
+"""GPS: positions in east and north; offset and rotation from the map frame are states unless configured.
 
 With R = [[cos e, sin e], [-sin e, cos e]], e the direction of east in the map, the fix of an antenna at p is
 
@@ -42,8 +42,8 @@ from .points import detector_at
 
 FRAME = "_gps_frame"
 FIRST_FIX_SIGMA_M = 100.0  # m: how far the first fix may be from where the robot was
-MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # from here on the direction of east is a state of its own
-UNIT_LENGTH_SIGMA = 1e-4  # how well a^2 + b^2 = 1 is said
+MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # 1 sigma, below which the direction of east becomes one angle
+UNIT_LENGTH_SIGMA = 1e-4  # standard deviation of the constraint |(a, b)| = 1
 OF_GPSD = ("gps_common/msg/GPSFix", "gps_msgs/msg/GPSFix")  # drivers publish the same fixes as NavSatFix
 MIN_SIGMA_M = 1e-3  # m, of a standard deviation
 
@@ -62,7 +62,7 @@ class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class Gps(Sensor):
-    """Reads NavSatFix, GPSFix and Foxglove's LocationFix."""
+    """The GPS receiver: reads NavSatFix, GPSFix and Foxglove's LocationFix."""
 
     name = "gps"
     locates = True
@@ -89,7 +89,7 @@ class Gps(Sensor):
     }
 
     def measure(self, stream: Stream, settings: GpsSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Turn fixes into z (n, 2) metres east and north of the origin, or of the first fix."""
+        """Measure positions z (n, 2) [m]: east and north of the configured origin, else of the first fix."""
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
         where = np.column_stack((columns["latitude"], columns["longitude"])).astype(np.float64)
         dropped = dict(stream.dropped)
@@ -114,16 +114,16 @@ class Gps(Sensor):
         )
 
     def brings_covariance(self, m: Measurements) -> bool:
-        """Return whether the receiver gives the covariance of its fixes: then `sigma` changes nothing."""
+        """Return whether the receiver reports covariances, which replace the setting `sigma`."""
         return bool((m.R_unit != np.eye(2)).any())
 
     def model(self, settings: GpsSettings) -> Model:
-        """Return the GPS' model for a new run."""
+        """Return the filter model of the GPS receiver for a new run."""
         return GpsModel(settings)
 
 
 def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDArray[np.bool_]:
-    """Return which messages (n,) hold a fix; count the others."""
+    """Return which messages (n,) hold a valid fix; count the others in `dropped` by reason."""
     finite = plausible(where).all(axis=1)
     fixed = finite if status is None else finite & (np.asarray(status) >= 0)
     real: NDArray[np.bool_] = fixed & (np.abs(where[:, 0]) <= 90.0) & (where != 0.0).any(axis=1)
@@ -132,8 +132,8 @@ def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDAr
 
 
 def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
-    """Return the covariance of (east, north), (n, 2, 2): the receiver's if it gives one, else sigma^2."""
-    matrix = _nine(columns["position_covariance"])
+    """Return covariances of (east, north), (n, 2, 2) [m^2]: the receiver's if valid, else sigma^2 I."""
+    matrix = _flat_covariances(columns["position_covariance"])
     own = matrix[:, [0, 1, 3, 4]].reshape(-1, 2, 2)
     known = np.asarray(columns["position_covariance_type"]) > 0
     known &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
@@ -141,8 +141,8 @@ def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
     return np.where(known[:, None, None], 0.5 * (own + own.transpose(0, 2, 1)), sigma**2 * np.eye(2))
 
 
-def _nine(column: Array | Ragged) -> Array:
-    """Return covariances as (n, 9); one of another length, possible in JSON, becomes zeros."""
+def _flat_covariances(column: Array | Ragged) -> Array:
+    """Return 3 x 3 covariances as (n, 9); one of another length (possible in JSON) becomes zeros."""
     if isinstance(column, np.ndarray):
         return column.astype(np.float64).reshape(-1, 9)
     whole = column.lengths == 9
@@ -154,7 +154,7 @@ def _nine(column: Array | Ragged) -> Array:
 def fix(
     pose: se2.Plain, lever: tuple[float, float], reference: tuple[float, float], tie: Tie, known: bool
 ) -> tuple[tuple[float, float], PoseRows, Matrix]:
-    """Return the fix (east, north) [m] of an antenna, and its derivatives by pose (2, 3) and tie (2, 4).
+    """Return the antenna's (east, north) [m], and derivatives by pose (2, 3) and by the four tie states (2, 4).
 
     (east, north) = R (p - p_ref) + (c, d), with p = (x, y) + R(theta) lever and `reference` p_ref, both [m, map].
     The tie is (cos e, sin e, c, d), in which the fix is linear, or (e, 1, c, d) where the direction e is `known`.
@@ -174,7 +174,7 @@ def fix(
 
 
 class GpsModel(Model):
-    """(east, north) = R(e) (p - p_ref) + (c, d) + noise.
+    """(east, north) = R(e) (p - p_ref) + (c, d) + noise: antenna p, direction e of east in the map.
 
     Four states: a, b, c, d; once the direction is known e, |(a, b)|, c, d.
     """
@@ -183,13 +183,13 @@ class GpsModel(Model):
         self.settings = settings
         self.threshold = chi_square(settings.gate, 2)
         self.lever = (settings.x, settings.y)
-        self.known = settings.east_deg is not None  # whether the direction of east is a state of its own
+        self.known = settings.east_deg is not None  # whether the first state is the angle e, not cos e
         self.tie = (math.radians(settings.east_deg or 0.0), 1.0, 0.0, 0.0)  # at the start
         self.fixed = self.known and settings.origin is not None
         self.reference: tuple[float, float] | None = (0.0, 0.0) if settings.origin is not None else None
 
     def blocks(self) -> list[Block]:
-        """Return the tie between map and earth as states, unless place and direction are given."""
+        """Return the states of the transform from map to earth; empty if origin and east direction are given."""
         if self.fixed:
             return []
         place = 0.0 if self.settings.origin is not None else FIRST_FIX_SIGMA_M**2
@@ -199,7 +199,7 @@ class GpsModel(Model):
         return [Block(FRAME, x, np.diag([direction, direction, place, place]), np.zeros(4))]
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare one fix with the belief."""
+        """Return the innovation of fix i, (east, north) [m]."""
         pose = belief.pose()
         if self.reference is None:
             self.reference = detector_at(pose, (*self.lever, 0.0))
@@ -215,7 +215,7 @@ class GpsModel(Model):
         return [belief.compare(i, y, H, R, self.threshold, columns, H_block if columns else NO_BLOCK)]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Make the direction of east a state of its own once it is known well enough."""
+        """Replace the states (cos e, sin e) by the angle e when its standard deviation is below 10 degrees."""
         if self.known:
             return
         first = belief.column(FRAME)
@@ -232,7 +232,7 @@ class GpsModel(Model):
         self.known = True
 
     def notes(self, belief: Any) -> list[str]:
-        """Return the estimated direction of east, in words."""
+        """Return a note with the estimated direction of east and its standard deviation."""
         if self.fixed or self.settings.east_deg is not None:
             return []
         if not self.known:

@@ -1,19 +1,18 @@
-"""Gyro: how far the robot turned between two instants, with a bias that is a state.
+"""Gyro: the robot's turn between two readings; its bias is a state of the filter.
 
-A gyro says nothing about a heading, only about its change. So the filter keeps a copy of the heading as it was at
-the gyro's last reading (a "clone", Roumeliotis and Burdick 2002), and the reading is
+A gyro measures only the change of the heading. So the filter keeps a copy of the heading at the gyro's previous
+reading (a "clone", Roumeliotis and Burdick 2002), and the measurement is
 
     z = theta - theta_before + bias dt + noise,    H = [0 0 1 | -1 dt]
 
-The copy carries its correlation with everything, so what other sensors corrected in between is neither lost nor
-counted twice, and the wheels' noise of just this interval decides how much the gyro is believed: between two
-readings var(theta - theta_before) is what the wheels' turn may be wrong by. With nothing in between this is the
-gain K = Q_theta / (Q_theta + r) on the difference of both turns.
+The copy is correlated with all other states, so corrections by other sensors in between are counted exactly once.
+The gain depends on the wheels' noise in this interval, var(theta - theta_before) = Q_theta: without other sensors
+it is K = Q_theta / (Q_theta + r).
 
-The bias is taken at rest: the longest stretch in which the wheels stand still says bias = turn / time with the
-variance sigma^2 / time, and the filter begins with that. Were it estimated only when the robot first stands still,
-the heading of the whole drive before would be corrected in one step: by tens of degrees after a minute with a
-bias of 1 deg/s, where no derivative holds, and the place with it by metres. That stretch's readings are used up.
+The bias is measured in the longest standstill, bias = turn / time with variance sigma^2 / time, and used from the
+start of the drive. Estimated only when the robot stops, it would correct the heading of the whole drive before in
+one step (tens of degrees after a minute at 1 deg/s), where the linearisation fails. The gyro's readings in that
+standstill are not used again.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, 
 from locfuse.fusion.streams import count_dropped, last_of_periods, summed
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # over a whole rest: encoders tremble by a tick
-WILD_SIGMAS = 4.0  # prior sigmas by which a bias at rest is none: somebody turned the robot by hand
+MAX_BIAS_SIGMAS = 4.0  # prior sigmas of a bias at rest; a larger one is a robot turned by hand
 REPEATED = VERDICTS.index("repeated")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 H_BEFORE: Matrix = ((-1.0,),)
-MIN_TURN_RAD = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
-MIN_TURN_CORRELATION = 0.8  # from here on gyro and wheels speak of the same turning
-SAYS_SO = ("gyro", "yaw_rate", "yawrate", "turn_rate", "angular_velocity")  # topics of bare turning rates
+MIN_TURN_RAD = math.radians(20.0)  # rms of the wheels' turns about their mean, needed to judge the gyro
+MIN_TURN_CORRELATION = 0.8  # of gyro and wheels: below it, the ratio of their turns is not judged
+RATE_TOPICS = ("gyro", "yaw_rate", "yawrate", "turn_rate", "angular_velocity")  # topics of bare turning rates
 WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
 
 
@@ -61,7 +60,7 @@ class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Gyro(Sensor):
-    """Reads an IMU's angular velocity, or a turning rate that is a bare number."""
+    """The gyro: reads an IMU's angular velocity, or a turning rate as a bare number."""
 
     name = "gyro"
     Settings = GyroSettings
@@ -79,10 +78,10 @@ class Gyro(Sensor):
         "sensor_msgs/msg/Imu": (*(f"angular_velocity.{axis}" for axis in "xyz"), "angular_velocity_covariance"),
         **dict.fromkeys(BARE_NUMBERS, ("data",)),
     }
-    named: ClassVar[Mapping[str, tuple[str, ...]]] = dict.fromkeys(BARE_NUMBERS, SAYS_SO)
+    named: ClassVar[Mapping[str, tuple[str, ...]]] = dict.fromkeys(BARE_NUMBERS, RATE_TOPICS)
 
     def carries(self, stream: Stream) -> bool:
-        """Return whether a topic holds an angular velocity."""
+        """Return whether a topic holds angular velocities that are not all zero."""
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
         try:
             up_rate(columns, GyroSettings(), stream.topic)
@@ -91,9 +90,9 @@ class Gyro(Sensor):
         return True
 
     def measure(self, stream: Stream, settings: GyroSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Integrate rates to angles z (n, 1) [rad] since the first reading, one row every `period`.
+        """Integrate turning rates to angles z (n, 1) [rad] since the first reading, one row for each `period`.
 
-        Raises LocfuseError where there is no angular velocity, or where it and the wheels cannot both be right.
+        Raises LocfuseError without angular velocity, or if it contradicts the wheels.
         """
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
         rate = up_rate(columns, settings, stream.topic)
@@ -104,7 +103,7 @@ class Gyro(Sensor):
         t, rate = t[good], rate[good]
         angle, piece = summed(t, rate)
         keep = last_of_periods(t, settings.period)
-        _check_against(t[keep], angle[keep], piece[keep], wheels, stream.topic, settings)
+        _check_against(t[keep], angle[keep], piece[keep], wheels, stream.topic)
         n = len(keep)
         return Measurements(
             t=t[keep],
@@ -121,16 +120,16 @@ class Gyro(Sensor):
         )
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
-        """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant and a drift] by the gyro alone."""
+        """Return times (n,) [s] and gyro headings (n,) [rad, unwrapped]; constant and drift are unknown."""
         return m.t, m.z[:, 0]
 
     def model(self, settings: GyroSettings) -> Model:
-        """Return the gyro's model for a new run."""
+        """Return the filter model of the gyro for a new run."""
         return GyroModel(settings)
 
 
 class Rest(NamedTuple):
-    """An interval in which the wheels stood still: all that the gyro turned in it is its bias."""
+    """An interval without wheel motion: the gyro's turn in it, divided by its length, is the gyro's bias."""
 
     begin: float  # s
     end: float
@@ -138,7 +137,7 @@ class Rest(NamedTuple):
 
 
 class GyroModel(Model):
-    """z_i - z_before = theta - theta_before + bias dt + noise."""
+    """Turn since the reading before: z_i - z_before = theta - theta_before + bias dt + noise."""
 
     local = True  # both headings are of one frame
 
@@ -146,11 +145,11 @@ class GyroModel(Model):
         self.settings = settings
         self.threshold = chi_square(settings.gate, 1)
         self.given = None if settings.bias_deg is None else math.radians(settings.bias_deg)
-        self._last: int | None = None  # reading whose heading is kept
-        self.rest: Rest | None = None  # that gave the bias
+        self._last: int | None = None  # reading at which the heading was cloned
+        self.rest: Rest | None = None  # by which the bias was set
 
     def blocks(self) -> list[Block]:
-        """Return the cloned heading, and the bias if it is not given."""
+        """Return the state blocks: heading at the previous reading and, unless it is given, gyro bias."""
         before = Block(BEFORE, np.zeros(1), np.zeros((1, 1)), np.zeros(1))
         if self.given is not None:
             return [before]
@@ -159,14 +158,14 @@ class GyroModel(Model):
         return [before, Block(BIAS, np.zeros(1), np.array([[variance]]), np.array([drift]))]
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the turn since the last reading with the belief; the first reading only initialises."""
+        """Return the innovation of the gyro's turn since the reading before; [] at the first reading."""
         last, columns_of = self._last, m.plain
         if last is None or columns_of["piece"][i] != columns_of["piece"][last]:
             return []
         t, angle = columns_of["t"], m.scalars[0]
         before, now = t[last], t[i]
         if self.rest is not None and self.rest.begin <= before and now <= self.rest.end:
-            return [Innovation.unpredicted(i, REPEATED, 1, self.threshold)]  # used up: it gave the bias
+            return [Innovation.unpredicted(i, REPEATED, 1, self.threshold)]  # already used for the bias
         dt, turned = now - before, angle[i] - angle[last]
         column = belief.column(BEFORE)
         columns: tuple[int, ...] = (column,)
@@ -176,11 +175,11 @@ class GyroModel(Model):
             columns, H_block, bias = (column, at), ((-1.0, dt),), belief.value(at)
         y = turned - bias * dt - (belief.theta - belief.value(column))
         by_scale = self.settings.sigma_scale * turned
-        r = m.scale * m.scale * dt + by_scale * by_scale  # of a damaged rate inf: refused
+        r = m.scale * m.scale * dt + by_scale * by_scale  # inf for a damaged rate: rejected
         return [belief.compare(i, (y,), H_TURN, ((r,),), self.threshold, columns, H_block)]
 
     def _begin(self, m: Measurements, i: int, belief: Any) -> None:
-        """Measure the bias at rest, with the first reading; until then it drifts."""
+        """Set the bias to that measured during a standstill; called once, at the first reading."""
         if "rest_begin" not in m.extra or self.given is not None:
             return
         self.rest = Rest(*(float(m.extra[f"rest_{name}"][0]) for name in Rest._fields))
@@ -192,7 +191,7 @@ class GyroModel(Model):
         belief.know((y,), ((r,),), (at,), ((1.0,),))
 
     def notes(self, belief: Any) -> list[str]:
-        """Return the source of the bias, in words."""
+        """Return a note with the bias measured during a standstill and the time of that standstill."""
         if self.rest is None:
             return []
         span = self.rest.end - self.rest.begin
@@ -200,7 +199,7 @@ class GyroModel(Model):
         return [f"bias at rest: {rate:.3f}°/s over {span:.1f} s, from {max(self.rest.begin, 0.0):.1f} s on"]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Copy the present heading into the cloned state, from which the next turn is measured."""
+        """Copy the present heading into the state "heading at the reading before"."""
         if self._last is None:
             self._begin(m, i, belief)
         belief.clone_heading(belief.column(BEFORE))
@@ -208,7 +207,7 @@ class GyroModel(Model):
 
 
 def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Array:
-    """Turning rate about the robot's vertical axis (n,) [rad/s]: the mount's row for up times the rates."""
+    """Return the turning rates (n,) [rad/s] about the robot's vertical axis."""
     if "data" in columns:  # a bare number is the rate itself
         bare = np.asarray(columns["data"], dtype=np.float64)
         return np.radians(bare) if settings.unit == "deg" else bare
@@ -227,9 +226,9 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
 
 
 def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings: GyroSettings) -> dict[str, Array]:
-    """Return columns (n,) of rests and the gyro's turn in them; none without a rest.
+    """Return the standstill that shows the gyro's bias best, as constant columns (n,); {} without a standstill.
 
-    Of several rests the one that says most of the bias: sigma^2 / time, and what the bias drifts until there.
+    It has the smallest variance of the bias at the drive's start: sigma^2 / time + bias_drift^2 * delay.
     """
     if len(t) < 2:
         return {}
@@ -240,7 +239,7 @@ def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings:
     for a, b in rests(where, piece):
         span, turned = float(t[b] - t[a]), float(angle[b] - angle[a] - (where[b, 2] - where[a, 2]))
         variance = sigma**2 / span + drift**2 * (0.5 * float(t[a] + t[b]) - float(t[0]))
-        if variance < least and abs(turned / span) < WILD_SIGMAS * math.hypot(prior, math.sqrt(variance)):
+        if variance < least and abs(turned / span) < MAX_BIAS_SIGMAS * math.hypot(prior, math.sqrt(variance)):
             least, best = variance, Rest(float(t[a]), float(t[b]), turned)
     if best is None:
         return {}
@@ -248,7 +247,7 @@ def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings:
 
 
 def rests(where: Array, piece: Ints) -> Iterator[tuple[int, int]]:
-    """Yield first and last reading of every rest: poses (n, 3) by the wheels that do not change."""
+    """Yield (first, last) reading of every standstill, where the wheels' poses (n, 3) do not change."""
     poses, a = where.tolist(), 0
     for i, (x, y, theta) in enumerate(poses):
         x0, y0, theta0 = poses[a]
@@ -261,10 +260,8 @@ def rests(where: Array, piece: Ints) -> Iterator[tuple[int, int]]:
         yield a, len(poses) - 1
 
 
-def _check_against(
-    t: Array, angle: Array, piece: Ints, wheels: WheelMotion, topic: str, settings: GyroSettings
-) -> None:
-    """Raise LocfuseError if the gyro's turns have the wrong sign or unit, compared with the wheels."""
+def _check_against(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, topic: str) -> None:
+    """Raise LocfuseError if the gyro's turns have another sign or unit than the wheels' turns."""
     if len(t) < 20:
         return
     own = np.diff(angle)[np.diff(piece) == 0]

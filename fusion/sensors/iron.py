@@ -1,8 +1,8 @@
-"""Hard and soft iron of a magnetometer, from any drive with one full turn: no pose, no truth.
+"""Hard and soft iron of a magnetometer: an ellipse fit to the field readings of one full turn of the robot.
 
 In a uniform field the two axes trace a circle about zero. Magnets on the robot move its centre (hard iron), steel
 makes it an ellipse (soft iron). The fit finds the centre c and the symmetric matrix A for which |A (m - c)| = 1;
-a turn of the axes cannot be seen this way, and is part of the compass offset.
+a rotation of the axes is not observable; it is part of the compass offset.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MAX_ELLIPSE_SCATTER = 0.2  # relative scatter above which the readings lie on no
 
 
 class Iron(msgspec.Struct, frozen=True):
-    """The correction from field readings to headings: heading of soft (m - hard)."""
+    """Calibration of a magnetometer: the heading is the direction of soft (m - hard) for a field reading m."""
 
     hard: Array  # (2,) in the unit of the message
     soft: Array  # (2, 2) symmetric, determinant 1
@@ -38,15 +38,9 @@ class Iron(msgspec.Struct, frozen=True):
     gap_deg: float  # largest part of the circle without a reading
     readings: int
 
-    def headings(self, field: Array) -> Array:
-        """Return atan2 of the corrected field (n, 2), (n,) rad."""
-        corrected = (field - self.hard) @ self.soft.T
-        angles: Array = np.arctan2(corrected[:, 1], corrected[:, 0])
-        return angles
-
 
 def fit_iron(field: Array) -> Iron:
-    """Fit an ellipse to field readings (n, 2). Raises LocfuseError if they show too little of one."""
+    """Fit an ellipse to field readings (n, 2). Raises LocfuseError if they cover too little of a turn."""
     field = field[plausible(field)]
     if len(field) < MIN_READINGS:
         raise LocfuseError(f"{len(field)} field readings; at least {MIN_READINGS} are needed", role="compass")
@@ -66,7 +60,7 @@ def fit_iron(field: Array) -> Iron:
 
 
 def plausible(field: Array) -> Array:
-    """Return which field readings (n, d) a magnetometer may have made: finite, and of no absurd strength."""
+    """Return which field readings (n, d) are finite and at most MAX_STRENGTH_RATIO times the median strength."""
     with np.errstate(over="ignore", invalid="ignore"):
         strength = np.linalg.norm(field, axis=1)
     finite = np.isfinite(strength)
@@ -76,7 +70,7 @@ def plausible(field: Array) -> Array:
 
 
 def _start(m: Array) -> tuple[Array, Array]:
-    """Return the centre and shape of the algebraic fit a x^2 + b x y + d y^2 + e x + f y = 1 about the mean."""
+    """Return a first guess of centre (2,) and shape (2, 2) of the ellipse, by linear least squares."""
     mean = m.mean(axis=0)
     x, y = (m - mean).T
     if min(np.ptp(x), np.ptp(y)) < 1e-6:
@@ -93,7 +87,7 @@ def _start(m: Array) -> tuple[Array, Array]:
 
 
 def _gauss_newton(m: Array, c: Array, A: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Return the step of (c_x, c_y, A_xx, A_xy, A_yy), the residuals |A (m - c)| - 1 (n,), the unit covariance."""
+    """Return a step of (c_x, c_y, A_xx, A_xy, A_yy), residuals |A (m - c)| - 1 (n,), and (J' W J)^-1 (5, 5)."""
     d = m - c
     v = d @ A
     length = np.hypot(v[:, 0], v[:, 1])
@@ -109,7 +103,7 @@ def _gauss_newton(m: Array, c: Array, A: Array, weights: Array) -> tuple[Array, 
 
 
 def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, spread: Array) -> Iron:
-    """Return the fit in the message's unit. Raises LocfuseError with the reason if it is no fit."""
+    """Return the calibration in the field's unit. Raises LocfuseError if the fit is poor or has a large gap."""
     size = math.sqrt(float(np.linalg.det(A)))
     if scatter > MAX_ELLIPSE_SCATTER:
         raise LocfuseError(
@@ -140,7 +134,7 @@ def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, sprea
 
 
 def _shape_sigma(A: Array, spread: Array) -> Array:
-    """Standard deviations (2, 2) of A over its fixed size, from the covariance of (A_xx, A_xy, A_yy).
+    """Return standard deviations (2, 2) of A / sqrt(det A), from the covariance of (A_xx, A_xy, A_yy), (3, 3).
 
     d(A / size) = (dA - A tr(A^-1 dA) / 2) / size.
     """
@@ -152,7 +146,7 @@ def _shape_sigma(A: Array, spread: Array) -> Array:
 
 
 def iron_error_deg(c: Array, A: Array) -> float:
-    """Return the rms heading error, minus its mean, that iron m = c + A^-1 (cos, sin) causes over a full turn."""
+    """Return the rms heading error [deg] over a full turn, without its mean, by uncorrected iron (c, A)."""
     a = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
     raw = c + np.column_stack((np.cos(a), np.sin(a))) @ np.linalg.inv(A)
     error = wrap_all(np.arctan2(raw[:, 1], raw[:, 0]) - a)

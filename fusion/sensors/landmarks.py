@@ -1,21 +1,20 @@
-"""Landmarks with ids: range and bearing to points (tags, barcodes, reflectors), their map known or to be made.
+"""Landmarks with ids: range and bearing to tags, barcodes or reflectors on a given or an estimated map.
 
 With the detector at s = p + R(theta) m on the robot and the landmark l, d = l - s, a detection is
 
     range = |d| + offset + noise,    bearing = atan2(d_y, d_x) - theta - yaw + noise
 
 (Thrun, Burgard and Fox 2005, 6.6.2). A detector's range is often off by a constant (the tag's face, the lens): the
-offset is a state unless it is given. By a tag's size a camera measures no distance but the depth along its
-axis, |d| cos(b) with b the bearing from that axis. Which of both a file holds is unknown: a share k is a state,
+offset is a state unless it is given. By a tag's size a camera measures the depth along its axis, |d| cos(b) with b
+the bearing from that axis. A file may hold depths or distances: a share k is a state,
 
     range = |d| (1 - k (1 - cos b)) + offset + noise,    k = 0 of a distance, 1 of a depth
 
-with b as it was measured. Some detectors say the bearing only. Every detection also says where its
-landmark stands; ids whose detections place them elsewhere than the map does are named, and two that stand in each
-other's place are called swapped.
+with b as measured. Some detectors measure bearings only. A detection with a range implies a landmark position: ids
+whose implied positions differ from the map are reported, and two ids in each other's position are called swapped.
 
 Where no map is known (`map = "grow"`, or none is set) the landmarks' places are states in the local frame, each
-appended where its first detection says that it is (Thrun, Burgard and Fox 2005, 10.3: EKF SLAM with known
+appended at the position of its first detection (Thrun, Burgard and Fox 2005, 10.3: EKF SLAM with known
 correspondences).
 """
 
@@ -78,7 +77,7 @@ BUNDLE = -(2**62)  # of several tags that are one detection: left out
 
 
 class Fields(NamedTuple):
-    """Where the ids and places are in a message type."""
+    """Names of the message fields that hold ids and positions of detections."""
 
     ids: str
     x: str
@@ -126,7 +125,7 @@ READS: Mapping[str, tuple[str, ...]] = {
 
 
 class Looks(NamedTuple):
-    """The camera's view: focal length and middle of its picture [px], and downward tilt [rad]."""
+    """View of a camera: focal length and image centre, both horizontal [px], and downward tilt [rad]."""
 
     fx: float | None
     cx: float | None
@@ -134,7 +133,7 @@ class Looks(NamedTuple):
 
 
 class Sighted(NamedTuple):
-    """Detections; those of one message follow each other."""
+    """Detections of landmarks, m of them; the detections of one message are consecutive."""
 
     t_ns: Ints  # (m,)
     ids: Ints  # (m,) NO_ID: none that is a number
@@ -143,7 +142,7 @@ class Sighted(NamedTuple):
 
 
 def sighted(stream: Stream, looks: Looks) -> Sighted:
-    """Return the detections of a topic or file. Raises LocfuseError for pixels without a focal length."""
+    """Return the landmark detections of a stream. Raises LocfuseError for pixels without a focal length."""
     if stream.msgtype == DETECTIONS:
         columns = cast("dict[str, Array]", stream.columns(*READS[DETECTIONS]))
         ranges: Array = np.asarray(columns["range"], np.float64)
@@ -175,14 +174,14 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
 
 
 def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], looks: Looks) -> Sighted:
-    """Return range and bearing of places x, y, z (m,) [m] in optical axes."""
+    """Return detections with range and bearing, from positions x, y, z (m,) [m] in optical axes."""
     x, y, z = place
     ahead = z * np.cos(looks.down) - y * np.sin(looks.down)
     return Sighted(t_ns, ids, np.hypot(x, ahead), np.arctan2(-x, ahead))
 
 
 def _ids(column: Any) -> tuple[Ints, Ints]:
-    """Return the message of each detection and its id; of a text like "tag36h11:5" the id is the last number."""
+    """Return the message index and the id of each detection, (m,) each; the id of "tag36h11:5" is 5."""
     if isinstance(column, Ragged):
         rows = np.repeat(np.arange(len(column)), column.lengths)
         return rows, np.asarray(column.values[column.first[0] : column.first[-1]]).astype(np.int64)
@@ -193,7 +192,7 @@ def _ids(column: Any) -> tuple[Ints, Ints]:
 
 
 def _first_ids(ids: Any, counts: Any) -> tuple[Ints, Ints]:
-    """Return the message of each detection and its id, BUNDLE where several tags are one detection."""
+    """Return the message index and the id of each detection, (m,) each; the id of a tag bundle is BUNDLE."""
     n = counts.values[counts.first[0] : counts.first[-1]].astype(np.int64)
     values = ids.values[ids.first[0] : ids.first[-1]].astype(np.int64)
     out = np.where(n == 0, NO_ID, BUNDLE)
@@ -202,7 +201,7 @@ def _first_ids(ids: Any, counts: Any) -> tuple[Ints, Ints]:
 
 
 def _values(column: Any, row: Ints, topic: str) -> Array:
-    """Return numbers, one per detection; `row` (n,) is the message of each of their ids."""
+    """Return one number for each detection (m,). Raises LocfuseError if ids and numbers differ in count."""
     values = np.asarray(column.values[column.first[0] : column.first[-1]], np.float64)
     if not np.array_equal(np.bincount(row, minlength=len(column)), column.lengths):
         raise LocfuseError(
@@ -214,14 +213,14 @@ def _values(column: Any, row: Ints, topic: str) -> Array:
 LEVER = ("x", "y", "yaw")  # of a detection, where several cameras look
 OFFSET, DEPTH = "range_offset", "range_depth"
 SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
-KNOWN_DEPTH, SAID_DEPTH = 0.2, 0.5  # 1 sigma, and value, from which it is said that the ranges are depths
-MAX_WRONG = 20  # notes on them
-WRONG_SIGMAS = 3.0  # of one detection's place: the median of many is much better known than that
-MIN_FIT = 50  # detections that are held against poses
+MAX_DEPTH_SIGMA, MIN_DEPTH = 0.2, 0.5  # limits of k for the note that ranges are depths
+MAX_PLACE_NOTES = 20  # on landmarks that are elsewhere than in the map
+WRONG_SIGMAS = 3.0  # of one detection's position; the median of many is much more exact
+MIN_FIT = 50  # detections needed to judge poses
 
-MIN_SHARE = 0.1  # of a distance that a depth is taken for: a detector looks ahead
+MIN_SHARE = 0.1  # smallest factor from distance to range: a detector looks ahead
 ZEROS = 0.0, 0.0  # derivatives of a bearing by offset and depth
-MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not tell where its landmark stands
+MAX_SIGMA_M = 0.3  # m, of the robot's position: above it, landmark positions are not stored
 
 
 class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -254,7 +253,7 @@ NO_MAP_NOTE = (
 
 
 class Landmarks(Sensor):
-    """Reads detections of landmarks with ids."""
+    """The landmark detector: reads detections of landmarks with ids."""
 
     name = "landmarks"
     locates = True
@@ -284,7 +283,7 @@ class Landmarks(Sensor):
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = READS
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a key applies to messages of this type."""
+        """Return whether a setting applies to a message type: range settings do not apply to pixels."""
         return msgtype not in PIXELS or key not in {
             "sigma_range",
             "range_offset",
@@ -295,7 +294,7 @@ class Landmarks(Sensor):
     def measure(
         self, stream: Stream, settings: LandmarksSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
-        """Turn detections into z (m, 2) bearing [rad] and range [m], or (m, 1); one instant is one reading."""
+        """Measure z (m, 2) = (bearing [rad], range [m]) or (m, 1); detections with one stamp form one reading."""
         seen, camera = _seen(stream, settings)
         if settings.grows and seen.ranges is None:
             raise LocfuseError(
@@ -335,7 +334,7 @@ class Landmarks(Sensor):
         )
 
     def misfit(self, m: Measurements, settings: LandmarksSettings, poses: Array) -> float | None:
-        """Return the scatter [rad] of the bearings about those that the map and the poses (n, 3) give."""
+        """Return the spread [rad] of bearing errors at poses (n, 3); None for an estimated map."""
         if settings.grows:
             return None
         places = settings.places
@@ -350,12 +349,12 @@ class Landmarks(Sensor):
         return float(np.median(np.abs(off))) / MAD if len(off) >= MIN_FIT else None
 
     def model(self, settings: LandmarksSettings) -> Model:
-        """Return the landmarks' model for a new run."""
+        """Return the filter model of the landmarks for a new run."""
         return GrowingModel(settings) if settings.grows else LandmarksModel(settings)
 
 
 def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
-    """Return the detections of all cameras in time order, and the index of each one's camera (m,)."""
+    """Return the detections of all cameras in time order, and the camera index of each (m,)."""
     found = []
     for part in parts_of(stream):
         _, _, _, *down = (*settings.mounts.get(part.topic, (0.0, 0.0, 0.0)), settings.pitch_deg)
@@ -374,7 +373,7 @@ def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
 
 
 def _levers(parts: Sequence[Stream], camera: Ints, settings: LandmarksSettings) -> dict[str, Array]:
-    """Return the camera mount of every detection (m,): x, y [m], yaw [rad]; {} if there is only one camera."""
+    """Return the mount of each detection's camera: x, y [m], yaw [rad], (m,) each; {} for one camera."""
     if len(parts) < 2:
         return {}
     usual = settings.x, settings.y, settings.yaw_deg
@@ -383,14 +382,14 @@ def _levers(parts: Sequence[Stream], camera: Ints, settings: LandmarksSettings) 
 
 
 def mounts_of(m: Measurements, usual: tuple[float, float, float]) -> Array:
-    """Return the mount of the detector of every row, (m, 3): x, y [m], yaw [rad]."""
+    """Return the detector's mount for each row, (m, 3): x, y [m], yaw [rad]; `usual` if there is one detector."""
     if LEVER[0] not in m.extra:
         return np.tile(np.array(usual, np.float64), (len(m.z), 1))
     return np.stack([m.extra[name] for name in LEVER], axis=-1)
 
 
 class Ranging(NamedTuple):
-    """range = |d| (1 - k short) + offset with short = 1 - cos(bearing), by the belief's offset and k."""
+    """Range model |d| (1 - k short) + offset, with short = 1 - cos(bearing) and the estimated offset and k."""
 
     offset: float  # m
     depth: float  # k
@@ -398,41 +397,41 @@ class Ranging(NamedTuple):
     free: tuple[bool, bool]  # whether offset and k are states
 
     def share(self, short: float) -> float:
-        """Return the factor from distance to measured range."""
+        """Return the factor from true distance to measured range, 1 - k short."""
         return max(1.0 - self.depth * short, MIN_SHARE)
 
     def derivative(self, short: float, distance: float) -> tuple[float, ...]:
-        """Return the derivative of a measured range by the landmarks' own states (range offset and scale)."""
+        """Return the derivatives of a range by those of the two states (offset, k) that are estimated."""
         of_offset = (1.0,) if self.free[0] else ()
         return (*of_offset, -short * distance) if self.free[1] else of_offset
 
 
 class LandmarksModel(PointsModel):
-    """Range and bearing from the detector to a landmark at a known place in the map."""
+    """Model of range and bearing from the detector to a landmark at a known position in the map."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
         self.places = settings.places
         self.mount = settings.x, settings.y, math.radians(settings.yaw_deg)
-        self.thresholds = [0.0, *(chi_square(settings.gate, d) for d in (1, 2))]  # by how many numbers are said
+        self.thresholds = [0.0, *(chi_square(settings.gate, d) for d in (1, 2))]  # by size of z
         self.given = settings.range_offset
         self.prior = settings.sigma_range_offset
-        given = settings.file is None or settings.range_depth is not None  # positions, or the settings, say it
+        given = settings.file is None or settings.range_depth is not None  # only a file leaves k open
         self.depth = (settings.range_depth or 0.0) if given else None
         self.sigmas = math.radians(settings.sigma_bearing_deg), settings.sigma_range
         self._seen_at: dict[int, list[tuple[float, float, float]]] = defaultdict(list)  # id -> x, y, sigma [m]
 
     def blocks(self) -> list[Block]:
-        """Return the states of the ranges: their offset, and whether they are depths, if that is not given."""
+        """Return the state blocks of range offset and depth share k, without those that are given."""
         free = {OFFSET: self.prior} if self.given is None else {}
         free |= {DEPTH: SIGMA_DEPTH} if self.depth is None else {}
         return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Compare the detections of one instant with the belief, and store where each places its landmark."""
+        """Return the innovations of reading i; store the landmark positions that its detections imply."""
         found = super().innovations(m, i, belief)
         if not found or m.z.shape[1] == 1:
             return found
-        sigma = math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))  # of its place
+        sigma = math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))  # m
         if sigma <= MAX_SIGMA_M:
             pose, ranging, z = belief.pose(), self._ranging(belief), m.plain["z"]
             for seen in found:
@@ -444,16 +443,16 @@ class LandmarksModel(PointsModel):
     def compared(
         self, m: Measurements, row: int, landmark: int, place: Point, at: tuple[int, ...], belief: Belief
     ) -> Innovation | None:
-        """Compare one detection with a place, whose state columns are `at` if it is a state."""
+        """Return the innovation of one detection; `at` holds the state columns of an estimated position."""
         predicted, ranging = predict(belief.pose(), place, self._mount_of(m, row)), self._ranging(belief)
         if predicted is None:
             return None
         (distance, bearing), (by_range, by_bearing) = predicted
         z, R = m.plain["z"], m.plain["R"]
         # a bearing is not linear in the position: second-order variance (sigma_position / distance)^4
-        bend = belief.variance((by_bearing[0], by_bearing[1], 0.0))
-        off, r = wrap(z[row, 0] - bearing), R[row, 0, 0] + bend * bend
-        # a place moves what is seen as the robot does, the other way
+        bearing_variance = belief.variance((by_bearing[0], by_bearing[1], 0.0))
+        off, r = wrap(z[row, 0] - bearing), R[row, 0, 0] + bearing_variance * bearing_variance
+        # the derivative by the landmark's position is minus that by the robot's
         beside: tuple[float, ...] = (-by_bearing[0], -by_bearing[1]) if at else ()
         if z.shape[1] == 1:
             H_block = (beside,) if at else NO_BLOCK
@@ -474,7 +473,7 @@ class LandmarksModel(PointsModel):
         return seen
 
     def _ranging(self, belief: Belief) -> Ranging:
-        """Return the relation of ranges to distances by the belief."""
+        """Return the range model with the present estimates of offset and depth share."""
         offset, depth, columns = self.given, self.depth, NO_COLUMNS
         if offset is None:
             column = belief.column(OFFSET)
@@ -485,7 +484,7 @@ class LandmarksModel(PointsModel):
         return Ranging(offset, depth, columns, (self.given is None, self.depth is None))
 
     def _mount_of(self, m: Measurements, row: int) -> Row:
-        """Return the detector's mount of a row."""
+        """Return the detector's mount (x [m], y [m], yaw [rad]) for a row."""
         if LEVER[0] not in m.extra:
             return self.mount
         x, y, yaw = (m.plain[name][row] for name in LEVER)
@@ -494,24 +493,24 @@ class LandmarksModel(PointsModel):
     def _note_place(
         self, landmark: int, distance: float, bearing: float, mount: Row, pose: Row, sigma: float
     ) -> None:
-        """Store where a detection places its landmark; `sigma` [m] is that of the robot's own place."""
+        """Store the landmark position that a detection implies; `sigma` [m] is that of the robot's position."""
         (x, y), (c, s) = detector_at(pose, mount), direction(pose[2] + mount[2] + bearing)
         place = x + distance * c, y + distance * s, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
         if math.isfinite(sum(place)):
             self._seen_at[landmark].append(place)
 
     def notes(self, belief: Any) -> list[str]:
-        """Return notes on landmarks that are elsewhere than in the map, and on two that are exchanged."""
+        """Return notes on landmarks seen far from their map position, and on pairs with swapped ids."""
         seen = {key: np.array(rows) for key, rows in self._seen_at.items()}
         return [*self._depth_notes(belief), *wrong_places(self.places, seen)]
 
     def _depth_notes(self, belief: Any) -> list[str]:
-        """Return a note if the ranges were found to be depths."""
+        """Return a note if the ranges are depths along the camera's axis instead of distances."""
         if self.depth is not None:
             return []
         column, now = belief.block(DEPTH)
         share, sigma = float(now[0]), math.sqrt(max(float(belief.covariance[column, column]), 0.0))
-        if sigma > KNOWN_DEPTH or share < SAID_DEPTH:
+        if sigma > MAX_DEPTH_SIGMA or share < MIN_DEPTH:
             return []
         return [
             f"its ranges are depths along its axis, not distances: {share:.2f} of that (1 sigma: {sigma:.2g}; "
@@ -520,22 +519,22 @@ class LandmarksModel(PointsModel):
 
 
 class GrowingModel(GrowingPoints, LandmarksModel):
-    """Range and bearing to landmarks whose places are states, in the local frame."""
+    """Model of range and bearing to landmarks whose positions are states, in the local frame."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
         LandmarksModel.__init__(self, settings)
         GrowingPoints.__init__(self, settings.what, settings.table, self.thresholds[2])
 
     def append(self, m: Measurements, row: int, belief: Any) -> int:
-        """Append the place l = s + r (cos, sin)(theta + yaw + bearing), with r the distance by the range."""
+        """Append l = s + r (cos, sin)(theta + yaw + bearing), a landmark's position, to the state."""
         (angle, distance), mount = m.z[row].tolist(), self._mount_of(m, row)
         ranging, short = self._ranging(belief), 1.0 - math.cos(angle)
         x, y = detector_at(belief.pose(), mount)
         share = ranging.share(short)
         r, (c, s) = (distance - ranging.offset) / share, direction(belief.theta + mount[2] + angle)
-        by_turn = [[belief.y - y - r * s], [x - belief.x + r * c]]  # of the pose: detector and ray turn together
+        by_turn = [[belief.y - y - r * s], [x - belief.x + r * c]]  # by theta: detector and ray turn together
         by_range = np.array([[c], [s]]) / share
-        # what makes the range longer, makes r shorter
+        # r = (range - offset) / share: signs are opposite to those of the range
         by_states = [-v * by_range for v in ranging.derivative(short, r)]
         G = np.hstack((np.eye(2), by_turn, *by_states))
         J = np.hstack(([[-r * s], [r * c]], by_range))
@@ -544,13 +543,13 @@ class GrowingModel(GrowingPoints, LandmarksModel):
         return column
 
     def notes(self, belief: Any) -> list[str]:
-        """Return notes: how many landmarks the map has, and whether the ranges were found to be depths."""
+        """Return notes on the estimated map, on landmarks that move, and on ranges that are depths."""
         made, *moving = self.map_notes("are the ranges in m and the bearings in rad?")
         return [made, *self._depth_notes(belief), *moving]
 
 
 def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> list[str]:
-    """Return in words which landmarks are at other places than in the map, by detections (n, 3).
+    """Return notes on landmarks that the detections (n, 3) place elsewhere than the map does.
 
     A row is x, y and its standard deviation [m]. A landmark is wrong where the median lies further from its entry
     than WRONG_SIGMAS of one detection, and two such are swapped where each lies that near the other's entry.
@@ -577,8 +576,8 @@ def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> l
                 f"id {key} is seen at ({x:.2f}, {y:.2f}) m, {away(key, key):.2f} m from its place in the map "
                 f"({len(seen_at[key])} detections)"
             )
-    left = len(words) - MAX_WRONG
-    return [*words[:MAX_WRONG], f"{left} more notes of this kind"] if left > 0 else words
+    left = len(words) - MAX_PLACE_NOTES
+    return [*words[:MAX_PLACE_NOTES], f"{left} more notes of this kind"] if left > 0 else words
 
 
 def _scatter(rows: Array) -> float:

@@ -1,13 +1,13 @@
-"""Roll and pitch by an IMU, to level a magnetic field before its heading is computed.
+"""Roll and pitch of the robot from an IMU, to project a magnetic field onto the horizontal plane.
 
 The earth's field dips by 60 degrees and more in most places, so that a degree of roll turns a heading by two.
-Which way is up follows from the IMU's orientation where it says one, else from gravity and turning rates by a
+The vertical direction comes from the IMU's orientation if it has one, else from gravity and turning rates by a
 complementary filter (Mahony, Hamel and Pflimlin 2008, without its integral term):
 
     u' = -w x u + (a / |a| - u) / T,    T = 5 s
 
-with u up in the IMU's axes, w the rates less their median, a the accelerations. Robots on a floor stay as they
-are: nothing is levelled unless up moves by more than 3 degrees.
+with u up in the IMU's axes, w the rates less their median, a the accelerations. Nothing is levelled unless up
+moves by more than 3 degrees.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ RATES = tuple(f"angular_velocity.{a}" for a in AXES)
 ACCELERATIONS = tuple(f"linear_acceleration.{a}" for a in AXES)
 READS = (*ORIENTATION, "orientation_covariance", *RATES, "angular_velocity_covariance", *ACCELERATIONS)
 MIN_TILT_RAD = math.radians(3.0)  # by which up moves in a drive that tilts: 5 % of the readings lie beyond it
-MAX_APART_RAD = math.radians(25.0)  # of up from where the mount has it: beyond, the mount is wrong
+MAX_APART_RAD = math.radians(25.0)  # between measured and configured up; above it the mount is wrong
 SETTLING_S = 5.0  # T above: accelerations of the robot that last a second count for a fifth
 STEP_S = 0.02  # readings are averaged over it
 MAX_GRAVITY_DEVIATION = 0.1  # share by which an acceleration may differ from the usual one and count as gravity
-MIN_UP_CHANGE = 1e-9  # an orientation whose up moves by less says nothing of tilt
+MIN_UP_CHANGE = 1e-9  # an orientation whose up moves by less is constant
 MAX_STEP_S = 0.5  # of rates that are integrated: a longer gap begins anew
 
 
 class Tilt(NamedTuple):
-    """The direction of up over time."""
+    """Vertical direction over time, in the base frame."""
 
     t_ns: Ints  # (n,)
     up: Array  # (n, 3) unit vectors in the base's axes
-    words: str  # by what
+    words: str  # source: orientation or gravity, and the topic
 
 
 class LevelledField:
-    """A magnetometer's stream with the direction of up added."""
+    """A magnetometer's stream with the vertical direction `up` (n, 3) for each reading."""
 
     def __init__(self, stream: Stream, tilt: Tilt) -> None:
         self.topic, self.msgtype, self.frame_id = stream.topic, stream.msgtype, stream.frame_id
@@ -56,23 +56,23 @@ class LevelledField:
         t, at = (self.t_ns - zero) * 1e-9, (tilt.t_ns - zero) * 1e-9
         up = np.stack([np.interp(t, at, column) for column in tilt.up.T], axis=-1)
         self.up: Array = up / np.linalg.norm(up, axis=1, keepdims=True)  # (n, 3) in the base's axes
-        degrees = math.degrees(float(np.quantile(_from(self.up, np.array([0.0, 0.0, 1.0])), 0.95)))
+        degrees = math.degrees(float(np.quantile(_angles_to(self.up, np.array([0.0, 0.0, 1.0])), 0.95)))
         self.note = f"the robot tilts by up to {degrees:.0f}° by {tilt.words}: the field is levelled by that"
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return the columns of the stream."""
+        """Return columns of the magnetometer's stream, by field name."""
         return self._stream.columns(*fields)
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield the blocks of the stream."""
+        """Yield the magnetometer's readings in blocks."""
         yield from self._stream.blocks(*fields, rows=rows)
 
 
 def tilt_of(stream: Stream, R: Array) -> Tilt | None:
-    """Return the direction of up by an IMU whose axes R (3, 3) turns into the base's; None on a level floor.
+    """Return the vertical direction in the base frame from an IMU with rotation R (3, 3); None on a level floor.
 
-    None too where the IMU says neither orientation nor gravity and rates, and where up is elsewhere than the mount
-    has it: `locfuse info` says so then.
+    None too without orientation, gravity and rates, and if up contradicts the configured mount (reported by
+    `locfuse info`).
     """
     columns = cast("dict[str, Array]", stream.columns(*READS))
     up, words = by_orientation(columns), "the orientation"
@@ -89,14 +89,14 @@ def tilt_of(stream: Stream, R: Array) -> Tilt | None:
         up, middle = -up, -middle
     vertical = np.array([0.0, 0.0, 1.0])
     size = float(np.linalg.norm(middle))
-    if size < 0.5 or _from(middle[None] / size, vertical)[0] > MAX_APART_RAD:
+    if size < 0.5 or _angles_to(middle[None] / size, vertical)[0] > MAX_APART_RAD:
         return None
-    moves = float(np.quantile(_from(up, middle / size), 0.95))
+    moves = float(np.quantile(_angles_to(up, middle / size), 0.95))
     return Tilt(t_ns, up, f"{words} of {stream.topic}") if moves > MIN_TILT_RAD else None
 
 
 def levelled(m: Array, up: Array) -> tuple[Array, Array]:
-    """Return the horizontal parts (n,) of fields (n, 3) in the base's axes: ahead and to the left.
+    """Return the horizontal components (n,), forward and left, of fields (n, 3) given in the base frame.
 
     Ahead is the base's x axis seen from above: heading is then yaw, whatever roll and pitch are.
     """
@@ -107,7 +107,7 @@ def levelled(m: Array, up: Array) -> tuple[Array, Array]:
 
 
 def by_orientation(columns: dict[str, Array]) -> Array | None:
-    """Return up in the IMU's axes (n, 3), NaN without orientation; None if the topic never has one."""
+    """Return up (n, 3) in the IMU frame by its orientation, NaN where missing; None if it never changes."""
     q = np.stack([columns[name] for name in ORIENTATION], axis=-1).astype(np.float64)
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ~((q**2).sum(axis=1) >= 0.25)
     if none.all():
@@ -118,7 +118,7 @@ def by_orientation(columns: dict[str, Array]) -> Array | None:
 
 
 def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
-    """Return up in the IMU's axes (n, 3) by accelerations and turning rates; None without either."""
+    """Return up (n, 3) in the IMU frame from accelerations and turning rates; None if either is missing."""
     a, w = (
         np.stack([columns[name] for name in names], axis=-1).astype(np.float64) for names in (ACCELERATIONS, RATES)
     )
@@ -140,7 +140,7 @@ def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
 
 
 def _bias(a: Array, w: Array) -> Array:
-    """Return the bias of the rates (3,) about horizontal axes: on average a wheeled robot does not tilt."""
+    """Return the bias (3,) [rad/s] of the turning rates about horizontal axes, where the mean rate is zero."""
     up = np.median(a, axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     bias = np.median(w, axis=0)
@@ -148,7 +148,7 @@ def _bias(a: Array, w: Array) -> Array:
 
 
 def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
-    """Return up (n, 3) by a complementary filter; accelerations of unusual strength are not used."""
+    """Return up (n, 3) by a complementary filter; accelerations far from gravity's strength are not used."""
     x, y, z = (float(v) for v in np.median(a[t < t[0] + MAX_STEP_S], axis=0) / usual)
     found = []
     before = float(t[0])
@@ -156,12 +156,12 @@ def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
         dt = now - before
         before = now
         size = math.sqrt(ax * ax + ay * ay + az * az)
-        counts = abs(size / usual - 1.0) < MAX_GRAVITY_DEVIATION
-        if dt > MAX_STEP_S and counts:
+        is_gravity = abs(size / usual - 1.0) < MAX_GRAVITY_DEVIATION
+        if dt > MAX_STEP_S and is_gravity:
             x, y, z = ax, ay, az
         else:
             x, y, z = x - (wy * z - wz * y) * dt, y - (wz * x - wx * z) * dt, z - (wx * y - wy * x) * dt
-            if counts:
+            if is_gravity:
                 share = dt / (SETTLING_S + dt)
                 x, y, z = x + share * (ax / size - x), y + share * (ay / size - y), z + share * (az / size - z)
         length = math.sqrt(x * x + y * y + z * z) or 1.0
@@ -170,7 +170,7 @@ def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
     return np.array(found)
 
 
-def _from(up: Array, middle: Array) -> Array:
+def _angles_to(up: Array, middle: Array) -> Array:
     """Return the angles (n,) [rad] between unit vectors (n, 3) and one unit vector (3,)."""
     found: Array = np.arctan2(np.linalg.norm(np.cross(up, middle), axis=1), up @ middle)
     return found

@@ -1,4 +1,4 @@
-"""Laser range finder: scans become lines (r, psi) in the base frame, which are matched with a line map.
+"""Laser range finder: lines (r, psi) of its scans in the base frame, which are matched with a line map.
 
 The paper freezes the map of its first scan (eq. 14). Here that is one mode of four: `first-scan` (frozen),
 `consider` (its covariance counts, Schmidt-Kalman), `refine` (its lines are states), `grow` (new lines join).
@@ -33,13 +33,13 @@ from locfuse.fusion.map.tracker import AtlasTracker
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
 
-TELL_MOUNT = ("refine", "grow")  # maps whose lines are states: with them a drive tells where its laser sits
-CURVED_SHARE = 0.05  # of all walls: more curved ones than this are said
+ESTIMATING_MAPS = ("refine", "grow")  # maps whose lines are states: the mount can be estimated too
+MAX_CURVED_SHARE = 0.05  # of all walls; a larger share gives a note
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
 
 
 class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[lrf]: the laser's mount, its noise, and the use of its map."""
+    """Settings of [lrf] in robot.toml: the laser's mount, its noise and its map."""
 
     flipped: bool = False  # mounted upside-down: beams run clockwise seen from above
     sigma_range: float = 0.02  # m
@@ -62,7 +62,7 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Lrf(Sensor):
-    """Reads LaserScan."""
+    """The laser range finder: reads LaserScan."""
 
     name = "lrf"
     locates = True
@@ -72,7 +72,7 @@ class Lrf(Sensor):
     drawn = "segments"
     colour = Colour("#1a34b0", "#3a78de")
     noise_keys = ("sigma_range", "sigma_angle_deg")
-    measures_by_sigma = True  # where one line ends and the next begins is judged by its noise
+    measures_by_sigma = True  # scans are split into lines by the noise
     scale_key = "range_scale"
     in_blocks = True
     heading_holds = True
@@ -87,7 +87,7 @@ class Lrf(Sensor):
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {"sensor_msgs/msg/LaserScan": SCAN_FIELDS}
 
     def measure(self, stream: Stream, settings: LrfSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Extract the lines of every scan, deskewed to the middle of the scan, in the base frame."""
+        """Extract the lines of every scan, in the base frame at the middle of the scan (deskewed)."""
         stamps: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
         (t, found, same), laser, unseen = left_out(
             laser_of(settings), lambda laser, longest: self._lines(stream, stamps, laser, wheels, longest)
@@ -117,7 +117,7 @@ class Lrf(Sensor):
                 f"walls are uneven: line noise is at least {1e3 * offset:.1f} mm and {math.degrees(angle):.2f}° "
                 f"(for {1e3 * settings.floor_range:g} mm and {settings.floor_angle_deg:g}°: --set lrf.walls=flat)"
             )
-        if found.curved > CURVED_SHARE * walls:
+        if found.curved > MAX_CURVED_SHARE * walls:
             notes.append(f"curved walls ({100 * found.curved / walls:.0f} % of the walls seen) are not used")
         return Measurements(
             t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, tuple(notes)
@@ -126,9 +126,9 @@ class Lrf(Sensor):
     def _lines(
         self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion, longest: Longest
     ) -> tuple[Array, Gathered, NDArray[np.bool_]]:
-        """Return the instants of the scans (n,) [s], their lines, and which repeat the one before (n,).
+        """Return scan times (n,) [s], the lines of the scans, and which scans are copies of the scan before (n,).
 
-        `longest` counts all ranges.
+        `longest` receives all scans.
         """
         t, found, same, before = stamps.copy(), Gathered(), np.zeros(len(stamps), bool), b""
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
@@ -142,25 +142,25 @@ class Lrf(Sensor):
         return t, found, same
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
-        """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""
+        """Return times (n,) [s] and headings (n,) [rad, unwrapped, from 0] by scan-to-scan line matching."""
         return m.t, np.cumsum(turns(m.first, m.z, m.R[:, 1, 1]))
 
     def reversal(self, settings: LrfSettings, msgtype: str) -> Reversal:
-        """Return the finding that the laser is mounted upside-down."""
+        """Return the fix for a laser that turns opposite to the wheels: it is mounted upside-down."""
         return Reversal("the laser is mounted upside-down", {"flipped": not settings.flipped})
 
     def model(self, settings: LrfSettings) -> AtlasTracker:
-        """Return the laser's model for a new run."""
+        """Return the filter model of the laser for a new run."""
         return AtlasTracker(
             settings.map,
             settings.gate,
             settings.recover,
-            Mount(self.name, settings, tells=settings.map in TELL_MOUNT),
+            Mount(self.name, settings, observable=settings.map in ESTIMATING_MAPS),
         )
 
 
 def laser_of(settings: LrfSettings) -> Laser:
-    """Return the laser that the settings describe."""
+    """Return the `Laser` (mount, range correction, line extraction) with these settings."""
     return Laser(
         mount=np.array([settings.x, settings.y, math.radians(settings.yaw_deg)]),
         flipped=settings.flipped,

@@ -1,4 +1,4 @@
-"""Points with ids (landmarks, radio anchors): their models, their map, and the usable readings."""
+"""Points with ids (landmarks, radio anchors): shared settings, filter models, and selection of readings."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ Row = tuple[float, float, float]
 NEW = VERDICTS.index("new")
 MIN_DISTANCE_M = 1e-3  # m: nearer than this a bearing has no direction
 GROW = "grow"
-MIN_SEEN = 3  # readings of an id from which its point is placed in a map that is made
-MAX_POINTS = 300  # in a map that is made: each reading costs the square of their number, 0.2 ms at 300
+MIN_SEEN = 3  # readings of an id from which its point is added to an estimated map
+MAX_POINTS = 300  # in an estimated map: each reading costs the square of their number, 0.2 ms at 300
 MAX_NAMED = 8  # ids in a message
 MIN_JUDGED = 8  # readings of one id before its place is judged
 MAX_LISTED = 20  # ids in a note
 
 
 class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys of a sensor that measures to points with ids."""
+    """Settings shared by the sensors that measure points with ids."""
 
     table: ClassVar[str]  # its table in robot.toml
     what: ClassVar[str]  # what the points are, as a plural
@@ -41,12 +41,12 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
 
     @property
     def grows(self) -> bool:
-        """Whether the places of the points are unknown states of the filter."""
+        """Whether the map is estimated: the points' positions are states of the filter."""
         return self.map is None or self.map == GROW
 
     @property
     def places(self) -> dict[int, Point]:
-        """The map: id -> x, y [m]. Raises LocfuseError without a map, or for an id that is no number."""
+        """Position of each point, id -> x, y [m]. Raises LocfuseError for an unread map or a wrong id."""
         if self.grows:
             return {}
         if not isinstance(self.map, dict):
@@ -68,10 +68,9 @@ def usable(
     settings: PointsSettings,
     dropped: dict[str, int],
 ) -> NDArray[np.bool_]:
-    """Return which readings (n,) are `valid`, in the map, and unique in their id; count the others.
+    """Return which readings (n,) are valid, in the map, and unique in id and time; count the others by reason.
 
-    Two readings of one id by one detector at one instant are two points with one id, or a reflection: neither is
-    used.
+    Two readings of one id by one detector at one time are both left out: a reflection, or two points with one id.
     """
     unwanted = np.isin(ids, settings.ignore)
     numbered = (ids >= 0) & ~unwanted
@@ -86,7 +85,7 @@ def usable(
 
 
 def nothing_usable(topic: str, ids: Ints, settings: PointsSettings) -> LocfuseError:
-    """Return the error for readings of which none can be used."""
+    """Return the error for a topic without a usable reading."""
     seen = ", ".join(map(str, sorted(set(ids.tolist()))[:MAX_NAMED]))
     have = ", ".join(map(str, sorted(settings.places)[:MAX_NAMED])) or "none"
     of_map = "" if settings.grows else f" of the map's {settings.what}; the map has {have}"
@@ -96,10 +95,10 @@ def nothing_usable(topic: str, ids: Ints, settings: PointsSettings) -> LocfuseEr
 def often_seen(
     ids: Ints, keep: NDArray[np.bool_], topic: str, settings: PointsSettings, dropped: dict[str, int]
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    """Return which readings (n,) are of points with enough readings, and in words how many ids are left out.
+    """Return which readings (n,) belong to frequently seen points, and notes on the ids left out.
 
-    Every point is two states. An id that is seen once or twice (a tracker that counts up, false detections) adds
-    no information about the robot's pose, and of more ids than MAX_POINTS those seen most often are taken.
+    Every point is two states. An id that is seen once or twice (false detections, ids of a tracker) adds no
+    information about the robot's pose. At most MAX_POINTS ids are used, the most frequent ones.
     """
     names, which, counts = np.unique(ids[keep], return_inverse=True, return_counts=True)
     often = counts >= MIN_SEEN
@@ -123,20 +122,20 @@ def often_seen(
 
 
 def by_instant(t_ns: Ints, epoch_ns: int, time_offset: float) -> tuple[Array, Ints]:
-    """Return the times (k,) [s] of readings that share an instant, and where the rows of each begin, (k + 1,)."""
+    """Return the distinct times (k,) [s] of sorted readings, and the first row of each time (k + 1,)."""
     instants, first = np.unique(t_ns, return_index=True)
     t: Array = (instants - epoch_ns) * np.float64(1e-9) + time_offset
     return t, np.append(first, len(t_ns)).astype(np.int64)
 
 
 def detector_at(pose: Row, mount: Row) -> Point:
-    """Return where the detector is in the map, of a robot at a pose x, y [m], theta [rad]."""
+    """Return the detector's position (x, y) [m] in the map, for a robot pose (x [m], y [m], theta [rad])."""
     c, s = direction(pose[2])
     return pose[0] + c * mount[0] - s * mount[1], pose[1] + s * mount[0] + c * mount[1]
 
 
 def predict(pose: Row, place: Point, mount: Row) -> tuple[Point, tuple[Row, Row]] | None:
-    """Return (range [m], bearing [rad]) of a point, and their derivatives by the robot's x, y, theta.
+    """Return the predicted (range [m], bearing [rad]) of a point, and derivatives by x, y, theta.
 
     Thrun, Burgard and Fox 2005, 6.6.2.
     """
@@ -150,18 +149,18 @@ def predict(pose: Row, place: Point, mount: Row) -> tuple[Point, tuple[Row, Row]
 
 
 class PointsModel(Model):
-    """A model of points at known places."""
+    """Filter model of points at known positions."""
 
     places: dict[int, Point]
 
     def compared(
         self, m: Measurements, row: int, point: int, place: Point, at: tuple[int, ...], belief: Any
     ) -> Innovation | None:
-        """Compare one reading with a place, whose state columns are `at` if it is a state."""
+        """Return the innovation of one reading; `at` holds the state columns of an estimated position."""
         raise NotImplementedError
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the readings of one instant with the belief."""
+        """Return the innovations of all points in reading i."""
         ids, found = m.plain["id"], []
         for row in rows_of(m, i):
             point = int(ids[row])
@@ -172,7 +171,7 @@ class PointsModel(Model):
 
 
 class GrowingPoints(PointsModel):
-    """Points whose places are states, in the local frame: neither the map's origin nor north is observed."""
+    """Filter model of points whose positions are states, in a local frame of unknown origin and direction."""
 
     joint = True
     local = True
@@ -184,11 +183,11 @@ class GrowingPoints(PointsModel):
         self._refused: dict[int, int] = defaultdict(int)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether these are the first readings, at which a local frame can begin."""
+        """Return whether reading i is the first with points: the local frame begins there."""
         return not self._known and len(rows_of(m, i)) > 0
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the readings of one instant with the belief; new points are not compared yet."""
+        """Return the innovations of all points in reading i; the verdict on a new point is "new"."""
         ids, found = m.plain["id"], []
         for row in rows_of(m, i):
             point = int(ids[row])
@@ -204,7 +203,7 @@ class GrowingPoints(PointsModel):
         return found
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Append the points that were seen for the first time, at the places of these readings."""
+        """Append the points seen for the first time in reading i to the state."""
         for row in rows_of(m, i):
             point = int(m.plain["id"][row])
             if point not in self._known:
@@ -212,7 +211,7 @@ class GrowingPoints(PointsModel):
             self._known[point] = self._known.get(point, 0) + 1
 
     def append(self, m: Measurements, row: int, belief: Any) -> int:
-        """Append the place of the point that a reading shows; return its first state column."""
+        """Append a point's position, computed from one reading, to the state; return its first column."""
         raise NotImplementedError
 
     def points(self, belief: Any) -> list[tuple[int, float, float]]:
@@ -226,7 +225,7 @@ class GrowingPoints(PointsModel):
         return found
 
     def map_notes(self, units: str) -> list[str]:
-        """Return notes: how many points the map has, which were seen too rarely, and which move."""
+        """Return notes on the map: number of points, rarely seen points, and points that move."""
         rare = [str(point) for point, n in sorted(self._known.items()) if n < MIN_SEEN]
         words = f"a map of {len(self._known)} {self._what} was made"
         more = f" and {len(rare) - MAX_LISTED} more" if len(rare) > MAX_LISTED else ""
@@ -244,11 +243,11 @@ class GrowingPoints(PointsModel):
 
 
 def rows_of(m: Measurements, i: int) -> range:
-    """Return the row numbers of reading i."""
+    """Return the rows of Measurements.z that belong to reading i."""
     first = m.plain["first"]
     return range(first[i], first[i + 1])
 
 
 def state_of(point: int, table: str) -> str:
-    """Return the name of the two states for a point's place."""
+    """Return the name of a point's state block (x, y)."""
     return f"_{table}_{point}"

@@ -1,20 +1,20 @@
-"""Poses estimated by others (visual odometry, AMCL, UWB, scan matching), as measurements.
+"""Poses from another estimator (visual odometry, AMCL, UWB, scan matching), used as measurements.
 
-Whose frame a pose is given in decides what it can say (`frame`):
+The frame of the poses (setting `frame`) determines the measurement:
 
 - "map": the map of this run. z = p + noise.
-- "own": a frame of the source's own, which stands still in the map. Where it lies is found with the first pose.
+- "own": a frame of the source that is fixed in the map. The first pose determines its transform.
 - "drift": a frame that drifts (REP 105, "odom"). Only the motion between two poses counts.
 
 For the last two the state keeps a pose of an earlier instant (a "clone", Roumeliotis and Burdick 2002): B, where
-the robot was at the source's pose z_B. The motion by the source u = (-)z_B (+) z should be the robot's own,
+the robot was at the source's pose z_B. The source's motion u = (-)z_B (+) z equals the robot's motion,
 
     u = (-)B (+) p + noise
 
-seen from B. (Compared in the map as B (+) u = p, the levers of both sides differ by the innovation itself, which
-the filter takes for knowledge of the heading: ANEES 2.7 instead of 1.3.) In a drifting frame B is taken anew with
-every reading, as the gyro does with the heading; in an own frame it is the first pose, carried on by u, so that
-its error stays that of the first reading.
+relative to B. (Compared in the map frame as B (+) u = p, the derivatives by the headings differ by the innovation,
+which makes the filter overconfident: ANEES 2.7 instead of 1.3.) In a drifting frame B is cloned again at every
+reading, as the gyro does with the heading; in an own frame it is the first pose, moved on by u, so that its error
+stays that of the first reading.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
 
 CLONE = "_pose_before"
 MIN_SIGMAS = (0.002, math.radians(0.05))  # m, rad: no estimate is more exact, whatever it claims
-MAX_SIGMA = (1e3, 1e3)  # m, rad: larger ones say that a number was not measured
-ARM_M = 0.15  # m: turning by one radian counts as this way
-STUCK_M = 0.5  # m by the wheels, beyond which a pose that never changes is none
+MAX_SIGMA = (1e3, 1e3)  # m, rad: a larger sigma means that a number was not measured
+ARM_M = 0.15  # m of distance that cause as much drift as a turn by 1 rad
+STUCK_M = 0.5  # m driven by the wheels, beyond which a constant pose is an error
 MIN_QUATERNION_SQUARE = 0.25  # a shorter quaternion is no orientation: drivers leave it zero
 MIN_READINGS = 20  # before a source is called stuck, or far from the start
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -82,14 +82,14 @@ class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     positive: ClassVar[tuple[str, ...]] = (*SensorSettings.positive, "sigma_theta_deg", *DRIFT_SIGMAS)
 
     def __post_init__(self) -> None:
-        """Refuse a source without noise, and points in a frame of unknown direction."""
+        """Raise ValueError for a sigma of 0, and for positions without headings in a frame that is not the map."""
         super().__post_init__()
         if not self.heading and self.frame != "map":
             raise ValueError('heading = false needs frame = "map": points do not tell how another frame is turned')
 
 
 class PoseSensor(Sensor):
-    """Reads poses that another estimator published."""
+    """Another pose estimator: reads poses from Odometry, PoseStamped, /tf and similar messages."""
 
     name = "pose"
     locates = True
@@ -112,11 +112,11 @@ class PoseSensor(Sensor):
     }
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a key applies to messages of this type."""
+        """Return whether a setting applies to a message type: drift settings apply to drifting frames only."""
         return not key.startswith("sigma_drift") or msgtype in DRIFTING
 
     def measure(self, stream: Stream, settings: PoseSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Turn poses into z (n, 3) x, y [m], heading [rad] of the base, in the source's frame.
+        """Measure poses z (n, 3) of the base: x, y [m], heading [rad], in the frame of the other estimator.
 
         Raises LocfuseError where no message holds a pose, or all hold the same while the robot drives.
         """
@@ -152,20 +152,20 @@ class PoseSensor(Sensor):
         )
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
-        """Return times (n,) and headings (n,) [rad, unwrapped] by the source."""
+        """Return times (n,) [s] and headings (n,) [rad, unwrapped] of the other estimator."""
         return m.t, np.unwrap(m.z[:, 2])
 
     def reversal(self, settings: PoseSettings, msgtype: str) -> Reversal:
-        """Return why it turns the other way: its z axis points down, which no setting corrects."""
+        """Return why poses turn opposite to the wheels: their z axis points down; no setting corrects that."""
         return Reversal("its z axis looks down (NED): it has to be turned before it is recorded")
 
     def model(self, settings: PoseSettings) -> Model:
-        """Return the source's model for a new run."""
+        """Return the filter model of the poses for a new run."""
         return InMapModel(settings) if settings.frame == "map" else KeptPoseModel(settings)
 
 
 def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict[str, int]) -> Ints:
-    """Return the rows of messages with a pose and a new time; count the others."""
+    """Return the rows of messages with a valid pose and a new stamp; count the others by reason."""
     finite = np.asarray(plausible(values[:, :2]).all(axis=1))
     turned = np.ones(len(values), dtype=bool)
     if settings.heading:
@@ -183,11 +183,11 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
 def plane_covariance(
     column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return covariances (n, d, d) of some rows: from the messages where given (n,), else diag(`own` (n, d)).
+    """Return planar covariances (n, d, d) and which rows (n,) have one from their message; else diag(own).
 
     `column` holds 6 x 6 matrices of x, y, z, roll, pitch, yaw, of which `axes` (d,) are wanted. A covariance of
-    zeros, one that is not positive, and NaN say nothing. What is larger than MAX_SIGMA was not measured: it is cut
-    there, and its correlations with it, so that no rounding makes the matrix indefinite.
+    zeros, NaN, and one that is not positive definite are not used. Variances above MAX_SIGMA^2 were not measured:
+    they are reduced to it, and their correlations kept, so that rounding cannot make the matrix indefinite.
     """
     n, d = own.shape
     P = own[:, :, None] * np.eye(d)
@@ -219,14 +219,14 @@ def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
 
 
 class InMapModel(Model):
-    """z = p + noise, both in the map."""
+    """Model of poses given in the map frame: z = pose + noise."""
 
     def __init__(self, settings: PoseSettings) -> None:
         self.threshold = chi_square(settings.gate, 3 if settings.heading else 2)
         self._seen = self._far = 0
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Compare one pose with the belief."""
+        """Return the innovation of pose i."""
         z, (x, y, theta) = m.plain["z"], belief.pose()
         e = z[i, 0] - x, z[i, 1] - y, wrap(z[i, 2] - theta)
         seen = belief.compare(i, e, IDENTITY, _covariance_of(m, i), self.threshold)
@@ -235,7 +235,7 @@ class InMapModel(Model):
         return [seen]
 
     def notes(self, belief: Any) -> list[str]:
-        """Return a note if nearly all poses are far from the robot: their frame is not the map."""
+        """Return a note if at least half of the poses are rejected: their frame may not be the map."""
         if self._seen < MIN_READINGS or 2 * self._far < self._seen:
             return []
         words = (
@@ -245,7 +245,7 @@ class InMapModel(Model):
 
 
 class KeptPoseModel(Model):
-    """u = (-)B (+) p + noise, in the local frame: a source in an unknown frame gives no absolute heading."""
+    """Model of poses in a frame other than the map: the measurement is the motion u = (-)B (+) p since pose B."""
 
     local = True
     maps = True
@@ -256,15 +256,15 @@ class KeptPoseModel(Model):
         self._last: Pose | None = None  # the source's pose at B
 
     def blocks(self) -> list[Block]:
-        """Return the cloned pose."""
+        """Return the state block of the cloned pose B."""
         return [Block(CLONE, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether this is the first pose, at which a local frame can begin."""
+        """Return whether no pose was used yet: the local frame can begin here."""
         return self._last is None
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the motion since the cloned pose with the belief; the first reading only initialises."""
+        """Return the innovation of the motion since the cloned pose B; [] at the first reading."""
         if self._last is None:
             return []
         column = belief.column(CLONE)
@@ -276,13 +276,13 @@ class KeptPoseModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _drifted(self, u: Pose, floor: Array) -> Matrix:
-        """Return the covariance of the drift of a source over its motion u (3,)."""
+        """Return the covariance (3, 3) of a drifting estimator's motion u (3,), by its length and turn."""
         way = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(u[2]))
         xy, theta = self.drift[0] * way + floor.item(0, 0), self.drift[1] * way + floor.item(2, 2)
         return ((xy, 0.0, 0.0), (0.0, xy, 0.0), (0.0, 0.0, theta))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Clone the present pose; in a frame that does not drift keep the old clone."""
+        """Clone the present pose as B; in a frame without drift, move the first B by the measured motion."""
         column, last, drifts = belief.column(CLONE), self._last, m.plain["drifts"][i]
         self._last = now = _pose_of(m, i)
         if last is None or drifts:
@@ -312,7 +312,7 @@ def _covariance_of(m: Measurements, i: int) -> Matrix:
 
 
 def _turned(R: Matrix, angle: float) -> Matrix:
-    """Return the covariance R (3, 3) of a pose, transformed to a frame turned by an angle [rad]."""
+    """Return a pose covariance R (3, 3) in a frame that is rotated by an angle [rad]."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = R
     c, s = se2.direction(angle)
     across = c * s * (xx - yy) + (c * c - s * s) * xy

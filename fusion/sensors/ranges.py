@@ -1,4 +1,4 @@
-"""Ranges to anchors with ids (ultra-wideband radio, ultrasound beacons), their map known or to be made.
+"""Ranges to anchors with ids (ultra-wideband radio, ultrasound beacons) on a given or an estimated map.
 
 With the antenna at s = p + R(theta) m on the robot and an anchor a,
 
@@ -10,7 +10,7 @@ the anchor is seen, it is |s - a| v / 2 longer than that of the mean position, a
 variance (second-order filter: Bar-Shalom, Li and Kirubarajan 2001, 10.3.2).
 
 With a known map the ranges also give the start of the drive, where [start] is not set. Without a map the anchors'
-places are states; one range gives no place, so the first stretch of the drive is used for it.
+positions are states, initialised by the ranges from the first part of the drive.
 """
 
 from __future__ import annotations
@@ -43,23 +43,23 @@ from .points import (
     usable,
 )
 
-STRETCHES_S = (5.0, 10.0, 20.0, 40.0, 80.0)  # of the drive: the shortest that tells; the wheels drift
+STRETCHES_S = (5.0, 10.0, 20.0, 40.0, 80.0)  # initial parts of the drive, the shortest unambiguous one is used
 MIN_ROWS = 8
 MAX_FIT_ROUNDS = 60  # of the refinement, at most
-SAME_DIGITS = 3  # of m and rad: answers that agree so far are one
+SAME_DIGITS = 3  # decimals of m and rad in which two equal solutions agree
 CAUCHY_SIGMAS = 2.0  # residuals from which a range counts for less
-CLEARLY_BETTER = 8.0  # by which the best answer's cost (half a chi-square) must lie below any other's
-APART_M, APART_RAD = 0.3, math.radians(20.0)  # answers further apart are different ones
-MAX_SIGMA_M, MAX_SIGMA_RAD = 0.5, math.radians(15.0)  # of an answer that counts
+CLEARLY_BETTER = 8.0  # cost (half a chi-square) of another solution above the best one's
+APART_M, APART_RAD = 0.3, math.radians(20.0)  # solutions further apart are different ones
+MAX_SIGMA_M, MAX_SIGMA_RAD = 0.5, math.radians(15.0)  # largest sigmas of an accepted solution
 GRID, DIRECTIONS = 5, 12  # places along each side of the anchors' box; directions of the first guess
-HEADING_ENTRY = slice(2, -1)  # of what is looked for: between the place and the offset a heading, or nothing
+HEADING_ENTRY = slice(2, -1)  # of a guess: the heading between position and offset, or nothing
 Predict = Callable[[Array], tuple[Array, Array]]  # guesses (s, k) -> ranges (s, n), derivatives (s, n, k)
 RANGES = "locfuse/msg/Ranges"  # a file beside the log, or two fields of a topic
 OFFSET = "range_offset_of_anchors"
 AHEAD, LEFT, SPREAD = "anchor_ahead", "anchor_left", "anchor_sigma"
-REUSED_SIGMA_FACTOR = 3.0  # x the sigma of a place or start that the filter's own ranges gave: they are used again
+REUSED_SIGMA_FACTOR = 3.0  # on a place or start by ranges that the filter uses again
 MIN_SPREAD_M = 0.1
-EXACT_M = 1e-6  # of an offset that is given
+EXACT_M = 1e-6  # sigma of a given offset
 NO_MAP_NOTE = (
     "no ranges.map is set: where the anchors stand is estimated (grow); with --set ranges.map=FILE, a .csv of "
     "id, x, y, the ranges also say where the robot is in the room"
@@ -67,7 +67,7 @@ NO_MAP_NOTE = (
 
 
 class Answer(NamedTuple):
-    """The best fit to ranges."""
+    """Least-squares fit of positions (and perhaps a heading) to ranges."""
 
     values: Array  # (k,) x, y [m], perhaps theta [rad]; last the offset of the ranges [m]
     covariance: Array  # (k, k)
@@ -76,7 +76,7 @@ class Answer(NamedTuple):
 def start_among(
     anchors: Array, seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
 ) -> Answer | None:
-    """Return the pose x, y, theta of the robot at the first of n ranges, and their offset; or None.
+    """Return the robot's pose (x, y, theta) at the first range and the range offset; None if ambiguous.
 
     anchors (n, 2) [m, map frame] of each range, `seen` (n, 2) [m] the places of the detector by the wheels, in the
     frame of the robot at the first range, t (n,) [s], ranges (n,) [m]; `sigmas` of a range and of the offset [m].
@@ -86,19 +86,19 @@ def start_among(
     x, y = (np.linspace(a - margin, b + margin, GRID) for a, b in zip(low, high, strict=True))
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     guesses = np.stack([g.ravel() for g in np.meshgrid(x, y, turns, [0.0], indexing="ij")], axis=-1)
-    return _shortest(anchors, seen, guesses, t, ranges, sigmas)
+    return _shortest_fit(anchors, seen, guesses, t, ranges, sigmas)
 
 
 def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
-    """Return an anchor's place in the frame of `seen` (n, 2) [m] and the range offset; None if ambiguous."""
+    """Return an anchor's position in the frame of `seen` (n, 2) [m] and the range offset; None if ambiguous."""
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
-    return _shortest(np.zeros_like(seen), -seen, guesses, t, ranges, sigmas)
+    return _shortest_fit(np.zeros_like(seen), -seen, guesses, t, ranges, sigmas)
 
 
 def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
-    """Return predicted ranges (s, n) and derivatives (s, n, k) for guesses v (s, k): place, heading, offset."""
+    """Return ranges (s, n) [m] and derivatives (s, n, k) for guesses (s, k): position, heading, offset."""
     turns = v.shape[1] == 4
     c, s = (np.cos(v[:, 2:3]), np.sin(v[:, 2:3])) if turns else (np.ones((1, 1)), np.zeros((1, 1)))
     ahead, left = c * seen[:, 0] - s * seen[:, 1], s * seen[:, 0] + c * seen[:, 1]
@@ -108,10 +108,10 @@ def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
     return h + v[:, -1:], np.stack((dx / h, dy / h, *by_turn, np.ones_like(h)), axis=-1)
 
 
-def _shortest(
+def _shortest_fit(
     anchors: Array, seen: Array, guesses: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
 ) -> Answer | None:
-    """Fit ever longer parts of the drive; return the first clear fit, None if there is none."""
+    """Fit longer and longer initial parts of the drive; return the first unambiguous fit, else None."""
     tried = 0
     for seconds in STRETCHES_S:
         n = int(np.searchsorted(t, t[0] + seconds, side="right"))
@@ -119,14 +119,14 @@ def _shortest(
             continue
         tried = n
         predict = partial(_predicted, anchors=anchors[:n], seen=seen[:n])
-        answer = _clear(predict, guesses, ranges[:n], sigmas)
+        answer = _unambiguous(predict, guesses, ranges[:n], sigmas)
         if answer is not None:
             return answer
     return None
 
 
-def _clear(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
-    """Return the best fit if it is certain enough and no other one is nearly as good."""
+def _unambiguous(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
+    """Return the best fit if its sigmas are small and every distant solution costs clearly more; else None."""
     values, costs, scatter = _refined(predict, guesses, ranges, sigmas)
     best = values[np.argmin(costs)]
     _, J = predict(best[None])
@@ -147,9 +147,9 @@ def _clear(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float,
 def _refined(
     predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float, float]
 ) -> tuple[Array, Array, float]:
-    """Return refined guesses (s, k), their costs (s,), and the scatter of the ranges about the best one [m].
+    """Return refined guesses (s, k), their costs (s,), and the robust residual spread [m] of the best guess.
 
-    The costs are in units of that scatter where it is more than the sigma: wheels that drift make it so.
+    Residuals are divided by that spread where it exceeds the sigma (wheels drift).
     """
     sigma, x = sigmas[0], guesses
     for _ in range(2):  # with the ranges' sigma, then with the scatter that was found
@@ -159,12 +159,12 @@ def _refined(
         sigma = max(sigmas[0], scatter)
         x[:, HEADING_ENTRY] = se2.wrap_all(x[:, HEADING_ENTRY])
         _, first = np.unique(np.round(x, SAME_DIGITS), axis=0, return_index=True)
-        x, costs = x[first], costs[first]  # most guesses come to the same few answers
+        x, costs = x[first], costs[first]  # most guesses reach the same few solutions
     return x, costs, scatter
 
 
 def _descended(predict: Predict, x: Array, ranges: Array, sigmas: tuple[float, float]) -> tuple[Array, Array]:
-    """Return guesses (s, k) after MAX_FIT_ROUNDS of Levenberg-Marquardt steps, and their costs (s,)."""
+    """Return guesses (s, k) refined by at most MAX_FIT_ROUNDS Levenberg-Marquardt steps, and their costs (s,)."""
     damping = np.full(len(x), 1e-2)
     cost, A, g = _normal(predict, x, ranges, sigmas)
     diagonal = np.arange(x.shape[1])
@@ -185,7 +185,7 @@ def _descended(predict: Predict, x: Array, ranges: Array, sigmas: tuple[float, f
 
 
 def _normal(predict: Predict, x: Array, ranges: Array, sigmas: tuple[float, float]) -> tuple[Array, Array, Array]:
-    """Return the cost (s,), and the normal equations A (s, k, k), g (s, k) of its descent."""
+    """Return the robust cost (s,) of guesses x (s, k), and its normal equations A (s, k, k), g (s, k)."""
     h, J = predict(x)
     e = (ranges - h) / sigmas[0]
     square = np.square(e / CAUCHY_SIGMAS)
@@ -213,16 +213,16 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
 
     @property
     def searched_sigmas(self) -> tuple[float, float]:
-        """Standard deviations of a range and of the offset [m] during the search for a start or a place."""
+        """Standard deviations of a range and of the range offset [m], for the search of a start or an anchor."""
         return self.sigma, EXACT_M if self.offset is not None else self.sigma_offset
 
     def detector(self, rel: Array) -> Array:
-        """Return the antenna's places (n, 2) [m] on a robot at poses (n, 3)."""
+        """Return the antenna's positions (n, 2) [m] for robot poses (n, 3)."""
         return se2.compose(rel, np.array([self.x, self.y, 0.0]))[:, :2]
 
 
 class Ranges(Sensor):
-    """Reads ranges to anchors with ids."""
+    """The range sensor: reads ranges to anchors with ids."""
 
     name = "ranges"
     locates = True
@@ -244,7 +244,7 @@ class Ranges(Sensor):
     def measure(
         self, stream: Stream, settings: RangesSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
-        """Turn ranges into z (m, 1) [m]; one instant is one reading."""
+        """Measure ranges z (m, 1) [m]; ranges with one stamp form one reading."""
         columns = cast("dict[str, Array]", stream.columns(*self.reads[RANGES]))
         ids, z = np.asarray(columns["id"]).astype(np.int64), np.asarray(columns["range"], np.float64)
         dropped = dict(stream.dropped)
@@ -282,7 +282,7 @@ class Ranges(Sensor):
         )
 
     def start(self, m: Measurements, settings: RangesSettings, wheels: WheelMotion) -> FoundStart | None:
-        """Return the start of the drive by known anchors. Raises LocfuseError if it is ambiguous."""
+        """Return the robot's start pose from ranges to known anchors. Raises LocfuseError if it is ambiguous."""
         if settings.grows or not len(m.z):
             return None
         places, t = settings.places, np.repeat(m.t, np.diff(m.first))
@@ -302,16 +302,16 @@ class Ranges(Sensor):
         return FoundStart(pose, max(float(sigma[:2].max()), MIN_SPREAD_M), float(sigma[2]))
 
     def model(self, settings: RangesSettings) -> Model:
-        """Return the ranges' model for a new run."""
+        """Return the filter model of the ranges for a new run."""
         return GrowingRanges(settings) if settings.grows else RangesModel(settings)
 
 
 def _places_of(
     t: Array, ids: Ints, z: Array, keep: Any, settings: RangesSettings, wheels: WheelMotion
 ) -> tuple[Array, list[str]]:
-    """Return for each range (n,) its anchor's place in the robot's frame then: x, y and sigma, (n, 3) [m].
+    """Return, for each range, the anchor's position relative to the robot and its sigma, (n, 3) [m]; and notes.
 
-    NaN, and a note, where this drive does not show the place.
+    NaN, and a note, for an anchor whose position is ambiguous.
     """
     found, words = np.full((len(t), 3), np.nan), list[str]()
     for anchor in np.unique(ids[keep]).tolist():
@@ -329,7 +329,7 @@ def _places_of(
 
 
 class RangesModel(PointsModel):
-    """Range from the antenna to an anchor at a known place in the map: |s - a| + offset."""
+    """Model of the range from the antenna s to an anchor a at a known position: |s - a| + offset."""
 
     def __init__(self, settings: RangesSettings) -> None:
         self.places = settings.places
@@ -339,7 +339,7 @@ class RangesModel(PointsModel):
         self.prior = settings.sigma_offset
 
     def blocks(self) -> list[Block]:
-        """Return the ranges' offset, if it is not given."""
+        """Return the state block of the range offset; empty if the offset is given."""
         if self.given is not None:
             return []
         return [Block(OFFSET, np.zeros(1), np.array([[self.prior**2]]), np.zeros(1))]
@@ -347,7 +347,7 @@ class RangesModel(PointsModel):
     def compared(
         self, m: Measurements, row: int, anchor: int, place: Point, at: tuple[int, ...], belief: Any
     ) -> Innovation | None:
-        """Compare one range with an anchor's place, whose state columns are `at` if it is a state."""
+        """Return the innovation of one range; `at` holds the state columns of an estimated anchor position."""
         predicted = predict(belief.pose(), place, self.mount)
         if predicted is None:
             return None
@@ -359,7 +359,7 @@ class RangesModel(PointsModel):
         if self.given is None:
             column = belief.column(OFFSET)
             offset, columns, of_offset = belief.value(column), (*at, column), (1.0,)
-        # a place changes the range as the robot does, the other way
+        # the derivative by the anchor's position is minus that by the robot's
         of_place = (-by_range[0], -by_range[1]) if at else ()
         H_block = ((*of_place, *of_offset),) if columns else NO_BLOCK
         y, R = z[row] - distance - longer - offset, variances[row] + 2.0 * longer * longer
@@ -369,14 +369,14 @@ class RangesModel(PointsModel):
 
 
 class GrowingRanges(GrowingPoints, RangesModel):
-    """Ranges to anchors whose places are states, in the local frame."""
+    """Model of ranges to anchors whose positions are states, in the local frame."""
 
     def __init__(self, settings: RangesSettings) -> None:
         RangesModel.__init__(self, settings)
         GrowingPoints.__init__(self, settings.what, settings.table, self.threshold)
 
     def append(self, m: Measurements, row: int, belief: Any) -> int:
-        """Append the place a = p + R(theta) g, with g the anchor's place relative to the robot by the wheels."""
+        """Append an anchor's position a = p + R(theta) g to the state, with g relative to the robot."""
         ahead, left, sigma = (m.plain[name][row] for name in (AHEAD, LEFT, SPREAD))
         x, y = detector_at(belief.pose(), (ahead, left, 0.0))
         G = np.array([[1.0, 0.0, belief.y - y], [0.0, 1.0, x - belief.x]])

@@ -1,4 +1,4 @@
-"""The registry: the only list of sensors. A new sensor of locfuse is one file in this folder and one line here.
+"""The list of all sensors. A new sensor of locfuse is one file in this folder and one line here.
 
 A sensor of another package needs no change here: its package names it by an entry point, group `locfuse.sensors`.
 """
@@ -29,14 +29,14 @@ KINDS = (Compass, Lrf, Camera, Sonar, Gps, Gyro, Landmarks, PoseSensor, Twist, R
 REGISTRY: dict[str, Sensor] = {kind.name: kind() for kind in KINDS}
 GROUP = "locfuse.sensors"
 SOURCES: dict[str, str] = {}
-"""Sensor that is not ours -> the package that brings it, with its version."""
+"""Sensor of another package -> that package and its version."""
 SENSOR_NAME = re.compile(r"[a-z][a-z0-9_]*")  # a table of robot.toml, a word between commas
 REQUIRED = ("name", "Settings", "reads", "noise_keys", "components", "colour")
 RESERVED_NAMES = {*BASES, "all", "order", "preset", "start", "truth", "wheels"}
 
 
 def register(sensor: Sensor | type[Sensor]) -> None:
-    """Add a sensor to this process, like a built-in one: `locfuse.register(Beacon())`.
+    """Add a sensor class or object to the list of sensors in this process: `locfuse.register(Beacon())`.
 
     Args:
         sensor: a `Sensor`, or its class. A package that is installed names it by an entry point instead, which the
@@ -50,7 +50,7 @@ def register(sensor: Sensor | type[Sensor]) -> None:
 
 
 def _add(load: Callable[[], Any], source: str, hint: str) -> None:
-    """Add the result of `load`, a sensor or its class. Raises LocfuseError with the source and the hint."""
+    """Add the sensor that `load` returns. Raises LocfuseError with `source` and `hint` if it is invalid."""
     try:
         found = load()
         sensor = found() if isinstance(found, type) else found
@@ -69,7 +69,7 @@ def _add(load: Callable[[], Any], source: str, hint: str) -> None:
 
 
 def _unfit(sensor: Any) -> str | None:
-    """Return what a sensor of another package lacks, or None."""
+    """Return why an object cannot be used as a sensor, or None."""
     if not isinstance(sensor, Sensor):
         return f"{sensor!r} is no locfuse.Sensor"
     lacking = [key for key in REQUIRED if not hasattr(sensor, key)]
@@ -84,9 +84,9 @@ def _unfit(sensor: Any) -> str | None:
 
 
 def register_installed() -> None:
-    """Add the sensors of installed packages, once. Raises LocfuseError for one that cannot be used.
+    """Add the sensors of installed packages, once each. Raises LocfuseError for an invalid one.
 
-    A package that is broken stops every command: without its sensor, results would differ unnoticed.
+    An invalid package stops every command: without its sensor, results would differ unnoticed.
     """
     for point in sorted(metadata.entry_points(group=GROUP), key=lambda point: (point.name, point.value)):
         package, version = ("?", "") if point.dist is None else (point.dist.name, point.dist.version)
@@ -96,18 +96,18 @@ def register_installed() -> None:
 
 
 def of_points() -> frozenset[str]:
-    """Return the sensors of points with ids, whose map is a .csv file or estimated."""
+    """Return the names of the sensors that measure points with ids."""
     return frozenset(name for name, sensor in REGISTRY.items() if issubclass(sensor.Settings, PointsSettings))
 
 
 def needed(sensor: str) -> tuple[str, ...]:
-    """Return the sensors that this one depends on, in the order of dependence; () for unknown ones."""
+    """Return the names of the sensors that this one depends on, direct dependencies last; () if unknown."""
     own = REGISTRY[sensor].needs if sensor in REGISTRY else ()
     return tuple(dict.fromkeys(name for other in own for name in (*needed(other), other)))
 
 
 def unmet(present: Collection[str]) -> dict[str, str]:
-    """Return which of these sensors lack another one that they need, and why."""
+    """Return sensors of `present` that lack a sensor they depend on, with the reason."""
     left, found = set(present), dict[str, str]()
     while lacking := {
         name: f"it is {why}, and that is absent"

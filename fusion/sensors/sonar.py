@@ -1,9 +1,9 @@
-"""Sonar: the nearest echo in a cone, matched with the laser's line map.
+"""Sonar: the distance to the nearest wall in its cone, compared with the laser's line map.
 
 A smooth wall sends sound back only where it stands square to a ray of the cone. So an echo is the distance to a
-wall whose foot point lies within the cone and on the wall; nothing else that the map knows may stand nearer.
-What the map lacks answers too, from anywhere before the wall: an echo counts as the wall's only where that is the
-likelier story.
+wall whose foot point lies within the cone and on the wall; no other mapped wall may be nearer. Objects that are
+not in the map return echoes too, from anywhere before the wall: an echo is assigned to the wall only if that is
+more likely.
 
 With the sonar at p and the wall n.(q - a) = rho it is C = rho - n.(p - a) (paper eq. 17 without its sign).
 """
@@ -26,12 +26,12 @@ from locfuse.fusion.sensor import GATE, Ask, Model, Sensor, SensorSettings, Whee
 from locfuse.fusion.streams import MergedStream, count_dropped, parts_of
 
 UNMATCHED = VERDICTS.index("unmatched")
-CLUTTER_SHARE = 0.25  # of the echoes: they come from what the map lacks, anywhere before the wall
+CLUTTER_SHARE = 0.25  # of the echoes: from unmapped objects, anywhere before the wall
 Mount = tuple[float, float, float]
 
 
 class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[sonar]: one or several rangers, which form one sensor."""
+    """Settings of [sonar] in robot.toml: one or several ultrasonic rangers, treated as one sensor."""
 
     topics: tuple[str, ...] = ()  # none: all topics of the type
     mounts: dict[str, Mount] = msgspec.field(default_factory=dict)  # topic -> x [m], y [m], yaw [deg] on the base
@@ -40,7 +40,7 @@ class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class Sonar(Sensor):
-    """Reads Range."""
+    """Ultrasonic rangers: read Range messages."""
 
     name = "sonar"
     locates = True
@@ -61,7 +61,7 @@ class Sonar(Sensor):
     }
 
     def measure(self, stream: Stream, settings: SonarSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Turn readings into distances z (m, 1) [m]; a reading without an echo has no row."""
+        """Measure distances z (m, 1) [m]; a reading without an echo has no row."""
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
         distance = columns["range"].astype(np.float64)
         t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
@@ -90,12 +90,12 @@ class Sonar(Sensor):
         )
 
     def model(self, settings: SonarSettings) -> Model:
-        """Return the sonars' model for a new run."""
+        """Return the filter model of the rangers for a new run."""
         return SonarModel(settings)
 
 
 class SonarModel(Model):
-    """z = C + noise for the wall that is predicted to return the echo."""
+    """z = C + noise, with C the distance to the wall that should return the echo."""
 
     teaches = False
     local = True
@@ -103,14 +103,14 @@ class SonarModel(Model):
     def __init__(self, settings: SonarSettings) -> None:
         self.threshold = chi_square(settings.gate, 1)
         self.widen = math.radians(settings.widen_deg)
-        self._laser: Any = None  # the model whose line map is read
+        self._laser: Any = None  # the laser's model, whose line map is read
 
     def meet(self, others: Mapping[str, Model]) -> None:
-        """Link the map of the laser in the same filter; without a map nothing is compared."""
+        """Link the laser's model, whose line map the echoes are compared with."""
         self._laser = others.get("lrf")
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare one echo with the wall that is predicted to return it."""
+        """Return the innovation of one echo, compared with the nearest mapped wall in the sonar's cone."""
         plain = m.plain
         row = plain["first"][i]
         lines = None if self._laser is None else self._laser.map
@@ -130,6 +130,6 @@ class SonarModel(Model):
 
 
 def likelier(distance: float, sigma: float) -> float:
-    """Return the NIS limit below which an echo of the wall is likelier than clutter within `distance` [m]."""
+    """Return the NIS below which an echo is more likely from the wall than from clutter within `distance` [m]."""
     odds = (1.0 - CLUTTER_SHARE) / CLUTTER_SHARE * distance / (math.sqrt(math.tau) * sigma)
     return 2.0 * math.log(odds) if odds > 1.0 else 0.0

@@ -1,12 +1,12 @@
-"""Speeds measured by others (visual odometry, optical flow, radar, a second odometry).
+"""Speeds from another estimator (visual odometry, optical flow, radar, a second odometry).
 
-The state holds no speed: the wheels' motion is the filter's input. So speeds are summed up to how far the robot
-came between two readings, forward s and turn a, and compared with the pose kept from the reading before (a
-"clone", Roumeliotis and Burdick 2002). With d = (-)B (+) p, the pose seen from the kept one,
+The state holds no speed: the wheels' motion is the filter's input. So speeds are integrated to distance s and turn
+a between two readings, and compared with the motion since a copy B of the pose at the previous reading (a "clone",
+Roumeliotis and Burdick 2002). With d = (-)B (+) p, the present pose relative to B,
 
     s sinc(a / 2) = d_x cos(d_theta / 2) + d_y sin(d_theta / 2) + noise,    a = d_theta + noise
 
-the chord of an arc. Sideways nothing is said.
+the chord of an arc. Sideways motion is not measured.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .pose import plane_covariance, seen_from
 
 CLONE = "_twist_before"
 VARIANCES = ("forward_variance", "turn_variance")  # of way [m^2] and turn [rad^2] since the first reading
-MIN_SIGMAS = (0.001, math.radians(0.02))  # m, rad of one interval: standard deviations that none goes below
+MIN_SIGMAS = (0.001, math.radians(0.02))  # m, rad: smallest standard deviations of one interval
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/TwistWithCovarianceStamped")
 FORWARD_TURN = (0, 5)  # where linear x and angular z stand in a covariance of ROS
 
@@ -47,7 +47,7 @@ class TwistSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class Twist(Sensor):
-    """Reads forward speeds and turning rates."""
+    """Another speed estimator: reads forward speeds and turning rates."""
 
     name = "twist"
     Settings = TwistSettings
@@ -67,7 +67,7 @@ class Twist(Sensor):
     }
 
     def measure(self, stream: Stream, settings: TwistSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Integrate speeds to distance [m] and turn [rad] since the first reading, z (n, 2), one row per `period`.
+        """Integrate speeds to z (n, 2): distance [m] and turn [rad] since the first reading, one row per `period`.
 
         Raises LocfuseError where no message holds a speed.
         """
@@ -105,16 +105,16 @@ class Twist(Sensor):
         )
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
-        """Return times (n,) and headings (n,) [rad, up to a constant and a drift] by its turning rates."""
+        """Return times (n,) [s] and integrated turning rates (n,) [rad]; constant and drift are unknown."""
         return m.t, m.z[:, 1]
 
     def model(self, settings: TwistSettings) -> Model:
-        """Return the source's model for a new run."""
+        """Return the filter model of the speeds for a new run."""
         return TwistModel(settings)
 
 
 def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
-    """Return the rows (k,) with speeds and a new time; count the others."""
+    """Return the rows (k,) with finite speeds and a new stamp; count the others by reason."""
     finite = plausible(speeds).all(axis=1)
     later = np.diff(stream.t_ns, append=np.iinfo(np.int64).max) > 0
     count_dropped(dropped, not_finite=~finite, repeat=finite & ~later)
@@ -129,21 +129,21 @@ def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
 
 
 class TwistModel(Model):
-    """Distance and turn since the cloned pose, in the local frame."""
+    """Model of distance and turn since the previous reading, in the local frame."""
 
     local = True
 
     def __init__(self, settings: TwistSettings) -> None:
         self.scale = settings.sigma_scale**2
         self.threshold = chi_square(settings.gate, 2)
-        self._last: int | None = None  # the reading whose pose is kept
+        self._last: int | None = None  # reading at which the pose was cloned
 
     def blocks(self) -> list[Block]:
-        """Return the cloned pose."""
+        """Return the state block of the cloned pose (the pose at the previous reading)."""
         return [Block(CLONE, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare distance and turn since the last reading with the belief; the first one initialises."""
+        """Return the innovation of distance and turn since the previous reading; [] at the first reading."""
         last = self._last
         if last is None or m.plain["piece"][i] != m.plain["piece"][last]:
             return []
@@ -157,18 +157,18 @@ class TwistModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _variance(self, m: Measurements, of: int, value: float, last: int, i: int) -> float:
-        """Return the variance of distance (of = 0) or turn (of = 1) since reading `last`."""
+        """Return the variance of distance (of = 0) [m^2] or turn (of = 1) [rad^2] since reading `last`."""
         variance = m.plain[VARIANCES[of]]
         return float(variance[i] - variance[last] + self.scale * value * value + m.floor.item(of, of))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Copy the present pose into the cloned states, from which the next motion is measured."""
+        """Copy the present pose into the cloned pose, from which the next motion is measured."""
         belief.clone_pose(belief.column(CLONE))
         self._last = i
 
 
 def chord(kept: Sequence[float], pose: Sequence[float]) -> tuple[tuple[float, float], PoseRows, PoseRows]:
-    """Return chord [m] and turn [rad] from the cloned pose to the pose, and the derivatives (2, 3) by both."""
+    """Return chord [m] and turn [rad] from the cloned to the present pose, and derivatives (2, 3) by both."""
     (x, y, turn), by_kept, by_pose = seen_from(kept, pose)
     c, s = direction(0.5 * turn)
     bent = 0.5 * (y * c - x * s)

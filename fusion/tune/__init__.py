@@ -1,1 +1,1 @@
-"""Noise figures from logs: maximum likelihood on recorded runs of the filter."""
+"""Noise settings from logs: maximum likelihood on recorded runs of the filter."""

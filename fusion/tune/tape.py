@@ -1,9 +1,9 @@
-"""One run of the filter as a tape: acceptance, matches and linearisation are fixed, only the noise changes.
+"""Recorded run of the filter, replayed with other noise: acceptance, matches and linearisation stay fixed.
 
-Played with other noise, the events of the run are a linear Kalman filter on the deviations from it, and its
-innovations have a likelihood (Schweppe 1965). New map lines start without knowledge, so that what they were made
-from needs no other treatment than what is measured later. Many sets of noise are played at once along a
-leading axis: NumPy's call overhead is most of the cost (27 filters take three times as long as one).
+With other noise, the recorded events are a linear Kalman filter for the deviations from the run, and its
+innovations have a likelihood (Schweppe 1965). New map lines start with a large variance, so that their first
+measurements are treated like later ones. Many sets of noise are replayed together along a leading axis, since
+NumPy's call overhead is most of the cost (27 filters take three times as long as one).
 """
 
 from __future__ import annotations
@@ -35,33 +35,33 @@ from locfuse.fusion.mount import exact
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-UNKNOWN_VARIANCE = 100.0  # variance of a new map line [m^2, rad^2]: nothing is known
+UNKNOWN_VARIANCE = 100.0  # variance of a new map line [m^2, rad^2]
 
 
-class See(NamedTuple):
-    """A correction by measurements with R = R_sigma + R_rest, of which R_sigma grows with the sensor's sigma^2."""
+class SplitCorrection(NamedTuple):
+    """Correction by measurements with R = R_sigma + R_rest, where R_sigma is proportional to sigma^2."""
 
     event: Corrected
     R_sigma: Array  # (m, m) for the recorded sigma
     R_rest: Array  # (m, m)
-    sensor: Ints  # (m,) index of the sensor; -1 is none's (two lines are one wall) and is not scored
+    sensor: Ints  # (m,) index of the sensor; -1: no sensor (two lines are one wall), without likelihood
 
 
 class Tape(msgspec.Struct):
-    """The recorded run."""
+    """Recorded events of one run of the filter."""
 
     sensors: tuple[str, ...]
     P0: Array  # (n, n)
     t: Array  # (instants,) s
-    ops: list[tuple[int, Event | See]] = field(default_factory=list)  # instant, what happened there
+    ops: list[tuple[int, Event | SplitCorrection]] = field(default_factory=list)  # index of the update time, event
     drifts: dict[str, tuple[Ints, Array]] = field(default_factory=dict)  # block -> columns, variance per s
     wheels: slice | None = None  # columns of the wheel parameters
 
 
 def record(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Tape:
-    """Run the filter with these sensors and return its tape.
+    """Run the filter with these sensors and return the recorded run.
 
-    Mounts are taken as configured: where one is a state it turns the R of lines, and what of R is sigma's is lost.
+    Mounts are exact as configured: as states they would change the R of lines, which could then not be split.
     """
     robot = replace(robot, sensors={name: exact(settings) for name, settings in robot.sensors.items()})
     events, names = Events(backward=False), tuple(s for s in REGISTRY if s in sensors)
@@ -71,13 +71,13 @@ def record(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Tape:
     instant = -1
     for event in events.list:
         instant += isinstance(event, Moved)
-        op = see(event, drive, names) if isinstance(event, Corrected) else event
+        op = split(event, drive, names) if isinstance(event, Corrected) else event
         tape.ops.append((max(instant, 0), op))
     return tape
 
 
-def see(event: Corrected, drive: Drive, names: Sequence[str]) -> See:
-    """Split a correction's R into the part that grows with each sensor's sigma^2, and the rest."""
+def split(event: Corrected, drive: Drive, names: Sequence[str]) -> SplitCorrection:
+    """Split the R of a correction into the part proportional to each sensor's sigma^2, and the rest."""
     R_sigma, sensor, k = np.zeros_like(event.R), np.full(len(event.y), -1), 0
     for name, row, numbers in event.sources:
         at = slice(k, k + numbers)
@@ -85,19 +85,19 @@ def see(event: Corrected, drive: Drive, names: Sequence[str]) -> See:
             sensor[at] = names.index(name)
             R_sigma[at, at] = _of_sigma(event.R[at, at], drive.measurements[name], row)
         k = at.stop
-    return See(event, R_sigma, event.R - R_sigma, sensor)
+    return SplitCorrection(event, R_sigma, event.R - R_sigma, sensor)
 
 
 def _of_sigma(R: Array, m: Measurements, row: int) -> Array:
-    """Return the part (d, d) of an innovation's R that is proportional to sigma^2 of its sensor."""
+    """Return the part (d, d) of an innovation's R that is proportional to the sensor's sigma^2."""
     part: Array = m.scale**2 * m.R_unit[row]
     rest = m.extra.get("rest")
     if rest is not None:
         part = part - rest[row] * np.eye(len(part))
     if not (np.diagonal(R) >= 0.999 * np.diagonal(part)).all():
-        return R  # a model that weighs by less than R: all of it is its sigma's
+        return R  # a model with a smaller R: all of it is proportional to sigma^2
     if len(R) == 2 and R[0, 1] * m.covariances(slice(row, row + 1))[0, 0, 1] < 0.0:
-        part = part * np.array(((1.0, -1.0), (-1.0, 1.0)))  # the line was read as (-r, psi + pi)
+        part = part * np.array(((1.0, -1.0), (-1.0, 1.0)))  # the line is compared as (-r, psi + pi)
     return part
 
 
@@ -107,60 +107,58 @@ class Noise(NamedTuple):
     wheels: Array  # (B,)
     sensors: Array  # (B, number of sensors)
     drifts: Mapping[str, Array]  # block -> (B,)
-    turns: Array | None = None  # (B,) on the wheels' noise while turning, instead of `wheels`
+    turns: Array | None = None  # (B,) for motions that turn, instead of `wheels`
 
 
-class Played(NamedTuple):
-    """The likelihood of c corrections, under each of B sets of noise."""
+class Likelihoods(NamedTuple):
+    """Log likelihoods of c corrections under B sets of noise."""
 
     scores: Array  # (B, c) log likelihood [nats]
     instant: Ints  # (c,)
-    numbers: Ints  # (c,) measured numbers that were scored
+    numbers: Ints  # (c,) measured numbers with a likelihood
 
 
-def play(tape: Tape, noise: Noise, bend: float = 0.0, until: float = math.inf) -> Played:
-    """Play the tape under B sets of noise up to the time `until` [s].
-
-    Where `noise.turns` is given it holds for motions whose path bends by more than `bend` [1/m].
-    """
-    head = Head(tape, noise, bend)
+def play(tape: Tape, noise: Noise, until: float = math.inf) -> Likelihoods:
+    """Replay a recorded run under B sets of noise up to the time `until` [s]; return the log likelihoods."""
+    replay = Replay(tape, noise)
     end = int(np.searchsorted(tape.t, until))
     scores, instants, numbers = [np.zeros((len(noise.wheels), 0))], [], []
     for instant, op in tape.ops:
         if isinstance(op, Moved):
             if instant >= end:
                 break
-            head.move(instant, op)
-        elif isinstance(op, See):
-            scores.append(head.see(op)[:, None])
+            replay.move(instant, op)
+        elif isinstance(op, SplitCorrection):
+            scores.append(replay.correct(op)[:, None])
             instants.append(instant)
             numbers.append(int((op.sensor >= 0).sum()))
         elif isinstance(op, Loosened):
-            head.P[:, op.columns, op.columns] += op.variance
+            replay.P[:, op.columns, op.columns] += op.variance
         elif isinstance(op, FrameTurned):
-            head.turn_frame(op)
+            replay.turn_frame(op)
         elif isinstance(op, Added):
-            head.add(op)
+            replay.add(op)
         elif isinstance(op, Dropped):
-            head.m = np.delete(head.m, op.columns, axis=1)
-            head.P = np.delete(np.delete(head.P, op.columns, axis=1), op.columns, axis=2)
+            replay.m = np.delete(replay.m, op.columns, axis=1)
+            replay.P = np.delete(np.delete(replay.P, op.columns, axis=1), op.columns, axis=2)
         elif isinstance(op, Changed):
-            head.change(op)
-    return Played(np.concatenate(scores, axis=1), np.array(instants, np.int64), np.array(numbers, np.int64))
+            replay.change(op)
+    return Likelihoods(np.concatenate(scores, axis=1), np.array(instants, np.int64), np.array(numbers, np.int64))
 
 
-class Head:
-    """B Kalman filters on the deviation from the recorded run."""
+class Replay:
+    """B Kalman filters for the deviation from the recorded run."""
 
-    def __init__(self, tape: Tape, noise: Noise, bend: float) -> None:
+    def __init__(self, tape: Tape, noise: Noise) -> None:
         B = len(noise.wheels)
-        self.tape, self.noise, self.bend = tape, noise, bend
-        self.scale = np.concatenate((np.sqrt(noise.sensors), np.ones((B, 1))), axis=1)  # the last: no sensor
+        self.tape, self.noise = tape, noise
+        # a last column for corrections without a sensor
+        self.scale = np.concatenate((np.sqrt(noise.sensors), np.ones((B, 1))), axis=1)
         self.P = np.tile(tape.P0, (B, 1, 1))
         self.m = np.zeros((B, len(tape.P0)))
 
     def move(self, instant: int, op: Moved) -> None:
-        """Predict: eq. 5-7, where A = I + the lever terms of eq. 7 acts on the deviation."""
+        """Predict the deviations: eq. 5-7, with the derivatives of eq. 7 by theta."""
         P, m = self.P, self.m
         a, b = op.start[1] - op.end[1], op.end[0] - op.start[0]
         m[:, 0] += a * m[:, 2]
@@ -177,14 +175,14 @@ class Head:
             P[:, :3, :] += op.coupling @ P[:, w, :]
             P[:, :, :3] += P[:, :, w] @ op.coupling.T
         turns = self.noise.turns
-        factor = turns if turns is not None and bends(op, self.bend) else self.noise.wheels
+        factor = turns if turns is not None and turning(op) else self.noise.wheels
         P[:, :3, :3] += factor[:, None, None] * op.Q
         dt = float(self.tape.t[instant] - self.tape.t[max(instant - 1, 0)])
         for name, (columns, drift) in self.tape.drifts.items():
             P[:, columns, columns] += np.outer(self.noise.drifts.get(name, np.ones(len(P))), drift * dt)
 
-    def see(self, op: See) -> Array:
-        """Correct (eq. 10-12); return the log likelihood of what sensors measured, (B,)."""
+    def correct(self, op: SplitCorrection) -> Array:
+        """Correct (eq. 10-12) and return the log likelihoods (B,) of the measurements."""
         P, m, seen = self.P, self.m, op.event
         scale = self.scale[:, op.sensor]
         PH = P[:, :, seen.columns] @ seen.H.T
@@ -197,7 +195,7 @@ class Head:
         return score
 
     def turn_frame(self, op: FrameTurned) -> None:
-        """Let the place of the map frame follow its direction, by a recorded correction."""
+        """Move the origin of the map frame to match a recorded correction of the frame's direction."""
         P, m, turn = self.P, self.m, op.first + 2
         for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
             m[:, column] += by * m[:, turn]
@@ -206,7 +204,7 @@ class Head:
             P[:, :, column] += by * P[:, :, turn]
 
     def add(self, op: Added) -> None:
-        """Append the map frame as a copy of the pose; other new states are unknown."""
+        """Append states: the map frame is a copy of the pose, other states have a large variance."""
         n, k = op.before, op.states
         T = np.eye(n + k, n)
         if op.frame:
@@ -224,22 +222,22 @@ class Head:
         P[:, op.rows[:, None], op.rows] += op.noise
 
 
-def bends(op: Moved, bend: float) -> bool:
-    """Return whether a motion's curvature is more than `bend` [1/m]; turning on the spot counts."""
-    return abs(op.turned) > bend * op.driven
+def turning(op: Moved) -> bool:
+    """Return whether a motion's curvature is above MIN_CURVATURE_PER_M; a turn on the spot counts."""
+    return abs(op.turned) > MIN_CURVATURE_PER_M * op.driven
 
 
-# ---- the likelihood of tapes, its peak and its curvature ----
+# ---- the likelihood of recorded runs, its maximum and its curvature ----
 
 WHEELS = "wheels.noise"
 DRIFT = ":drift"  # of a sensor's estimated offset
 DRIFT_START = 0.1  # degrees per sqrt(s)
 SEARCH_BOUND_LOG = math.log(1e3)  # of one search
 STEP_LOG, HESSIAN_STEP_LOG = 0.02, 0.1
-MAX_SIGMA_LOG = 0.5  # standard error of a logarithm: more is not identifiable
-MIN_CURVATURE_PER_M = 0.5  # 1/m: a path that bends more is turning
-MIN_CURVATURE_NATS = 1e-3  # curvature that counts as none
-PROFILE_DROP_NATS, PROFILE_REACH_LOG, PROFILE_POINTS = 0.5, math.log(30.0), 25  # the search beyond the peak
+MAX_SIGMA_LOG = 0.5  # largest standard error of an identifiable logarithm
+MIN_CURVATURE_PER_M = 0.5  # 1/m: a path with a larger curvature turns
+MIN_CURVATURE_NATS = 1e-3  # smallest curvature in a standard error
+PROFILE_DROP_NATS, PROFILE_REACH_LOG, PROFILE_POINTS = 0.5, math.log(30.0), 25  # for the search beyond the maximum
 NO_TURNS = (
     "rotation noise is not identifiable: these logs turn by only {turned:.0f} deg. wheels.noise was found on "
     "straights and may be wrong in turns"
@@ -251,24 +249,24 @@ NO_STRAIGHTS = (
 
 
 class Figures(msgspec.Struct):
-    """The present noise. `factors`: ln(present / configured) of a variance for wheels, else of a sigma."""
+    """Present noise settings; `factors` are ln(present / configured) of the wheels' variance and of sigmas."""
 
     configured: Robot
     sensors: tuple[str, ...]
-    drift: str | None = None  # the sensor whose estimated offset may drift
+    drift: str | None = None  # sensor whose estimated offset may drift
     factors: dict[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
-        """Names of the logarithms in the order of the search."""
+        """Names of the search variables (logarithms), in order."""
         return [WHEELS, *self.sensors, *([self.drift + DRIFT] if self.drift else [])]
 
     def factor(self, name: str) -> float:
-        """Return the ratio of the present figure to the configured one."""
+        """Return the ratio of the present to the configured value of a search variable."""
         return math.exp(self.factors.get(name, 0.0))
 
     def values(self) -> dict[str, float]:
-        """Return every present figure by its key in robot.toml."""
+        """Return the present noise settings by key of robot.toml."""
         out = {WHEELS: self.configured.wheels.noise * self.factor(WHEELS)}
         for s in self.sensors:
             settings = self.configured.settings(s)
@@ -280,14 +278,14 @@ class Figures(msgspec.Struct):
         return out
 
     def name_of(self, key: str) -> str:
-        """Return the name of the search variable (a logarithm) for a key of robot.toml."""
+        """Return the name of the search variable for a key of robot.toml."""
         table, _, name = key.partition(".")
         if key == WHEELS:
             return WHEELS
         return table + DRIFT if table == self.drift and name == drift_key(table) else table
 
     def tables(self) -> dict[str, dict[str, float]]:
-        """Return the figures as tables of robot.toml."""
+        """Return the present noise settings as tables of robot.toml."""
         tables: dict[str, dict[str, float]] = {}
         for key, value in self.values().items():
             table, _, name = key.partition(".")
@@ -295,7 +293,7 @@ class Figures(msgspec.Struct):
         return tables
 
     def robot(self, robot: Robot) -> Robot:
-        """Return a robot with the present figures."""
+        """Return a robot with the present noise settings."""
         tables = self.tables()
         wheels = msgspec.structs.replace(robot.wheels, **tables.pop("wheels"))
         settings = {s: msgspec.structs.replace(c, **tables.get(s, {})) for s, c in robot.sensors.items()}
@@ -303,12 +301,12 @@ class Figures(msgspec.Struct):
 
 
 def drift_key(sensor: str) -> str:
-    """Return the key for the drift of a sensor's estimated offset, "" without one."""
+    """Return the setting of the drift of a sensor's offset, "" for a sensor without one."""
     return REGISTRY[sensor].drift_key or ""
 
 
 def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
-    """Return the sensor whose offset is estimated and drifts, or may drift."""
+    """Return the sensor with an estimated offset that drifts, or with `wanted` may drift; None without one."""
     for s in sensors:
         offset, key = REGISTRY[s].bias, drift_key(s)
         if key and offset is not None and getattr(robot.settings(s), offset.key) is None:
@@ -317,27 +315,27 @@ def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
 
 
 class Problem(msgspec.Struct):
-    """The likelihood of tapes as a function of logarithms relative to what was recorded."""
+    """Log likelihood of recorded runs as a function of logarithms of noise, relative to the recorded noise."""
 
     tapes: Sequence[Tape]
-    until: Sequence[float]  # s: what is later is held out
+    until: Sequence[float]  # s: later corrections are held out
     names: Sequence[str]  # of the logarithms
 
     def __call__(self, theta: Array, turns: Array | None = None, least: Sequence[float] | None = None) -> Array:
-        """Return the log likelihood in training of B points (B, p).
+        """Return the training log likelihoods (B,) at B points theta (B, p).
 
-        `turns` (B,) is the logarithm of the wheels' noise in turns, `least` ends the tapes even earlier [s].
+        `turns` (B,) are logarithms of the wheels' noise in turns, `least` is an earlier end of each run [s].
         """
         total = np.zeros(len(theta))
         for tape, end in zip(
             self.tapes, self.until if least is None else map(min, self.until, least), strict=True
         ):
             if end > tape.t[0]:
-                total += play(tape, self._noise(tape, theta, turns), MIN_CURVATURE_PER_M, end).scores.sum(axis=1)
+                total += play(tape, self._noise(tape, theta, turns), end).scores.sum(axis=1)
         return total
 
     def means(self, theta: Array) -> tuple[list[tuple[float, ...] | None], tuple[int, int]]:
-        """Return mean scores per number for B points, in training and held out, and the counts of numbers."""
+        """Return mean log likelihoods per number at B points, in training and held out, and counts of numbers."""
         sums, counts = np.zeros((2, len(theta))), np.zeros(2)
         for tape, end in zip(self.tapes, self.until, strict=True):
             played = play(tape, self._noise(tape, theta))
@@ -349,7 +347,7 @@ class Problem(msgspec.Struct):
         return found, (int(counts[0]), int(counts[1]))
 
     def _noise(self, tape: Tape, theta: Array, turns: Array | None = None) -> Noise:
-        """Return the factors on a tape's variances for logarithms theta (B, p)."""
+        """Return the noise of a recorded run for logarithms theta (B, p)."""
         sensors = [np.exp(2.0 * theta[:, self.names.index(s)]) for s in tape.sensors]
         drifts = {}
         if self.names[-1].endswith(DRIFT):
@@ -360,9 +358,9 @@ class Problem(msgspec.Struct):
 
 
 def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | None = None) -> Array:
-    """Return the most likely logarithms (p,); the search begins at each of `starts`, set for all variables.
+    """Return the logarithms (p,) of maximum likelihood, from searches that begin at each of `starts`.
 
-    `least` ends the tapes early [s]: to tell the starts apart, a part of the logs is enough.
+    Each start value holds for all variables. `least` is an earlier end of each run [s], to save time.
     """
     from scipy.optimize import minimize
 
@@ -382,13 +380,13 @@ def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | Non
 
 
 def identify(problem: Problem) -> tuple[Array, list[str]]:
-    """Return the standard error of every logarithm (p,), and in words why the wheels' noise was not identified.
+    """Return standard errors (p,) of the logarithms, and notes on noise of the wheels that is not identifiable.
 
-    From the likelihood's curvature with the wheels' noise split: on straights, and in turns.
+    By the likelihood's curvature with separate wheel noise for straight motions and for turns.
     """
     p = len(problem.names)
     H = -hessian(lambda v: problem(v[:, :p], v[:, p]), p + 1)
-    whole = np.vstack((np.eye(p), np.eye(p)[:1]))  # the split noise follows from the one
+    whole = np.vstack((np.eye(p), np.eye(p)[:1]))  # one noise sets both
     split = standard_errors(H)
     flags = []
     if split[p] > MAX_SIGMA_LOG:
@@ -399,9 +397,9 @@ def identify(problem: Problem) -> tuple[Array, list[str]]:
 
 
 def at_most(problem: Problem, which: int, upper: float) -> float:
-    """Return the largest value of a logarithm with nearly the likelihood of the maximum at 0; inf if flat.
+    """Return the largest logarithm with nearly the likelihood of the maximum at 0; inf if flat.
 
-    Where the likelihood is flat towards small noise, the end of the flat part is returned.
+    If the likelihood is flat towards small noise, this is the end of the flat part.
     """
     grid = np.linspace(0.0, max(upper, PROFILE_REACH_LOG), PROFILE_POINTS)
     theta = np.zeros((PROFILE_POINTS, len(problem.names)))
@@ -411,18 +409,18 @@ def at_most(problem: Problem, which: int, upper: float) -> float:
     return float(grid[worse[0] - 1]) if len(worse) else math.inf
 
 
-def _moves(problem: Problem, turning: bool) -> list[Moved]:
-    """Return the training motions that turn (`turning`), or those that go straight."""
+def _moves(problem: Problem, turn: bool) -> list[Moved]:
+    """Return the training motions that turn, or (`turn` is false) those that are straight."""
     return [
         op
         for tape, end in zip(problem.tapes, problem.until, strict=True)
         for instant, op in tape.ops
-        if isinstance(op, Moved) and tape.t[instant] < end and bends(op, MIN_CURVATURE_PER_M) == turning
+        if isinstance(op, Moved) and tape.t[instant] < end and turning(op) == turn
     ]
 
 
 def hessian(f: Callable[[Array], Array], p: int) -> Array:
-    """Second derivatives (p, p) of f: (B, p) -> (B,) at zero, by central differences in one call."""
+    """Return the second derivatives (p, p) at zero of f: (B, p) -> (B,), by central differences in one call."""
     signs = np.array(((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)))
     pairs = [(i, j) for i in range(p) for j in range(i, p)]
     points = np.zeros((len(pairs), 4, p))
@@ -437,7 +435,7 @@ def hessian(f: Callable[[Array], Array], p: int) -> Array:
 
 
 def standard_errors(H: Array) -> Array:
-    """Return standard errors (p,) from the curvature H of -ln L; enormous along directions without any."""
+    """Return standard errors (p,) from the curvature H (p, p) of -ln L; very large along flat directions."""
     values, vectors = np.linalg.eigh(H)
     errors: Array = np.sqrt((vectors**2 / np.maximum(values, MIN_CURVATURE_NATS)).sum(axis=1))
     return errors

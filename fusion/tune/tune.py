@@ -1,9 +1,9 @@
-"""Noise figures from logs, without truth: the maximum-likelihood noise of the innovations.
+"""Noise tuning from logs without truth: maximum likelihood of the innovations.
 
-A mean NIS of 1 proves nothing, since too much noise here hides too little there; the likelihood of the innovations
-punishes both (Schweppe 1965). What is accepted and matched is decided once for each round and stays
-fixed while the noise is searched (tape), from several starts, in logarithms. What the likelihood does not care
-about is not identifiable: that is said, and nothing is set.
+A mean NIS of 1 is not enough, since too much noise of one sensor compensates too little of another; the likelihood
+of the innovations shows both (Schweppe 1965). Acceptance and matches are decided once for each round and fixed
+during the search (tape), from several starts, in logarithms. Noise that the likelihood does not determine is
+reported as not identifiable and not changed.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ from .tape import (
 
 MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # a smaller change of a logarithm ends the rounds
 START_LOG_FACTORS = (0.0, math.log(6.0), -math.log(6.0))
-PREVIEW_S = 30.0  # s of driving that tell the starts apart
-MAX_TRIES = 8  # to bring noise near enough for measurements to be accepted for what they are
+PREVIEW_S = 30.0  # s of motion, for the first choice between the starts
+MAX_TRIES = 8  # of scaling the noise until measurements are accepted
 MAX_REFUSED_SHARE = 0.3
-MAX_NIS_RATIO, MIN_NIS_RATIO = 2.25, 0.2  # squared ratio of innovations to the configured: near lies between
-MIN_OWN_SHARE = 0.3  # of the innovations' variance: less is not the sensor's to shrink
-WIDENING_FACTOR = 3.0  # factor on the sigma of a sensor that is mostly refused
-REMEASURE_FACTOR = 1.1  # factor on a sigma from which lines that were cut by it are measured again
-OPTIMAL = {"first-scan": "refine", "consider": "refine"}  # frozen maps are not weighed optimally
+MAX_NIS_RATIO, MIN_NIS_RATIO = 2.25, 0.2  # limits of the NIS ratio that needs no scaling
+MIN_OWN_SHARE = 0.3  # share of R in the innovations' variance, for a smaller sigma
+WIDENING_FACTOR = 3.0  # factor on the sigma of a sensor with many rejections
+REMEASURE_FACTOR = 1.1  # change of a sigma from which its lines are extracted again
+OPTIMAL = {"first-scan": "refine", "consider": "refine"}  # frozen maps are not optimal
 
 Remeasure = Callable[[int, str, Robot], Measurements]
 Progress = Callable[[str], None]
 
 
 class Trial(NamedTuple):
-    """One log to tune on."""
+    """One log that the noise is tuned on."""
 
     name: str
     drive: Drive
     robot: Robot
-    until: float = math.inf  # s: what is later is held out
+    until: float = math.inf  # s: later measurements are held out
 
 
 class Row(NamedTuple):
-    """One noise figure before and after."""
+    """One noise setting before and after tuning."""
 
     key: str  # of robot.toml
     before: float
@@ -71,15 +71,15 @@ class Row(NamedTuple):
 
 
 class Tuned(msgspec.Struct, frozen=True):
-    """The tuned figures, with their evidence."""
+    """Tuned noise settings, with their likelihoods."""
 
     rows: Sequence[Row]
     train: tuple[float, ...] | None  # mean log likelihood per number before and after [nats]
     held_out: tuple[float, ...] | None
     numbers: tuple[int, int]  # in training, and held out
-    flags: Sequence[str]  # what these logs do not tell
+    flags: Sequence[str]  # notes on noise that is not identifiable
     measured_again: Sequence[str]  # sensors
-    trials: Sequence[Trial]  # with the noise that was found, and everything else as given
+    trials: Sequence[Trial]  # with the tuned noise and the other settings as given
 
 
 def tune(
@@ -89,10 +89,10 @@ def tune(
     remeasure: Remeasure | None = None,
     progress: Progress = lambda what: None,
 ) -> Tuned:
-    """Return the noise that makes the innovations of these logs most likely.
+    """Return the noise settings that maximise the likelihood of the innovations in these logs.
 
-    `remeasure` is asked for sensors whose lines were cut by a sigma that proved wrong; nothing else is measured
-    twice. Raises LocfuseError where there is nothing to tune by, or the logs are configured with different noise.
+    `remeasure` measures sensors again whose lines depend on a changed sigma. Raises LocfuseError without a sensor
+    to tune, or if the logs are configured with different noise.
     """
     bench = Bench(trials, sensors, drift, remeasure)
     bench.bring_near(progress)
@@ -110,7 +110,7 @@ def tune(
 
 
 class Bench:
-    """The logs with the present noise."""
+    """The logs and the present noise settings during tuning."""
 
     def __init__(
         self, trials: Sequence[Trial], sensors: Sequence[str], drift: bool, remeasure: Remeasure | None
@@ -133,7 +133,7 @@ class Bench:
         self._again: list[str] = []
 
     def trial(self, trial: Trial, figures: Figures) -> Trial:
-        """Return a log with these figures."""
+        """Return a log with these noise settings."""
         d = trial.drive
         scaled = {
             s: rescaled(m, math.exp(figures.factors.get(s, 0.0) - self._measured_at[s]))
@@ -141,30 +141,30 @@ class Bench:
             if s in figures.sensors
         }
         more = figures.factor(WHEELS)
-        to_truth = None if d.truth_motions is None else _louder(d.truth_motions, more)
-        drive = replace(d, motions=_louder(d.motions, more), truth_motions=to_truth, measurements=scaled)
+        to_truth = None if d.truth_motions is None else _with_more_noise(d.truth_motions, more)
+        drive = replace(d, motions=_with_more_noise(d.motions, more), truth_motions=to_truth, measurements=scaled)
         return trial._replace(drive=drive, robot=figures.robot(trial.robot))
 
     def now(self) -> list[Trial]:
-        """Return the logs with the present noise."""
+        """Return the logs with the present noise settings."""
         return [self.trial(t, self.figures) for t in self.trials]
 
     def bring_near(self, progress: Progress) -> None:
-        """Scale sigmas to the sensors' own innovations until most measurements are accepted."""
+        """Scale each sigma by the sensor's own innovations until most measurements are accepted."""
         for n in range(MAX_TRIES):
             progress(f"bringing the noise near ({n + 1})")
             found: dict[str, list[float]] = {}
             for t in self.now():
                 run = fuse(t.drive, t.robot, list(t.drive.measurements))
                 for s, m in t.drive.measurements.items():
-                    found.setdefault(s, []).append(_off(own(run.audits[s], m)))
+                    found.setdefault(s, []).append(_sigma_factor(own(run.audits[s], m)))
             steps = {s: math.log(float(np.median(f))) for s, f in found.items()}
             if not any(steps.values()):
                 return
             self.move(steps)
 
     def preview(self) -> list[float]:
-        """Return the time after PREVIEW_S seconds of driving, per log [s]."""
+        """Return the time [s] in each log after PREVIEW_S seconds of motion."""
         ends = []
         for t in self.trials:
             d = t.drive
@@ -173,7 +173,7 @@ class Bench:
         return ends
 
     def move(self, steps: dict[str, float]) -> None:
-        """Change logarithms; measure again if the sigma used so far was wrong."""
+        """Add steps to the logarithms; measure sensors again whose lines depend on a changed sigma."""
         for name, step in steps.items():
             self.figures.factors[name] = self.figures.factors.get(name, 0.0) + step
         for s in self.figures.sensors:
@@ -191,18 +191,18 @@ class Bench:
                 self._again.append(s)
 
     def problem(self) -> Problem:
-        """Record every log with the present noise: acceptance is fixed from here on."""
+        """Record all logs with the present noise settings, for a search with fixed acceptance."""
         tapes = [record(t.drive, t.robot, list(t.drive.measurements)) for t in self.now()]
         return Problem(tapes, [t.until for t in self.trials], self.figures.names)
 
     def result(self) -> Tuned:
-        """Compare the tuned figures with the configured ones on the same measurements."""
+        """Return the tuned settings, compared with the configured ones on the same measurements."""
         figures, problem = self.figures, self.problem()
         errors, flags = identify(problem)
         configured = -np.array([figures.factors.get(name, 0.0) for name in figures.names])
         for name, error in zip(figures.names, errors.tolist(), strict=True):
             if error > MAX_SIGMA_LOG:
-                flags.append(self._leave(problem, name))
+                flags.append(self._reset(problem, name))
         now = configured + np.array([figures.factors.get(name, 0.0) for name in figures.names])
         now[~np.isfinite(now)] = 0.0
         (train, held_out), numbers = problem.means(np.stack((configured, now)))
@@ -219,7 +219,7 @@ class Bench:
         as_used = [t._replace(robot=figures.robot(robot)) for t, robot in given]
         return Tuned(rows, train, held_out, numbers, flags, again, as_used)
 
-    def _leave(self, problem: Problem, name: str) -> str:
+    def _reset(self, problem: Problem, name: str) -> str:
         """Reset a value that the likelihood does not determine; return a note on it."""
         figures = self.figures
         if name.endswith(DRIFT):
@@ -237,13 +237,13 @@ class Bench:
 
 
 def brings_covariance(sensor: str, trials: Sequence[Trial]) -> bool:
-    """Return whether a sensor's readings come with their own covariance: then its sigma changes nothing."""
+    """Return whether a sensor's readings contain their own covariance, so that its sigma has no effect."""
     found = [t.drive.measurements[sensor] for t in trials if sensor in t.drive.measurements]
     return any(map(REGISTRY[sensor].brings_covariance, found))
 
 
 def check_same_noise(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
-    """Raise LocfuseError if two logs have different configured noise: the search needs one start."""
+    """Raise LocfuseError if two logs are configured with different noise."""
     first = trials[0]
     for t in trials[1:]:
         pairs = [("wheels.noise", first.robot.wheels.noise, t.robot.wheels.noise)]
@@ -262,7 +262,7 @@ def check_same_noise(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
 
 
 def optimal(robot: Robot) -> Robot:
-    """Return the robot with settings that make the filter optimal: map weights, outliers rejected."""
+    """Return the robot with settings of an optimal filter: lines of the map as states, outliers rejected."""
     settings = {}
     for s, c in robot.sensors.items():
         mode = getattr(c, "map", "")
@@ -275,9 +275,9 @@ def optimal(robot: Robot) -> Robot:
 
 
 def rescaled(m: Measurements, factor: float) -> Measurements:
-    """Return measurements with a sensor sigma that is `factor` times as large.
+    """Return measurements with a sigma that is `factor` times as large.
 
-    The noise floor, and the variance that is not this sigma's ("rest"), stay as they are.
+    The noise floor and the variance "rest", which does not depend on sigma, are not changed.
     """
     rest = m.extra.get("rest")
     if rest is None:
@@ -286,11 +286,11 @@ def rescaled(m: Measurements, factor: float) -> Measurements:
     return replace(m, scale=m.scale * factor, R_unit=m.R_unit - own + own / factor**2)
 
 
-def _louder(motions: Motions, factor: float) -> Motions:
+def _with_more_noise(motions: Motions, factor: float) -> Motions:
     return Motions(motions.u, factor * motions.Q, motions.J)
 
 
-def _off(o: Own | None) -> float:
+def _sigma_factor(o: Own | None) -> float:
     """Return the factor on a sensor's sigma that brings its NIS near 1; 1 if it is near already."""
     if o is None or o.refused > MAX_REFUSED_SHARE or math.isinf(o.raw):
         return WIDENING_FACTOR

@@ -27,7 +27,7 @@ import locfuse as api
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.camera import images
 from locfuse.fusion.camera.images import image_size
-from locfuse.fusion.camera.opencv import listened, tells_of_damage
+from locfuse.fusion.camera.opencv import listened, reports_damage
 from locfuse.fusion.checks.preview import preview
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -464,10 +464,10 @@ def test_stderr_is_where_it_was_after_an_error(capfd: pytest.CaptureFixture[str]
 
 
 def test_only_words_about_the_picture_count() -> None:
-    assert tells_of_damage(b"Corrupt JPEG data: premature end of data segment\n")
-    assert not tells_of_damage(b"Corrupt JPEG data: 3 extraneous bytes before marker 0xd9\n")
-    assert tells_of_damage(b"Corrupt JPEG data: 900 extraneous bytes before marker 0xd9\n")
-    assert not tells_of_damage(b"some other thread's words\n")
+    assert reports_damage(b"Corrupt JPEG data: premature end of data segment\n")
+    assert not reports_damage(b"Corrupt JPEG data: 3 extraneous bytes before marker 0xd9\n")
+    assert reports_damage(b"Corrupt JPEG data: 900 extraneous bytes before marker 0xd9\n")
+    assert not reports_damage(b"some other thread's words\n")
 
 
 def test_a_log_with_damaged_pictures_counts_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -14,10 +14,10 @@ from small_drive import NOISE, drive, robot
 
 from locfuse.cli.session.session import Session, load
 from locfuse.fusion import se2
+from locfuse.fusion.checks.examine import unseen
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, of_turning
-from locfuse.fusion.checks.unseen import unseen
 from locfuse.fusion.data import Drive
 from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log

@@ -131,11 +131,11 @@ def test_a_laser_that_sits_elsewhere_makes_the_filter_overconfident_only_where_i
 
 
 def test_the_mount_of_a_laser_is_known_to_a_centimetre_and_half_a_degree_unless_configured() -> None:
-    tells = Mount("lrf", LrfSettings(sigma_y=0.0, sigma_yaw_deg=2.0), tells=True)
+    tells = Mount("lrf", LrfSettings(sigma_y=0.0, sigma_yaw_deg=2.0), observable=True)
     assert {block.name: math.sqrt(block.P[0, 0]) for block in tells.blocks()} == pytest.approx(
         {"lrf_x": 0.01, "lrf_yaw": math.radians(2.0)}
     )
-    assert Mount("lrf", LrfSettings(), tells=False).blocks() == []
+    assert Mount("lrf", LrfSettings(), observable=False).blocks() == []
 
 
 # --- two robots whose laser sits otherwise than their log says: the filter finds what matched scans say too

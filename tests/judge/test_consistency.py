@@ -25,11 +25,11 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
 from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
 from locfuse.fusion.judge.innovations import (
-    MAX_LISTENED_READINGS,
+    MAX_COMPARED_READINGS,
     STRETCH_READINGS,
     ComparedReadings,
     _agreement,
-    _some,
+    _sampled,
     compare_readings,
     own,
 )
@@ -191,9 +191,8 @@ def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
     assert found.bounds[1] - found.bounds[0] > 3 * (fast.bounds[1] - fast.bounds[0])
     assert fast.bounds[0] < fast.anees < fast.bounds[1]
     assert fast.words.startswith("consistent")
-    for numbers, bounds in ((2, fast.bounds), (1, fast.state_bounds)):  # of both axes together, and of each
-        freedom = round(numbers * fast.independent)
-        assert bounds == pytest.approx(stats.chi2.ppf((0.025, 0.975), freedom) / freedom, rel=1e-3)
+    freedom = round(2 * fast.independent)
+    assert fast.bounds == pytest.approx(stats.chi2.ppf((0.025, 0.975), freedom) / freedom, rel=1e-3)
 
 
 def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
@@ -502,12 +501,12 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
 
 
 def test_of_many_readings_some_stretches_of_neighbours_are_heard() -> None:
-    np.testing.assert_array_equal(_some(MAX_LISTENED_READINGS), np.arange(MAX_LISTENED_READINGS))
-    found = _some(MAX_LISTENED_READINGS + 1)
+    np.testing.assert_array_equal(_sampled(MAX_COMPARED_READINGS), np.arange(MAX_COMPARED_READINGS))
+    found = _sampled(MAX_COMPARED_READINGS + 1)
     assert found[0] == 0
-    assert found[-1] == MAX_LISTENED_READINGS
-    stretches = _some(100_000).reshape(-1, STRETCH_READINGS)
-    assert len(stretches) == MAX_LISTENED_READINGS // STRETCH_READINGS
+    assert found[-1] == MAX_COMPARED_READINGS
+    stretches = _sampled(100_000).reshape(-1, STRETCH_READINGS)
+    assert len(stretches) == MAX_COMPARED_READINGS // STRETCH_READINGS
     assert (np.diff(stretches, axis=1) == 1).all()
     assert stretches[-1, -1] == 99_999
     starts = np.diff(stretches[:, 0])

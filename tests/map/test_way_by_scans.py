@@ -63,7 +63,7 @@ def test_a_false_match_is_left_out_by_the_others() -> None:
 @pytest.mark.parametrize("yaw_deg", [0.0, 2.0])
 def test_a_chain_is_compared_by_the_mount_that_the_scans_were_told(yaw_deg: float) -> None:
     """The laser sits elsewhere than told: scans put into a base by the wrong mount see another way of the base."""
-    mount = Mount("lrf", LrfSettings(x=0.2, y=0.05, yaw_deg=3.0), tells=True)
+    mount = Mount("lrf", LrfSettings(x=0.2, y=0.05, yaw_deg=3.0), observable=True)
     belief = JointBelief((5.0, 1.0, 0.4), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01), mount.blocks())
     sits = np.array((0.23, 0.04, math.radians(3.0 + yaw_deg)))
     for column, value in zip(mount.columns(belief), sits, strict=True):

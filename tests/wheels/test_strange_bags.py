@@ -356,9 +356,9 @@ def test_scans_that_say_how_the_robot_moved_say_nothing_of_where_their_laser_sit
     """Moved and matched by one mount, they fit any: what a filter found there would be made of noise."""
     log = log_of(tmp_path / "x.mcap", scans("/scan"))
     lrf = load([log], options()).robot.settings("lrf")
-    assert lrf.sigmas(tells=True) == (0.0, 0.0, 0.0)
+    assert lrf.sigmas(observable=True) == (0.0, 0.0, 0.0)
     told = load([log], options("lrf.sigma_x=0.02")).robot.settings("lrf")
-    assert told.sigmas(tells=True) == (0.02, 0.0, 0.0)
+    assert told.sigmas(observable=True) == (0.02, 0.0, 0.0)
 
 
 # ---- inertial sensors ----

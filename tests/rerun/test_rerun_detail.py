@@ -306,5 +306,5 @@ def test_a_smoothed_result_has_a_shade_of_its_own() -> None:
 
 def test_red_is_what_was_refused_and_nothing_else() -> None:
     refused = lab(style.GROUPS[REJECTED])
-    others = [style.TRUTH, style.LANDMARK, style.LIMIT, style.LEVEL, *style.FIELDS]
+    others = [style.TRUTH, style.LANDMARK, style.LIMIT, style.LEVEL, *style.FIELD_COLOURS]
     assert all(np.linalg.norm(lab(rgb) - refused) > 2.0 * APART for rgb in others)

@@ -141,7 +141,7 @@ def _cameras(log: Log, topic: str) -> list[str]:
 
 
 def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
-    """Return whether a frame may be on the robot: below a base frame, or below no map, world, earth or odom."""
+    """Return whether a frame may be on the robot: its /tf parents hold a base frame, or no map, world or odom."""
     above = [last_word(parent) for parent, _ in ancestors(transforms, frame)]
     return any(parent in BASE_FRAMES for parent in above) or not any(parent in ROOM_FRAMES for parent in above)
 

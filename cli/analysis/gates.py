@@ -259,7 +259,7 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
 
 
 def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tuple[str, ...], float]:
-    """Return the error figures of a report or summary by (path, key, sensors of the reference if any)."""
+    """Return the errors in a report or fleet summary. Keys: (path, error name, sensors of the reference)."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     found: dict[tuple[str, ...], float] = {}

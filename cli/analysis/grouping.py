@@ -1,4 +1,4 @@
-"""Paths on a command line as finished results, parts of one log, or several logs.
+"""Classifies paths of a command line: finished results, parts of one log, or several logs.
 
 Many logs are given by a list in a file, by a pattern, or by a folder with logs at any depth.
 """

@@ -100,7 +100,7 @@ def _robot(topic: str) -> str:
 
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
-    """Return the error for several candidates, with the setting that chooses the first one."""
+    """Return the exception for a role with several possible topics; its fix chooses the first topic."""
     fix = f"{role}.topic={topics[0]}"
     return LocfuseError(
         f"{log.name} has {len(topics)} topics that fit: {', '.join(topics)}.",

@@ -84,7 +84,7 @@ class Found(msgspec.Struct, frozen=True, dict=True):
         return Setting(key, value, words, self.origin(source), places=places)
 
     def topic_setting(self, key: str, role: str, msgtype: str) -> Setting:
-        """Return a role's topic as a parameter, or a comment if its messages have another type."""
+        """Return the ROS parameter for a role's topic; a comment if its messages are not of type `msgtype`."""
         topic, kind = self.topic(role)
         if kind == msgtype:
             return Setting(key, topic, f"{topic} in the log", KEPT)

@@ -51,7 +51,7 @@ def log_files(path: Place) -> list[Place]:
 
 
 def _objects(url: Url) -> list[Place]:
-    """Return the remote files of a log: the object, or a folder's files with the first ending of ENDINGS."""
+    """Return the remote files of a log: one file, or those of a folder with one ending (.mcap, else .db3, ...)."""
     if not url.is_folder:
         return [url]
     from locfuse.formats.container.remote_objects import below

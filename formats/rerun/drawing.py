@@ -143,7 +143,7 @@ def _send_encoded(to: TimelineRecorder, path: str, t: Array, data: Sequence[byte
 
 
 def _send_found(to: TimelineRecorder, group: str, t: Array, batch: Sequence[Picture], rows: float) -> None:
-    """Draw the detections of one group of verdicts; a picture without any clears the previous ones."""
+    """Draw the detections with one verdict (`group`). A picture without such detections clears the old ones."""
     found = [(p, i) for p in batch for i, verdict in enumerate(p.verdicts) if verdict == group]
     lengths = [p.verdicts.count(group) for p in batch]
     rays = [p.rays[i] for p, i in found]

@@ -67,7 +67,7 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _template(self) -> tuple[NDArray[np.uint8], dict[str, tuple[int, np.dtype[Any]]]]:
-        """One message as CDR bytes, and for each column the offset and dtype of its numbers in it."""
+        """One message as CDR bytes; for each message field, its byte offset in this message and its dtype."""
         one = MESSAGES.cdr(self.msgtype, nested(self.constant))
         message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
         paths = self.columns(slice(1)).keys()

@@ -136,7 +136,7 @@ def _in_log(topic: str, topics: Sequence[str]) -> str | None:
 
 
 def _assign(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Assign an input of an ekf.yaml to a table; return notes on its settings without a counterpart."""
+    """Add an input of an ekf.yaml to the tables of robot.toml; return notes on settings that these lack."""
     if source.kind == "imu":
         return _assign_imu(source, tables)
     on = source.switches

@@ -172,9 +172,10 @@ def _ahead(t: Array, pose: Array, begin: Array, window: float) -> Array:
 
 
 def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:
-    """Return the variances of `own` (n,) minus its linear fit by `by_wheels` (n,), and the mean of `slips` (n,).
+    """Return the residual variance of a sensor's motions `own` (n,) and the mean of the `slips` variances (n,).
 
-    The linear fit removes scale errors (track, radius, scale of the sensor), which are not noise.
+    Residuals of a linear fit by the wheels' motions `by_wheels` (n,): scale errors (track, radius, sensor) are no
+    noise.
     """
     A = np.stack((by_wheels, np.ones_like(by_wheels)), axis=-1)
     x, *_ = np.linalg.lstsq(A, own, rcond=None)

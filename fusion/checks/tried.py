@@ -456,7 +456,7 @@ def _beside_another(
 
 
 def _any_worsened(pairs: Mapping[str, tuple[Marks, Marks]], kept: Collection[str]) -> bool:
-    """Return whether a configuration gets worse; one that no user would keep may get worse by chance."""
+    """Return whether a configuration gets worse. Outside `kept`, a loss by chance does not count."""
     return any((worsens if name in kept else worsens_alone)(*pair) for name, pair in pairs.items())
 
 

@@ -236,7 +236,10 @@ class JointBelief(ekf.State):
         self._queue[: self.queued] = waiting
 
     def equation(self, seen: Sequence[Innovation] | None = None) -> Equation:
-        """Return innovations, or all queued rows, as one equation: y (m,), columns (c,), H (m, c), R (m, m)."""
+        """Return queued innovations as one equation: y (m,), state columns (c,), H (m, c), R (m, m).
+
+        `seen`: only these innovations; None: all queued rows.
+        """
         at, H, count, y, R = self._rows
         rows = self._queue[: self.queued].tolist()
         if seen is not None:

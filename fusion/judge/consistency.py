@@ -354,7 +354,7 @@ class Evidence:
         return Consistency("unclear", f"noise cannot be judged: {why}")
 
     def reference_runs(self, sensor: str) -> list[tuple[Run, ComparedReadings]]:
-        """Return consistent runs without the sensor and without flagged ones, smallest variance first."""
+        """Return consistent runs that use neither `sensor` nor a flagged sensor, smallest variance first."""
         found = []
         for run in self.runs:
             used = set(run.estimates.sensors)

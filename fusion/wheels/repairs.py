@@ -132,7 +132,10 @@ def _find_modulus(values: Array, steps: Array, likely: Sequence[float]) -> float
 
 
 def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool:
-    """Return whether a modulus makes all long steps ordinary, and is at least the `span` of the values."""
+    """Return whether a counter that rolls over at `modulus` explains all long `steps` (n,).
+
+    Without the roll-overs these steps must be as short as the others; all values span `span`.
+    """
     if not 0.5 * modulus < longest < modulus or span > modulus * (1.0 + 1e-6):
         return False
     long = np.abs(steps) > 0.5 * modulus

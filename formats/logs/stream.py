@@ -351,7 +351,7 @@ def _jittered(n: int) -> str:
     """Return the note on replaced recording times."""
     return (
         f"recording times jitter: {n} run backwards or are off the beat; the order of the messages in the file "
-        "is kept, and those are plausibly_recorded evenly between their neighbours"
+        "is kept, and those are dated evenly between their neighbours"
     )
 
 

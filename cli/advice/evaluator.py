@@ -63,16 +63,19 @@ class Evaluator:
 
     @property
     def run_receivers(self) -> list[RunReceiver]:
-        """The function that receives each finished run of a comparison; [] if none is needed."""
+        """Return a list with the function that takes each finished run; [] if the log cannot be evaluated."""
         return [self._take] if self.may_judge else []
 
     @property
     def prediction_receivers(self) -> list[PredictionReceiver]:
-        """The function that receives each run with predictions for unused sensors; [] if none is needed."""
+        """Return a list with the function that takes each run that predicts unused sensors.
+
+        [] if the log cannot be evaluated.
+        """
         return [self._take_predicted] if self.may_judge else []
 
     def _take(self, e: Estimates, judged: Evaluation) -> None:
-        """Store a comparison's run; if only the drive's beginning is tried, store only its figures."""
+        """Store a finished run; only its figures if it is smoothed or fixes are tried on part of the drive."""
         trial, whole = self.trial, self.trial.whole
         if e.rates or e.configuration not in trial.configurations:
             return
@@ -84,7 +87,7 @@ class Evaluator:
             trial.know(WHOLE, (), e, marks_of(e, judged, whole.drive))
 
     def _take_predicted(self, e: Estimates) -> None:
-        """Store a run's prediction scores for unused sensors; the run with odometry alone comes first."""
+        """Store a run's scores for the sensors that it predicts; the first run given must be odometry alone."""
         trial, drive = self.trial, self.trial.whole.drive
         if trial.loaded is trial.whole:
             self._odometry = self._odometry or e
@@ -94,7 +97,7 @@ class Evaluator:
             trial.know(WHOLE, (), e, predicted(drive, e))
 
     def _first_comparison(self) -> Compared:
-        """Return the comparison under the present settings, from received runs if all were received."""
+        """Return the comparison under the present settings; fuse the log only if a run of it was not received."""
         trial = self.trial
         if not set(trial.configurations) <= set(self._seen):
             return _compared((), trial.loaded, trial)
@@ -151,7 +154,7 @@ def _harm_to_path_or_map(
 def smoothed_worse(
     found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
 ) -> tuple[float, float] | None:
-    """Return (error before, after) [m] of the first smoothed path that gets worse with fixes; None without one.
+    """Return the errors [m] (before, after) of the first smoothed path that fixes make worse; None if none does.
 
     If a fix in `found` was judged after alignment, smoothed paths are judged after alignment too.
     """
@@ -167,11 +170,11 @@ def smoothed_worse(
 def on_the_whole_drive(
     found: Sequence[Advice], trial: Trial, afterwards: bool = False
 ) -> tuple[list[Advice], Fixes]:
-    """Judge advice again on the whole drive, by all configurations with its sensor; return advice and fixes.
+    """Judge advice again on the whole drive; return the judged advice and the kept fixes.
 
-    A fix is dropped if one of them gets worse, or none gets better; with `afterwards` also if the smoothed path or
-    the map gets worse. Severe findings whose fix had no effect on the beginning are tried again, since slow errors
-    appear later.
+    All configurations that use a finding's sensor judge its fix. The fix is dropped if one of them gets worse, or
+    none gets better; with `afterwards` also if the smoothed path or the map gets worse. Severe findings whose fix
+    had no effect on the beginning are tried again, since slow errors appear later.
     """
     judged: list[Advice] = []
     kept: Fixes = ()
@@ -209,7 +212,7 @@ def on_the_whole_drive(
 
 
 def _judged_by_all(advice: Advice, names: Sequence[str]) -> Candidate:
-    """Return the advice for judgement by all of `names`; configurations new to it are `minor`."""
+    """Return the advice as a candidate that all `names` judge; those that did not judge it before are `minor`."""
     one = advice.candidate or Candidate(advice.finding, (advice.fixes,), tuple(names))
     kept = [n for n in one.judges if n not in one.minor]
     minor = tuple(n for n in names if n not in kept)

@@ -99,7 +99,10 @@ class Evidence(Noise):
         )
 
     def _on_even_clocks(self, find: Callable[[], list[Candidate]]) -> list[Candidate]:
-        """Return what `find` returns, but of no sensor that may be charged with another's scattering stamps."""
+        """Return the candidates of `find` without those of a sensor if the stamps of another sensor scatter.
+
+        Scattering stamps of one sensor can look like a fault of another.
+        """
         uneven = {f.role for f in self.doctor if f.code == UNEVEN}
         return [c for c in find() if c.finding.role not in REGISTRY or not uneven - {c.finding.role}]
 
@@ -121,13 +124,13 @@ class Evidence(Noise):
 
     @cached_property
     def wrong(self) -> list[tuple[Clock, ...]]:
-        """For each explanation of the time lags between sensors (best first) the clocks that it assumes wrong."""
+        """Sets of wrong clocks that each explain the time lags between sensors, the best explanation first."""
         found = differences(self.loaded.drive, self.loaded.robot, self.compared.estimates)
         again = any(".time_offset=" in fix for fix in self.fixes)
         return wrong_clocks(found, TRIED_SIGMAS, MIN_AGAIN_S if again else MIN_LAG_S)
 
     def clocks(self) -> list[Candidate]:
-        """Return candidate fixes of wrong clocks, by the best explanation of the time lags between sensors."""
+        """Return candidate time offsets that best explain the lags between sensors, and for late pictures."""
         return [*self._late(self.wrong[:1]), *self._late_pictures()]
 
     def other_clocks(self) -> list[Candidate]:
@@ -170,7 +173,7 @@ class Evidence(Noise):
             yield self._candidate(Finding("camera", verdict.verdict, verdict.words), constant, True)
 
     def geometry(self) -> list[Candidate]:
-        """Return candidate fixes of mounts, scales and directions, by comparing sensors or by extra states."""
+        """Return candidate fixes of mounts, scales and directions, by comparing sensors or as filter states."""
         # distances that differ look like a wrong mount; a laser that was bumped has no single mount
         no_mount = self._open_scale or self._distances or self._bumped
         probed = [] if no_mount else [*self._probed(), *self._scaled()]
@@ -209,7 +212,7 @@ class Evidence(Noise):
         by_measuring: Collection[Key],
         by_offers: Collection[Key],
     ) -> list[Candidate]:
-        """Return candidate fixes of the findings `seen`, and of `offers` (findings with values to try).
+        """Return candidate fixes of the findings `seen`, and of `offers`: pairs (finding, fixes to try).
 
         `by_measuring` and `by_offers` are the keys of findings in `seen` and in `offers` with a measured value.
         A sensor whose readings are all rejected gets no candidate.
@@ -233,7 +236,9 @@ class Evidence(Noise):
         ]
 
     def _with_camera_offset(self, finding: Finding) -> tuple[Fixes, ...]:
-        """Return the fix of mirrored or displaced picture circles, combined with the camera's new zero direction.
+        """Combine the fix of a mirrored picture or displaced picture circle with the camera's new zero direction.
+
+        Returns () if the new direction cannot be measured.
 
         The zero direction is measured against a run of another sensor, since wheels with a wrong track turn wrong.
         """
@@ -269,7 +274,7 @@ class Evidence(Noise):
         return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
 
     def _points(self) -> Iterator[Finding]:
-        """Yield findings on the point of the robot that the truth tracks, by the run with all sensors."""
+        """Yield a finding if, by the run with all sensors, the truth tracks another point than configured."""
         truth = self.loaded.drive.truth
         for e in self.compared.estimates:
             if (

@@ -80,7 +80,7 @@ class Judged:
         return "unclear" if verdict is None else verdict.verdict
 
     def _doubtful(self, name: str) -> bool:
-        """Return whether a configuration is lost, inconsistent by truth, or not checked by truth."""
+        """Return whether a run is lost, or truth contradicts its covariance or did not check it."""
         check = self.covariance_checks.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return check is None or lost or not check.consistent
@@ -208,7 +208,7 @@ class Noise(Judged):
         return found
 
     def _shared_by_lines(self, sensor: str, verdict: Consistency) -> list[Candidate]:
-        """Return larger line noise floors for a laser whose lines scatter more than their beams explain.
+        """Return fixes with larger line noise floors, if laser lines scatter more than their beams explain.
 
         Neighbouring beams of a depth camera share errors (calibration, disparity steps), which averaging over a
         line does not reduce.
@@ -242,7 +242,7 @@ class Noise(Judged):
 
     @property
     def _walls_bend(self) -> bool:
-        """Whether straight walls look bent in the laser's raw ranges, as by a constant error of them."""
+        """Whether straight walls look bent in the laser's raw ranges, as with a constant range error."""
         stream = self.loaded.stream(LASER) if LASER in self.loaded.drive.measurements else None
         return stream is not None and bool(of_offset(stream, self.loaded.robot.settings(LASER)))
 
@@ -252,7 +252,7 @@ class Noise(Judged):
         return scatter_more(self._ranges_sigma, self.loaded.robot.settings(LASER).sigma_range)
 
     def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
-        """Return the laser's noise settings by its raw ranges, if its lines show about the same noise.
+        """Return the laser's noise settings scaled to its raw ranges' sigma; () if its lines show another noise.
 
         A sigma that is far too high merges two walls into one line, whose residuals are too large.
         """
@@ -264,7 +264,7 @@ class Noise(Judged):
         return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
 
     def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
-        """Return whether raw ranges are noisier than the smaller sigma that the lines suggest.
+        """Return whether raw ranges scatter more than the reduced range sigma that the lines suggest.
 
         If so, the smaller sigma is not proposed.
         """
@@ -273,7 +273,7 @@ class Noise(Judged):
 
     @cached_property
     def _slip(self) -> Slip | None:
-        """The wheels' slip by turns, or by distances along the laser's path if these need more noise."""
+        """Wheel slip in turns, or in distances along the laser's path if these show more; None if unknown."""
         drive, found = self.loaded.drive, slip(self.loaded.drive)
         for e in self.runs_alone(LASER):
             if found is not None and found.factor < 1.0:
@@ -296,9 +296,10 @@ class Noise(Judged):
         return verdict.verdict == "overstated" and check is not None and check.overconfident
 
     def _with_wheel_noise(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
-        """Return fixes with smaller sensor noise, with more wheel noise if the gate would reject too much.
+        """Return fixes with smaller sensor noise that do not make the gate reject too much, and words.
 
-        Sensor noise set too high can hide wheel noise set too low. Not needed with truth (`_overconfident`).
+        If there are none, the first fix is combined with more wheel noise, and the words add the reason. Sensor
+        noise set too high can hide wheel noise set too low. Not needed with truth (`_overconfident`).
         """
         if self.loaded.drive.truth is not None:
             return seen, words
@@ -410,7 +411,11 @@ def useful(fixes: Fixes, settings: Any) -> bool:
 
 
 def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:
-    """Return alternative fixes of a noise verdict: noise settings, or the drift of an offset."""
+    """Return alternative fixes of a noise verdict; [] if it proposes no values.
+
+    For correlated residuals: a larger sigma, or a drifting offset. For others: the proposed sigma, and a still
+    larger one if the verdict is "understated".
+    """
     if verdict.verdict not in NOISE_VERDICTS or not verdict.fix_values:
         return []
     if verdict.verdict == "correlated":  # a larger sigma, or a drifting offset

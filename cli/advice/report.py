@@ -95,7 +95,7 @@ def _joined(found: Sequence[Advice]) -> Advice:
 
 
 def _differ(before: Iterable[str], after: Iterable[str]) -> bool:
-    """Return whether fixes changed a value by more than the repetition of a measurement does."""
+    """Return whether a value differs between two sets of fixes by more than repeated measurements of it do."""
     first, last = by_key(before), by_key(after)
     return any(_values_differ(value, last[key]) for key, value in first.items() if key in last)
 
@@ -147,7 +147,7 @@ BASE_ROLES = ("wheels", "truth")  # roles that every configuration depends on
 def add_validity(
     report: dict[str, Any], advised: Advised | None, start_error_m: float | None, truth: Finding | None = None
 ) -> None:
-    """Add `validity` (void and doubtful configurations); void figures are moved to `void`."""
+    """Add `validity`, the list of void and doubtful configurations, and move void figures to the key `void`."""
     found = []
     known_faults = [truth] if truth is not None else []
     known_faults += [
@@ -384,7 +384,7 @@ def _without_truth(report: Mapping[str, Any], places: str) -> str:
 
 
 def _by_places(report: Mapping[str, Any]) -> str:
-    """Return a sentence on the revisit agreement of filtered and smoothed path; "" if it is unknown."""
+    """Return a sentence on how well scans agree at revisited places, filtered and smoothed; "" if unknown."""
     rows = report["configurations"]
     for name, values in rows.items():
         row = result_name(name, smoothed=True)
@@ -435,7 +435,7 @@ def complete(
 
 
 def _remove_mount_notes(report: dict[str, Any]) -> None:
-    """Remove notes on a mount for which a finding has a fix, so that there is one value."""
+    """Remove notes on a mount if a finding has a fix for it, so that the report proposes only one value."""
     mounts = {f["role"] for f in report["findings"] or () if f["code"] == MOUNT and f["fixes"]}
     for values in report["configurations"].values():
         values["notes"] = [

@@ -48,7 +48,7 @@ def looks(loaded: Loaded, sets: Sequence[Fixes], align: str, progress: Progress)
 
 
 def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any] | None:
-    """Return the values of settings that a log shows, as plain values; None if it cannot be judged."""
+    """Return a log's estimates of settings as plain values; None if the log cannot be evaluated."""
     if loaded.motion_faults or loaded.drive.wheels.stands or not may_judge(loaded):
         return None
     found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
@@ -56,7 +56,7 @@ def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any]
 
 
 def ask(logs: Mapping[str, Mapping[str, Any]], look: LooksOf) -> dict[str, Any]:
-    """Return the values that logs of one robot share, and the settings that help all, as plain values.
+    """Return the values on which logs of one robot agree, and the settings that help all logs, as plain values.
 
     Settings are tried on at most MAX_TRIED_LOGS logs.
     """

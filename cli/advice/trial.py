@@ -60,7 +60,7 @@ class Trial:
         self._kept = (), self.whole
 
     def keep(self, fixes: Fixes) -> None:
-        """Use the log under these fixes as the base of further fixes, so that fewer sensors are measured again."""
+        """Make the log under these fixes the base of later trials, so that fewer sensors are measured again."""
         loaded = self.whole_under(fixes)
         if loaded is not None:
             self._kept = fixes, loaded
@@ -75,7 +75,7 @@ class Trial:
         return self._of(TRIED if self.loaded is self.whole else WHOLE, fixes, names)
 
     def smoothed(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return the errors of the smoothed paths that a comparison would show; {} without truth."""
+        """Return the errors of those `names` whose smoothed path is shown by default; {} without truth."""
         if self.whole.drive.truth is None:
             return {}
         shown = [n for n in names if self.configurations[n].is_smoothed(Asked(), self.whole.robot)]
@@ -122,7 +122,7 @@ class Trial:
             self._marks[kind, fixes, e.configuration] = marks
 
     def seed(self, fixes: Fixes, compared: Compared) -> None:
-        """Store the figures of a comparison's runs with truth; without truth, `know` has stored them."""
+        """Store a comparison's runs and their figures; do nothing without truth, since `know` has stored them."""
         if compared.loaded.drive.truth is None:
             return
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
@@ -180,7 +180,7 @@ class Trial:
 
 
 def predicted(drive: Drive, e: Estimates) -> Marks:
-    """Return a run's figures by prediction: its score for the sensors that it does not use.
+    """Return a run's figures without truth: the score of its predictions of the sensors that it does not use.
 
     Without the share of time lost, since part of its readings may be held back to be predicted.
     """

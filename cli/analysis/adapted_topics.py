@@ -88,7 +88,7 @@ def not_read(log: Log, role: str) -> str:
 
 
 def offer_presented(log: Log) -> None:
-    """Add topics converted to the usual type of a role that has none: "/points:scan" from the cloud /points.
+    """Add converted topics for roles without a topic of the usual type: "/points:scan" from the cloud /points.
 
     All Foxglove and multi-echo scans are added, but only the likeliest of several point clouds.
     """
@@ -141,7 +141,7 @@ def _cameras(log: Log, topic: str) -> list[str]:
 
 
 def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
-    """Return whether a frame may be on the robot: its /tf parents hold a base frame, or no map, world or odom."""
+    """Return whether a frame may be on the robot: in /tf below a base frame, or not below map, world or odom."""
     above = [last_word(parent) for parent, _ in ancestors(transforms, frame)]
     return any(parent in BASE_FRAMES for parent in above) or not any(parent in ROOM_FRAMES for parent in above)
 

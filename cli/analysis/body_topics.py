@@ -138,7 +138,7 @@ def _only_motion(log: Log, same: Sequence[Body], evidence: Evidence | MotionSens
 
 
 def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
-    """Yield the measured motions by kind, best kind first; twists only with `speeds`.
+    """Yield the measured motions, one list for each kind, best kind first; twists only if `speeds` is set.
 
     An odometry in a map frame is an estimate of another program, so it comes last.
     """
@@ -164,7 +164,7 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
 
 
 def _odometry_body(topic: str, why: str, others: Sequence[str]) -> Body:
-    """Return an odometry as the motion, with a note on unused odometries or on an IMU or GPS that it contains."""
+    """Return an odometry as the motion; its note names unused odometries, or an IMU or GPS fused in it."""
     if not others:
         return Body(topic, why, HOLDS_MORE.format(topic=topic) if _holds_more(topic) else "")
     looks = "looks" if len(others) == 1 else "look"
@@ -270,7 +270,7 @@ def of_camera(log: Log, topic: str) -> bool:
 
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
-    """Return frame pairs of /tf (a fixed frame, a moving one) as topics; only base frames if there are any."""
+    """Return /tf pairs (fixed frame, moving frame) as topics; if base frames move, only their pairs."""
     found: dict[str, bool] = {}
     for topic in log.transform_topics:
         for (parent, child), edge in log.frames(topic).items():

@@ -89,7 +89,7 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
 
 
 def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> None:
-    """Add a note on topics that fit a sensor that is used only if configured."""
+    """Record why a sensor that is used only if configured has no topic, with a setting for the first that fits."""
     others = (lambda t: commanded(t, log.topics[t].msgtype), looks_like_truth, by_fixes)
     candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:
@@ -134,12 +134,17 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
 
 
 def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
-    """Return a sensor's topics, without those of second-best message types if there are others."""
+    """Return a sensor's topics except those of its second-best message types; all if no others remain."""
     return [t for t in topics if log.topics[t].msgtype not in sensor.second_best] or topics
 
 
 def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:
-    """Choose a sensor's topics by type: the only one, one that another sensor reads, all, or the likeliest."""
+    """Choose a sensor's topics among `candidates` of its message types.
+
+    It is the only candidate; else for an extra sensor one that another sensor reads; else all, if the sensor may
+    have several; else the likeliest, if unlikely names are known. Otherwise an extra sensor gets no topic, and
+    LocfuseError is raised for any other sensor.
+    """
     sensor = REGISTRY[name]
     if len(candidates) == 1:
         same = filled(log, log.topics[candidates[0]].msgtype)

@@ -113,7 +113,7 @@ def compare_log(
     foreign: Sequence[Estimates] = (),
     prediction_receivers: Sequence[PredictionReceiver] = (),
 ) -> Compared:
-    """Run and judge every configuration; smoothed ones come last, then `foreign` ones.
+    """Run and judge every configuration; results are filtered, smoothed, then `foreign` estimates.
 
     `foreign` are estimates of other programs. With `asked.reference` smoothed solutions replace the missing truth;
     the evaluations given to `receivers` do not use them.
@@ -182,7 +182,10 @@ def compare_log(
 
 
 def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]) -> ByReference | None:
-    """Return the errors without and with a sensor by a reference without it; None if a run is missing."""
+    """Return the position errors [m] without and with a sensor, against a reference that does not use it.
+
+    None if the reference or one of the two runs is missing.
+    """
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
@@ -200,7 +203,7 @@ def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], 
 def _judged(
     c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, receivers: Sequence[RunReceiver] = ()
 ) -> list[JudgedRun]:
-    """Fuse and judge one configuration; smooth it if its smoothed path is shown, or to `solve` a reference."""
+    """Fuse and judge one configuration; also smooth it if that path is shown, or with `solve` (for references)."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
     shown = c.is_smoothed(asked, robot)
     how = cast("Align", asked.align)
@@ -214,7 +217,10 @@ def _judged(
 
 
 def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
-    """Return the distance [m] between the first poses of a foreign estimate and the truth; None if near."""
+    """Return the distance [m] from a foreign estimate to the truth at its first pose with truth.
+
+    None if the two are near in position and heading, or without truth.
+    """
     if drive.truth is None or estimates.truth_pose is None:
         return None
     rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
@@ -229,7 +235,10 @@ def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
 
 
 def _in_frame_of(e: Estimates, drive: Drive, references: References | None, align: str) -> tuple[Estimates, Align]:
-    """Return a foreign estimate and its alignment: "origin" if it starts in another frame than the truth."""
+    """Return a foreign estimate, and how to align it: "origin", with a note, if it starts in another frame.
+
+    Its start is compared with the truth, or with the reference that replaces the truth; only for align "none".
+    """
     whole = None if references is None else references.whole
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
     away = _other_frame(seen, judge) if align == "none" else None
@@ -267,7 +276,7 @@ def predict(
 
 
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
-    """Return report.json as plain values; with `asked` including the result's key and the command to repeat it."""
+    """Return report.json as plain values; without `asked`, its key and its command to repeat it are None."""
     report = results.build(compared.loaded, compared.evaluations)
     tables = compared.loaded.given
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
@@ -291,7 +300,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
 def add_own_scans(
     report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
 ) -> None:
-    """Add pose corrections to each result, and, if a path was smoothed, its agreement with the laser's scans."""
+    """Add pose jumps to each result; if any path was smoothed, also how well scans agree along the paths."""
     report["doubt"] = None
     for e in estimates:  # slips, relocalisations, loop closures
         report["configurations"][e.name]["events"] = [

@@ -41,7 +41,11 @@ class Configuration(msgspec.Struct, frozen=True):
         return thinned(drive, self.rates) if self.rates else drive
 
     def is_smoothed(self, asked: Asked, robot: Robot) -> bool:
-        """Return whether the smoothed path is shown: as asked, else with a laser if it can be smoothed."""
+        """Return whether the smoothed path is shown.
+
+        As in `asked.smooth` (but never for odometry alone); if that is None, only with a laser, all sensors at the
+        rates of the log, no jitter, and if smoothing is possible.
+        """
         if asked.smooth is not None:
             return asked.smooth and bool(self.sensors)
         if asked.jitter or self.rates or LASER not in self.sensors:

@@ -1,4 +1,4 @@
-"""Expected errors (locfuse's own and the system's) as a line and an exit code; NumPy's overflow warnings."""
+"""Converts expected errors (locfuse's, the system's) to a line and an exit code; silences overflow warnings."""
 
 from __future__ import annotations
 

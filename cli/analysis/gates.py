@@ -75,7 +75,7 @@ class Tolerance(msgspec.Struct, frozen=True):
     degrees: float = 0.0
 
     def limit(self, key: str, old: float) -> float:
-        """Return the largest value that passes; `key` ends in the figure's unit (_m, _deg)."""
+        """Return the largest error that passes if the baseline has `old`; `key` ends in their unit (_m, _deg)."""
         floor = self.metres if key.endswith("_m") else self.degrees if key.endswith("_deg") else 0.0
         return old + max(self.share * old, floor)
 
@@ -90,7 +90,10 @@ class Baseline(msgspec.Struct, frozen=True):
     of_fleet: bool = False
 
     def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
-        """Return a line per error figure that grew beyond the tolerance; one line if no figure is in both."""
+        """Return a line for each error that grew beyond the tolerance.
+
+        One line, that the baseline has no `what`, if it has no error in common with `later`.
+        """
         old, new = self.figures, _error_figures(later["configurations"], self.of_fleet)
         common = [at for at in old if at in new]
         if not common:
@@ -210,7 +213,7 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
-    """Return why a gate is not applied: one error is against truth, the other against a reference; else None."""
+    """Return why gate and report differ in what errors are against (truth or a reference); None if they agree."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
@@ -222,7 +225,7 @@ def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
 
 
 def figure(configurations: Mapping[str, Any], path: str) -> tuple[str | None, float | None]:
-    """Return (configuration, figure) of a path such as "all.position_rmse_m"; None for what is missing."""
+    """Return (configuration, value) of a path such as "all.position_rmse_m"; each is None if it is missing."""
     fitting = [name for name in configurations if path.startswith(f"{name}.")]
     if not fitting:
         return None, None
@@ -259,7 +262,7 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
 
 
 def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tuple[str, ...], float]:
-    """Return the errors in a report or fleet summary. Keys: (path, error name, sensors of the reference)."""
+    """Return a report's errors, or with `of_fleet` a summary's. Keys: (path, error name, *reference sensors)."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     found: dict[tuple[str, ...], float] = {}

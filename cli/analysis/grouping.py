@@ -29,8 +29,9 @@ MAX_LIST_BYTES = 64 * 1024 * 1024  # of a list of logs: half a million paths
 
 
 def expanded(words: Sequence[str], each: Sequence[str] = ()) -> list[str]:
-    """Return one path per log or part of a log: lines of a list @FILE, files of a pattern, logs in `each` folder.
+    """Return one path for each log or part of a log that the words name.
 
+    @FILE stands for its lines, a pattern for its matches; all logs below the folders in `each` are added.
     A rosbag2 folder is one log. Raises UsageError for a pattern without a match and a folder without logs,
     LocfuseError for an unreadable list.
     """

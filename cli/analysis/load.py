@@ -126,7 +126,7 @@ def load(
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
 ) -> Loaded:
-    """Open a log, choose topics, and measure all sensors, or `only` some; the roles `aside` are not measured.
+    """Open a log, choose its topics, and measure `only` these sensors (None: all), without the roles `aside`.
 
     Raises LocfuseError if a step fails.
     """
@@ -149,7 +149,7 @@ def _in_window(loaded: Loaded) -> Loaded:
 
 
 def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool) -> Loaded:
-    """Load a log and free its columns after measuring, unless it is `read_again`."""
+    """Load a log; after measuring, free its columns in memory unless they will be `read_again`."""
     loaded = load(log, how, progress)
     if not read_again:
         loaded.log.forget()
@@ -228,7 +228,10 @@ def measured(
 
 
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:
-    """Return the time [s] of the laser's first scan in the drive, if [start] is given at it; else None."""
+    """Return the time [s] of the laser's first scan in the drive if the start pose is for this scan, else None.
+
+    The start pose is for the first scan if [start] has at = "scan".
+    """
     roles = [role for role in ("lrf", "wheels") if role in streams and streams[role].msgtype == SCANS]
     if robot.start.at != "scan" or not roles:
         return None
@@ -315,7 +318,7 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
 
 
 def _common_fields(role: str, msgtype: str) -> tuple[str, ...]:
-    """Return a role's message fields to read in one pass over all topics; () if it is read in blocks."""
+    """Return the message fields that a role needs, for one pass over all topics; () for a role read in blocks."""
     from locfuse.fusion.truth import TRUTH_READS
     from locfuse.fusion.wheels.read import WHEEL_READS
 

@@ -80,7 +80,7 @@ def path_of(log: Log, topic: str, order: str, laser: Laser) -> MatchedScans:
 
 
 class Evidence:
-    """Judge of motion topics by the scans of one laser topic, which are read for the first motion."""
+    """Judges motion topics by the scans of one laser topic; scans are read when the first motion is judged."""
 
     agrees = "it agrees with the scans"
 
@@ -92,7 +92,10 @@ class Evidence:
         self._rejected: dict[Topics, str] = {}  # with the reason
 
     def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
-        """Return which motions agree with the scans; of several that differ much, only the best one does."""
+        """Return for each motion whether it is kept: it agrees with the scans about as well as the best one.
+
+        Motions that cannot be read or judged are kept.
+        """
         known = {}
         for topics in map(tuple, candidates):
             if (motion := motion_of(self._log, self._robot, topics, self._read)) is not None:
@@ -110,7 +113,7 @@ class Evidence:
         return [tuple(topics) not in known or tuple(topics) in left for topics in candidates]
 
     def look_at(self, speeds: Sequence[str]) -> None:
-        """Score topics of speeds for the notes only, since scan matching is preferred to them."""
+        """Compare topics of speeds with the scans, only for the notes: scan matching is preferred to them."""
         self._by_scans = True
         for topic in speeds[:MAX_SPEEDS]:
             motion = motion_of(self._log, self._robot, [topic], self._read)
@@ -167,7 +170,7 @@ class Evidence:
 
     @cached_property
     def _matched(self) -> float:
-        """The share of scan points that agree under scan matching, the largest that a motion can reach."""
+        """The share of scan points that agree if the motion is by scan matching: the largest possible share."""
         assert self._pairs is not None
         if not self._by_scans:
             return self._pairs.matched()
@@ -197,14 +200,14 @@ class Evidence:
 
 
 class MotionSensor(NamedTuple):
-    """A sensor that measures motion, and the share of this motion that each motion topic explains."""
+    """A sensor that measures motion, and for each motion topic the share of the measurements that it explains."""
 
     name: str  # "the turning of /imu"
     shares: dict[Topics, float]  # by the topics of a motion
 
 
 class MotionSensors:
-    """Judge of motion topics by the first sensor whose measurements at least one of them explains."""
+    """Judges motion topics by one sensor: the first one that at least one motion explains sufficiently."""
 
     agrees = "it agrees best with the other sensors"
 
@@ -214,7 +217,10 @@ class MotionSensors:
         self._rejected: dict[Topics, None] = {}  # as an ordered set
 
     def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
-        """Return which motions explain the sensor; of several that differ much, only the best one does."""
+        """Return for each motion whether it is kept: it explains the sensor about as well as the best one.
+
+        All are kept without a sensor, and those that cannot be read.
+        """
         if self._sensor is None:
             return [True] * len(candidates)
         shares, best = self._sensor.shares, max(self._sensor.shares.values())
@@ -230,7 +236,7 @@ class MotionSensors:
 
     @property
     def note(self) -> str:
-        """Return a sentence on the motions that explain less; "" if none was rejected."""
+        """Return a sentence on the rejected motions, which explain too little of the sensor; "" without any."""
         if self._sensor is None or not self._rejected:
             return ""
         parts = [f"{' and '.join(topics)} explains {self._sensor.shares[topics]:.0%}" for topics in self._rejected]

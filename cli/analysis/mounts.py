@@ -77,7 +77,10 @@ def last_word(frame: str) -> str:
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return the sensors' mounts by their frames as tables of robot.toml, with the keys that a sensor has."""
+    """Return the sensors' mounts, by the frames of their streams, as tables of robot.toml.
+
+    A table has only keys that the sensor's settings have.
+    """
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
@@ -112,7 +115,7 @@ def _view(mount: Mount) -> dict[str, Any]:
 def on_moving_parts(
     transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]
 ) -> dict[str, str]:
-    """Return sensors on moving parts with the reason to leave them out; a configured mount is accepted."""
+    """Return {sensor: reason to leave it out} for sensors on moving parts that have no configured mount."""
     found = {}
     for sensor, parts in streams.items():
         keys = {"x", "y", "yaw_deg"} & set(REGISTRY[sensor].Settings.__struct_fields__)
@@ -156,7 +159,7 @@ def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
 
 
 def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return configured roll and pitch of one sensor for another one on the same topic or frame.
+    """Return roll and pitch for sensors without them, as configured for a sensor on the same topic or frame.
 
     An IMU is both compass and gyro, and has one mount.
     """
@@ -211,9 +214,9 @@ def _table(mount: Mount) -> dict[str, Any]:
 def level_compass(
     log: Log, streams: Mapping[str, Any], robot: Robot, transforms: StaticTransforms
 ) -> dict[str, Any]:
-    """Return the streams; that of a magnetometer with the robot's tilt if an IMU measured it.
+    """Return the streams; the magnetometer's stream gets the robot's tilt, if an IMU measured the tilt.
 
-    Used is the IMU in the magnetometer's frame, or the only one.
+    This is the IMU in the magnetometer's frame, or the only one.
     """
     field = streams.get("compass")
     if field is None or field.msgtype != FIELD or not robot.settings("compass").level:

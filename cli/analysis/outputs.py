@@ -44,7 +44,7 @@ class Drawn:
         self.best: Estimates | None = None  # of the run with the most sensors
 
     def take(self, e: Estimates, _evaluation: Evaluation) -> None:
-        """Keep the running NIS of one run, and its estimates if it has the most sensors."""
+        """Store the running NIS of a run, and its estimates if it has more sensors than all earlier runs."""
         self.nis |= {(e.name, s): running_nis(audit, e.t) for s, audit in e.audits.items()}
         if self.best is None or len(e.sensors) > len(self.best.sensors):
             self.best = e
@@ -53,7 +53,7 @@ class Drawn:
 def files(
     compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
-    """Return file name -> content for these kinds of output; `drawn` has the audits that .html shows."""
+    """Return file name -> content for these kinds of output; `drawn` has NIS and estimates for the html page."""
     from locfuse.formats.report import json_report, markdown, tables
     from locfuse.formats.results import trajectory as to
 

@@ -96,7 +96,7 @@ def log_words(log: Log, as_given: bool = False) -> list[str]:
 
 
 def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
-    """Return the report of these evaluations as plain values, without verdicts."""
+    """Return the report of these evaluations as plain values; verdicts are added later."""
     report = json_report.report(loaded.drive, evaluations, source(loaded), settings_tables(loaded.robot), own())
     report["made_with"] |= {s: SOURCES[s] for s in loaded.robot.sensors if s in SOURCES}
     return report
@@ -121,7 +121,7 @@ def source(loaded: Loaded) -> dict[str, Any]:
 
 
 def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
-    """Return for each stream with refused readings their number and that of all readings."""
+    """Return {stream: {"readings": number refused, "of": number of all}} for streams with refused readings."""
     found = {
         stream: {
             "readings": sum(_losses(reasons).values()),
@@ -180,8 +180,9 @@ def _losses(reasons: Mapping[str, int]) -> dict[str, int]:
 
 
 def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool) -> None:
-    """Add warnings on the motion to a report; they come before its headline.
+    """Add warnings on the robot's motion to the report, most of them at the start of its headline.
 
+    All figures become void if the motion is not the robot's.
     With `judged`, wheel counters are also compared with scan matching.
     """
     _void_all(report, loaded.motion_faults)

@@ -37,7 +37,7 @@ BASE_TABLES: dict[str, type[msgspec.Struct]] = {
 
 
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings with the hash of every file that they name (truth, detections, a map).
+    """Add to settings the SHA-256 of every file that they name (truth, detections, a map); return all.
 
     Call this before the files are read: a file that changes later then has another hash at the next run.
     """
@@ -104,7 +104,7 @@ def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, 
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return the tables of --robot and of --set, by option; `more` are additional words of --set.
+    """Return the user's settings as {"--robot": tables, "--set": tables}; `more`: additional words of --set.
 
     --set overrides --robot. Raises LocfuseError for invalid settings.
     """
@@ -115,7 +115,7 @@ def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[st
 
 
 def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the user's settings without those of the log; a result's key depends on them.
+    """Return the user's settings and time window, but not those in the log; a result's key depends on them.
 
     They include the hash of every file that they name.
     """

@@ -129,7 +129,7 @@ class FleetOptions(msgspec.Struct, frozen=True):
 
     @property
     def asked(self) -> bool:
-        """Whether these options make a single log a fleet."""
+        """Whether any option of fleets is given (such as --sweep), so that even a single log is run as a fleet."""
         return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)
 
 
@@ -212,7 +212,7 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
 
 
 def by_default(known: Sequence[str]) -> list[str]:
-    """Return the kinds of output written by default; all kinds if `known` has no html."""
+    """Return those of the `known` kinds of output that are written by default; all if html is not among them."""
     return [kind for kind in known if kind in DEFAULT_OUTPUTS or "html" not in known]
 
 

@@ -83,7 +83,7 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
 
 
 def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
-    """Return the likeliest topic: of the robot of `beside` if any, without an unlikely word in its name if any."""
+    """Return the likeliest topic: rather of the robot of topic `beside`, then rather without an unlikely word."""
     words, robot = tuple(unlikely), _robot(beside)
     return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
 

@@ -104,13 +104,13 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Covari
 
 
 def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
-    """Return for sensors whose sigma is too small the factor to multiply it by, at least 1."""
+    """Return {sensor: factor >= 1} by which to multiply the sigma of each sensor whose sigma is too small."""
     found = {s: c for sensors in sensors_consistency(runs, robot, {}).values() for s, c in sensors.items()}
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 
 def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
-    """Return the reference of all sensors as plain values, with a sentence that names it; `base`: the motion."""
+    """Return the reference by all sensors as plain values, with a sentence on it; `base`: name of its motion."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
     words = REFERENCE.format(base=base, sensors=sensors, sigma=length(whole.sigma))
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
@@ -125,7 +125,10 @@ def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]],
 
 
 def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
-    """Return the reference of a result as plain values; `shared` are the sensors that both use."""
+    """Return the reference that judges a result as plain values.
+
+    `shared`: sensors that result and reference both use; `agrees`: whether the reference agrees with `whole`.
+    """
     return {
         "sensors": list(reference.sensors),
         "left_out": list(reference.left_out),
@@ -151,8 +154,9 @@ def verdicts(
     over: str = "drives",
     base: str = ODOMETRY,
 ) -> dict[str, dict[str, Any]]:
-    """Return verdict and reason for each sensor; a credit is `over` several drives or robots.
+    """Return verdict and reason for each sensor, by the credit, or without one by the scores `found`.
 
+    A credit of several logs is `over` their drives or robots.
     Effects are relative to `base`, the configuration without a sensor.
     """
     if credit is not None:
@@ -164,7 +168,7 @@ def verdicts(
 
 
 def credit_values(credit: Credit) -> dict[str, Any]:
-    """Return the credit of all sensors as plain values; effects are ratios of position errors."""
+    """Return the credit, the effect of each sensor as a ratio of position errors, as plain values."""
     return {
         "figure": "position_rmse_m",
         "complete": credit.complete,
@@ -224,7 +228,7 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
 
 
 def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: str) -> str:
-    """Return the effect in numbers, with its interval, and whether it is proven."""
+    """Return sentences on the `main` effect of a sensor: ratio of errors, interval, and whether it is proven."""
     if c.credit is not None and several:
         how = "On average over all sensor combinations"
     elif c.beside:
@@ -307,7 +311,7 @@ def add_pairs(
     errors: Mapping[str, float | None],
     by_truth: bool,
 ) -> None:
-    """Add to each verdict the effect of a lower rate, and the sensors with which this sensor harms most.
+    """Add to each sensor's verdict the effect of its lower rate, and beside which sensors it harms most.
 
     `sets`: configuration -> sensors; `slower`: those at a lower rate; `errors`: position errors [m]. Harm is shown
     only by truth, since two configurations may have different references.
@@ -373,7 +377,7 @@ def by_reference(
     found: ByReference | None,
     contradiction: tuple[str, str] | None,
 ) -> dict[str, Any]:
-    """Return a sensor's verdict without truth: by a reference that does not use it, else its `own` one."""
+    """Return a sensor's verdict without truth: by a reference that does not use it, else its `own` verdict."""
     own = own or {"verdict": "no verdict", "words": ""}
     if reference is None:
         words = "Without it nothing in this log says where the robot is, so no reference can judge it."

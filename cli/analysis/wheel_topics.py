@@ -57,7 +57,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
 
 
 def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -> None:
-    """Add a note why wheel counters are not used; `lacks` are unknown settings, "" if no joint is a wheel's."""
+    """Note why wheel counters are not used; `lacks`: their missing settings, "" if no joint is named wheel."""
     used = choice.topics["wheels"]
     if not lacks:
         words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"

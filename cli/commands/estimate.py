@@ -87,7 +87,10 @@ def tune(log: tuple[str, ...], options: o.Options, hold_out: tuple[str, ...], dr
 
 
 def _finish(found: Found, tables: Iterable[Table], options: o.Options, held: str = "") -> int:
-    """Write and print estimated settings; return the exit code. `held`: description of a file without them."""
+    """Write and print estimated settings; return the exit code.
+
+    `held`: what the written file contains, printed instead of the hint how to use it; "" for the hint.
+    """
     from locfuse.cli.terminal import show
     from locfuse.formats.report import json_report
     from locfuse.formats.report.table import of_words, texts

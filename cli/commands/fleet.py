@@ -109,7 +109,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
 
 
 def _job_options(options: o.Options, folder: Path) -> Job:
-    """Return a job without log, with the options of all jobs. Raises UsageError for options of a single drive."""
+    """Return a job with the options of all jobs, without a log. Raises UsageError for options of one log."""
     from locfuse.cli.fleet.jobs import Job
     from locfuse.cli.session.summary import of_each
 

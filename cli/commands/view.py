@@ -102,7 +102,7 @@ def view(
 
 
 def _every(value: str | None) -> int | None:
-    """Return N of `every=N`, 0 of `none`, None for None. Raises click.BadParameter for others."""
+    """Return N for "every=N", 0 for "none", None without a value. Raises click.BadParameter for other text."""
     if value is None or value == "none":
         return None if value is None else 0
     word = value.strip().removeprefix("every=")

@@ -149,7 +149,9 @@ class FleetPlan(msgspec.Struct, frozen=True):
 
 
 def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> FleetPlan:
-    """Return a job for each log in `words`, with the options of the job `every` and its own folder.
+    """Return the jobs for all logs in `words`: each is the job `every` with its log, name and folder.
+
+    Logs that cannot be opened are refused, each with the reason.
 
     Raises UsageError for invalid settings, an invalid pattern or an invalid sweep.
     """
@@ -237,7 +239,7 @@ class FleetRows(msgspec.Struct, frozen=True):
 def gather(
     plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: Gates, strict: bool
 ) -> FleetRows:
-    """Read the report of each finished job; `stopped` is the reason why other jobs have not run.
+    """Return a summary row for each log; `stopped` is the reason for jobs that have not run.
 
     Results are read from the jobs' folders, also those of skipped jobs.
     """

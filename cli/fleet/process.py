@@ -33,7 +33,10 @@ RUNNING: set[subprocess.Popen[bytes]] = set()
 
 
 def run(job: Job, folder: str, version: str) -> JobOutcome:
-    """Run a job in a new process; `folder` and `version` are those of the command, and must be equal here."""
+    """Run a job in a new process.
+
+    The job fails unless this machine sees the command's `folder` and has its locfuse `version`.
+    """
     machine = socket.gethostname()
     if (ours := own()) != version:
         return JobOutcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {version}")

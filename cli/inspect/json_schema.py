@@ -54,7 +54,10 @@ def robot_schema() -> Schema:
 
 
 def output_schema(title: str, *kinds: type[msgspec.Struct]) -> Schema:
-    """Return the JSON schema of a command's output, one of the types `kinds`; more keys may be added later."""
+    """Return the JSON schema of a command's output, which has one of the types `kinds`.
+
+    Unknown keys are valid, since more keys may be added later.
+    """
     refs, definitions = msgspec.json.schema_components(kinds, ref_template=REF_TEMPLATE)
     for kind in dict.fromkeys(inner for outer in kinds for inner in _structs(outer)):
         _describe(definitions[kind.__name__], field_words(kind))

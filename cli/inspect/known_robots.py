@@ -66,7 +66,7 @@ def recognise(overview: Overview) -> Recognised | None:
 
 
 def open_figures(known: Recognised, overview: Overview, given: Collection[str]) -> dict[str, tuple[str, str]]:
-    """Return a known robot's values for settings that this log needs: key -> ("key=value", source in words).
+    """Return {key: ("key=value", source in words)}: a known robot's values for settings that the log needs.
 
     `given` are the keys that have a value already.
     """

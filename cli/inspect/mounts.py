@@ -60,7 +60,7 @@ def unplaced(overview: Overview) -> list[Finding]:
 
 
 def conflicts(overview: Overview) -> list[Finding]:
-    """Return a finding for each used frame with two transforms, and one for all unused frames."""
+    """Return a finding for each used frame with two different transforms, and one for all such unused frames."""
     roles = {frame: role for role in overview.choice.topics for frame in overview.frames_of(role)}
     mounts = extrinsics(overview)
     found, others = [], []

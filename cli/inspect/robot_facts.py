@@ -1,4 +1,7 @@
-"""Facts about the robot in its log: robot description, wheel counters, and their geometry by another motion."""
+"""Facts about the robot in its log: robot description, wheel counters, wheel geometry by another motion.
+
+Other motions are an odometry topic, the truth, or scan matching.
+"""
 
 from __future__ import annotations
 
@@ -159,7 +162,7 @@ def wheel_size(overview: Overview) -> list[Finding]:
 
 
 def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
-    """Return (values of radius, track ..., source in words) that the log shows; {} without any."""
+    """Return ({"radius": m, "track": m, ...}, source in words) as the log shows; ({}, "") if it shows none."""
     if found.described is not None and found.described.radius is not None:
         values = {"radius": found.described.radius, "track": found.described.track}
         return values, "/robot_description has these"

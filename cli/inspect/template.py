@@ -150,7 +150,10 @@ def _given(overview: Overview, how: LogOptions, imported: Mapping[str, Mapping[s
 
 
 def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
-    """Return fixes by key: ("key=value", reason). Found wheel counters replace fixes for an odometry."""
+    """Return {key: ("key=value", reason)} of the valid fixes.
+
+    If wheel geometry was found, the other fixes for wheels are left out, which are for an odometry.
+    """
     found = list(findings)
     replaced = any(f.code == "geometry" and f.fixes for f in found)
     kept = (f for f in found if not replaced or f.role != "wheels" or f.code == "geometry")
@@ -158,7 +161,7 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 
 def _may_apply(f: Finding) -> bool:
-    """Return whether a fix may be applied without asking: it is severe, measured, or a choice already made."""
+    """Return whether a fix needs no question: its finding is severe, measured, or a choice already made."""
     return f.code not in {OPEN_SCALE, OPEN_CLOCK} and (f.severe or f.code in {*MEASURED_CODES, "choice"})
 
 
@@ -288,7 +291,7 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
 
 
 def _suggested(facts: Facts, table: str) -> Known:
-    """Return suggested fixes of a table, and the candidate topic of a sensor with several, as inactive lines."""
+    """Return a table's suggestions for inactive lines: fixes, and a topic for a sensor with several candidates."""
     here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
     why = facts.overview.choice.absent.get(table, "")
     for fix in facts.overview.choice.fixes.get(table, ()):

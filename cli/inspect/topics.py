@@ -45,7 +45,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
 
     @property
     def beside_s(self) -> float:
-        """Delay of recording behind header stamps [s] if it shows two clocks; 0 for an ordinary delay."""
+        """Delay of recording behind header stamps [s] if it is so long that it shows two clocks; else 0."""
         stamped = self.clock is not None and self.clock.by_stamps
         return self.delay_s if self.delay_s and abs(self.delay_s) > OTHER_CLOCK_S and stamped else 0.0
 
@@ -133,7 +133,7 @@ def of_publishers(log: Log, choice: Choice) -> list[Finding]:
 
 
 def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Return a finding for each used topic whose times are not the header stamps, and on two clocks."""
+    """Return findings on used topics whose times are not their header stamps, and on clocks that differ."""
     known = {f.topic: f for f in facts if f.count >= MIN_JUDGED and f.problem is None}
     used = {t: (role, known[t]) for role in choice.topics for t in choice.of(role) if t in known}
     found = [

@@ -1,4 +1,4 @@
-"""The Rerun scene of a results' folder: trajectories, truth, table (its files have no scans and no gates)."""
+"""The Rerun scene of a results' folder: trajectories, truth and table. Its files have no scans and no gates."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ def scene_of(report_file: Path) -> RerunScene:
 
 
 def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
-    """Return the scene of a results' folder; `by_run`: its files are trajectory.tum and smoothed.tum."""
+    """Return the scene of a results' folder.
+
+    `by_run`: the trajectories are in trajectory.tum and smoothed.tum, else in one .tum file per result.
+    """
     rows = report["configurations"]
     tracks = {}
     for name, row in rows.items():

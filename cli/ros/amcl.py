@@ -39,7 +39,7 @@ NO_RANGE_M = 1e3  # a larger range_max means no limit
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the node's parameters; `there` are the values in the file to change."""
+    """Return AMCL's parameters; `there`: parameters that the file has now, {} for a new file."""
     return [*_motion(found, there), *_laser(found, there)]
 
 
@@ -61,7 +61,10 @@ def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
 
 
 def _noise(found: Found) -> tuple[float, float]:
-    """Return wheel noise [variance per m] and track [m] that give the same turning noise as the drive."""
+    """Return wheel noise [variance per m] and track [m].
+
+    For scan matching, the noise that gives the same turning variance over the drive.
+    """
     wheels = found.loaded.drive.wheels
     if wheels.matched is None:
         return wheels.noise, wheels.track

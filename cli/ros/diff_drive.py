@@ -29,7 +29,10 @@ SEPARATION, *RADII = MULTIPLIERS = (
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the node's parameters; `there` are the values in the file to change. Needs two driven wheels."""
+    """Return the controller's parameters; `there`: parameters that the file has now, {} for a new file.
+
+    Raises LocfuseError unless the log shows two driven wheels.
+    """
     wheels = found.loaded.drive.wheels
     if wheels.matched is not None or found.robot.wheels.wheelbase is not None:
         raise LocfuseError(

@@ -67,7 +67,7 @@ class Source(NamedTuple):
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the node's parameters; `there` are the values in the file to change."""
+    """Return the filter node's parameters; `there`: parameters that the file has now, {} for a new file."""
     rate = 1.0 / found.velocity.period
     sources = list(_sources(found))
     in_map = found.has("pose") and found.robot.settings("pose").frame in {"map", "own"}
@@ -233,7 +233,7 @@ def _turn_walk(found: Found) -> float:
 
 
 def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
-    """Yield the process noise Q per second, (15, 15) row by row, or only its diagonal as in the file."""
+    """Yield the process noise Q per second as (15, 15) row by row; only its diagonal if the file has 15 values."""
     velocity = found.velocity
     diagonal = [TINY] * SWITCHES
     along, turn = velocity.pose.tolist()

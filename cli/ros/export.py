@@ -47,7 +47,9 @@ def fresh(found: Found, targets: Sequence[str]) -> Made:
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
-    """Return the targets (nodes) to write into a file; with `any_of` only those that the file has.
+    """Return the targets (nodes) to write into a file.
+
+    With `any_of` these are the targets that the file has; all if it has none of them.
 
     Raises LocfuseError for a target without section, with several, or with one of another node.
     """

@@ -101,7 +101,7 @@ class Found(msgspec.Struct, frozen=True, dict=True):
 
 
 def positive(there: Mapping[str, Any], key: str) -> float | None:
-    """Return a positive number in the file to change; None for any other value."""
+    """Return the file's present value of `key` if it is a positive float, else None."""
     value = there.get(key)
     return value if isinstance(value, float) and value > 0.0 else None
 
@@ -146,7 +146,7 @@ def _under(loaded: Loaded, sets: Sequence[str], progress: Progress) -> Loaded:
 
 
 class _Work:
-    """Results of commands run one after another: settings, their sources, and notes."""
+    """Runs commands in sequence, each with the settings found so far; stores settings, sources and notes."""
 
     def __init__(self) -> None:
         self.sets: list[str] = []
@@ -154,7 +154,7 @@ class _Work:
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
-        """Run a command and store its result; if it fails, add a note and return None.
+        """Run a command with the settings found so far, and store its result; None, with a note, if it fails.
 
         If the error names fixes, they are set and the command runs again.
         """
@@ -213,7 +213,7 @@ def _keys(tables: Mapping[str, Any]) -> list[str]:
 
 
 def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogOptions, dict[str, str]]:
-    """Return log, options and sources of settings of a folder of results; a log is returned unchanged.
+    """Return the log of a folder of results, with options and sources of settings; a log is returned unchanged.
 
     Raises LocfuseError if the report does not name its log.
     """

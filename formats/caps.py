@@ -1,4 +1,4 @@
-"""Caps on the size and complexity of inputs; real logs stay far below each, malicious files do not.
+"""Upper limits on the size and complexity of inputs: far above real logs, they stop malicious files.
 
 Bytes alone do not limit work: 24 kB of zstd hold millions of empty records, and 3 kB of text define a message of
 10^8 fields. So counts, nesting and repetition have caps too. An input above a cap is an error of one line that

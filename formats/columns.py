@@ -14,7 +14,7 @@ MAX_UNCHECKED_ELEMENTS = 1 << 22  # allocated at most before any row is read: a 
 
 
 def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:
-    """Return the values (k,) of `dtype` at byte offsets `at` (k,), aligned or not."""
+    """Return the values (k,) of numpy type `dtype` at byte offsets `at` (k,), which need not be aligned."""
     size = np.dtype(dtype).itemsize
     return np.ndarray((max(len(data) - size + 1, 0),), dtype, data, 0, (1,))[at]
 
@@ -35,7 +35,7 @@ def concat(parts: Sequence[Column]) -> Column:
 
 
 def take(column: Column, rows: NDArray[Any]) -> Column:
-    """Return the rows (k,) of a column in this order."""
+    """Return the rows of a column with the indices `rows` (k,), in the order of these indices."""
     if isinstance(column, list):
         return [column[i] for i in rows.tolist()]
     if isinstance(column, np.ndarray):

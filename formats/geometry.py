@@ -45,7 +45,10 @@ def headings(x: Array, y: Array, z: Array, w: Array) -> Array:
 
 
 def segments(z: Array, ends: Array) -> Array:
-    """Return the end points (k, 2, 2) of lines z (k, 2) = (r, psi); `ends` (k, 2) m along (-sin psi, cos psi)."""
+    """Return the end points (k, 2, 2) [m] of segments on lines z (k, 2) = (r [m], psi [rad]) in normal form.
+
+    `ends` (k, 2) [m] are measured from the foot of the normal, in the direction (-sin psi, cos psi).
+    """
     c, s = np.cos(z[:, 1]), np.sin(z[:, 1])
     foot = np.stack((z[:, 0] * c, z[:, 0] * s), axis=-1)
     along = np.stack((-s, c), axis=-1)

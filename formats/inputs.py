@@ -26,7 +26,7 @@ class FileIdentity(NamedTuple):
 
     @property
     def file(self) -> tuple[int, int]:
-        """Device and inode, which do not change when the file is written to."""
+        """Device and inode: they identify the file, and stay the same when the file's content changes."""
         return self.device, self.inode
 
 

@@ -22,7 +22,7 @@ from .found import Found
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the node's parameters; `there` are the values in the file to change."""
+    """Return the node's parameters, computed from `found`; `there`, the file's present values, is not needed."""
     parts = {sensor: of(found) for sensor, of in SENSORS.items() if found.has(sensor)}
     mapped = [sensor for sensor, part in parts.items() if part]
     made = [setting for part in parts.values() for setting in part]

@@ -74,7 +74,10 @@ class Calibration(Found, frozen=True, kw_only=True):
     titles: ClassVar[Row] = ("setting", "found", "95 % interval", "was")
 
     def relative(self) -> tuple[Array, Array] | None:
-        """Return relative changes of scale, scale difference and track, and their sigmas (NaN: unknown), (3,)."""
+        """Return relative changes (3,) of wheel scale, scale difference and track, and sigmas (3,); NaN: unknown.
+
+        None if neither wheels nor laser nor gyro could be calibrated.
+        """
         found = self.wheels or self.laser or self.gyro
         if found is None:
             return None
@@ -99,7 +102,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return _figures(GEOMETRY, values, found[1] * values)
 
     def mount(self) -> dict[str, Figure]:
-        """Return the laser's mount and time offset by keys of [lrf], as far as the logs show them."""
+        """Return the laser's mount and time offset by key of [lrf], without values that the logs leave unknown."""
         if self.laser is None:
             return {}
         unit = np.array([1.0, 1.0, math.degrees(1.0), 1.0])
@@ -124,7 +127,10 @@ class Calibration(Found, frozen=True, kw_only=True):
         return rows
 
     def tables(self) -> dict[str, dict[str, Any]]:
-        """Return the estimates as tables of robot.toml, without those whose interval has the configured value."""
+        """Return the estimates as tables of robot.toml.
+
+        Wheel and laser settings whose 95 % interval contains the configured value are left out.
+        """
         found: dict[str, Any] = {f.key: _short(f.figure.value) for f in self.fitted() if not f.stays}
         if self.iron is not None:
             shape = {"compass.hard_iron": self.iron.hard, "compass.soft_iron": self.iron.soft}
@@ -193,7 +199,7 @@ class Calibration(Found, frozen=True, kw_only=True):
 
 
 def _figures(keys: Mapping[str, str] | Sequence[str], values: Array, sigmas: Array) -> dict[str, Figure]:
-    """Return values with 95 % intervals by key; values with an infinite or NaN sigma are left out."""
+    """Return key -> value with its 95 % interval; keys whose sigma is infinite or NaN are left out."""
     found = zip(keys, values.tolist(), (SIGMAS_95 * sigmas).tolist(), strict=True)
     return {key: Figure(value, value - half, value + half) for key, value, half in found if math.isfinite(half)}
 
@@ -213,14 +219,17 @@ def _plain(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:
 
 
 def calibrated(logs: Sequence[Parts], how: LogOptions, progress: Progress) -> Calibration:
-    """Load logs by command-line words and calibrate what they show."""
+    """Load the logs given as command-line words, and calibrate wheels, laser mount and compass iron from them."""
     loaded = [load(parts, how, progress, only=SENSORS, aside=("lrf",)) for parts in logs]
     progress("calibrating")
     return calibrate_logs(loaded, progress)
 
 
 def calibrate_logs(loaded: Sequence[Loaded], progress: Progress) -> Calibration:
-    """Calibrate what the logs of one robot show. Raises LocfuseError if they show nothing."""
+    """Estimate wheel settings, laser mount and compass iron from the logs of one robot, if they are observable.
+
+    Raises LocfuseError if nothing can be estimated, a log has a severe fault, or the wheel settings differ.
+    """
     settings = _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):
         return _tricycle(loaded, settings, progress)
@@ -324,7 +333,11 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool
 
 
 def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> Calibration:
-    """Calibrate a tricycle's encoders of traction and steering by truth, else laser, else gyro, of one log."""
+    """Calibrate the traction and steering encoders of a tricycle from one log.
+
+    The reference path is the truth, else the laser's, else the gyro's. Raises LocfuseError for several logs or
+    without a reference.
+    """
     one, stream = loaded[0], loaded[0].stream("wheels")
     reference = None if len(loaded) > 1 else _reference(one, progress)
     if reference is None or not isinstance(stream, MergedStream):
@@ -364,7 +377,7 @@ def _reference(one: Loaded, progress: Progress) -> Reference | None:
 
 
 def _turned_by_gyro(one: Loaded) -> tuple[Array, Array] | None:
-    """Return times (n,) [s] and integrated headings (n,) [rad] of a log's gyro; None without one."""
+    """Return times (n,) [s] and integrated gyro headings (n,) [rad]; None with fewer than two gyro readings."""
     m = one.drive.measurements.get("gyro")
     return None if m is None or len(m.t) < 2 else REGISTRY["gyro"].heading(m)
 
@@ -405,7 +418,7 @@ def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
 
 
 def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
-    """Return notes on a calibration by laser: length of the data, unknown parameters, scale of an odometry."""
+    """Return notes on a calibration by laser: the data used, settings not estimated, and an odometry's scale."""
     notes = [
         f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.way_m:.1f} m, "
         f"{math.degrees(fit.turned_rad):.0f} degrees); the laser's metre is taken for the right one "
@@ -432,12 +445,12 @@ def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
 
 
 def has_both(one: Loaded) -> bool:
-    """Return whether a log has a laser and wheels (or an odometry) that do not come from its scans."""
+    """Return whether a log has a laser, and a wheel motion that was not computed from the laser's scans."""
     return "lrf" in one.choice.topics and one.drive.wheels.matched is None
 
 
 def motion_of_both(one: Loaded) -> Motion:
-    """Return the motion of wheels (base frame) and of the laser by scan matching (laser frame) in one log."""
+    """Return two motions of one log: by the wheels (base frame), and by matching laser scans (laser frame)."""
     lrf: Any = one.robot.settings("lrf")
     laser = laser_of(lrf)._replace(mount=np.zeros(3))
     stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)

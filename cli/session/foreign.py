@@ -25,7 +25,10 @@ UPPER_TRIANGLE = np.triu_indices(3)
 
 
 def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
-    """Return name -> topic or file of `--estimate` words. Raises UsageError for an invalid or used name."""
+    """Parse `--estimate` words NAME=SOURCE; return name -> topic or file.
+
+    Raises UsageError if a source is missing, or if a name is invalid, reserved for a configuration, or used twice.
+    """
     pairs = (
         list(words.items()) if isinstance(words, Mapping) else [tuple(word.partition("=")[::2]) for word in words]
     )
@@ -42,7 +45,10 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
 
 
 def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collection[str]) -> list[Estimates]:
-    """Return the estimates of topics or files. Raises LocfuseError if the drive's time has no poses of one."""
+    """Read the topics or files in `sources` (name -> source) as estimates.
+
+    Raises UsageError for a name in `taken`, and LocfuseError for a source with fewer than two poses in the drive.
+    """
     for name in sources:
         if name in taken:
             raise UsageError(f"--estimate {name}: that is the name of a configuration; choose another")

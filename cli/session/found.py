@@ -1,4 +1,4 @@
-"""Settings estimated from logs: the common part of `tune` and `calibrate`, and faults that stop both."""
+"""Common base of `tune` and `calibrate`: estimated settings, and a check for faults that prevent both."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def how(self) -> LogOptions:
-        """Options for reading the logs, those of the first log."""
+        """The options with which the first log was read."""
         return self.loaded[0].how
 
     def losses(self) -> list[str]:
-        """Return the losses of the files and of the used sensors' readings, in words."""
+        """Return a line for each loss: unreadable bytes of the files, or refused readings of the used sensors."""
         return [line for one in self.loaded for line in loss_lines(one, self.used(one), self.how.strict)]
 
     def used(self, one: Loaded) -> Sequence[str]:
@@ -57,11 +57,11 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         return list(one.drive.measurements)
 
     def before(self) -> str:
-        """Return the text to start robot.toml with if the user gave no file."""
+        """Return the comment line that starts a new robot.toml, written if the user gave no file."""
         return f"# found by locfuse {self.command}\n"
 
     def given(self) -> dict[str, Any]:
-        """Return the settings of the user's second and later robot.toml files, merged."""
+        """Return the merged settings of the user's robot.toml files except the first, which `write` extends."""
         return robot_toml.merge(*(robot_toml.parse(file.read_bytes(), str(file)) for file in self.how.robots[1:]))
 
     @speaks_python
@@ -90,7 +90,9 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
-    """Raise LocfuseError if the log has a proven fault that `what` would hide; codes in `own` are accepted.
+    """Raise LocfuseError if the log has a proven fault that the estimates would hide.
+
+    `what` names these estimates in the message ("noise found now"). Faults with a code in `own` are accepted.
 
     `info --check` exits with 3 for the same faults, except a wrong start, which affects neither noise nor wheels.
     """

@@ -91,7 +91,10 @@ def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) 
 
 
 def _if_stable(verdict: Mapping[str, Any], seen: Counter[str]) -> dict[str, Any]:
-    """Return a verdict if it has the same direction in all runs; else "no effect seen" with the reason."""
+    """Return a verdict unchanged if all runs agree on its direction; else "no effect seen", with the reason.
+
+    `seen` counts the verdicts of the jittered runs.
+    """
     directions = {DIRECTIONS.get(word, 0) for word in (verdict["verdict"], *seen)}
     if len(directions) == 1:
         return dict(verdict)

@@ -54,7 +54,10 @@ class Driven(NamedTuple):
 
 
 def drives(jobs: int) -> dict[str, Driven]:
-    """Simulate both paths of figure 14, steered on odometry and on the EKF, in `jobs` processes."""
+    """Simulate the four drives of figure 14 in `jobs` processes; return scenario name -> drive.
+
+    Each of the two paths is driven twice: steered on odometry, and steered on the EKF.
+    """
     names = [name for path in PATHS.values() for name in (path, f"{path}_ekf")]
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         return dict(zip(names, pool.map(drive, names), strict=True))
@@ -139,7 +142,10 @@ class Repeated(msgspec.Struct, frozen=True):
         }
 
     def panels(self, which: str) -> dict[str, list[Panel]]:
-        """Return figures 12 (trajectories) and 13 (deviations in x and y) of one filter, "ours" or "print"."""
+        """Return the panels of figures 12 (trajectories) and 13 (deviations in x and y) of one filter.
+
+        `which` is "ours" for locfuse's filter, or "print" for the equations as printed in the paper.
+        """
         comparison = self.compared[which]
         found = {
             p.name: p for s in sections(outputs.scene(comparison.compared, comparison.drawn)) for p in s.panels

@@ -115,7 +115,10 @@ def _value(text: str) -> str:
 
 
 def _keyword(found: re.Match[str]) -> str:
-    """Return one option as a keyword argument; an option before a colon only as the keyword's name."""
+    """Return a matched command-line option as a keyword argument.
+
+    If the option lacks its value, or if a colon follows at once, only the keyword's name is returned.
+    """
     option, value, colon = found.groups()
     keyword = OPTIONS[option]
     if "{}" in keyword and value is not None:

@@ -184,7 +184,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         return records(everything(self.report))
 
     def losses(self, strict: bool = False) -> list[str]:
-        """Return losses in words: bytes of the file, more than 1 % of a used sensor's readings, void figures.
+        """Return a line for each loss: lost bytes, over 1 % of a used sensor's readings refused, void figures.
 
         If there is any, the command exits with 3. With `strict` a single reading counts as a loss.
         """
@@ -232,7 +232,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         raise NotImplementedError
 
     def _by_file(self) -> Mapping[str, Estimates]:
-        """Return the trajectories by file name without suffix."""
+        """Return the estimates by the name (without suffix) of the file to which their trajectory is written."""
         return self.estimates
 
     def _written(self, folder: PathLike | None, files: Mapping[str, Content], overwrite: bool) -> list[Path]:
@@ -307,7 +307,7 @@ class Comparison(Result, frozen=True, eq=False):
 
     @property
     def credit(self) -> Credit | None:
-        """Each sensor's effect on the position error, with intervals; None without truth."""
+        """How much each sensor changes the position error, with confidence intervals; None without truth."""
         return self.compared.credit
 
     def _files(self, write: Kinds) -> dict[str, Content]:

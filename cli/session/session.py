@@ -87,7 +87,10 @@ def load(
 
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
-    """Return the session of a log by command-line words; with `read_again` its columns are kept in memory."""
+    """Open and measure a log given as command-line words, and return its session.
+
+    The log's columns stay in memory only with `read_again`. A map file in `how` is used for localisation.
+    """
     session = Session(maps.give_topic(load_to_fuse(log, how, progress, read_again)), progress)
     return session if how.given_map is None else session.with_map(how.given_map)
 
@@ -128,7 +131,7 @@ def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[s
 
 
 def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
-    """Return the `findings` of a log by command-line words, with tried fixes; {} if fusing fails."""
+    """Return `Session.findings` of a log given as command-line words; {} if the log cannot be fused."""
     try:
         return opened(log, how, progress).findings()
     except LocfuseError:
@@ -249,7 +252,11 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return Comparison(compared, report, drawn)
 
     def _uses_reference(self, asked: Asked) -> bool:
-        """Return whether errors are measured against a reference. Raises UsageError if that is impossible."""
+        """Return whether errors are measured against a smoothed solution (a reference) instead of the truth.
+
+        Without a request: only if there is no truth, and the drive is short or is smoothed anyway. Raises
+        UsageError if a reference is requested but impossible.
+        """
         wanted = asked.reference
         if wanted and asked.jitter:
             raise UsageError(
@@ -309,7 +316,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     @speaks_python
     def findings(self) -> dict[str, Any]:
-        """Return problems, their fixes (tried by fusing) and validity, the part of `compare` without figures.
+        """Return what `compare` reports besides figures: validity, problems, and their fixes (tried by fusing).
 
         Keys as in the report of `compare`: "headline", "validity", "findings", "fixes".
         """
@@ -325,7 +332,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         judged: bool = False,
         foreign: Sequence[str] = (),
     ) -> dict[str, Any]:
-        """Return the report with ranges under jitter, advice, and warnings on the motion."""
+        """Add ranges under jitter, advice, and warnings on the motion to `report`, and return it."""
         add_jitter(report, compared, asked, self.progress)
         stands, truth = self.drive.wheels.stands, unusable(self.drive)
         complete(report, advised, start_error(self.robot, self.drive), foreign, stands, truth)
@@ -334,7 +341,10 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return report
 
     def _advice_on_run(self, compared: Compared, align: str) -> Advised:
-        """Return the advice of a full evaluation if the result of this run looks wrong, else none."""
+        """Return the advice of a full evaluation if this run's result looks suspicious, else empty advice.
+
+        It is also empty if the robot stands still or the log has motion faults.
+        """
         from locfuse.cli.advice.evaluator import Evaluator, looks_wrong
 
         filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])

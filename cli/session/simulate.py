@@ -156,7 +156,10 @@ class Localiser:
         return x, y, theta
 
     def _add_rolled(self, message: RawMessage) -> None:
-        """Append the distances that both wheels have rolled at the time of this message."""
+        """Append the distances [m] rolled by the left and right wheel, radius x joint angle, of one joint message.
+
+        A message that is not later than the last one is ignored.
+        """
         if not self._wheel_t:
             self._epoch_ns = message.stamp_ns
         t = (message.stamp_ns - self._epoch_ns) * 1e-9

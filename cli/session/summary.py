@@ -181,7 +181,7 @@ def write_summary(
     kinds: Collection[str],
     keys: Sequence[str] = (),
 ) -> list[Path]:
-    """Write a summary with its robots' fixes, and return the files; `keys` are the swept settings."""
+    """Write the summary and each robot's fixes to `folder`; return the files. `keys`: the swept settings."""
     files = summary_files(summary, entries, kinds, colours(), tuple(keys)) | fixes_files(summary["robots"])
     write_results(folder, files, overwrite=True)
     written = [folder / name for name in files]
@@ -217,12 +217,12 @@ def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
 
 
 def of_each(write: Kinds) -> set[str]:
-    """Return the kinds of output for each single log: the chosen ones and always json."""
+    """Return the kinds of output to write for each single log: those the user chose, and always "json"."""
     return chosen(write, OF_COMPARISON) | {"json"}
 
 
 class Mean(NamedTuple):
-    """A mean over replicates with its 95 % interval; None without one (fewer than four replicates)."""
+    """A mean over replicates with its 95 % interval [low, high]; both None for too few (by default under four)."""
 
     value: float
     low: float | None
@@ -231,7 +231,7 @@ class Mean(NamedTuple):
 
 
 def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
-    """Return the mean of independent values; from `fewest` values on with Student's t interval."""
+    """Return the mean of independent values, with Student's t interval (95 %) for at least `fewest` values."""
     mean = fmean(values)
     if len(values) < fewest:
         return Mean(mean, None, None, len(values))
@@ -240,7 +240,7 @@ def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
 
 
 def by_robot(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
-    """Return the logs of each replicate: those of one robot, or a single log without robot."""
+    """Group logs into replicates: return robot -> its logs; a log without robot is a group under its own name."""
     found: dict[str, list[Entry]] = {}
     for entry in entries:
         found.setdefault(entry.name if entry.robot is None else entry.robot, []).append(entry)
@@ -248,7 +248,7 @@ def by_robot(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
 
 
 def _replicate_means(entries: Sequence[Entry], values: Mapping[str, float]) -> list[float]:
-    """Return the mean of the values of each replicate's logs; `values`: log name -> value."""
+    """Return one value per replicate: the mean of `values` (log name -> value) over the replicate's logs."""
     groups = by_robot(e for e in entries if e.name in values)
     return [fmean(values[e.name] for e in group) for group in groups.values()]
 
@@ -283,9 +283,10 @@ def _ties(summary: Mapping[str, Any], entries: Sequence[Entry]) -> dict[str, Any
 
 
 def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
-    """Return each sensor's effect on the error, and over what it is taken: "robots" or "drives" of one robot.
+    """Return each sensor's mean effect on the error over several logs, and the kind of replicate.
 
-    None for a single log.
+    The kind is "robots" if the intervals are over robots, or "drives" if they are over single logs. None for fewer
+    than two logs with effects.
     """
     judged = [e for e in entries if e.state == "done" and e.report.get("credit")]
     if len(judged) < 2:

@@ -89,7 +89,10 @@ class Tuning(Found, frozen=True, kw_only=True):
         }
 
     def _likelihoods(self, *parts: str) -> Iterator[tuple[str, tuple[float, ...] | None, int]]:
-        """Yield for training and held-out data: name, (ln likelihood before, after) or None, number of values."""
+        """Yield (name, (ln likelihood before, after) or None, number of values) for training, then held-out data.
+
+        `parts` are the two names.
+        """
         return zip(parts, (self.tuned.train, self.tuned.held_out), self.tuned.numbers, strict=True)
 
     def rows(self) -> list[Row]:
@@ -103,7 +106,7 @@ class Tuning(Found, frozen=True, kw_only=True):
         return rows
 
     def before(self) -> str:
-        """Return the text to start robot.toml with if the user gave no file."""
+        """Return the comment line that starts a new robot.toml, written if the user gave no file."""
         head = "# without the noise that locfuse tune found: a log gets worse by it\n"
         return head if self.refused else "# noise found by locfuse tune\n"
 
@@ -131,7 +134,7 @@ class Tuning(Found, frozen=True, kw_only=True):
 
 
 def _interval(row: TunedRow) -> tuple[float, float] | None:
-    """Return the 95 % interval of a tuned setting; None if the logs do not show it."""
+    """Return the 95 % interval (low, high) of a tuned setting; None if the logs do not determine the setting."""
     factor = math.exp(SIGMAS_95 * row.error)
     return (row.after / factor, row.after * factor) if row.identifiable else None
 
@@ -142,7 +145,10 @@ def _tables(tuned: Tuned) -> dict[str, dict[str, float]]:
 
 
 def sensor_names(words: str) -> tuple[str, ...]:
-    """Return the sensors of the words of `--sensors`. Raises UsageError for an unknown one."""
+    """Return the sensor names in the value of `--sensors`, comma-separated or "all".
+
+    Raises UsageError for an unknown name.
+    """
     if words.strip() == "all":
         return tuple(REGISTRY)
     names = tuple(dict.fromkeys(w.strip() for w in words.split(",") if w.strip()))
@@ -248,7 +254,7 @@ def _evaluated(one: Loaded) -> Evaluation:
 
 
 def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
-    """Return notes on sensors whose errors are correlated in time, by (log, sensor): no sigma describes them."""
+    """Return (log, sensor) -> a note, for each sensor with errors correlated in time, which no sigma describes."""
     lasting: dict[tuple[str, str], str] = {}
     for trial in trials:
         sensors = list(trial.drive.measurements)

@@ -85,7 +85,7 @@ def _shared(of: Mapping[str, Finding], logs: int) -> list[str]:
 
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
-    """Return a table of topics from the log's index (`values.listed`)."""
+    """Return a table of `topics` (from `values.listed`) as lines of at most `width` characters; None: no limit."""
     return _table([{**found, "topic": name} for name, found in topics.items()], width, TOPIC_COLUMNS[:4])
 
 
@@ -152,7 +152,7 @@ def _roles(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _place(mount: dict[str, Any], frame: str) -> str:
-    """Return the mount of a sensor and its source in words."""
+    """Return in words where a sensor is mounted, and which source gives the mount; or that it is unknown."""
     if mount["by"] == "nobody":
         return f"the mount of frame {frame} is unknown" if frame else "its mount is unknown"
     if "mounts" in mount:
@@ -182,7 +182,7 @@ def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _briefly(words: str, role: str, overview: Overview) -> str:
-    """Return the reason, or "see below" if a finding of the role explains it."""
+    """Return `words`, why a configuration cannot run, or "see below" if a finding on `role` explains it."""
     below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
     return "see below" if below else words
 
@@ -202,7 +202,10 @@ def _keys(fixes: Sequence[str]) -> set[str]:
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
-    """Return fixes as --set options after `head`, in lines of at most `width` characters."""
+    """Return lines with `fixes` as --set options, the first line after `head`.
+
+    Lines are wrapped at `width` characters; None: one line.
+    """
     rows, row = [], head
     for option in (f"--set {shlex.quote(fix)}" for fix in fixes):
         if width is not None and row.strip() and row != head and len(row) + len(option) > width:
@@ -245,7 +248,7 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
 
 
 def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:
-    """Return the typed words without --set options of keys that a fix sets."""
+    """Return the typed words without each `--set KEY=VALUE` whose KEY is in `fixes`."""
     kept: list[str] = []
     for word in typed:
         if kept and kept[-1] == "--set" and word.partition("=")[0] in fixes:

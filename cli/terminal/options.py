@@ -52,7 +52,10 @@ CARRIED_OPTIONS = {"truth", *(name for kind in PARTS.values() for name in kind._
 
 
 def carried(*declared: Declared) -> Callable[[F], F]:
-    """Add options to a command; it receives them as `options: Options`, and any others as arguments."""
+    """Return a decorator that adds the options `declared` to a command.
+
+    The command receives those of `Options` together as `options`, and each other option as an argument of its own.
+    """
 
     def decorate(command: F) -> F:
         @functools.wraps(command)
@@ -163,7 +166,7 @@ def flag(names: str, words: str, **more: Any) -> Declared:
 
 
 def each(names: str, words: str, **more: Any) -> Declared:
-    """Return an option that may be repeated."""
+    """Return a click option that may be given several times in one command."""
     return option(names, words, multiple=True, **more)
 
 
@@ -265,7 +268,7 @@ CONFIGURATIONS = (
 
 
 def sensors(words: str) -> Declared:
-    """Return the option of a command that takes one configuration."""
+    """Return --sensors, with the help text `words`, for a command that runs one configuration."""
     return option(
         "--sensors",
         words,
@@ -314,7 +317,7 @@ EXPORT = option(
 
 
 def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
-    """Return the options of a command that writes a folder of these kinds of output."""
+    """Return --out, --overwrite, --write, --json and --verbose, for a command that can write these `kinds`."""
     usual = ",".join(settings.by_default(kinds))
     return (
         option("-o --out", "Folder for the results.  [default: locfuse-out/<log name>]", type=DIRECTORY),

@@ -57,7 +57,7 @@ def put(document: str) -> None:
 
 
 def settle_streams() -> None:
-    """Replace closed standard streams by the null device, and escape characters outside an encoding."""
+    """Open closed standard streams on the null device; escape characters that an output's encoding lacks."""
     for number in range(3):
         try:
             os.fstat(number)

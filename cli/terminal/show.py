@@ -78,7 +78,7 @@ def width() -> int | None:
 
 
 def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
-    """Print lines; those in `bold` are bold if the screen supports it."""
+    """Print lines of text; a line that is also in `bold` is bold if the screen supports it."""
     from rich.text import Text
 
     console = screen(soft_wrap=True, highlight=False)

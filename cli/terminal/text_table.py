@@ -51,7 +51,11 @@ def _text(column: Column, cell: Cell) -> str:
 
 
 def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:
-    """Fit columns to a width: shorter words first, then fewer columns, then cut texts."""
+    """Fit columns to `width` characters: shorten words, then leave out less important columns, then cut texts.
+
+    Each step is taken only if the one before is not enough; numbers are never cut. `gap`: characters between
+    columns.
+    """
     kept = list(strips)
     if _width(kept, gap) > width:
         kept = [_shorter(s) for s in kept]

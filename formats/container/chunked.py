@@ -43,7 +43,10 @@ class Records(NamedTuple):
 
 
 def most_records(packed: int) -> int:
-    """Return the cap on records in a chunk of `packed` bytes: at least one compressed byte per record."""
+    """Return the largest accepted number of records in a chunk of `packed` compressed bytes.
+
+    Above FREE_RECORDS, every record needs at least one compressed byte.
+    """
     return FREE_RECORDS + packed
 
 

@@ -102,7 +102,10 @@ Bytes = NDArray[np.uint8]
 
 
 def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
-    """Yield the unpacked messages in portions (buffer, messages); a damaged message becomes empty."""
+    """Decompress zstd messages; yield (buffer, messages) in portions of about MAX_PORTION_BYTES.
+
+    A damaged message becomes empty. A batch without zstd messages is yielded unchanged.
+    """
     words = view(data, "<u4", messages.start[messages.length >= 4])
     if not (words == ZSTD_WORD).any():
         yield data, messages
@@ -146,12 +149,15 @@ MAX_UNPACK_RATIO = 200  # or to this multiple of its size (real bags: 2 to 20)
 
 
 def unpack_file(data: FileBytes, losses: Losses) -> None:
-    """Unpack a zstd file to a temporary file, read from then on; record the damaged or cut-off rest as a loss."""
+    """Unpack a zstd file to a temporary file, which `data` reads from then on.
+
+    A damaged or cut-off rest of the file is recorded as a loss.
+    """
     data.unpack(lambda packed: _unpacked(packed, data.path, losses))
 
 
 def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:
-    """Return a temporary file with the unpacked content of `packed`; error messages name it `name`."""
+    """Unpack the file `packed` to a temporary file and return this; `name` is used in error messages."""
     import tempfile
 
     handle, place = tempfile.mkstemp(prefix=scratch_prefix())

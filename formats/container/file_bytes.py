@@ -94,7 +94,7 @@ class FileBytes:
         return crc
 
     def feed(self, take: Callable[[bytes], None]) -> None:
-        """Call `take` with successive pieces of the original file's bytes (packed if it is packed)."""
+        """Pass the original file's bytes to `take` in pieces of at most 1 MiB; packed bytes are not unpacked."""
         self.copy_here()
         try:
             with self._file.open("rb") as file:

@@ -70,7 +70,7 @@ def _definitions(msgtype: str) -> dict[str, Any]:
 
 
 def _fits(store: Any, msgtype: str, sample: bytes) -> bool:
-    """Return whether `sample`, decoded by this definition and encoded again, keeps its length."""
+    """Return whether `sample` (CDR) keeps its length, except for padding, if decoded and encoded as `msgtype`."""
     try:
         message = store.deserialize_cdr(sample, msgtype)
         written = len(store.serialize_cdr(message, msgtype, little_endian=sample[1:2] == b"\x01"))

@@ -1,4 +1,4 @@
-"""The messages of an MCAP chunk: record by record, and after damage from the chunk's message indexes.
+"""Finding the messages of an MCAP chunk: record by record, and after damage by the chunk's message indexes.
 
 An index entry counts only if it points at a Message record of its channel and log time.
 """
@@ -100,7 +100,10 @@ def _confirmed(data: NDArray[np.uint8], index: Index) -> Ints:
 
 
 def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
-    """Return the offsets of messages that are followed by a valid record; others contain the damage."""
+    """Return those `offsets` of messages that end at a valid record or at the end of the data.
+
+    Any other message contains the damage.
+    """
     ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
     inside = ends < len(data)
     opcode = data[np.where(inside, ends, 0)]

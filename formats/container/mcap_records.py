@@ -73,7 +73,9 @@ LENGTH = {"s": "I", "b": "I", "d": "Q", "m": "I"}
 
 
 def values(data: bytes, layout: str, at: int = 0) -> list[Any]:
-    """Return the values from offset `at` on, then their end offset. Raises DamagedError beyond the data's end.
+    """Parse values in the order of `layout` from offset `at` on; return them, then the offset of their end.
+
+    Raises DamagedError if the data end too early.
 
     Letters of the layout: B, H, I, Q integers, s a text, b and d bytes, m a map from 2-byte keys to 8-byte values.
     """

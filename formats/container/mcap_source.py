@@ -40,7 +40,10 @@ class McapSource(ChunkedSource):
         self.channels = self._channels()
 
     def _use(self, found: Survey) -> None:
-        """Use a survey; read the parts whose channels or message counts the survey does not have."""
+        """Take the parts of the file from a survey; read those parts whose channels or message counts are unknown.
+
+        Messages that the file's statistics promise, but no part has, are recorded as a loss.
+        """
         self._survey, self.parts = found, found.parts
         for part in found.parts:
             complete = part.counts is not None and part.counts.keys() <= found.channels.keys()

@@ -99,7 +99,7 @@ TAIL_BYTES = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of fo
 
 
 def _footer(data: FileBytes) -> tuple[int, int, bytes] | None:
-    """Return the summary's offset, its CRC-32, and the footer bytes that this covers; None without a footer."""
+    """Return the summary's offset, its CRC-32, and the footer bytes that the CRC covers; None without a footer."""
     foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
     if len(foot) < TAIL_BYTES or foot[-len(rec.MAGIC) :] != rec.MAGIC or foot[0] != rec.FOOTER:
         return None
@@ -155,7 +155,7 @@ ENTRY_BYTES = 16  # bytes
 
 
 def promised(data: FileBytes) -> Survey | None:
-    """Return a survey from a file's summary alone.
+    """Return the survey according to the file's summary section alone; chunks are not read.
 
     None unless chunks, counts and definitions agree; if they do, no needed record is between chunks.
     """
@@ -216,7 +216,10 @@ def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
 
 
 def confirm(data: FileBytes, chunk: ChunkRef) -> None:
-    """Compare a chunk of the summary with the chunk's own header. Raises DamagedError if they differ."""
+    """Check a chunk that is known from the summary only against its own header; take over the header's CRC.
+
+    Raises DamagedError if they differ. A chunk that is confirmed already is not checked again.
+    """
     if chunk.promised:
         own = None
         with suppress(DamagedError):
@@ -406,7 +409,10 @@ class _SurveyWalk:
         return min(end, self.data.size)
 
     def _is_end(self, at: int, opcode: int, length: int) -> bool:
-        """Return whether a DataEnd or Footer record is at a plausible offset, not the result of a flipped bit."""
+        """Return whether the record at `at` is a DataEnd or Footer at a plausible offset.
+
+        At another offset it is the result of a flipped bit.
+        """
         if opcode == rec.FOOTER:
             return at + rec.RECORD.size + length + len(rec.MAGIC) == self.data.size
         if opcode != rec.DATA_END or length != 4:

@@ -196,7 +196,10 @@ class BagSource(ChunkedSource):
             self.parts.append(part)
 
     def _add_unchunked(self, entry: BagRecord) -> None:
-        """Add a message outside a chunk: after a crash the last chunk's header is incomplete."""
+        """Add a message outside a chunk as a part, or to the last part if this ends where the message begins.
+
+        Such messages occur after a crash, which leaves the header of the last chunk incomplete.
+        """
         before = self.parts[-1] if self.parts else None
         follows = before is not None and before.plain is None and before.start + before.size == entry.at
         if before is not None and follows and before.size < WINDOW_BYTES:
@@ -263,6 +266,9 @@ class BagSource(ChunkedSource):
 
 
 def _spans_field(window: bytes, start: int, end: int) -> bool:
-    """Return whether a short record header from `start` includes the field that ends at `end`."""
+    """Return whether a record header at `start` is short, and contains the field that ends at `end`.
+
+    Both are offsets in `window`. Short: it ends within 2 * FIELD_OFFSETS.stop bytes.
+    """
     length = int(UINT32.unpack_from(window, start)[0])
     return end <= start + UINT32.size + length <= start + 2 * FIELD_OFFSETS.stop

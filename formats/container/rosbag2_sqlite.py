@@ -132,7 +132,10 @@ class SqliteSource(Source):
                 )
 
     def _check(self, database: sqlite3.Connection) -> None:
-        """Record damage as a loss: a query does not report rows that sqlite cannot reach."""
+        """Check the database for damage and record this as a loss.
+
+        A query alone is not enough: it leaves out rows that sqlite cannot reach, without an error.
+        """
         try:
             with self._limit.step():
                 verdict = str(database.execute("PRAGMA quick_check(1)").fetchone()[0])
@@ -268,7 +271,7 @@ JOURNAL_LOST = "the end of its journal (-wal) is damaged or was not finished: it
 
 
 def journal_of(database: Path) -> tuple[int, int]:
-    """Return the number of bytes of a database's journal that sqlite reads, and the number that it ignores.
+    """Return how many bytes of a database's -wal journal sqlite reads, and how many are lost behind them.
 
     Counts on a copy of the journal, because sqlite writes to count its frames.
     """

@@ -39,7 +39,7 @@ class Messages(NamedTuple):
     sequence: Ints  # (k,)
 
     def take(self, rows: NDArray[Any] | slice) -> Messages:
-        """Return the given rows."""
+        """Return the messages of these rows: indices, a mask or a slice."""
         return Messages(*(column[rows] for column in self))
 
 

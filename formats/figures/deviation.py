@@ -54,7 +54,10 @@ def _overlay(judged: list[Evaluation], name: str, span: tuple[float, float]) -> 
 
 
 def _enlarged(panel: Panel, judged: list[Evaluation]) -> Panel | None:
-    """Return a panel with y limits for its smallest curves; None if all curves are of similar size."""
+    """Return a panel like `panel` with y limits that fit the curves with the smallest rms.
+
+    None if the largest rms is less than MIN_ENLARGED_RATIO times the smallest.
+    """
     columns = [OVERLAYS[panel.name][2](j) for j in judged]
     rms = [float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else np.nan for c in columns]
     least = min(filter(np.isfinite, rms), default=0.0)
@@ -165,7 +168,7 @@ def spread(scene: Scene) -> Section:
 
 
 def _sizes(errors: Array, least: float) -> Array:
-    """Return the absolute values (k,) of the finite errors (n,), at least `least`."""
+    """Return the absolute values (k,) of the finite `errors` (n,); values below `least` are raised to `least`."""
     found: Array = np.maximum(np.abs(errors[np.isfinite(errors)]), least)
     return found
 

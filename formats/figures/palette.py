@@ -23,13 +23,16 @@ class Trace(NamedTuple):
 
     @property
     def dashed(self) -> bool:
-        """Whether the line is dashed: sets of several sensors but `all`, reduced rates, smoothed results."""
+        """Whether the line is dashed: for several sensors (but not `all`), reduced rates, or smoothed results."""
         some = len(self.sensors) > 1 and self.configuration != "all"
         return some or self.slowed or self.smoothed
 
     @property
     def look(self) -> str:
-        """The line style: "" solid, "dash", or "over" (long dashes) for `all`, which often covers other curves."""
+        """The line style: "" (solid), "dash" if `dashed`, or "over" (long dashes) for `all`.
+
+        The line of `all` often covers other lines, which are visible in the gaps of long dashes.
+        """
         over = self.configuration == "all" and len(self.sensors) > 1
         return "dash" if self.dashed else "over" if over else ""
 

@@ -1,4 +1,4 @@
-"""The content of figures as values: marks with their roles, axes with their labels.
+"""The content of figures as values: panels with curves, bands, dots and other marks, and with labelled axes.
 
 `svg` draws them for a page, `for_paper` for print (PDF and SVG by matplotlib).
 """

@@ -36,7 +36,7 @@ class Scene(msgspec.Struct, frozen=True):
 
     @property
     def judged_by(self) -> str:
-        """The reference of deviations: "truth" or "reference" (a smoothed solution)."""
+        """What the deviations are measured from: "truth", or "reference", which is a smoothed solution."""
         return "reference" if any(e.reference for e in self.evaluations) else "truth"
 
     @property

@@ -82,7 +82,7 @@ def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
 
 
 def places(x: Array, y: Array) -> str:
-    """Return points (n,) rounded to px as text: the first point, then steps, "x y dx dy ..."."""
+    """Return points x, y (n,) rounded to px as text "x y dx dy ...": first point, then steps between points."""
     limit = MAX_COORDINATE_PX
     whole = np.rint(np.clip(np.stack((x, y), axis=-1), -limit, limit)).astype(np.int64)
     steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), np.int64))
@@ -172,7 +172,9 @@ def svg(
     height: int = HEIGHT,
     looks: Mapping[str, str] | None = None,
 ) -> str:
-    """Return a panel as SVG with the unique id `ident`; `slugs`: role -> CSS class, `looks`: name -> line style.
+    """Return a panel drawn as an SVG element with the unique id `ident`.
+
+    `slugs` maps a configuration or role to its CSS class, `looks` maps a result's name to its line style.
 
     The page's script reads `data-axes`: values and px of both axes' ends, whether logarithmic, kind of panel.
     """

@@ -23,7 +23,10 @@ MAX_TRACK = 600  # positions of one track
 
 
 def timed_path(estimates: Estimates, judged: Evaluation) -> tuple[Array, Array]:
-    """Return times (n,) [s] and path (n, 2) [m]: of all estimates, or after alignment to the truth."""
+    """Return times (n,) [s] and positions (n, 2) [m] of a result.
+
+    If it was aligned to the truth: only the evaluated positions, after alignment; else all estimates.
+    """
     if judged.align == "none":
         return estimates.t, estimates.pose[:, :2]
     return judged.t, judged.estimate_xy
@@ -74,7 +77,10 @@ WALLS = ("walls of the first scan", "walls seen later")
 
 
 def trajectories(scene: Scene) -> Section:
-    """Return the section with the map: first and later map lines, truth, a path per configuration."""
+    """Return the section with the map: walls, the true path, and a path per configuration.
+
+    Walls that the line map had first and walls that were added later are drawn differently.
+    """
     mapped = max(scene.estimates, key=lambda e: (len(e.final_map), len(e.sensors)))
     marks: list[Mark] = []
     if mapped.final_map:
@@ -115,7 +121,7 @@ def trajectories(scene: Scene) -> Section:
 
 
 def framed(path: Array, marks: Sequence[Mark]) -> list[tuple[float, float] | None]:
-    """Return the limits of x and y: 99 % of a path (n, 2) in each axis, and marks within a margin around it.
+    """Return limits (low, high) [m] of x and y that show 99 % of `path` (n, 2) and the marks near it.
 
     Single walls far away and diverged estimates are cut off. None for a path without positions.
     """
@@ -241,7 +247,10 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
 
 
 def _extend(found: list[Array], stretch: Array) -> None:
-    """Append a piece to a curve, after a NaN row unless it begins at the curve's end."""
+    """Append points to a curve, given as a list of pieces.
+
+    A NaN row breaks the curve first, unless the new points begin at its end point.
+    """
     if found and (found[-1][-1] == stretch[0]).all():
         found.append(stretch[1:])
     else:
@@ -249,7 +258,7 @@ def _extend(found: list[Array], stretch: Array) -> None:
 
 
 def _crosses(route: Route) -> Array:
-    """Return the positions (k, 2) of rejected readings, one per cell."""
+    """Return positions (k, 2) [m] on the path at the times of rejected readings, at most one per map cell."""
     places = between(route.t, route.xy, route.refused)
     places = places[np.isfinite(places).all(axis=1)]
     if len(places) == 0:

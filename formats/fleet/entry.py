@@ -43,7 +43,7 @@ def label(configuration: str, cell: str) -> str:
 
 
 def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the short form of a log's reports by cell of a sweep (key "" without a sweep).
+    """Return the short form of one log's reports; `reports`: cell of a sweep ("" without a sweep) -> report.
 
     Verdicts and effects are those of the first cell.
     """

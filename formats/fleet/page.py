@@ -136,7 +136,11 @@ def _tint(error: float | None, least: float) -> str:
 
 
 def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
-    """Return a row per robot, worst first: its best configuration, and its errors with the overall best one."""
+    """Return the table of robots, largest median error first.
+
+    Columns: numbers of logs and of failed logs, the best configuration on this robot, and median, 90 % quantile
+    and maximum of the errors [m] with the configuration that is best over all logs.
+    """
     best = summary["best"]
     rows: list[dict[str, Any]] = []
     for robot in dict.fromkeys(e.robot for e in entries if e.robot is not None):
@@ -168,7 +172,10 @@ def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
 
 
 def best_of(entries: Sequence[Entry]) -> str | None:
-    """Return the configuration with the smallest median error, of those in every log with errors; None without."""
+    """Return the configuration with the smallest median error over the logs; None if none can be compared.
+
+    Compared are configurations with an error in every log that has any errors.
+    """
     judged = [e for e in entries if any(_error(e, c) is not None for c in e.report.get("configurations", {}))]
     names = dict.fromkeys(c for e in judged for c in e.report["configurations"])
     errors = {c: [x for e in judged if (x := _error(e, c)) is not None] for c in names}

@@ -69,7 +69,10 @@ def joints_of_feedback(columns: Columns, fields: tuple[str, ...], frame_id: str)
 
 
 def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Array:
-    """Return `field` (such as position) of all joints of all messages, concatenated; NaN if missing."""
+    """Return the values of `field` ("position", ...) of all joints of all messages in one array; NaN: missing.
+
+    `names`: the joints of each message.
+    """
     interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
     values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
     places: dict[tuple[object, ...], Ints] = {}
@@ -83,7 +86,7 @@ def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Ar
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
-    """Return the index of each joint's `field` in a message's list of values (joints,), -1 if missing.
+    """Return for each joint the index (joints,) of its `field` in a message's list of values; -1 if it is missing.
 
     `interfaces`: the name of each value in the list. `lengths`: the number of values of each joint.
     """
@@ -347,7 +350,7 @@ OF_PATH = (
 
 
 class Presented(NamedTuple):
-    """The adapter from one message type to another."""
+    """An adapter: how a topic of some message type is read as a topic of the type `msgtype`."""
 
     msgtype: str  # target type
     suffix: str  # name of the adapted topic: "/source:suffix"

@@ -83,9 +83,10 @@ class UnreadableStream:
 
 
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Others = lambda: None) -> Clock:
-    """Choose the times of messages with never-decreasing recording times `log_time` (n,) and header stamps (n,).
+    """Choose the times of a stream's messages: header stamps if they are usable, else recording times.
 
-    Without usable stamps: the recording times, converted to the clock that `others` returns, if any.
+    `log_time` (n,) [ns] are the recording times, which never decrease; `stamp` (n,) [ns] are the header stamps or
+    None. With `order` "auto", recording times are converted to the clock that `others` returns, if it returns one.
     """
     clock = _settled(log_time, stamp, order)
     if clock.by_stamps or order != "auto" or (known := others()) is None:
@@ -123,7 +124,10 @@ def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
 
 
 def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
-    """Use the recording times minus the median delay of the trusted stamps."""
+    """Use the recording times minus the median delay (recording time - stamp) of the trusted stamps.
+
+    A delay above LATENCY_NS is not subtracted: it means two clocks.
+    """
     delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
     if abs(delay) > LATENCY_NS:
         return Clock(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))
@@ -164,7 +168,9 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
 
 
 def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
-    """Return masks (n,) of the stamps that run backwards, and of others with an unusual delay and irregular steps.
+    """Return masks (n,) of two kinds of wrong stamps: running backwards; unusual delay with irregular steps.
+
+    The delay is recording time - stamp. No stamp is in both masks.
 
     If a delay is unusual, the less regular one of stamp and recording time is taken as wrong.
     """
@@ -189,7 +195,11 @@ def _in_bursts(log_time: Ints) -> Mask:
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
-    """Split the stream at jumps of the delay; mark the pieces whose delay differs from that of the longest."""
+    """Return the mask (n,) of stamps on another clock than the longest piece of the stream.
+
+    The stream is split at jumps of the delay, recording time - stamp; a piece with another delay than the longest
+    piece is on another clock.
+    """
     delay = log_time - stamp
     cuts = np.flatnonzero(np.abs(np.diff(delay)) > JUMP_NS) + 1
     if not len(cuts):
@@ -216,7 +226,9 @@ def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[
 
 
 def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None:
-    """Return rising log times and stamps (n,) if the stamps of all topics share a clock other than recording's.
+    """Return rising log times and stamps (n,) [ns] of one topic, to convert recording times to the stamps' clock.
+
+    The stamps of all topics must share a clock other than the recording's.
 
     `pairs`: log times and stamps (m,) of each topic. None if any topic uses the recording clock, if their offsets
     differ, or if stamps run backwards.
@@ -232,7 +244,10 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
 
 
 def on_clock(clock: Clock, known: tuple[Ints, Ints]) -> Clock:
-    """Convert recording times to the clock of other topics' stamps; `known` is the result of common_clock."""
+    """Convert a stream's recording times to the clock on which other topics' stamps are.
+
+    `known`: log times and stamps (n,) of another topic, the result of `common_clock`, to interpolate in.
+    """
     log_time, stamp = known
     inside = np.clip(clock.t_ns, log_time[0], log_time[-1])
     # beyond both ends, the clocks are assumed to run at the same rate

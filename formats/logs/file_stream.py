@@ -38,7 +38,10 @@ MIN_NS = 1e14  # larger times are nanoseconds, smaller ones seconds
 def in_time_order(
     topic: str, msgtype: str, t_ns: Ints, data: Mapping[str, Column], words: str = "times of the file"
 ) -> MadeStream:
-    """Return rows at times t_ns (n,) as a stream, sorted by time; `words` describe the source of the times."""
+    """Return the columns `data`, whose rows have the times t_ns (n,) [ns], as a stream sorted by time.
+
+    `words` describe where the times are from.
+    """
     order = np.argsort(t_ns, kind="stable")
     t_ns = t_ns[order]
     columns = {name: np.asarray(column)[order] for name, column in data.items()}

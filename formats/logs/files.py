@@ -51,7 +51,10 @@ def log_files(path: Place) -> list[Place]:
 
 
 def _objects(url: Url) -> list[Place]:
-    """Return the remote files of a log: one file, or those of a folder with one ending (.mcap, else .db3, ...)."""
+    """Return the remote files of a log: the file at `url`, or all files of a folder that have the same ending.
+
+    The first ending of ENDINGS that occurs in the folder counts. Raises LocfuseError if none occurs.
+    """
     if not url.is_folder:
         return [url]
     from locfuse.formats.container.remote_objects import below

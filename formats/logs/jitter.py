@@ -1,4 +1,4 @@
-"""Repair of jittered times: messages in the right order, of which some times run backwards.
+"""Repair of jittered times: messages are in the right order, but some of their times run backwards.
 
 A time before that of the previous message has one of two causes. The message was written late: its time is right,
 and the times of the others have a gap there. Or its time is wrong: the gap is then at its place in the file,
@@ -23,10 +23,10 @@ MIN_OFF_DEVIATIONS, MIN_OFF_PERIODS = 8.0, 0.25  # a time that is off by both is
 
 
 def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
-    """Return weights (n,) of times in their true order, by regularity, and a mask of irregular times.
+    """Return weights (n,), low for times that do not fit regular steps, and a mask (n,) of irregular times.
 
     The expected time at i is the median of t_j + (i - j) T over the neighbours j, with their median step T. Most
-    streams are regular, so it shows which of two times in the wrong order is wrong.
+    streams are regular, so the weights show which of two times in the wrong order is wrong.
     """
     n = len(times)
     if n <= 2 * WINDOW_READINGS:
@@ -91,7 +91,10 @@ def in_order(times: Ints) -> Ints:
 
 
 def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
-    """Return times (n,) with those not in `keep` interpolated over `at` (n,), at the ends with slope `pace`."""
+    """Return times (n,) [ns] in which all times outside the mask `keep` are replaced.
+
+    They are interpolated over `at` (n,); before the first and after the last kept time they have the slope `pace`.
+    """
     known = np.flatnonzero(keep)
     first, last = known[0], known[-1]
     x, lost = at - at[first], np.flatnonzero(~keep)
@@ -110,7 +113,10 @@ def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
 
 
 def _gap_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
-    """Return whether most `wrong` times have a larger gap at their place in the file than at their value."""
+    """Return whether most times with indices `wrong` are wrong themselves, instead of written late.
+
+    Then the gap in the kept times is larger at the message's place in the file than at its time.
+    """
     known, kept = np.flatnonzero(keep), times[keep]
     after = np.searchsorted(known, wrong)
     inner = (after > 0) & (after < len(known))

@@ -129,7 +129,7 @@ class TopicChannels:
         return {carrier.ident: decoder for carrier, decoder in self._decoders if carrier.source is source}
 
     def left_out(self) -> Counter[str]:
-        """Return reason -> number of messages that have another type or definition than the topic."""
+        """Return reason -> number of messages left out because the topic has another type or definition."""
         read = [carrier for carrier, _ in self._decoders]
         counts: Counter[str] = Counter()
         for carrier in self.carriers:
@@ -237,7 +237,7 @@ class Log:
 
     @property
     def decoded(self) -> tuple[int, int]:
-        """Numbers of messages decoded by the layout of another message, and one by one."""
+        """Numbers of messages decoded by the byte layout of an earlier message, and parsed one by one."""
         decoders = [table.decoder for table in self._tables.values()]
         return sum(d.fast for d in decoders), sum(d.general for d in decoders)
 
@@ -278,7 +278,10 @@ class Log:
         return self.topics.get(name)
 
     def _derive(self, name: str) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return a topic derived from another topic or a file, and the function that makes its stream."""
+        """Return the derived topic `name` and a function from order to its stream; None if there is none.
+
+        Its source is another topic of the log, or a text file.
+        """
         pair, number, source = pair_of(name), field_of(name), name.rpartition(":")[0]
         if pair is not None and self._is_tf(pair[0]):
             return self._of_frames(name, pair)
@@ -304,9 +307,10 @@ class Log:
         return LogStream(self, topic, self.topics[topic].msgtype, order)
 
     def _of_frames(self, name: str, pair: tuple[str, str, str]) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return a topic from /tf: a frame relative to another one, or the tags seen in a camera's frame.
+        """Return a topic derived from /tf, and a function from order to its stream.
 
-        None if no tag was seen.
+        `pair` is the /tf topic, the parent frame and the child frame: the topic is the child's pose in the parent.
+        With the child OF_CAMERA it is the tags seen by the camera `parent`; None if no tag was seen.
         """
         tf, parent, child = pair
         source, edges = self.topics[tf], self.frames(tf)
@@ -321,7 +325,7 @@ class Log:
         return made, lambda o: tags_in(name, o, tags_of(self.frames(tf, o), parent), self.all_mounts())
 
     def _check_numbers(self, topic: str, fields: Sequence[str]) -> None:
-        """Raise LocfuseError if a field is missing or not a number; two fields may both be lists of numbers."""
+        """Raise LocfuseError unless `fields` are one or two numbers of a topic, or two lists of numbers."""
         self._check(topic)
         self._check_fields(topic, tuple(fields))
         kinds = [kind_of(resolve(self._channels[topic].decoder.message, field)) for field in fields]
@@ -382,7 +386,7 @@ class Log:
         ]
 
     def all_mounts(self) -> transforms.StaticTransforms:
-        """Return all fixed transforms: those of /tf_static, and constant ones of /tf for other frames."""
+        """Return all fixed transforms: all of /tf_static, and constant ones of /tf for other child frames."""
         static = self.static_transforms()
         known = {edge.child for edge in static.edges}
         edges = (edge for topic in self.transform_topics for edge in self.frames(topic).values())
@@ -497,7 +501,7 @@ class Log:
             yield raw
 
     def in_turn(self, topic: str) -> list[int]:
-        """Return the message counts of two channels of one file that write to a topic alternately; else [].
+        """Return the message counts of two channels of one file that write to a topic alternately; [] if none do.
 
         A recorder gives each publisher of a topic its own channel. A publisher that was restarted, or whose
         messages were recorded twice, does not count as a second one.
@@ -516,12 +520,15 @@ class Log:
         self._edges.clear()
 
     def left_out(self, topic: str) -> Mapping[str, int]:
-        """Return reason -> number of messages that have another type or definition than the topic."""
+        """Return reason -> number of messages left out because the topic has another type or definition."""
         return self._channels[topic].left_out()
 
 
 def _alternating(source: Source, idents: Sequence[int]) -> list[int]:
-    """Return the message counts of channels that alternate in time with different messages; else []."""
+    """Return the message counts of the two largest channels of `idents` if they take turns in time; else [].
+
+    Channels with mostly the same messages do not count.
+    """
     times: dict[int, list[Ints]] = {ident: [] for ident in idents}
     seen: dict[int, set[int]] = {ident: set() for ident in idents}
     for batch in source.batches(idents):
@@ -542,7 +549,7 @@ def _alternating(source: Source, idents: Sequence[int]) -> list[int]:
 
 
 def _at_first(edge: FrameEdge) -> transforms.Transform:
-    """Return the first recorded value of a transform."""
+    """Return the transform of `edge` with its first recorded value."""
     return transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
 
 

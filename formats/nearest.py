@@ -17,7 +17,10 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean X or Y?" with known words that contain this one, else the most similar one; or ""."""
+    """Return "did you mean X or Y?" with the known words that contain `word`; "" if none is similar.
+
+    If no known word contains it, X is the most similar one.
+    """
     known = list(known)
     holding = [one for one in known if len(word) >= MIN_PART and word.lower() in one.lower()][:MAX_NAMED]
     like = nearest(word, known)

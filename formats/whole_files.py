@@ -154,7 +154,10 @@ def sole_writer(folder: Path, name: str = LOCK, patience_s: float | None = None)
 
 
 def _locked(path: Path, patience_s: float) -> int | None:
-    """Return a handle with the file lock, which the system releases when the process ends; None without locks."""
+    """Lock a file and return its open handle; None on a system without file locks.
+
+    Waits up to `patience_s` [s], then raises LocfuseError. The system releases the lock when the process ends.
+    """
     end = time.monotonic() + patience_s
     while fcntl is not None:
         path.parent.mkdir(parents=True, exist_ok=True)

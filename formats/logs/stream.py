@@ -63,7 +63,10 @@ class Pass:
 
 
 class TopicTable:
-    """The readable messages of one topic. Row: index in recording order; file row: index in file order."""
+    """The readable messages of one topic as columns, one row per message.
+
+    A row is an index in recording order; a file row is an index in file order.
+    """
 
     def __init__(self, topic: str, decoder: MessageDecoder, expected: int) -> None:
         self.topic = topic
@@ -115,7 +118,10 @@ class TopicTable:
             self._update_frame_id(raw, decoded.good, self._frame)
 
     def _refuse_too_much(self, raw: Raw, good: NDArray[np.bool_]) -> None:
-        """Raise LocfuseError if long messages exceed MAX_LONG bytes: a small packed file can hold many."""
+        """Raise LocfuseError if messages longer than LONG_BYTES have more than MAX_LONG bytes in all.
+
+        Their columns are too much to hold in memory; a small compressed file can contain many long messages.
+        """
         fields = [name for name in self._pass.fields if name != self.stamp]
         long = good & (raw.messages.length > LONG_BYTES)
         if not fields or not long.any():
@@ -138,7 +144,10 @@ class TopicTable:
             self.frame_id = str(one.columns((path,)).columns[path][0])
 
     def end(self) -> bool:
-        """End the pass; return whether messages have equal log times, whose order needs digests."""
+        """End the pass; return whether messages must be ordered by digests of their bytes.
+
+        That is so after the first pass over the topic, if several messages have the same log time.
+        """
         collected, self._pass = self._pass, Pass((), 0)
         columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
         log_time, sequence = collected.log_time.array(), collected.sequence.array()
@@ -198,7 +207,7 @@ class TopicTable:
         return row
 
     def _without_repeats(self, order: Ints, keys: tuple[Ints, ...]) -> Ints:
-        """Return the order without messages that have the log time and bytes of another: recorded twice."""
+        """Return `order` without messages recorded twice: log time and bytes equal those of an earlier one."""
         digests, sequence, log_time = keys
         by_content = np.lexsort((sequence, digests, log_time))
         same = (
@@ -251,7 +260,7 @@ class Reader(Protocol):
         """Yield the messages of one topic, for the given `fields`, batch by batch."""
 
     def left_out(self, topic: str) -> Mapping[str, int]:
-        """Return reason -> number of messages of another type or definition."""
+        """Return reason -> number of messages that have another type or definition than the topic."""
 
     @property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
@@ -273,7 +282,7 @@ class LogStream:
 
     @cached_property
     def clock(self) -> clocks.Clock:
-        """The times of the rows, and how they were chosen."""
+        """The times of the rows, and where they come from: header stamps or recording times."""
         table = self._table
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
@@ -305,7 +314,7 @@ class LogStream:
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Reason -> number of messages without a row."""
+        """Reason -> number of messages that are not among the rows of the stream."""
         return {**self._log.left_out(self._recorded), **self._table.bad, **self.clock.dropped}
 
     def columns(self, *fields: str) -> dict[str, Column]:
@@ -338,7 +347,7 @@ class LogStream:
             yield _joined(waiting)
 
     def _row_of_file(self) -> Ints:
-        """Return the row of every readable message in file order, -1 for none."""
+        """Return the row of every readable message in file order (n,); -1 for a dropped message."""
         recorded = self._table.row
         if self.clock.rows is None:
             return recorded
@@ -348,7 +357,7 @@ class LogStream:
 
 
 def _jittered(n: int) -> str:
-    """Return the note on replaced recording times."""
+    """Return a note that n recording times were replaced because the recording times jitter."""
     return (
         f"recording times jitter: {n} run backwards or are off the beat; the order of the messages in the file "
         "is kept, and those are dated evenly between their neighbours"
@@ -431,7 +440,7 @@ def ranges_in(name: str, source: LogStream, fields: str) -> clocks.MadeStream:
 def _derived(
     name: str, source: LogStream, msgtype: str, t_ns: Ints, data: Mapping[str, Column]
 ) -> clocks.MadeStream:
-    """Return columns derived from a topic as a stream with the topic's clock, frame and drops."""
+    """Return derived columns `data` as a stream; clock, frame, delay and drops are those of `source`."""
     of = source.frame_id, source.dropped
     return clocks.MadeStream(name, msgtype, t_ns, data, *of, clock=source.clock, delay_s=source.delay_s)
 

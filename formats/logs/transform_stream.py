@@ -65,9 +65,10 @@ def pair_of(name: str) -> tuple[str, str, str] | None:
 def edges_of(
     log_time: Ints, columns: Mapping[str, Column], order: str, others: clocks.Others = lambda: None
 ) -> dict[tuple[str, str], FrameEdge]:
-    """Return the transforms of a /tf topic by (parent, child); `log_time` (m,) ns is that of its messages.
+    """Return (parent, child) -> transforms over time, from the columns of a /tf topic with m messages.
 
-    clock.settle chooses their times from log times and stamps.
+    `log_time` (m,) [ns] is the recording time of each message. clock.settle chooses the times of the transforms
+    from recording times and stamps.
     """
     columns = as_lists(columns)
     parents, children = (cast("list[tuple[str, ...]]", columns[name]) for name in FIELDS[:2])
@@ -136,9 +137,9 @@ def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -
 def _path(
     source: str, parent: str, child: str, edges: Sequence[FrameEdge], static: StaticTransforms
 ) -> list[tuple[FrameEdge | Array, bool]]:
-    """Return the transforms from parent to child (constant ones as (4, 4) matrices), each with "is inverted".
+    """Return the chain of transforms between two frames, as (transform, whether it is inverted).
 
-    Raises LocfuseError if no path exists.
+    A constant transform is a (4, 4) matrix. Raises LocfuseError if no chain exists.
     """
     moving: list[tuple[str, str, FrameEdge | Array]] = [(e.parent, e.child, e) for e in edges]
     at = neighbours([*moving, *((e.parent, e.child, e.T_parent_child) for e in static.edges)])
@@ -182,9 +183,10 @@ def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTr
 
 
 def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[FrameEdge]:
-    """Return the transforms of numbered frames in a camera frame, those named like tags if there are any.
+    """Return the transforms of tags in a camera frame: of all frames whose name ends in a number.
 
-    Frames that never move relative to the camera are parts of the robot and left out.
+    If some of these are named like tags ("tag_3"), only those. Frames that never move relative to the camera are
+    parts of the robot and left out.
     """
     found = [
         edge

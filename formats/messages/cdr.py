@@ -34,7 +34,7 @@ class MalformedError(ValueError):
 
 
 class LayoutRules(NamedTuple):
-    """The rules of a serialisation format."""
+    """The rules of a serialisation format (CDR, ROS 1): header, alignment, end of strings, padding."""
 
     header: int  # bytes before the first value; alignment is relative to their end
     aligned: bool  # numbers are at multiples of their size
@@ -66,8 +66,9 @@ class Tail(NamedTuple):
 
 
 class Layout(msgspec.Struct, frozen=True, eq=False):
-    """The layout of all messages of `length` bytes with the length words `words` at byte offsets `spots`.
+    """The byte offsets of the wanted fields in all messages of equal length and equal length words.
 
+    These messages have `length` bytes, and `words` (lengths of strings and arrays) at the byte offsets `spots`.
     With a tail, its length word is not in `words` and the message length depends on it.
     """
 
@@ -126,7 +127,7 @@ class _LayoutWalk:
             raise MalformedError("shorter than its type")
 
     def step(self, node: Node, wanted: Wanted | str | None) -> None:
-        """Advance over one value and store the offsets of its wanted parts."""
+        """Advance over one value, and store the byte offsets of its fields that are in `wanted`."""
         if wanted is None and (size := fixed_size(node, self._phase(), self.rules.aligned)) is not None:
             self.at += size
         elif isinstance(node, Scalar):
@@ -205,7 +206,10 @@ class _LayoutWalk:
 
 @lru_cache(maxsize=4096)
 def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
-    """Return the size [bytes] of a value with its alignment at `phase` = offset mod 8; None if it varies."""
+    """Return the size [bytes] of a value with the padding for its alignment; None if the size varies.
+
+    `phase` is the byte offset of the value modulo 8.
+    """
     if isinstance(node, Scalar):
         return node.size + (-phase % node.size if aligned else 0)
     if isinstance(node, Structure):
@@ -311,7 +315,10 @@ class Decoder(MessageDecoder):
     def _new_groups(
         self, data: Bytes, start: Ints, length: Ints, rows: Ints, request: Request
     ) -> tuple[list[Group], Counter[str]]:
-        """Return groups of messages with new layouts: parse the first, collect those with its layout, repeat."""
+        """Group messages `rows` of unknown layout; return the groups, and reason -> number of malformed messages.
+
+        The first message is parsed, all others of its layout are collected, and so on with the rest.
+        """
         groups: list[Group] = []
         bad: Counter[str] = Counter()
         i = 0
@@ -470,7 +477,7 @@ def _texts(data: Bytes, start: Ints, leaf: Leaf) -> list[tuple[str, ...]]:
 
 
 def _text(data: Bytes, at: Ints, n: int) -> list[str]:
-    """Return the string of n bytes at each offset; a single entry if all are equal."""
+    """Return the strings of n bytes at the offsets `at` (k,): k strings, or a single one if all are equal."""
     if not n:
         return [""]
     rows = view(data, f"V{n}", at).view(np.uint8).reshape(len(at), n)

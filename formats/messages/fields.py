@@ -31,9 +31,10 @@ OR = "|"  # between alternative names of a field in releases of a package: "k|K"
 
 
 def resolve(message: Structure, path: str) -> tuple[Part, ...]:
-    """Return the first existing alternative of a field path. Raises FieldError with the most similar name.
+    """Return the parts of a field path; of alternatives "a|b", those of the first that the message has.
 
-    Arrays inside an array become one concatenated column; `PATH.length` has the length of each.
+    Raises FieldError with the most similar name if it has none. Arrays inside an array become one concatenated
+    column; `PATH.length` has the length of each.
     """
     *earlier, last = path.split(OR)
     for name in (path, *earlier) if earlier else ():  # a field's own name may contain "|"
@@ -108,7 +109,7 @@ FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # prefixes of Foxglove's types: 
 
 
 def words(text: str) -> list[str]:
-    """Return the words of a text (names of types or fields)."""
+    """Split a text at white space into its words (names of types or fields)."""
     return text.split()
 
 

@@ -61,7 +61,10 @@ def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) ->
 
 
 def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
-    """Return the arrays inside an array, concatenated per message, or their lengths."""
+    """Return the arrays inside an array as a column: for each message, their numbers or strings in one row.
+
+    For the field "PATH.length" return their lengths instead.
+    """
     found = [_at(one, part.path.split(".")) for one in objects]
     rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
     if isinstance(part.node, LengthCounts):
@@ -79,7 +82,10 @@ def _flat(values: list[Any], depth: int) -> list[Any]:
 
 
 def _at(value: Any, names: Sequence[str]) -> Any:
-    """Return the value at a path of names, None if missing; for a list of objects the list of their values."""
+    """Return the value at a path of names in nested JSON objects; None if it is missing.
+
+    For a list of objects, return the list of their values.
+    """
     for i, name in enumerate(names):
         if isinstance(value, list):
             return [_at(one, names[i:]) for one in value]

@@ -74,7 +74,7 @@ def walk(data: bytes, at: int, end: int) -> Iterator[tuple[int, int, int, int]]:
 
 
 def contents(data: bytes, number: int) -> list[bytes]:
-    """Return the contents of a field of text, bytes or messages; one entry per occurrence."""
+    """Return the bytes of each occurrence of field `number` (text, bytes or a nested message) in a message."""
     return [data[at:end] for n, how, at, end in walk(data, 0, len(data)) if n == number and how == BYTES]
 
 
@@ -245,7 +245,7 @@ class ProtobufDecoder(MessageDecoder):
 
 
 def _wanted(fields: Sequence[str]) -> Wanted:
-    """Return the fields as a tree of wanted parts, with all alternative names."""
+    """Return dotted field paths as a tree, name -> subtree, with all names of alternatives "a|b"."""
     tree: dict[str, Any] = {}
     for path in (name for field in fields for name in field.split(OR)):
         at = tree

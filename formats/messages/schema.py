@@ -52,7 +52,7 @@ class Text(msgspec.Struct, frozen=True, eq=False):
 
 
 class Many(msgspec.Struct, frozen=True, eq=False):
-    """An array of fixed length `count`, or a sequence with a length word (None)."""
+    """An array: `count` elements, or (None) a number of elements that each message gives in a length word."""
 
     element: Node
     count: int | None
@@ -72,7 +72,7 @@ class Structure(msgspec.Struct, frozen=True, eq=False):
 
 
 class LengthCounts(msgspec.Struct, frozen=True, eq=False):
-    """The lengths of arrays inside an array (path "PATH.length")."""
+    """The type of the field "PATH.length": the length of each array inside an outer array."""
 
 
 Node = Scalar | Text | Many | Structure | LengthCounts
@@ -151,7 +151,10 @@ class _Trees:
         self._height: dict[str, int] = {}  # levels of nested structures of each tree
 
     def record(self, name: str, depth: int) -> Structure:
-        """Return the tree of a type that is nested in `depth` structures."""
+        """Return the tree of type `name`, used inside `depth` outer structures.
+
+        Raises SchemaError if structures are nested deeper than MAX_DEPTH.
+        """
         if depth + self._height.get(name, 0) > MAX_DEPTH:
             raise SchemaError(f"its definition contains itself, or nests more than {MAX_DEPTH} structures")
         if name not in self._made:
@@ -203,7 +206,10 @@ class Decoded(NamedTuple):
 
 
 class MessageDecoder(ABC):
-    """Decodes messages of one type into columns; the wanted fields must not affect which messages are valid."""
+    """Decodes messages of one type into columns.
+
+    Whether a message is valid must not depend on which of its fields are decoded.
+    """
 
     fast = 0  # number of messages decoded by the layout of another one
     general = 0  # number of messages decoded one by one

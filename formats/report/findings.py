@@ -21,7 +21,7 @@ def banner_of(report: Mapping[str, Any]) -> list[str]:
 
 
 def boxed(report: Mapping[str, Any]) -> list[int]:
-    """Return the indices of `report["validity"]` entries whose message is not part of the headline."""
+    """Return the indices of `report["validity"]` entries to show in a box: those that the headline lacks."""
     headline = report.get("headline") or ""
     return [i for i, v in enumerate(report.get("validity") or ()) if v["message"] not in headline]
 
@@ -158,7 +158,10 @@ def notes_of(report: Mapping[str, Any]) -> list[str]:
 
 
 def _grouped(notes: Iterable[tuple[str, str, str]]) -> Iterable[dict[str, str]]:
-    """Return groups of notes (source, form, words) of equal form, each group as source -> words."""
+    """Group notes (source, form, words) that have an equal form; return each group as source -> words.
+
+    If a source has several notes of one form, the k-th of each source are grouped.
+    """
     found: dict[tuple[str, int], dict[str, str]] = {}
     times: Counter[tuple[str, str]] = Counter()
     for source, form, words in notes:
@@ -180,7 +183,10 @@ def _of_log(notes: Sequence[str]) -> list[str]:
 
 
 def _named(own: Mapping[str, str]) -> str:
-    """Return the note of several configurations with their names before it, unless the note begins with one."""
+    """Merge notes, configuration -> note, into one that begins with the configurations: "lrf, gps: ...".
+
+    If the first note already begins with its configuration, those with an equal note are named at its end.
+    """
     first, *others = own
     words = _with_others(own)
     if not own[first].startswith(f"{first}: "):
@@ -190,7 +196,7 @@ def _named(own: Mapping[str, str]) -> str:
 
 
 def _with_others(own: Mapping[str, str]) -> str:
-    """Return the note of the first name, with differing numbers of the others: "0.4 m (lrf: 0.5)"."""
+    """Return the first of several notes; numbers that differ in others follow in brackets: "0.4 m (lrf: 0.5)"."""
     first, *others = own
     numbers = {name: iter(NUMBER.findall(words)) for name, words in own.items()}
 

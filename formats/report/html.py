@@ -164,7 +164,7 @@ def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
 
 
 def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
-    """Return the bar lengths of the table: path of a position rmse -> its share [%] of the largest."""
+    """Return path of a position rmse in report.json -> length of its bar, in % of the largest rmse."""
     key = tables.RMSE.key
     values = {name: v.get(key) for name, v in report["configurations"].items()}
     worst = max((v for v in values.values() if v), default=0.0)
@@ -176,7 +176,10 @@ def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
 
 
 def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
-    """Return the positions [px] of each sensor's effect strip: interval, value and "no effect", on a log scale."""
+    """Return sensor -> x positions [px] of the marks in its effect strip, on a log scale; {} without credit.
+
+    The marks are the ends of the interval, the value, and "none": the place of no effect.
+    """
     credit = report.get("credit")
     if not credit:
         return {}

@@ -108,7 +108,10 @@ def _truth(truth: Truth, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Return the value with NaN and infinity replaced by None and strings made writable, at any depth."""
+    """Return a value with None for NaN and infinity, and with strings that UTF-8 can encode.
+
+    Values inside tables and lists are replaced too, at any depth.
+    """
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

@@ -127,7 +127,10 @@ def _html_cell(column: Column, cell: Cell) -> str:
 
 
 def data(piece: Piece) -> str:
-    """Return a number as an HTML <data> element with its full value and path; without a path, its text."""
+    """Return a number as an HTML <data> element, with its full value and its path in report.json.
+
+    Without a path, return only its text, escaped.
+    """
     if not piece.at:
         return html_text(piece.text)
     value, place = html_text(repr(piece.value)), html_text(pointer(piece.at))

@@ -18,7 +18,7 @@ Interval = tuple[float, float]
 
 
 class MadeWith(Struct):
-    """Versions that affect the last digits, and whether the kernels are compiled (equal to 1e-9)."""
+    """Versions that affect the last digits of results; with and without compiled kernels these agree to 1e-9."""
 
     python: str
     machine: str  # kind of CPU
@@ -212,7 +212,7 @@ class Truth(Struct):
 
 
 class Jitter(Struct):
-    """Runs on slightly changed drives, which show the random part of each figure."""
+    """Repeated runs on slightly changed drives: the scatter of a figure over them is its random part."""
 
     runs: Count
     words: str
@@ -271,7 +271,7 @@ class ListedTopic(Struct):
 
 
 class InfoTopic(ListedTopic):
-    """A topic, from its messages."""
+    """A topic, with what only its messages show: frame, period, gaps, clock and dropped messages."""
 
     frame: str | None
     period_s: Figure  # median
@@ -303,7 +303,7 @@ class InfoFinding(Struct):
 
 
 class InfoTried(Struct):
-    """Results of `info --check`, as in a report; empty if the log cannot be fused."""
+    """Results of fusing the log in `info --check`, keys as in report.json; empty if the log cannot be fused."""
 
     headline: str | None = None
     validity: list[Validity] = []

@@ -51,7 +51,10 @@ def best_of(report: Mapping[str, Any]) -> str | None:
 
 
 def _best_mean(configurations: Mapping[str, Any], judged: int) -> str | None:
-    """Return the configuration with the smallest mean position error among those in every judged log."""
+    """Return the configuration with the smallest mean position error; None if there is none.
+
+    Only configurations with a position error in all logs are compared; `judged` is the number of these logs.
+    """
     known = {n: c["figures"][RMSE.key] for n, c in configurations.items() if RMSE.key in c["figures"]}
     everywhere = {n: f["mean"] for n, f in known.items() if f["logs"] == judged}
     return min(everywhere, key=lambda name: everywhere[name]) if everywhere else None
@@ -99,7 +102,10 @@ def quantile(ordered: Sequence[float], share: float) -> float:
 
 
 def _p90_anees(values: Mapping[str, float], far: Mapping[str, float]) -> float:
-    """Return the 90 % quantile of the ANEES, ordered by `far`: max(ANEES, 1 / ANEES)."""
+    """Return the ANEES at the 90 % quantile, with logs ordered by max(ANEES, 1 / ANEES).
+
+    `values` is log -> ANEES; `far` is log -> max(ANEES, 1 / ANEES).
+    """
     order = sorted(values, key=lambda log: far[log])
     return values[order[round(0.9 * (len(order) - 1))]]
 
@@ -225,7 +231,7 @@ Line = tuple[str, str]  # words, and options to type, "" for none
 
 
 def robots(summary: Mapping[str, Any]) -> list[Line]:
-    """Return findings that all logs of a robot share (values that differ from the settings), and the fix."""
+    """Return lines on each robot: values that differ from its settings in all of its logs, and the fix."""
     return [line for robot in summary.get("robots") or () for line in _of_robot(robot)]
 
 

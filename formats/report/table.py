@@ -104,7 +104,7 @@ def of_words(columns: tuple[Column, ...], rows: Iterable[Sequence[str | None]]) 
 
 
 def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any], Path]], label: str = "") -> Table:
-    """Return a table of rows (values by key, path in report.json); path () for values that are not in the file."""
+    """Return a table of rows (column key -> value, path in report.json); path () for values not in that file."""
     return Table(
         tuple(columns),
         tuple(tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows),

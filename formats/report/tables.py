@@ -147,14 +147,14 @@ def configurations(report: Report, main: bool = True) -> Table:
 
 
 def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
-    """Return the columns; ANEES are limited to "over 50" if no truth noise is configured."""
+    """Return the columns; if the truth has no configured noise, large ANEES are shown as "over 50"."""
     truth = report.get("settings", {}).get("truth", {})
     known = report["truth"] is None or truth.get("sigma") or truth.get("sigma_theta_deg")
     return tuple(replace(c, most=MAX_ANEES) if c == ANEES and not known else c for c in columns)
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
-    """Yield (values, path in report.json) of every configuration, or of its sub-table `key`."""
+    """Yield (values, path in report.json) of each configuration, or of its sub-table `key` if that is given."""
     runs = report["configurations"]
     hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
     fewest = min(filter(None, hit), default=0)
@@ -180,7 +180,10 @@ def _agrees(values: Mapping[str, Any]) -> bool:
 
 
 def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
-    """Return the crispness "x 1.20": cells over `fewest`; "bad" for low revisit agreement; None without cells."""
+    """Return a configuration's number of crispness cells relative to `fewest`: "x 1.20"; None without cells.
+
+    If its revisit agreement is low, return "bad".
+    """
     cells = values.get("crispness_cells")
     return "bad" if not _agrees(values) else f"x {cells / fewest:.2f}" if cells and fewest else None
 
@@ -202,7 +205,11 @@ def jumps(report: Report) -> Table:
 
 
 def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
-    """Return the sensors of the reference: "all"; "all *" if shared with the result; "camera ?" if doubtful."""
+    """Return the sensors of the reference as text: "all", "camera", "compass+lrf"; None without a reference.
+
+    " *" is added if the judged result uses some of these too, else " ?" if the reference contradicts that of all
+    sensors.
+    """
     if reference is None:
         return None
     every = not reference["left_out"] and len(reference["sensors"]) > 1
@@ -211,7 +218,7 @@ def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
 
 
 def brief(report: Report, short: bool = False) -> Table:
-    """Return the table of configurations for a terminal; without error figures, their distance and prediction.
+    """Return the table of configurations for a terminal: error figures, else distance and prediction score.
 
     `short` puts a smoothed result's error into the row of its filter and leaves out the columns of ON_DEMAND.
     """

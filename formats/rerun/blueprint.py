@@ -79,7 +79,7 @@ def _map_view(scene: RerunScene) -> Any:
 
 
 def _scan_view(scene: RerunScene) -> Any:
-    """Return the scan view in the robot's frame (x to the right, y up), with a range for 80 % of the points."""
+    """Return the scan view in the robot's frame (x to the right, y up), zoomed to show 80 % of the points."""
     root, range_m = f"{ROOT}/{part(scene.best.name)}", SCAN_RANGE_M[0]
     if scene.scans is not None and len(scene.scans.xy):
         range_m = float(np.clip(1.1 * np.quantile(np.hypot(*scene.scans.xy.T), 0.8), *SCAN_RANGE_M))
@@ -121,7 +121,10 @@ def _tabs(scene: RerunScene) -> dict[str, Any]:
 
 
 def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: list[float] | None) -> Any:
-    """Return the plots of estimate - truth for x, y, heading; `close`: y limit per component."""
+    """Return the plots of estimate - truth over time, for x [m], y [m] and heading [deg].
+
+    `close` is the largest absolute value that each plot shows [m, m, deg]; None: all values are shown.
+    """
     count = 2 if judged[0].heading is None else 3
     views = []
     for i, (component, (unit, _)) in enumerate(list(series.DEVIATIONS.items())[:count]):
@@ -169,7 +172,7 @@ def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
 def _plot(
     name: str, origin: str, span: float | None = None, low: float | None = None, legend: bool = True, **more: Any
 ) -> Any:
-    """Return a time series view with y limits -span to span, or low to span."""
+    """Return a time series view. Its y axis is -span to span, or low to span; without span, all values."""
     edge = rrb.TimeRangeBoundary.infinite()
     limits = None if span is None else (-span if low is None else low, span)
     return rrb.TimeSeriesView(

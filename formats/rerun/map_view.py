@@ -89,7 +89,10 @@ def _moves(xy: Array, angle: Array) -> rr.ComponentColumnList:
 
 
 def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
-    """Draw the walls of the first scan and the final ones with their 3 sigma, each from its first match on."""
+    """Draw the walls as in the first scan, from the map's start, and the final walls with their 3-sigma bands.
+
+    A final wall appears at the time of its first match.
+    """
     if not e.first_map and not e.final_map:
         return
     start, born = _first_matches(e)

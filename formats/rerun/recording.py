@@ -104,7 +104,10 @@ def check(path: Path) -> None:
 
 
 def quiet_rust() -> None:
-    """Set the environment variables of QUIET; to be called before Rerun is imported."""
+    """Set the environment variables of QUIET that are not set: no log messages of Rerun, and less memory.
+
+    To be called before Rerun is imported.
+    """
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
 

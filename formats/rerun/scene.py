@@ -112,5 +112,5 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         return self.palette.get(configuration, GREY)
 
     def seen_by(self, configuration: str) -> Drive:
-        """Return the drive with the readings that the configuration's audit refers to."""
+        """Return the drive that a configuration's audit refers to: the thinned one if it uses reduced rates."""
         return self.thinned.get(configuration, self.drive)

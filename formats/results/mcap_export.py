@@ -67,7 +67,7 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _template(self) -> tuple[NDArray[np.uint8], dict[str, tuple[int, np.dtype[Any]]]]:
-        """One message as CDR bytes; for each message field, its byte offset in this message and its dtype."""
+        """One message as CDR bytes (size,); and field path -> (its byte offset in the message, its dtype)."""
         one = MESSAGES.cdr(self.msgtype, nested(self.constant))
         message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
         paths = self.columns(slice(1)).keys()
@@ -277,7 +277,7 @@ class _Topics:
         return self._channels[topic]
 
     def write(self) -> None:
-        """Write all series, so that each chunk has one time interval of all of them."""
+        """Write all series in chunks: each chunk contains the messages of all series in one time interval."""
         t = np.sort(np.concatenate([series.t_ns for _, series in self._parts]))
         size = sum(series.messages(slice(1)).size * len(series.t_ns) for _, series in self._parts)
         number = -(-size // CHUNK_BYTES)

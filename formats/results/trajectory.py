@@ -47,7 +47,10 @@ def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, A
 
 
 def tum(epoch_ns: int, t: Array, xy: Array, theta: Array | None) -> Iterator[str]:
-    """Yield blocks of `t x y z qx qy qz qw` lines; without theta identity rotations, and a comment line."""
+    """Yield blocks of `t x y z qx qy qz qw` lines.
+
+    If theta is None, a comment line comes first, and every rotation is the identity.
+    """
     half = np.zeros(len(t)) if theta is None else 0.5 * theta
     if theta is None:
         yield "# heading unknown\n"

@@ -129,14 +129,21 @@ def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | 
 
 
 def _in_log(topic: str, topics: Sequence[str]) -> str | None:
-    """Return the log's topic for a relative or absolute name, perhaps in a namespace; None unless exactly one."""
+    """Return the topic of the log that an ekf.yaml's topic name stands for; None if there is none or several.
+
+    A name matches with and without its leading slash, else with any namespace before it.
+    """
     bare = topic.strip("/")
     near = [t for t in topics if t.strip("/") == bare] or [t for t in topics if t.endswith(f"/{bare}")]
     return near[0] if len(near) == 1 else None
 
 
 def _assign(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Add an input of an ekf.yaml to the tables of robot.toml; return notes on settings that these lack."""
+    """Set the topic of an input of an ekf.yaml in the fitting table of robot.toml.
+
+    Changes `tables` (wheels, pose, twist, compass or gyro); returns notes on what does not fit into a table or
+    must be checked.
+    """
     if source.kind == "imu":
         return _assign_imu(source, tables)
     on = source.switches
@@ -163,7 +170,10 @@ def _assign(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def _assign_imu(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Assign an IMU to the tables compass and gyro, by its switches; return notes."""
+    """Set an IMU's topic in the tables compass (if its yaw is used) and gyro (if its yaw rate is used).
+
+    Returns notes on tables that have a topic already, and on accelerations, which are not used.
+    """
     on, notes = source.switches, []
     for table, switch in (("compass", YAW), ("gyro", TURN)):
         if on[switch] and table not in tables:

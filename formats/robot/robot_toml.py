@@ -76,7 +76,10 @@ def layered(*tables: Mapping[str, Any]) -> Tables:
 
 
 def _without_outdated_sigmas(before: Any, above: Any) -> Any:
-    """Return a table without the zero sigmas of mount values that a later table changes."""
+    """Return the table `before` without sigmas of 0 that no longer hold for its mount.
+
+    These are the sigmas of mount values that the later table `above` changes.
+    """
     if not (isinstance(before, Mapping) and isinstance(above, Mapping)):
         return before
     moved = (key for key in MOUNT_KEYS if key in above and above[key] != before.get(key, 0.0))
@@ -162,7 +165,7 @@ def _refuse_number(value: Any, source: str, path: str) -> None:
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert tables (and top-level values) to the type of each name in `types`.
+    """Convert each table or top-level value to its type; `types` is name -> type.
 
     Raises LocfuseError with key path and value, or the most similar key for an unknown one.
     """
@@ -235,7 +238,10 @@ def _choices(kind: Any, key: str) -> str:
 
 
 def _needed(table: str, key: str, reason: str) -> str:
-    """Return the reason of a wrong value: "must be a number, in metres"; for other errors msgspec's reason."""
+    """Return why a value is wrong, given msgspec's reason: "must be a number, in metres".
+
+    If a number is not what was expected, return msgspec's reason in plain words.
+    """
     unit = units.in_words(table, key)
     found = re.match(r"Expected `(int|float)(?: \| null)?`( [<>]=? [-\d.e+]+)?", reason)
     if not found:

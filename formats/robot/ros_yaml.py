@@ -70,13 +70,16 @@ class Setting(msgspec.Struct, frozen=True):
         return self.value is not None and self.origin in {FOUND, SET}
 
     def words_at(self, place: int | None) -> str:
-        """Return the comment for index `place` of a list: that of its line, if lines have comments."""
+        """Return the comment on the list value with index `place`.
+
+        If the lines of the list have own comments, it is that of the value's line, else that of the whole setting.
+        """
         rows = isinstance(self.value, list) and self.row * len(self.row_words) == len(self.value)
         return self.words if place is None or not rows else self.row_words[place // self.row]
 
 
 class Section(NamedTuple):
-    """The parameters of one node in a file: key (nested ones joined by dots) -> node of the YAML parser."""
+    """The parameters of one node in a file; keys of nested parameters are joined by dots ("encoder.noise")."""
 
     name: str
     at: dict[str, Any]  # key -> node of the YAML parser; None for a key that occurs twice
@@ -184,7 +187,10 @@ def _is_mapping(node: Any) -> bool:
 
 
 def _sections(root: Any, path: Path) -> Iterator[Section]:
-    """Yield the sections of a file: mappings below ros__parameters, else (ROS 1) top level and its mappings."""
+    """Yield the sections of a file: one per mapping `ros__parameters`.
+
+    A file without these (ROS 1) has one section for its top level, and one for each mapping directly in it.
+    """
     found = list(_below(root, "", False, set()))
     if not found:
         inside = ((key.value, part, _has_anchor(part)) for key, part in root.value if _is_mapping(part))
@@ -201,7 +207,10 @@ def _sections(root: Any, path: Path) -> Iterator[Section]:
 
 
 def _below(mapping: Any, name: str, anchored: bool, seen: set[int]) -> Iterator[tuple[str, Any, bool]]:
-    """Yield (node name, its parameters, whether an outer mapping has an anchor) for each ros__parameters."""
+    """Yield (node name, mapping, whether it is anchored) for each mapping `ros__parameters`, at any depth.
+
+    It is anchored if it or a mapping around it has a YAML anchor.
+    """
     for key, part in mapping.value:
         if not _is_mapping(part) or id(part) in seen or len(seen) > MAX_KEYS:
             continue
@@ -280,7 +289,10 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
 def _update_comment(
     file: RosFile, setting: Setting, place: int | None, node: Any, spans: dict[tuple[int, int], str]
 ) -> None:
-    """Add to `spans` the new comment on a value's line, if an earlier export wrote the old one."""
+    """Add a value's new comment to `spans`, {(begin, end): new text}, if an export wrote the existing comment.
+
+    A comment by the user is kept.
+    """
     if own := OWN_COMMENT.match(file.text, _end(file, node)):
         words = setting.words if own.span(1) in spans else setting.words_at(place)  # several rows may share a line
         spans[own.span(1)] = f"# {setting.label}{printable(words)}"
@@ -289,7 +301,10 @@ def _update_comment(
 def _update_notes(
     file: RosFile, section: Section, settings: Sequence[Setting], spans: dict[tuple[int, int], str]
 ) -> None:
-    """Add to `spans` the new comments on settings without a value; a key may have several."""
+    """Add the new comments of settings without a value to `spans`, {(begin, end): new text}.
+
+    Each replaces a comment of an earlier export on the same key; a key may have several.
+    """
     begin: dict[str, int] = {}  # key -> offset from which to search for its next comment
     for key, note in ((setting.key, setting.note) for setting in settings if setting.value is None):
         own = re.compile(rf"^[ \t]*(# {re.escape(key)}: {UNMAPPED}[^\r\n]*)", re.MULTILINE)

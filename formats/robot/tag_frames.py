@@ -1,4 +1,4 @@
-"""Tags published as frames of /tf, one transform camera -> tag per detection: names, ids, axes of the camera."""
+"""Tags that /tf publishes as one transform camera -> tag per detection: names, ids, axes of the camera."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def named_as_tag(frame: str) -> bool:
 
 
 def ancestors(transforms: StaticTransforms, frame: str) -> list[tuple[str, Array]]:
-    """Return the ancestors of a frame, nearest first, each with the frame's pose in it (4, 4)."""
+    """Return (ancestor, pose (4, 4) of the frame in this ancestor) for all ancestors of a frame, nearest first."""
     above = {edge.child: edge for edge in transforms.edges}
     found: list[tuple[str, Array]] = []
     T = np.eye(4)

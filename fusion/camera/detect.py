@@ -59,7 +59,7 @@ class Detector(msgspec.Struct, frozen=True):
         return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
 
     def looks_like(self, other: Detector) -> bool:
-        """Return whether another detector finds the same candidates: only `zero` and `clockwise` may differ."""
+        """Return whether both detectors find the same candidates: they differ at most in `zero`, `clockwise`."""
         return replace(self, zero=other.zero, clockwise=other.clockwise) == other
 
     def coloured(self, picture: Picture) -> Picture:
@@ -87,7 +87,7 @@ class Detector(msgspec.Struct, frozen=True):
 
 
 def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
-    """Detect red objects in the picture of one message; return the reason if it cannot be decoded.
+    """Return the red objects in the picture of one message, or the reason why it cannot be decoded.
 
     A JPEG with colour at half resolution is decoded at half size: a third of the work, without loss of colour.
     """

@@ -144,7 +144,10 @@ def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture
 
 
 def decode(message: tuple[Any, ...], coarse: tuple[int, int] | None = None) -> Picture | str:
-    """Return the BGR picture of a message given as its `FIELDS`; at half size if its size `coarse` is given."""
+    """Return the BGR picture (h, w, 3) of a message given as its `FIELDS`, or the reason for none.
+
+    If its full size `coarse` (height, width) [px] is given, a compressed picture is decoded at half size.
+    """
     if len(message) == 2:
         return compressed(*message, coarse)
     data, width, height, encoding, step = message

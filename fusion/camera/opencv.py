@@ -52,7 +52,10 @@ class _StderrRedirect:
 
     @contextmanager
     def redirected(self, alone: bool) -> Iterator[int]:
-        """Let this thread decode: with other threads, or alone, so that messages belong to one picture."""
+        """Context manager: while a picture is decoded, stderr goes to a file; yields its file descriptor.
+
+        If `alone`, no other thread decodes meanwhile, so that the file's new text belongs to one picture.
+        """
         with self._change:
             while alone and self._decoding:
                 self._change.wait()

@@ -29,7 +29,10 @@ MAX_CANDIDATES = 8  # candidates kept of one picture, the largest first
 
 
 class Red(NamedTuple):
-    """Conditions of a red landmark: R - max(G, B) >= max(minimum, ratio R), and size of its radial line."""
+    """Conditions of a red landmark: on the colour of its pixels, and on the size of its radial line.
+
+    A pixel is red if R - max(G, B) >= max(minimum, ratio R).
+    """
 
     ratio: float = 0.4  # share of R that green and blue lack
     minimum: float = 30.0  # grey levels, below which the colour of a pixel is noise
@@ -72,9 +75,10 @@ def red_grey(picture: Picture, red: Red) -> Picture:
 
 
 def red_excess(picture: Picture, red: Red, room: list[Picture]) -> tuple[Picture, Picture]:
-    """Return R - max(G, B) where it is at least red.minimum, else 0, and R, both (h, w) in `room`.
+    """Return (R - max(G, B), R) of a BGR picture, both (h, w); the first is 0 where it is below red.minimum.
 
-    Allocating new memory would take several times as long as the arithmetic (benchmarks: "omni bearing").
+    Both are in the buffers `room`: allocating new memory would take several times as long as the arithmetic
+    (benchmarks: "omni bearing").
     """
     b, g, r = room
     cv2.split(picture, room)
@@ -152,7 +156,10 @@ def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False
 
 
 def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
-    """Return columns (k,) and weights (k,) of the red object around column x_p; columns may exceed the width."""
+    """Return columns (k,) and weights (k,) of the red object around column x_p of the panorama.
+
+    Columns of an object across the panorama's edge are negative, or not less than its width.
+    """
     width = band.shape[1]
     bright = band[band > 0]
     weight = np.minimum(band, cap(bright)).sum(axis=0, dtype=float) if len(bright) else np.zeros(width)
@@ -184,7 +191,7 @@ def cap(grey: NDArray[Any]) -> float:
 
 
 def variance(theta: float, radius: float, length: float, width: float) -> float:
-    """Return the variance [rad^2] of a candidate's middle by pixel size and uneven light.
+    """Return the variance [rad^2] of a candidate's direction that pixel size and uneven light cause.
 
     One edge of one pixel row has the variance EDGE_PX^2 / 12, the middle of two edges half of that. Errors of rows
     are equal while the edge runs along the pixel grid, so `1 + length min(|sin|, |cos|)` rows (grid lines that it

@@ -112,7 +112,10 @@ def clock_words(clock: Clock) -> str:
 
 
 def offset_of(clock: Clock, robot: Robot, digits: int = 3, sigmas: float = 0.0) -> str:
-    """Return the setting that corrects a clock, such as "lrf.time_offset=-0.16", plus `sigmas` sigmas."""
+    """Return the setting that corrects a clock, such as "lrf.time_offset=-0.16".
+
+    `sigmas` adds this multiple of the standard deviation of the clock's offset.
+    """
     tables: dict[str, Any] = {"wheels": robot.wheels, "truth": robot.truth}
     now = float((tables.get(clock.name) or robot.settings(clock.name)).time_offset)
     return f"{clock.name}.time_offset={now + clock.offset + sigmas * clock.sigma:z.{digits}f}"
@@ -148,7 +151,11 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
 
 
 def _known(lag: Lag) -> Lag:
-    """Return a lag with a realistic sigma; a lag found only by speeds is set to 0 unless significant."""
+    """Return a lag with a realistic sigma: model errors are added to it.
+
+    A lag found by correlation of speeds has no sigma: it gets SPEED_SIGMA_S, and offset 0 unless it is
+    significant.
+    """
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
     clearly = 1.0 - lag.correlation <= MAX_MISFIT_RATIO * (1.0 - lag.without)
@@ -157,13 +164,19 @@ def _known(lag: Lag) -> Lag:
 
 
 def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
-    """Return the lag of a run with a larger sigma, as the run may contain a part of the wheels' lag."""
+    """Return a lag that was found by a run's headings, with a larger sigma.
+
+    Such a lag may contain a part of the wheels' lag `by_wheels`: WHEEL_LAG_SHARE of that is added to the sigma.
+    """
     drawn = 0.0 if by_wheels is None else WHEEL_LAG_SHARE * by_wheels.offset
     return lag._replace(sigma=math.hypot(lag.sigma, drawn))
 
 
 def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: Wheels) -> Lag | None:
-    """Return the lag between the headings of two sensors, from the direction with the smaller sigma."""
+    """Return the lag between two sensors, given as times (n,) [s] and headings (n,) [rad]; None without one.
+
+    Each sensor is the reference for the other once; the lag with the smaller sigma counts.
+    """
     spans = [(float(t[0]), float(t[-1])) for t, _ in (one, other)]
     there = find_lag(*one, Reference(partial(_interpolated, *other), spans[1], wheels.heading))
     back = find_lag(*other, Reference(partial(_interpolated, *one), spans[0], wheels.heading))
@@ -199,7 +212,10 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
 def explained(
     pairs: Mapping[Pair, Lag], sizes: Mapping[Pair, float], off: Sequence[str]
 ) -> tuple[float, tuple[Clock, ...]]:
-    """Fit the offsets of the clocks `off` to the lags (least squares); return chi-square and the clocks."""
+    """Fit the offsets of the clocks `off` to the lags of pairs (least squares); return chi-square and the clocks.
+
+    `sizes` are the assumed errors of the lags [s]. Returns (inf, ()) if the lags do not determine all offsets.
+    """
     rows = [p for p in pairs if p[0] in off or p[1] in off]
     A = np.array([[(p[0] == name) - float(p[1] == name) for name in off] for p in pairs]).reshape(
         len(pairs), len(off)
@@ -220,9 +236,10 @@ def explained(
 
 
 def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
-    """Return (sensor, truth) for each sensor that fits the truth clearly better with the recorded stamps.
+    """Return (sensor, "truth") for each sensor on the truth's clock: it fits clearly better without `lag`.
 
-    For sensors of positions, such as landmarks. (A robot that follows commands late looks like a late truth.)
+    `lag` is the truth's, relative to the wheels. For sensors of positions, such as landmarks. (A robot that
+    follows commands late looks like a late truth.)
     """
     truth = drive.truth
     if truth is None or truth.theta is None or lag is None or abs(lag.offset) < MIN_LAG_S:

@@ -23,7 +23,10 @@ MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
 
 
 def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
-    """Return a finding with the convention in which an unusable bare heading matches the wheels' turns."""
+    """Return a finding on an unusable bare heading: the unit and sense of turning that its values show; or [].
+
+    The unit follows from the largest value, the sense from a comparison with the wheels' turns.
+    """
     stream = streams.get("compass")
     if stream is None or "compass" in drive.measurements or not stream.msgtype.startswith("std_msgs/"):
         return []
@@ -116,7 +119,10 @@ def by_gravity(acceleration: Array) -> Array | None:
 
 
 def by_field(stream: Stream, drive: Drive) -> Array | None:
-    """Return the axis (3,) about which a magnetometer's field turns in the sensor frame: up if level; or None."""
+    """Return the axis (3,), in the sensor frame, about which a magnetometer's field turns as the robot turns.
+
+    It points up if the robot is level. None if there are too few readings or turns, or the axis is not clear.
+    """
     t = (stream.t_ns - drive.epoch_ns) * 1e-9
     inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
     field = _vectors(stream, MAGNETIC_FIELDS)

@@ -97,7 +97,10 @@ def _scales(
     turning: Sequence[Finding],
     least: Least | None,
 ) -> list[Finding]:
-    """Return findings on distance scales and track; each fix assumes that the other fixes are set too."""
+    """Return findings on distance scales and track width.
+
+    Their fixes are computed to be set together: each is right only if the others are set too.
+    """
     named = {} if least is None else {"least": least}
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):

@@ -48,6 +48,6 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 def of_error(error: LocfuseError, role: str, code: str) -> Finding:
-    """Return an error as a severe finding of a role."""
+    """Return a severe finding on the sensor or stream `role`, with the message, fixes and hint of an error."""
     message = error.message if error.role in {role, ""} else f"{error.role}: {error.message}"
     return Finding(role, code, message, error.fixes, severe=True, hint=error.hint)

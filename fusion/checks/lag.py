@@ -73,7 +73,7 @@ class _Turns(NamedTuple):
     overlap: float  # number of turns at any time
 
     def where(self, keep: NDArray[np.bool_]) -> _Turns:
-        """Return the selected turns."""
+        """Return only the turns of the mask `keep` (n,)."""
         return _Turns(self.start[keep], self.end[keep], self.angle[keep], self.overlap)
 
     def scores(self, heading: Heading, lags: Array) -> Array:
@@ -178,9 +178,10 @@ def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | 
 
 
 def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) -> _Fit | None:
-    """Return the lag near `start` [s] by residuals of headings; None if the residuals are correlated.
+    """Return the lag near `start` [s] for which headings differ least from the reference; None if this shows none.
 
-    The sigma is by sums over stretches of the drive, to allow for slightly correlated errors.
+    None too if successive differences are correlated. The sigma is by sums over stretches of the drive, to allow
+    for slightly correlated errors.
     """
     inside = (t >= reference.span[0] + MAX_LAG_S) & (t <= reference.span[1] - MAX_LAG_S)
     t, heading = t[inside], heading[inside]
@@ -217,7 +218,7 @@ def _without(column: Array, others: Array) -> Array:
 
 
 def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
-    """Return which turns (n,) contain large changes of the turning rate."""
+    """Return a mask (n,) of the turns during which the turning rate changes much; `lag` [s] is added to times."""
     middle = 0.5 * (turns.start + turns.end) + lag
     before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
     change = np.abs(after - 2.0 * now + before)

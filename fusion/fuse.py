@@ -180,7 +180,7 @@ class Filter:
         return fits
 
     def _learn(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Update all models with their readings; start a new map if one is full."""
+        """Let each model learn from its readings; then start a new map if the present map is full."""
         for sensor, i in due:
             if sensor in self._learning:
                 model = self.models[sensor]

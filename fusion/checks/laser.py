@@ -1,4 +1,4 @@
-"""Laser checks by walls seen twice: distance scale, yaw of the mount, and the wheels' track.
+"""Compare walls seen in two scans, to check the laser's distance scale and mount yaw, and the wheels' track.
 
 Between two positions of the laser, d apart, the distance of a wall with normal n changes by n.d. Over many walls
 y = a n.d + b n.(Jd) gives the laser's distance scale, 1 / sqrt(a^2 + b^2), and its yaw error. The change of the
@@ -64,7 +64,7 @@ class Walls(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Errors of laser and wheels by walls seen twice: distance scale, laser yaw, turns."""
+    """Distance scale and yaw error of the laser, and turn ratio of the wheels, by walls seen in two scans."""
 
     scale: float  # wheel distance per laser distance
     scale_sigma: float
@@ -78,7 +78,10 @@ class Motion(NamedTuple):
 
 
 def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motion | None:
-    """Return errors of scale, yaw and turns by walls seen in two scans at times `t` (n,) [s]; or None."""
+    """Return laser scale, laser yaw error and turn ratio from walls seen in two scans; None with too few walls.
+
+    `t` (n,) [s] are the times of the readings on the wheels' clock.
+    """
     settings = robot.settings("lrf")
     mount = np.array([settings.x, settings.y])
     found = _looking(m, t, drive, mount, 0.0)
@@ -124,7 +127,10 @@ def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
 
 
 def _slope_sigma(across: Array, left: Array, stretches: int) -> float:
-    """Return the sigma of the slope of residuals `left` over `across` (k,), if correlated within stretches."""
+    """Return the sigma of the slope of residuals `left` (k,) over `across` (k,).
+
+    The residuals may be correlated within each of `stretches` consecutive parts (cluster-robust standard error).
+    """
     parts = (np.array_split(column, stretches) for column in (across, left))
     scores = np.array([float(a @ b) for a, b in zip(*parts, strict=True)])
     squares = max(float(across @ across), MIN_SQUARES)
@@ -138,7 +144,7 @@ def _along_across(walls: Walls) -> tuple[Array, Array]:
 
 
 class Looking(NamedTuple):
-    """Distance scale and yaw error of the laser by walls, from one first guess of the yaw."""
+    """Fit of the laser's distance scale and yaw error to walls, from one initial guess of the yaw."""
 
     walls: Walls
     scale: float  # wheel distance per laser distance
@@ -147,7 +153,7 @@ class Looking(NamedTuple):
 
 
 def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) -> Looking | None:
-    """Return the laser's scale and yaw error by walls, from a first guess `yaw` [rad]; None if impossible."""
+    """Fit the laser's scale and yaw error to walls, from an initial error `yaw` [rad]; None with too few walls."""
     for _ in range(MAX_ITERATIONS):  # pairs get better with a better yaw
         walls = seen_twice(_turned(m, yaw, mount), t, drive, mount)
         if (fit := fitted(walls)) is None:
@@ -276,7 +282,7 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
 
 
 def turned(walls: Walls) -> float | None:
-    """Return the ratio of the robot's turn to that by the wheels; None for small turns or if they disagree."""
+    """Return the ratio robot turn / wheel turn by walls; None for small turns or if the walls disagree."""
     rest = np.abs(walls.turn - walls.by_wheels)
     near = rest < MAX_WALL_TURN_RAD
     c = _slope(walls, near)
@@ -306,7 +312,10 @@ def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
 
 
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
-    """Return the standard errors of an estimate by walls, by leaving out stretches of the drive (jackknife)."""
+    """Return the jackknife standard errors of `estimate(walls)`: one stretch of the drive is left out at a time.
+
+    They are infinite if an estimate without one of the stretches is None.
+    """
     parts = np.array_split(np.arange(len(walls.y)), STRETCHES)
     found = [estimate(Walls(*(np.delete(column, part, axis=0) for column in walls))) for part in parts]
     if any(f is None for f in found):

@@ -132,7 +132,10 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
 
 
 def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
-    """Yield, for each scan of ranges (k, b), bends of walls (n, 2): size [m] and derivative by an offset."""
+    """Yield for each scan (n, 2): bends of walls [m], and their derivatives with respect to a range offset.
+
+    `ranges` (k, b) [m] has one row per scan; n is the number of places on walls.
+    """
     step = float(np.abs(np.diff(angles, axis=-1)).mean())
     k = round(HALF_SPAN_RAD / step) if step > 0.0 else 0
     if k < 2 or ranges.shape[1] <= 2 * k:
@@ -205,7 +208,7 @@ def scatter(columns: dict[str, Any]) -> Array:
 
 
 def _bend(before: Array, here: Array, after: Array, cos: Array | float) -> Array:
-    """Return the distance [m] of the middle of three ranges from a wall; `cos`: of the angle between two."""
+    """Return range `here` [m] minus the range to the line through the other two ends; cos: of the beam spacing."""
     bend: Array = here - 2.0 * cos * before * after / (before + after)
     return bend
 

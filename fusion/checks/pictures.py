@@ -187,7 +187,10 @@ def of_rims(pictures: Sequence[Picture], settings: CameraSettings) -> list[Findi
 
 
 def _circle(grey: Array, within: Circle, inward: bool) -> Circle | None:
-    """Return the circle of the first brightness step along rays of a disc, searched inward or outward; or None."""
+    """Fit a circle to brightness steps in the disc `within`; None if too few rays agree.
+
+    One step is taken on each ray: the first one from the rim if `inward`, else the first one from the centre.
+    """
     angle = np.arange(RAYS) * (2.0 * np.pi / RAYS)
     r = np.arange(2.0, within.radius)
     x, y = (c + np.outer(w, r) for c, w in ((within.x, np.cos(angle)), (within.y, np.sin(angle))))

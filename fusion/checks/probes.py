@@ -1,4 +1,4 @@
-"""Fixes from states that a run estimated: mount, track, range scale, constant offsets."""
+"""Find better settings from the estimates of a run: mount, track, range scale, constant offsets."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
 
 
 def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
-    """Yield a finding if a run with only the laser has a path of another size than the truth."""
+    """Yield a finding if the path of a run with only the laser is larger or smaller than the truth's path."""
     scale = path_scale(e, drive)
     if scale is None or abs(scale - 1.0) < MIN_SCALE:
         return
@@ -135,7 +135,7 @@ def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
 
 
 def path_scale(e: Estimates, drive: Drive) -> float | None:
-    """Return the ratio of size of the true path to the path of a laser's run; None if the shapes differ.
+    """Return size of the true path / size of a laser-only run's path; None without truth or if the shapes differ.
 
     Least squares of a similarity transform (Umeyama, PAMI 1991) in complex numbers. The size of the path follows
     the laser's distance scale, since walls determine it.

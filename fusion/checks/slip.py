@@ -75,7 +75,7 @@ class _Spread(NamedTuple):
 
 
 def slip(drive: Drive) -> Slip | None:
-    """Return the wheel slip by the sensor that shows the least of it; None if no sensor shows it.
+    """Return the smallest wheel slip that any sensor shows; None if no sensor shows slip.
 
     Drift of a sensor counts as slip too, so the smallest value is that of the wheels. If all sensors show less
     than configured, the largest of their values is taken.
@@ -95,7 +95,7 @@ def slip(drive: Drive) -> Slip | None:
 
 
 def beside_path(found: Slip, drive: Drive, t: Array, pose: Array) -> Slip:
-    """Return the slip by distances compared with a path (n, 3) at t (n,) [s], if it is larger than `found`.
+    """Return the larger slip: `found`, or that of wheel distances against a path `pose` (n, 3) at t (n,) [s].
 
     `wheels.noise` is for distances and turns. A driver that takes turns from a gyro has accurate turns, but its
     distances contain slip.
@@ -172,7 +172,7 @@ def _ahead(t: Array, pose: Array, begin: Array, window: float) -> Array:
 
 
 def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:
-    """Return the residual variance of a sensor's motions `own` (n,) and the mean of the `slips` variances (n,).
+    """Return residual variances of a sensor's motions `own` (n,), and the mean of slip variances `slips` (n,).
 
     Residuals of a linear fit by the wheels' motions `by_wheels` (n,): scale errors (track, radius, sensor) are no
     noise.

@@ -116,7 +116,7 @@ class Common(msgspec.Struct, frozen=True):
 
 
 class Look(msgspec.Struct, frozen=True):
-    """One log under given settings: estimates of its settings, and errors of its configurations."""
+    """One log, fused under given settings: estimates of settings, and error figures of each configuration."""
 
     shown: Shown
     sensors: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of every configuration
@@ -185,7 +185,7 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
 
 
 def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
-    """Return the mount of a run's only sensor as estimated by the drive alone, without its prior.
+    """Return the mount of a run's only sensor by the drive alone: the effect of the prior is removed.
 
     The state's information is the sum of the drive's and the prior's, whose mean is the configured value.
     """
@@ -247,7 +247,7 @@ def common(key: str, numbers: Mapping[str, Number]) -> Common:
 
 
 def _pooled(numbers: Sequence[Number]) -> tuple[float, float, float]:
-    """Return the weighted mean, its sigma, and the scatter between logs beyond their sigmas."""
+    """Return the weighted mean of estimates, its sigma, and the scatter beyond the sigmas of the logs."""
     variances = [max(n.sigma, 1e-6) ** 2 for n in numbers]
     scatter = 0.0
     for _ in range(2):
@@ -261,7 +261,7 @@ def _pooled(numbers: Sequence[Number]) -> tuple[float, float, float]:
 
 
 def clocks_of(logs: Mapping[str, Shown]) -> list[list[Common]]:
-    """Return the wrong clocks by all logs together, the best explanation first; [] for none.
+    """Return sets of wrong clocks that explain the lags in all logs, the best set first; [] if no clock is wrong.
 
     Lags on which the logs do not agree are left out: a truth may have another lag in every log.
     """
@@ -333,9 +333,9 @@ def asked(first: Mapping[str, Shown], look: Looks) -> Together:
 
 
 def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
-    """Return settings to try, in order of evidence, each with the logs that disagree about its value.
+    """Return groups of settings to try, in order of evidence; settings -> logs that disagree about their values.
 
-    The last class is all of them together, since several faults may hide the effect of each fix.
+    The last group is all of them together, since several faults may hide the effect of each fix.
     """
     off = [c for c in settings_of(logs) if c.off]
     classes = [[tuple(clocks) for clocks in clocks_of(logs) if all(c.off for c in clocks)]]
@@ -366,7 +366,7 @@ def _with_track(one: Sequence[Common], logs: Mapping[str, Shown]) -> list[Fixes]
 
 
 def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]], apart: Iterable[str]) -> Step:
-    """Return the result of settings over all logs; logs in `apart` may get worse."""
+    """Return the effect of adding `fixes` to `kept` on all logs; logs in `apart` may get worse."""
     of: dict[str, dict[str, tuple[Marks, Marks]]] = {}  # log -> configuration -> before and after
     losers, gained = list[str](), 0
     roles = {key.partition(".")[0] for key in keys(fixes)}

@@ -54,7 +54,7 @@ class Marks(NamedTuple):
 
 
 def readable(before: Marks, after: Marks) -> tuple[Marks, Marks]:
-    """Return both figures, without ANEES if both ANEES exceed MAX_ANEES."""
+    """Return the figures before and after a fix, without ANEES if both ANEES exceed MAX_ANEES."""
     if min(before.anees or 0.0, after.anees or 0.0) > MAX_ANEES:
         return before._replace(anees=None), after._replace(anees=None)
     return before, after
@@ -136,14 +136,14 @@ def worsens_far(before: Marks, after: Marks) -> bool:
 
 
 def was_chance(before: Marks, after: Marks) -> bool:
-    """Return whether the smaller error before a fix was chance: the ANEES was inconsistent only then."""
+    """Return whether the smaller error before a fix was chance: only the ANEES before the fix was inconsistent."""
     if before.position is None or not after.anees:
         return False
     return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0
 
 
 def leaves(before: Marks, after: Marks) -> bool:
-    """Return whether an ANEES leaves its chance range by a fix."""
+    """Return whether a fix moves the ANEES from inside its chance range to far outside."""
     return before.bounds is not None and _off(before) == 0.0 and _off(after) > MAX_LN_ANEES_LOSS
 
 
@@ -304,13 +304,14 @@ class Case(Protocol):
         """Return whether some figure or finding is unusual; if not, no fix is tried."""
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return functions that give candidates, grouped by class of evidence.
+        """Return functions that create candidates, grouped by class of evidence, in the order of use.
 
-        An earlier class looks like a later one. Later groups are not used while a severe finding has no fix.
+        A fault of an earlier class looks like one of a later class. Later groups are not used while a severe
+        finding has no fix.
         """
 
     def kept(self, role: str) -> Collection[str]:
-        """Return the configurations with a sensor that a user would keep."""
+        """Return the configurations that a user would keep: all sensors, and the best one that `role` affects."""
 
 
 Now = Callable[[str], float | None]
@@ -362,7 +363,9 @@ def _key(advice: Advice) -> tuple[str, str]:
 
 
 def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
-    """Return whether a fix moves a setting again, after MAX_MOVES moves, by more than half of the largest move.
+    """Return whether a fix would move a setting, after MAX_MOVES moves, far in the same direction again.
+
+    Far is more than half of the largest move before.
 
     A second move may be large, as when a late clock made the filter reject half of the scans.
     """
@@ -390,9 +393,10 @@ def _without_fix(advice: Advice) -> Advice:
 
 
 def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tuple[str, str]]) -> list[Advice]:
-    """Return the best fix of the first class that has one; else all findings, without fixes.
+    """Return the best fix of the first class with a fix that helps, after severe findings without a fix.
 
-    A fix without an observation that gains little is compared with the fixes of later classes.
+    Without such a fix: one finding for each sensor, without fixes. A fix that gains little and that no observation
+    suggests (`Candidate.offer`) is compared with the fixes of later classes.
     """
     open_: list[Advice] = []
     best: Advice | None = None
@@ -420,9 +424,9 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
 
 
 def _weight(advice: Advice) -> float:
-    """Return the weight of a fix in the comparison with fixes of later classes.
+    """Return the gain of a fix, with a bonus for a measured value, for comparison with fixes of later classes.
 
-    A measured value gets a bonus, since another fix (more noise, say) may gain more by chance.
+    The reason for the bonus: another fix (more noise, say) may gain more by chance.
     """
     return worth(advice) + (CHANCE_GAIN if advice.measured else 0.0)
 
@@ -430,7 +434,7 @@ def _weight(advice: Advice) -> float:
 def _beside_another(
     found: Sequence[Advice], kept: Fixes, look: Look, trial: Try, done: Collection[tuple[str, str]]
 ) -> list[Advice]:
-    """Return two fixes that help only together, the first one of a severe finding; [] if there are none.
+    """Return two fixes that help only together; [] if there are none. The first one is for a severe finding.
 
     Two faults may hide each other: a late compass is rejected and does no harm to a laser with too high noise,
     until the clock of the compass is corrected.
@@ -456,7 +460,7 @@ def _beside_another(
 
 
 def _any_worsened(pairs: Mapping[str, tuple[Marks, Marks]], kept: Collection[str]) -> bool:
-    """Return whether a configuration gets worse. Outside `kept`, a loss by chance does not count."""
+    """Return whether a configuration gets worse; for those not in `kept`, only a loss beyond chance counts."""
     return any((worsens if name in kept else worsens_alone)(*pair) for name, pair in pairs.items())
 
 
@@ -490,7 +494,10 @@ def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
 
 
 def best_of(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
-    """Return the alternative that helps most, by position errors, else by errors after alignment."""
+    """Return the alternative of a candidate that reduces the position error most.
+
+    If none helps and `candidate.by_shape` is true, errors after rigid alignment with the truth are compared.
+    """
     found = _best_by(candidate, kept, trial, False)
     if found.helps or not candidate.by_shape:
         return found

@@ -86,7 +86,7 @@ def _inside(truth: Truth, wheels: Wheels) -> Mask:
 
 
 def _steps(truth: Truth, drive: Drive) -> list[Finding]:
-    """Return a finding on sideways steps of the truth between two stamps that do not return."""
+    """Return a finding if the truth steps off the wheels' path between two stamps and does not come back."""
     path = axle_path(truth, drive.wheels)
     if path is None or truth.theta is None:
         return []
@@ -158,7 +158,7 @@ def _white_sigma(steps: Array) -> float:
 
 
 class Jumps(NamedTuple):
-    """Jumps of the truth: steps much longer than the wheels rolled, as by a tracker that loses its body."""
+    """Jumps of the truth: steps much longer than the wheels rolled, as when a tracker loses the tracked body."""
 
     number: int
     spikes: int  # readings that jump away and return
@@ -286,7 +286,10 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
 
 
 def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
-    """Return the factor that corrects the wheels' distances, and a finding if it is off by `least` or more."""
+    """Return the factor that corrects the wheels' distances, and a finding if it differs from 1 significantly.
+
+    The factor is truth distance / wheel distance; it is 1 if unknown or if the difference is smaller than `least`.
+    """
     found = wheels_metre(drive)
     by_driver = robot.wheels.is_of_driver
     if found is None or drive.wheels.matched is not None or (robot.wheels.radius is None and not by_driver):
@@ -305,7 +308,7 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
 
 
 def wheels_fix(robot: Robot, factor: float) -> tuple[str, ...]:
-    """Return settings by which the wheels measure `factor` times as far; () if the filter finds the scale."""
+    """Return settings that make wheel distances `factor` times as long; () if the filter estimates the scale."""
     wheels = robot.wheels
     if wheels.radius is None:  # no setting changes a driver's radius: the filter estimates the scale
         return () if wheels.estimate else ("wheels.estimate=true",)
@@ -314,14 +317,14 @@ def wheels_fix(robot: Robot, factor: float) -> tuple[str, ...]:
 
 
 class Swing(NamedTuple):
-    """Fit of the truth's motion to the path of the base: tracked point, scale, sideways motion."""
+    """Fit of the base's path to the truth's motion: tracked point, scale of the path, sideways motion."""
 
     x: Array  # (4,) tracked point (x, y) [m], scale of the path, sideways motion [m per m]
     sigma: Array  # (4,)
 
 
 def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
-    """Return the fit of the tracked point's motion while the robot turns; None if it hardly turns.
+    """Fit tracked point, path scale and sideways motion to the truth; None if the robot hardly turns.
 
     With p(t) = base + R(theta) l, a step of the point is that of the base's `path` (n, 2) [m] at the truth's
     stamps, times a factor and turned by a small angle, plus (R(theta') - R(theta)) l. `path` is NaN where unknown.

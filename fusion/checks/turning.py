@@ -161,7 +161,7 @@ def _mirrored(t: Turning) -> str | None:
 
 
 def _also(robot: Robot, wheel: str) -> str:
-    """Return the value of wheels.mirrored if one more wheel counts backward."""
+    """Return the new value of wheels.mirrored that reverses the sign of `wheel` ("left" or "right")."""
     now = robot.wheels.mirrored
     other = "right" if wheel == "left" else "left"
     return {"none": wheel, wheel: "none", other: "both", "both": other}[now]
@@ -186,7 +186,7 @@ def _exchanged(
 
 
 def _backward(drive: Drive, robot: Robot, turning: Turning | None) -> bool:
-    """Return whether the wheels also roll backward, by the truth's headings or by walls."""
+    """Return whether forward wheel distances have the wrong sign, by the truth's headings, else by walls."""
     wheels, truth, lrf = drive.wheels, drive.truth, drive.measurements.get("lrf")
     if truth is not None and truth.theta is not None:
         middle = 0.5 * (truth.t[1:] + truth.t[:-1])

@@ -77,7 +77,7 @@ class JointBelief(ekf.State):
         return cls((0.0,) * 3, (0.0,) * 6, [block._replace(P=0.0 * block.P) for block in blocks])
 
     def stand(self, pose: Array | Sequence[float], P: Any = 0.0) -> None:
-        """Set the pose with covariance P (3, 3), independent of all other states; remove all rows."""
+        """Set the pose with covariance P (3, 3), independent of other states; remove all measurement rows."""
         self._x[:3], self._P[:3, :3] = pose, P
         self.begin()
 
@@ -360,7 +360,7 @@ class JointBelief(ekf.State):
         self.events.add(Loosened(columns, variance, back))
 
     def loosen_all(self, these: Loosening) -> None:
-        """Add the variances in a `Loosening` that a kernel filled."""
+        """Add to states the variances that a kernel listed in a `Loosening`."""
         if self.events is None:
             self.loosen_states(these)
         elif these.count:
@@ -400,7 +400,7 @@ class JointBelief(ekf.State):
     # ---- clones ----
 
     def clone_heading(self, column: int, behind: float = 0.0) -> None:
-        """Set a state to the present heading minus `behind` [rad] (cloning, Roumeliotis and Burdick 2002)."""
+        """Clone the present heading, minus the angle `behind` [rad], to a state (Roumeliotis and Burdick 2002)."""
         if self.events is not None:
             by = np.zeros((1, self.n))
             by[0, 2] = 1.0
@@ -411,7 +411,7 @@ class JointBelief(ekf.State):
         self._clones.add(column)
 
     def clone_pose(self, column: int, behind: Array | None = None) -> None:
-        """Set three states to the present pose, or to the pose `behind` (3,) relative to it."""
+        """Clone to three states the present pose, or the pose with the coordinates `behind` (3,) in its frame."""
         J = np.eye(3) if behind is None else by_frame(self._x[None, :3], behind[None])[0]
         if self.events is not None:
             by = np.zeros((3, self.n))
@@ -484,7 +484,7 @@ class JointBelief(ekf.State):
         self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
 
     def _move_frame(self) -> None:
-        """Move the map frame G to the local pose q: G becomes G o q."""
+        """Move the map frame to the present local pose q: its pose in the map, G, becomes G o q (composition)."""
         if self.events is not None:
             self.events.add(FrameMoved())
         G, q = np.array(self.frame_pose()), self._x[:3].copy()
@@ -621,7 +621,7 @@ def _copied(value: Any) -> Any:
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:
-    """Return (new begin, old slice) of each run of remaining columns after the removal of `gone` (k,)."""
+    """Return (new begin, old slice) of each run of columns to move when columns `gone` (k,) of n are removed."""
     found, to = [], int(gone.min())
     after = np.sort(gone) + 1
     for begin, end in zip(after.tolist(), [*(after[1:] - 1).tolist(), n], strict=True):

@@ -46,7 +46,7 @@ def predicted(x: Array, P: Array, u: Array, Q: Array) -> tuple[Array, Array]:
 
 
 def eq10_12(PH: Array, S: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Eq. 10-12 by the Cholesky factor L of S = H P H' + R: (V (..., m, n), e (..., m), L (..., m, m)).
+    """Return V (..., m, n), e (..., m) and the Cholesky factor L (..., m, m) of S = H P H' + R, for eq. 10-12.
 
     From P H' (..., n, m), S (..., m, m) and the innovation y (..., m): V = L^-1 H P and e = L^-1 y, whose parts
     are independent and of unit variance. The gain of eq. 10 is K = V' L^-1, so eq. 11 is x <- x + V' e, and

@@ -55,7 +55,7 @@ class Moved(NamedTuple):
 
 
 class Corrected(NamedTuple):
-    """Event: correction, y = H dx + noise of covariance R; recorded only for forward processing."""
+    """Event: correction, y = H dx + noise of covariance R; recorded only for the tuner, not for the smoother."""
 
     y: Array  # (m,)
     columns: Ints  # (c,)
@@ -108,7 +108,7 @@ class Changed(NamedTuple):
 
 
 class FrameMoved(NamedTuple):
-    """Event: the map frame becomes that of a new submap."""
+    """Event: a new submap begins at the local pose q; the map frame's pose G becomes G o q."""
 
 
 Event = Moved | Corrected | FrameTurned | Loosened | Added | Dropped | Changed | FrameMoved
@@ -122,7 +122,7 @@ class Before(NamedTuple):
 
 
 class Events:
-    """Events of one run; with `backward`, the inverse of each event is recorded too."""
+    """Events of one run: with their inverses if `backward` (smoother), else with the corrections (tuner)."""
 
     def __init__(self, backward: bool) -> None:
         self.backward = backward

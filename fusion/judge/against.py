@@ -72,14 +72,14 @@ class Reference(msgspec.Struct, frozen=True):
         )
 
     def seen(self, e: Estimates) -> Estimates:
-        """Return the estimate with its poses at the reference's stamps as `truth_pose`, without audits."""
+        """Return the estimate without audits; `truth_pose` is its own pose at the reference's stamps."""
         t = self.drive.t
         same = len(e.t) == len(t) and bool((e.t == t).all())
         pose, P = (e.pose, matrices(e.triangles)) if same else interpolated(t, e.t, e.pose, e.triangles)
         return replace(e, audits={}, truth_pose=pose, truth_P=P)
 
     def widened(self, effect: Effect, before: float, after: float) -> Effect:
-        """Return an effect ln(before / after) of errors [m], its interval widened by the reference's sigma.
+        """Return an effect ln(before / after) of errors [m], its interval widened by the reference's uncertainty.
 
         The true squared error is smaller by sigma^2 if the errors of estimate and reference are independent, and
         larger by up to sigma^2 if they share sensors.

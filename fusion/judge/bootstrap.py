@@ -60,7 +60,7 @@ class Errors(msgspec.Struct, frozen=True):
         return min(float(low), value - least), max(float(high), value + least)
 
     def _gaussian(self, weights: Array) -> float:
-        """Return the interval's half width for Gaussian errors with this number of independent samples."""
+        """Return the half width of `interval` for Gaussian errors, with `samples` independent stamps."""
         n = 2.0 * self.samples
         scaled = weights / np.sqrt(n)
         variance = 0.5 * float(scaled @ self.correlation**2 @ scaled)
@@ -130,9 +130,10 @@ def _correlation(deviation: Array, samples: Array) -> Array:
 
 @cache
 def by_chance(move: float, n: float) -> tuple[float, float]:
-    """Return the interval of ln(error before / after) if n errors of size 1 change by independent random moves.
+    """Return the interval of ln(error before / after) that random moves of an estimate cause by chance.
 
-    `move` is the ratio of their standard deviations. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
+    n independent errors e of size 1 get random moves d; `move` is the standard deviation of d over that of e.
+    |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
     """
     rng = np.random.default_rng(1)
     along = (math.sqrt(n) + move * rng.standard_normal(CHANCE_DRAWS)) ** 2

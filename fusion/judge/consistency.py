@@ -116,14 +116,17 @@ def _drifts(sensor: str, settings: Any, h: ComparedReadings) -> bool:
 
 
 def by_memory(sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float) -> Consistency:
-    """Return the verdict on slow errors; the mean of n readings has the variance `variance` * `repeats` / n."""
+    """Return the verdict on slow errors: "correlated" if their variance is large against R, else by `by_scale`.
+
+    The mean of n readings has the variance `variance` * `repeats` / n.
+    """
     if variance * repeats > MIN_MEAN_VARIANCE_RATIO * R:
         return correlated(sensor, settings, math.sqrt(variance), repeats, period)
     return by_scale(sensor, settings, min(1.0, math.sqrt(variance * repeats / R)))
 
 
 def _on_sigma(o: Own, floor: Sequence[float]) -> float:
-    """Convert a factor on R = sigma^2 R_unit + floor to a factor on sigma."""
+    """Return the factor on sigma that changes R = sigma^2 R_unit + floor by the factor `o.scale`."""
     parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
     return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
 
@@ -392,7 +395,7 @@ class Evidence:
         )
 
     def _purest(self, sensor: str) -> Run | None:
-        """Return the run that uses a sensor with the fewest other sensors, all of them healthy; or None."""
+        """Return the run with `sensor` and fewest others, all of them healthy or less wrong; None without one."""
         using = [r for r in self.runs if sensor in r.estimates.sensors]
         pure = [r for r in using if self._healthy(r, sensor) or self._worst(r) == sensor]
         return min(pure, key=lambda r: len(r.estimates.sensors)) if pure else None

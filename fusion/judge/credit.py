@@ -71,12 +71,12 @@ def verdict(
 
 
 def unsure(effect: Effect) -> bool:
-    """Return whether the interval includes a tenfold effect of the opposite sign."""
+    """Return whether the interval is so wide that the error may change tenfold in the opposite direction."""
     return (-effect.low if effect.value > 0.0 else effect.high) > MAX_UNSURE
 
 
 def overconfident(anees: tuple[float, float] | None) -> bool:
-    """Return whether ANEES (without, with) a sensor shows that it makes the filter overconfident."""
+    """Return whether a sensor makes the filter overconfident, by `anees`: ANEES (without, with) the sensor."""
     return anees is not None and anees[1] > max(MAX_ANEES, MAX_ANEES_RATIO * anees[0])
 
 
@@ -215,7 +215,7 @@ class _Book(msgspec.Struct, frozen=True):
         return Effect(value, min(low, value - most), max(high, value - least), expected)
 
     def _chance_range(self, i: int, j: int) -> tuple[float, float]:
-        """Return the interval of ln(RMSE before / after) that chance alone can give between subsets i and j.
+        """Return the interval of ln(RMSE before / after) that chance alone gives from sensor subset i to subset j.
 
         A sensor that reduces the predicted variance moves the estimate by about the square root of the reduction.
         With few independent samples such a move reduces or increases the error by its direction alone, which the
@@ -240,7 +240,10 @@ class _Book(msgspec.Struct, frozen=True):
         return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees, beside)
 
     def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
-        """Return the sensors that the effect "alone" is compared with: needed ones, else the smallest subset."""
+        """Return the sensors to which `sensor` is added for its effect "alone".
+
+        These are the sensors that it depends on, else (if not run) the smallest subset that was run.
+        """
         usual = needed(sensor)  # the effect "alone" is compared with these
         run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
         if not run or frozenset(usual) in run:

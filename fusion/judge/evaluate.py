@@ -107,7 +107,7 @@ def directions(t: Array, xy: Array, segments: Ints) -> Array:
 
 
 def noise_of(t: Array, xy: Array, segments: Ints) -> float:
-    """Return the standard deviation [m, per axis] of path changes (q, 2) that are faster than MAX_NOISE_S.
+    """Return the standard deviation [m, per axis] of the noise in positions xy (q, 2) faster than MAX_NOISE_S.
 
     By divided differences of six readings, scaled to keep the size of white noise, at several spacings: noise may
     be correlated. The median ignores starts and stops of the robot.
@@ -132,7 +132,7 @@ def noise_of(t: Array, xy: Array, segments: Ints) -> float:
 
 
 def _marks(xy: Array, segments: Ints, least: float) -> NDArray[np.bool_]:
-    """Return which readings (q,) end a chord: the first of a piece, and each `least` [m] from the end before."""
+    """Return flags (q,) of chord ends: each segment's first reading, then any over `least` [m] from the last."""
     marks = np.diff(segments, prepend=-1) > 0
     x = y = 0.0
     columns = (memoryview(column) for column in xy.T.copy())  # lists of floats would need more memory

@@ -105,9 +105,10 @@ def own(audit: Audit, m: Measurements) -> Own | None:
 
 
 def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float], float]:
-    """Return the mean NIS per degree of freedom of accepted innovations, its bounds, and the factor on S.
+    """Return mean NIS / dof of the accepted innovations, its bounds by chance, and the factor that S needs.
 
-    The factor is by the median NIS of the accepted ones and `far` ones beyond the gate.
+    The factor is the median NIS of the accepted innovations and `far` ones beyond the gate, over its expected
+    value.
     """
     used = np.flatnonzero(audit.verdict == ACCEPTED)
     nis, repeats = audit.nis[used], 1.0
@@ -153,7 +154,10 @@ def _medians(values: Array) -> Array:
 
 
 def _whiteness(v: Array, mark: Counts) -> Array:
-    """Return the autocorrelation of values (k, d), sorted by landmark (k,), at lags 1 to MAX_LAG_READINGS."""
+    """Return the autocorrelation of v (k, d), averaged over columns, at lags 1 to MAX_LAG_READINGS.
+
+    `mark` (k,), sorted, is the landmark of each row; only pairs of one landmark count.
+    """
     out = np.zeros(MAX_LAG_READINGS)
     if len(v) < 2:
         return out
@@ -167,7 +171,10 @@ def _whiteness(v: Array, mark: Counts) -> Array:
 
 
 def compare_readings(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> ComparedReadings | None:
-    """Return the innovation figures of a one-number sensor in a run without it; None if not comparable."""
+    """Return the innovation figures of a one-number sensor, from a run that does not use the sensor.
+
+    None for a sensor with several components, for a joint model, or with too few readings.
+    """
     m = drive.measurements[sensor]
     model = REGISTRY[sensor].model(robot.settings(sensor))
     if model.joint or m.z.shape[1] != 1 or len(m.t) < 2 * MAX_LAG_READINGS:
@@ -205,9 +212,10 @@ def usual_period(t: Array) -> float | None:
 
 
 def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | None:
-    """Return figures of rows (k, 5): t, innovation, reference variance, R, heading; None if all have one stamp.
+    """Return innovation figures, without outliers; None if all rows have one stamp.
 
-    Innovations are in rad where `angular`, else m; `unknown`: they contain an unknown offset.
+    A row of `rows` (k, 5) is t [s], innovation, reference variance, R, heading [rad]. Innovations are in rad where
+    `angular`, else m; `unknown`: they contain an unknown offset.
     """
     period = usual_period(rows[:, 0])
     if period is None:

@@ -49,7 +49,7 @@ class Distance(msgspec.Struct, frozen=True):
         return cls(float(np.sqrt((off**2).mean())), float(off.max()), float(t[off.argmax()]))
 
     def doubted(self, way: float) -> bool:
-        """Return whether two paths differ by more than is plausible for a distance driven `way` [m]."""
+        """Return whether the largest distance of the two paths is implausible for a drive of length `way` [m]."""
         return self.max > max(DOUBT_M, DOUBT_SHARE * way)
 
     def contradicts(self, a: float, b: float) -> bool:
@@ -124,7 +124,7 @@ def _claimed(e: Estimates) -> float:
 
 
 def is_better(before: float | None, after: float | None) -> bool:
-    """Return whether revisit agreement before and after a change shows that the changed path is better."""
+    """Return whether a change made a path better, by revisit agreement before and after (None: no revisits)."""
     if before is None or after is None:
         return False
     return after >= before + MIN_AGREEMENT_RISE or (after >= GOOD_AGREEMENT and after >= before)

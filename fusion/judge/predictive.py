@@ -54,7 +54,7 @@ class Ranked(msgspec.Struct, frozen=True):
 
 
 def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
-    """Return flags per reading, by sensor: readings that a run with `sensors` predicts but does not use.
+    """Return sensor -> flags (n,): true for readings that a run with `sensors` predicts but does not use.
 
     Sensors that are not used always listen. If all are used, intervals of STRETCH_S take turns: in the first all
     sensors are used, then one after the other listens.
@@ -118,7 +118,7 @@ def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
 
 
 def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool_]]) -> float | None:
-    """Return the mean log predicted density [nats per number] of readings with a flag; None without any."""
+    """Return the mean log predicted density [nats per number] of flagged readings; None if none is predicted."""
     means = []
     for sensor in (s for s in e.audits if s in flags):
         m = drive.measurements[sensor]
@@ -144,7 +144,7 @@ def ranking(found: Sequence[Score], configurations: Sequence[str]) -> list[Ranke
 
 
 def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return pairs of sensors of which one makes the prediction of the other significantly worse than odometry.
+    """Return pairs of contradicting sensors: a run with one predicts the other significantly worse than odometry.
 
     `alone` maps each sensor to the configuration that uses only this sensor.
     """

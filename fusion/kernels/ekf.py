@@ -31,10 +31,10 @@ MIN_KEPT_SHARE = 1e-14  # a correction leaves at least this share of a variance:
 
 
 class Steps:
-    """Relative motions by the wheels: step k leads to update k; the arrays begin with step `first`."""
+    """Wheel motions between update times: step k leads to update k; row 0 of the arrays is step `first`."""
 
     def __init__(self, u: Any, Q: Any, dt: Any, J: Any, first: int = 0) -> None:
-        """U (s, 3) [m, m, rad], Q (s, 9), dt (s,) [s]; J (s, 3 p) is d u/d(wheel parameters), row by row."""
+        """Use arrays u (s, 3) [m, m, rad], Q (s, 9), dt (s,) [s], J (s, 3 p) = d u/d(wheel parameters) by rows."""
         self.u, self.Q = memory(u), memory(Q)
         self.dt, self.J, self.first = memory(dt), memory(J), first
 
@@ -57,7 +57,7 @@ class Track:
     """Record of the pose, its covariance and some states, one row per update."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
-        """Pose (n, 3), triangle (n, 6), values (n, 2 b): the `states` (b,), then their variances."""
+        """Use arrays pose (n, 3), triangle (n, 6), values (n, 2 b): the `states` (b,), then their variances."""
         self.pose, self.triangle, self.values = memory(pose), memory(triangle), memory(values)
         self.states = memory(states)
 
@@ -87,7 +87,7 @@ class Loosening:
     """List of states and the variances to add to them: the first `count` entries."""
 
     def __init__(self, at: Any, by: Any) -> None:
-        """State columns at (m,), variances by (m,)."""
+        """Use arrays for up to m entries: state columns `at` (m,), variances `by` (m,)."""
         self.at, self.by, self.count = memory(at), memory(by), 0
 
     def add(self, column: int, variance: float) -> None:
@@ -243,7 +243,7 @@ class State:
             self.more_rows(self.written + rows + 1)
 
     def put(self, k: int, w: int, column: int, h: float) -> int:
-        """Write the derivative h by a state to entry w of row k, if not 0; return the next free entry."""
+        """Write a state's column and derivative h to entry w of row k if h is not 0; return the next free w."""
         if h == 0.0:
             return w
         self.row_at[k, w], self.row_H[k, w] = column, h
@@ -281,9 +281,9 @@ class State:
         return total
 
     def judge(self, first: int, d: int) -> float:
-        """Return the NIS of d rows; writes S = L D L' to `small`, and the variances to its row MAX_NUMBERS.
+        """Return the joint NIS of the d rows from `first` on, and write S = L D L' to `small`.
 
-        It is NaN where S is no number, or so large that its products are none.
+        Row MAX_NUMBERS of `small` gets the variances in S. The NIS is NaN where S or its products are not finite.
         """
         total, nis = 0.0, 0.0
         greatest = 0.0
@@ -488,7 +488,7 @@ class State:
     # ---- clone and look ----
 
     def copy_pose(self, column: int, first: int, states: int) -> None:
-        """Copy `states` states from column `first` on to column `column` on (stochastic cloning)."""
+        """Copy `states` states with covariances, from column `first` on to column `column` on (cloning)."""
         n = self.n
         for i in range(states):
             self.mean[column + i] = self.mean[first + i]
@@ -511,7 +511,7 @@ class State:
             self.mean[self.row_at[first, a]] = values[a]
 
     def turn_rows(self, first: int, k: int) -> None:
-        """Apply P <- T P T', where T is the identity with k rows of the table, from row `first` on."""
+        """Apply P <- T P T': T is the identity, but k of its rows are those of the table from row `first` on."""
         n = self.n
         for i in range(n):
             for a in range(k):
@@ -620,7 +620,7 @@ class State:
 
 
 def bent(tt: float) -> float:
-    """Return the second-order variance along a lever, per squared length, by a heading variance tt [rad^2].
+    """Return the second-order variance along a lever, per squared length, that heading variance tt [rad^2] causes.
 
     To first order, a heading error moves the end of a lever only across the lever. With a Gaussian angle a, the
     end is at cos(a) along it: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. This is 3/4 tt^2 for

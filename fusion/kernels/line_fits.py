@@ -138,7 +138,7 @@ def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fi
 
 
 def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
-    """Do the last step, and write the line if the wall is straight and the covariance small enough.
+    """Take the last Gauss-Newton step and write the line; return False for a bent wall or an uncertain line.
 
     A wall is bent where a parabola, as high as that share of its chord, explains much of the misfit. A line is too
     vague to be linear where turning about its middle by sigma(psi) moves its foot by more than a share of sigma(r)
@@ -230,7 +230,7 @@ def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
 
 
 def keep(fit: Fit, k: int, kept: int) -> None:
-    """Move return k of the fit to position `kept`, the end of the kept returns."""
+    """Copy return k of the fit to index `kept`, behind the returns that were kept before."""
     fit.row[kept], fit.error[kept] = fit.row[k], fit.error[k]
     fit.foot[kept], fit.weight[kept] = fit.foot[k], fit.weight[k]
 
@@ -322,7 +322,7 @@ def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
 
 
 def stiffness(fit: Fit) -> float:
-    """Return the curvature term's weight: that of q^2, orthogonal to the terms 1 and q of the line."""
+    """Return the weight of the curvature term q^2, made orthogonal to the line's terms 1 and q."""
     a, b, c, cubic = fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_wqqq
     return fit.sum_wqqqq - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / determinant(fit)
 
@@ -421,7 +421,7 @@ def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: F
 
 
 def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None:
-    """Add chi2 gains and number of the pieces of a curve beyond wall i, in direction `step` (1 or -1)."""
+    """Follow a curve from wall i in direction `step` (1 or -1); add up chi2 gains and number of its pieces."""
     sign = 0.0
     for _ in range(walls - 1):
         at = i if step > 0 else i - 1 if i > 0 else walls - 1
@@ -436,7 +436,7 @@ def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None
 
 
 def is_piece(curves: Curves, walls: int, closed: bool, i: int, length: float) -> bool:
-    """Return whether wall i of `length` [m] belongs to a curve of several pieces that fits better."""
+    """Return whether wall i of `length` [m] is a piece of a curve that fits better than several straight walls."""
     bent = curvature_of(curves, walls, closed, i)
     if abs(bent) * length < MIN_BEND_RAD or curves.gains[i] < MIN_PIECE_GAIN_CHI2:
         return False

@@ -58,7 +58,7 @@ def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Arra
 
 
 def moved(place: Array, configured: Array, out: Array) -> None:
-    """Compute the motion x, y [m], yaw [rad] on the base from the mount `configured` to the mount `place`."""
+    """Compute the motion x, y [m], yaw [rad] in the base frame that takes mount `configured` to mount `place`."""
     turn = place[2] - configured[2]
     c, s = cos(turn), sin(turn)
     out[0], out[1], out[2] = (
@@ -130,9 +130,9 @@ def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float
 
 
 def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array) -> None:
-    """Compute the matched share of a scan's lines (k, 7) with map lines (m, 8), for poses (h, 3); out (h, 3).
+    """Compute for poses (h, 3) how much of a scan's lines (k, 7) matches map lines (m, 8); write out (h, 3).
 
-    These are the share of the measured length, the share were the map lines longer than known, and how many lines.
+    Columns of `out`: share of the length matched, that share if map lines were longer than known, number of lines.
     A line is explained by a map line that is the same, within `slack` times the usual limits, where both overlap.
     """
     face(walls)

@@ -152,10 +152,10 @@ def gather(scans: Scans, scan: int, begin: int, returns: Returns) -> None:
 
 
 def gap(returns: Returns, before: int, i: int, growth: float, max_gap: float) -> float:
-    """Return the squared distance of two neighbouring returns, relative to the largest one within a wall.
+    """Return (distance / limit)^2 of two neighbouring returns; a value above 1 is a gap between walls.
 
-    That is `max_gap` [m] > 0, or `growth` times the larger range: beam spacings grow with the range and, on a wall
-    seen flat, with the angle of incidence.
+    The limit is `max_gap` [m] > 0, or `growth` times the larger range if that is more: beam spacings grow with the
+    range and, on a wall seen flat, with the angle of incidence.
     """
     dx, dy = returns.x[i] - returns.x[before], returns.y[i] - returns.y[before]
     limit = growth * max(returns.ranges[before], returns.ranges[i])
@@ -326,7 +326,10 @@ def merge(segments: Segments, count: int, limit: float) -> int:
 
 
 def cheapest(segments: Segments, count: int, limit: float) -> int:
-    """Write the first piece of each pair to merge now to `best`; return the number of pairs."""
+    """Choose the pairs to merge now, cheaper than `limit` and both neighbouring pairs; return their number.
+
+    The first piece of each pair is written to `segments.best`.
+    """
     chosen, cost = 0, segments.cost
     for i in range(count):
         if cost[i] < limit and cost[i] < cost[segments.before[i]] and cost[i] <= cost[segments.after[i]]:
@@ -355,7 +358,10 @@ def renew_cost(segments: Segments, i: int) -> None:
 
 
 def compact(segments: Segments, count: int) -> int:
-    """Move the moments of the groups to the front, write `bounds`, return the number of groups."""
+    """Move the moments of groups (merged pieces) to the front, write their first pieces to `bounds`.
+
+    Return the number of groups.
+    """
     groups = i = 0
     while i < count:
         segments.bounds[groups] = i
@@ -440,7 +446,7 @@ def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
 
 
 def rotate(values: Ints, count: int, by: int, room: Ints) -> None:
-    """Move the first `by` values behind the others."""
+    """Move the first `by` of `count` values behind the others, in place; `room` (count,) is room to work in."""
     for i in range(count):
         room[i] = values[i]
     for i in range(count):

@@ -60,7 +60,7 @@ class Walls:
     """Line map as arrays (J,), shared with fusion.map.LineMap."""
 
     def __init__(self, columns: Any, anchors: Any, low: Any, high: Any, fixed: Any, states: bool) -> None:
-        """State columns, anchor points (J, 2), ends on the tangent; `fixed` (J, WALL): lines without states."""
+        """State columns (J,), anchors (J, 2), ends on tangents (J,); `fixed` (J, WALL): lines if not `states`."""
         self.columns, self.anchors = memory(columns), memory(anchors)
         self.low, self.high, self.fixed = memory(low), memory(high), memory(fixed)
         self.states, self.places = states, len(columns)
@@ -72,10 +72,10 @@ class Walls:
 
 
 class Seat:
-    """Configured mount of the laser, and the columns of those of x, y, yaw that are states."""
+    """Configured mount of the laser, and the state columns of those parts (x, y, yaw) that are estimated."""
 
     def __init__(self, configured: Any, which: Any, columns: Any) -> None:
-        """`configured` (3,) m, m, rad; `which` (f,) of x, y, yaw are the states `columns` (f,)."""
+        """`configured` (3,) m, m, rad; `which` (f,) of x, y, yaw are estimated, in state `columns` (f,)."""
         self.configured, self.which, self.columns = memory(configured), memory(which), memory(columns)
         self.free = len(which)
 
@@ -92,7 +92,7 @@ class Doubles:
     """Limits for the removal of rare lines and the merging of duplicates."""
 
     def __init__(self, hits: int, trial: int, turn: float, offset: float, apart: float) -> None:
-        """`hits`, `trial`: numbers of scans; `turn` [rad], `offset`, `apart` [m]: differences of duplicates."""
+        """A line stays with `hits` in `trial` scans; `turn` [rad], `offset`, `apart` [m]: limits of duplicates."""
         self.hits, self.trial, self.turn, self.offset, self.apart = hits, trial, turn, offset, apart
 
 
@@ -104,7 +104,7 @@ class Audit:
         self.verdict, self.landmark = memory(verdict), memory(landmark)
 
     def judged(self, nis: Any, threshold: Any, y: Any, sigma: Any) -> None:
-        """Set the other columns; y and sigma are (rows, d)."""
+        """Set the columns nis, threshold (rows,), y and sigma (rows, d)."""
         self.nis, self.threshold = memory(nis), memory(threshold)
         self.y, self.sigma = memory(y), memory(sigma)
 
@@ -125,7 +125,7 @@ class Sight:
         self.rival, self.near, self.order = memory(rival), memory(near), memory(order)
 
     def hold_pairs(self, pairs: Any, walls: Any, seen: Any, mount: Any, place: Any, offset: Any) -> None:
-        """Use arrays for pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3) and vectors (3,)."""
+        """Use arrays pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3), place, offset (3,)."""
         self.pairs, self.wall_rows, self.seen = memory(pairs), memory(walls), memory(seen)
         self.mount, self.place, self.offset = memory(mount), memory(place), memory(offset)
 
@@ -237,7 +237,7 @@ class Sight:
         return p
 
     def spread(self, state: State, p: int, i: int, j: int, side: float) -> None:
-        """Compute R, S = H P H' + R, cos, sin, u and the unwrapped psi of pair p."""
+        """Write R, S = H P H' + R, cos, sin, lever u [m] and unwrapped psi of pair p: line i, map line j."""
         c, s, P, pairs, row = self.seen[j, 2], self.seen[j, 3], state.P, self.pairs, self.wall_rows
         u = (state.mean[0] - row[j, ANCHOR_X]) * s - (state.mean[1] - row[j, ANCHOR_Y]) * c
         r00, r01, r11 = self.rows[i, R00_LINE], side * self.rows[i, R01_LINE], self.rows[i, R11_LINE]
@@ -474,7 +474,7 @@ class Sight:
                     state.row_R[first + m, first + j] += self.G[m, k] * self.G[j, k]
 
     def write(self, out: Audit, at: int, instant: int, row: int) -> None:
-        """Write the verdicts on all lines to the audit from row `at` on; `row` is that of the first line in z."""
+        """Write the verdicts on all lines to the audit from row `at` on; `row`: row of the first line in z."""
         rules, nan = self.rules, float("nan")
         for i in range(self.lines):
             k, p = at + i, self.best[i]
@@ -533,7 +533,7 @@ class Sight:
 
 
 def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing: Loosening) -> None:
-    """List the map states with a variance below the floor [m^2, rad^2], and the differences.
+    """List in `missing` the map states with a variance below the floor [m^2, rad^2], each with the difference.
 
     First all offsets, then all angles: room for (2 J,).
     """

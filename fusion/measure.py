@@ -96,7 +96,10 @@ def measure(
 
 
 def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
-    """Return the robot with the start pose that a sensor found by its known map, unless [start] is given.
+    """Return the robot with the start pose that a sensor with a known map found, and the drive with a note.
+
+    Of several sensors, the one with the smallest position sigma gives the pose. If [start] is given or no sensor
+    finds a pose, the robot stays unchanged.
 
     A sensor with an ambiguous start is left out, since its map would be in another frame.
     """
@@ -123,7 +126,7 @@ def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
 
 
 def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robot, Drive]:
-    """Return the robot with its pose at the first wheel reading, computed from a [start] at a later time.
+    """Return the robot with its pose at the first wheel reading, for a [start] at a later time; and the drive.
 
     The wheels give the motion in between, whose noise is added to the sigmas of [start]. `first_scan` [s] is the
     time of the laser's first scan, None without one. Raises LocfuseError for a time outside the drive.
@@ -156,7 +159,11 @@ def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robo
 def cut(
     wheels: Wheels, robot: Robot, measurements: Mapping[str, Measurements], truth: Truth | None
 ) -> dict[str, Any]:
-    """Return the fields of a drive: wheel motion between update times and up to each truth stamp."""
+    """Return the fields of a drive that depend on its update times: wheel motions and indices of readings.
+
+    `motions` lead to each update time from the one before, `truth_motions` to each truth stamp from the last
+    update time; `instant` and `truth_instant` are indices of update times.
+    """
     t, estimate = instants(wheels.t, [m.t for m in measurements.values()]), robot.wheels.estimate
     truth_motions = truth_instant = None
     if truth is not None:

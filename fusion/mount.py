@@ -79,7 +79,10 @@ class Mount:
     """Mount of one sensor on the base, x [m], y [m], yaw [rad]; each uncertain component is a state block."""
 
     def __init__(self, sensor: str, settings: MountedSettings, observable: bool = False) -> None:
-        """`observable`: the drive shows the mount, so it is a state unless configured as exact."""
+        """Make a state of each component with a sigma above 0.
+
+        `observable`: the drive shows the mount, so sigmas that are not configured are above 0.
+        """
         self.sensor, self.configured = sensor, settings.mount
         sigmas = settings.sigmas(observable)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
@@ -128,7 +131,7 @@ class Mount:
         return [f"{OTHER_MOUNT} {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
-        """Return the columns of the uncertain components from derivatives (d, 3) by (x, y, yaw)."""
+        """Return the columns of the estimated components from derivatives (d, 3) by the mount's (x, y, yaw)."""
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
 
 

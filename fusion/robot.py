@@ -62,12 +62,12 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @property
     def is_of_driver(self) -> bool:
-        """Whether radius and track are those of the odometry driver, since robot.toml gives none."""
+        """Whether the odometry driver's radius and track apply: robot.toml gives neither radius nor wheelbase."""
         return self.radius is None and self.wheelbase is None
 
     @property
     def shares(self) -> tuple[float, float]:
-        """Radius of the left and of the right wheel, each divided by their mean."""
+        """Radii of the left and of the right wheel, each divided by the mean radius."""
         left = 2.0 / (1.0 + self.ratio)
         return left, left * self.ratio
 

@@ -175,9 +175,10 @@ def transform(pose: Array, points: Array) -> Array:
 
 
 def laid_on(a: Array, b: Array) -> tuple[float, float]:
-    """Return the rotation [rad] and the scale that align points a (n, 2) with b (n, 2), by least squares.
+    """Return the rotation [rad] and the scale that map points a (n, 2) to points b (n, 2), by least squares.
 
-    About their means (Umeyama 1991, in the plane); the rotation does not depend on the scale.
+    Both sets are centred on their means first (Umeyama 1991, in the plane); the rotation does not depend on the
+    scale, which is 1 if all points of a are equal.
     """
     p, q = a - a.mean(axis=0), b - b.mean(axis=0)
     across, along = float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum())

@@ -99,7 +99,10 @@ class Reading:
 
 
 def positive(greatest: float) -> None:
-    """Raise LocfuseError if `greatest` is not positive: the innovation covariance is then singular."""
+    """Raise LocfuseError if an innovation covariance is singular: `greatest` is then not positive.
+
+    `greatest` is the largest of its variances, with a minus sign if the covariance is not positive definite.
+    """
     if not greatest > 0.0:
         raise LocfuseError(
             f"an innovation covariance became singular (variances of up to {-greatest:.0e}): check the values of "
@@ -327,7 +330,7 @@ class Sensor(ABC):
         """
 
     def again(self, before: Measurements, settings: Any, epoch_ns: int) -> Measurements | None:
-        """Return the result of `measure` under new settings, computed from its result under other settings.
+        """Return what `measure` gives under `settings`, computed from `before`, its result under other settings.
 
         None if `measure` has to be called again.
         """
@@ -443,5 +446,5 @@ class Sensor(ABC):
 
     @property
     def measures_metres(self) -> bool:
-        """Whether a component is in metres, so that the sensor shows the scale of the wheels."""
+        """Whether this sensor measures a length [m], and so shows the scale of wheel odometry."""
         return any(c.unit == "m" for c in self.components)

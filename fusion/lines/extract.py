@@ -45,7 +45,10 @@ def motion_of(mount: Array) -> Motion:
 
 
 def shares(beams: int) -> Array:
-    """Return the effect of wheel slip in each piece of a scan on each beam, (pieces, beams); 0 at the middle."""
+    """Return how much the wheel slip within each piece of a scan moves each beam, 0 to 1, (pieces, beams).
+
+    It is 0 for the beam at the middle of the scan, to which the other beams are deskewed.
+    """
     at = np.linspace(-0.5, 0.5, beams)
     low, high = PIECE_EDGES[:-1, None], PIECE_EDGES[1:, None]
     after = np.clip((at - low) * SWEEP_PIECES, 0.0, 1.0)
@@ -54,10 +57,11 @@ def shares(beams: int) -> Array:
 
 
 def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
-    """Return derivatives G (m, 2, 2 pieces) of lines by the slip [sigmas] of both wheels in each piece of a scan.
+    """Return derivatives G (m, 2, 2 pieces) of lines (r, psi) by the wheel slip in each piece of a scan.
 
-    `per_unit` (m, 2, 2, pieces) are derivatives by turn and move (`kernels.line_fits.loadings`); scan (m,) is the
-    index of the scan of each line; middle, duration (n,) [s].
+    The slip is in standard deviations: of the left wheel in all pieces, then of the right wheel. `per_unit` (m, 2,
+    2, pieces) are derivatives by turn and move (`kernels.line_fits.loadings`); scan (m,) is the index of the scan
+    of each line; middle, duration (n,) [s] are those of the scans.
     """
     slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * PIECE_EDGES))[scan]  # (m, pieces, 2) m
     turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, pieces)
@@ -67,7 +71,11 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
 
 
 def in_base(loads: Array, z: Array, mount: Array) -> Array:
-    """Convert derivatives `loads` (m, 2, ...) of lines z (m, 2) from the laser frame to the base frame."""
+    """Convert derivatives of lines (r, psi) from the laser frame to the base frame.
+
+    `loads` (m, 2, ...) are the derivatives by any parameters, z (m, 2) the lines, `mount` (3,) is x [m], y [m],
+    yaw [rad].
+    """
     out = np.empty(loads.shape)
     if loads.size:
         parts = (len(z), 2, -1)
@@ -176,7 +184,10 @@ def extract_lines(
 
 
 def rows_of(z: Array, R: Array, ends: Array) -> Array:
-    """Return lines as a table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
+    """Return lines as a table (k, 7): r, psi, R_00, R_01, R_11, and both ends [m] along the line.
+
+    z (k, 2) are (r, psi), R (k, 2, 2) their covariances, `ends` (k, 2) [m].
+    """
     rows = np.empty((len(z), LINE_COLUMNS))
     rows[:, :2], rows[:, 5:] = z, ends
     rows[:, 2], rows[:, 3], rows[:, 4] = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]

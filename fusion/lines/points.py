@@ -1,4 +1,4 @@
-"""Points of chosen scans, read again from the log, since most runs need the points of few scans only."""
+"""Points of laser scans, read again from the log when needed: most runs need those of few scans only."""
 
 from __future__ import annotations
 
@@ -88,7 +88,10 @@ class Longest:
 
 
 def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:
-    """Read scans; if their longest range means "no return", read them again without it; return laser, notes too.
+    """Read the scans of a log, without the range that means "no return"; return result, laser and notes.
+
+    If the longest range means "no return", the scans are read again with a `range_max` below it, which the
+    returned laser contains.
 
     If the user configured `range_max`, all ranges within it are used. `read` adds all ranges to its `Longest`.
     """
@@ -103,7 +106,10 @@ def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Lase
 
 
 class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
-    """Points of the scans of a stream, read when needed; reading i is row `rows[i]` of the stream."""
+    """Points of n chosen scans of a stream, read from the log when needed.
+
+    Reading i is the message `rows[i]` of the stream.
+    """
 
     stream: Stream
     fields: tuple[str, ...]
@@ -127,7 +133,7 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
         return replace(self, laser=self.laser._replace(mount=mount))
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
-        """Return the poses (n, 3) at times t_to relative to those at times t_from, (n,) s each, by the wheels."""
+        """Return the poses (n, 3) at times t_to relative to those at t_from, (n,) [s] each, by wheel odometry."""
         return self.wheels.relative(t_from, t_to)
 
     def read(self, readings: Ints) -> list[Array]:

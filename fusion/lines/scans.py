@@ -32,7 +32,7 @@ MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = 0.6, 0.4  # largest differences of one wal
 
 
 class Padded(NamedTuple):
-    """Table of the rows of k readings, padded to w columns."""
+    """Rows of the lines of k readings as a table (k, w); shorter readings are padded to w columns."""
 
     row: Ints  # (k, w) row in Measurements.z; 0 in padding
     there: NDArray[np.bool_]  # (k, w) False in padding
@@ -55,9 +55,10 @@ def _padded(first: Ints, counts: Ints, readings: Ints) -> Padded:
 
 
 def misfit(turn: Array, shift: Array, scale: tuple[float, float], a: Padded, b: Padded) -> Array:
-    """Return the distance of line j of b from line i of a, (k, w_a, w_b): below 1 they may match; inf in padding.
+    """Return the normalised squared distance of each line of a from each line of b, (k, w_a, w_b).
 
-    `turn` [rad] and `shift` [m] are the differences of the lines, `scale` (rad, m) their largest values.
+    Below 1 two lines may match; in padding it is inf. `turn` [rad] and `shift` [m] are the differences of the
+    lines, `scale` (rad, m) their largest values.
     """
     cost = (turn / scale[0]) ** 2 + (shift / scale[1]) ** 2
     return np.where(a.there[:, :, None] & b.there[:, None, :], cost, np.inf)
@@ -69,7 +70,10 @@ def turn_of(a: Array, b: Array) -> Array:
 
 
 def nearest(values: Array, cost: Array) -> tuple[Array, Array, Ints]:
-    """Return for each line of a the least cost of a line of b, with its `values` entry and index, (k, w_a)."""
+    """Return for each line of a its nearest line in b: entry of `values`, cost, and index, (k, w_a) each.
+
+    `values` and `cost` (k, w_a, w_b) belong to pairs of lines; the nearest line has the least cost.
+    """
     j = cost.argmin(axis=2)
     at = j[:, :, None]
     return np.take_along_axis(values, at, 2)[:, :, 0], np.take_along_axis(cost, at, 2)[:, :, 0], j
@@ -89,7 +93,9 @@ class Laser(NamedTuple):
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
-    """Split a block into groups of scans with equal numbers of beams: (indices, columns with ranges (k, b)).
+    """Split a block of scans into groups with equal numbers of beams b; return a list of groups.
+
+    A group is (indices (k,) of its scans in the block, columns of these scans, with `ranges` as a matrix (k, b)).
 
     Groups hold at most BEAMS_AT_ONCE beams; scans of more than MAX_BEAMS are left out.
     """
@@ -113,9 +119,9 @@ def too_many_beams(columns: dict[str, Any]) -> int:
 
 
 def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[NDArray[np.bool_], bytes]:
-    """Return whether each scan (k,) is equal to the one before, and the bytes of the last scan.
+    """Return for each of k scans whether it equals the scan before, (k,), and the bytes of the last scan.
 
-    `before` are the bytes of the scan before the first. Scans with fewer than `least` returns never count as
+    `before` are the bytes of the scan before these scans. A scan with fewer than `least` returns never counts as
     equal.
     """
     same = np.zeros(len(ranges), bool)
@@ -257,7 +263,10 @@ class Gathered:
         self._sweep.append(lines.sweep[kept])
 
     def in_order(self, n: int) -> tuple[Ints, Array, Array, Array, Array]:
-        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep; frees the parts."""
+        """Return the lines of n readings in the order of the readings: first (n + 1,), z, R_unit, ends, sweep.
+
+        Reading i has the rows first[i]:first[i + 1]. The collected parts are freed.
+        """
         at, counts = (np.concatenate([np.empty(0, np.int64), *pieces]) for pieces in (self._at, self._counts))
         of_reading = np.zeros(n, dtype=np.int64)
         of_reading[at] = counts
@@ -273,13 +282,16 @@ class Gathered:
 
 
 def _as_wide(pieces: list[Array]) -> list[Array]:
-    """Pad derivatives (m, 2, k) to equal width k: parts without shared errors become zeros."""
+    """Return derivatives (m, 2, k) with one width k: those with k = 0 (no shared errors) become zeros."""
     widest = max([piece.shape[2] for piece in pieces], default=0)
     return [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in pieces]
 
 
 def _joined(pieces: list[Array], rows: Ints | None) -> Array:
-    """Join arrays, with line k at rows[k] (m,); clears `pieces` to save memory."""
+    """Join arrays to one and clear the list `pieces` to save memory.
+
+    Line k of the joined array moves to row `rows[k]`, (m,); None: the order stays.
+    """
     whole = np.concatenate(pieces)
     pieces.clear()
     if rows is None:
@@ -290,11 +302,11 @@ def _joined(pieces: list[Array], rows: Ints | None) -> Array:
 
 
 def turns(first: Ints, z: Array, variance: Array) -> Array:
-    """Estimate the robot's turn [rad] since the previous scan, (n,), from lines z (m, 2), scan i from first[i] on.
+    """Estimate the robot's turn [rad] from the scan before to each scan, (n,), by lines z (m, 2) of n scans.
 
-    Each line is paired with the nearest line of the next scan. The turn is the median change of psi, weighted by
-    the `variance` (m,) of psi, so that short walls and wrong pairs have little effect. Without pairs the turn is
-    0.
+    Scan i has the lines from row first[i] on. Each line is paired with the nearest line of the next scan. The turn
+    is the median change of psi, weighted by the `variance` (m,) of psi, so that short walls and wrong pairs have
+    little effect. Without pairs the turn is 0.
     """
     out = np.zeros(len(first) - 1)
     scans = np.arange(len(out))
@@ -343,10 +355,11 @@ OFFSET_PER_ANGLE_M = 1.3  # m per rad: 8 mm with 0.35 degrees
 def wall_floor(
     t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array | None = None
 ) -> tuple[float, float]:
-    """Return the least noise of r [m] and psi [rad] by uneven walls; (0, 0) for flat walls or too few lines.
+    """Return the standard deviations of r [m] and psi [rad] that the unevenness of walls causes.
 
-    Lines z (m, 2) of scans at times t (n,), scan i from first[i] on; `variance` (m,) of psi by the fit [rad^2];
-    `sweep` (m, k): effect [rad] of wheel slip within a scan on psi, common to its lines (lines.extract).
+    They are (0, 0) for flat walls or too few lines. z (m, 2) are lines of scans at times t (n,), those of scan i
+    from first[i] on; `variance` (m,) is that of psi by the fit [rad^2]; `sweep` (m, k) is the effect [rad] of
+    wheel slip within a scan on psi, common to its lines (lines.extract).
     """
     change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
     if len(change) < MIN_PAIRS or float(np.median(np.abs(change) / np.sqrt(noise))) < MAD * MIN_MISFIT_RATIO:
@@ -362,10 +375,11 @@ def wall_floor(
 
 
 def bend(uneven: Array) -> Array:
-    """Return the process noise per scan (2,) of a wall with `uneven` variance (2,).
+    """Return the process noise (2,) per scan of a line on an uneven wall: variances [m^2, rad^2].
 
-    The error by unevenness is constant while the same part of a wall is seen, so it must not average out. It is
-    modelled as a random walk of the line with variance 2 `uneven` over LAG_SCANS scans.
+    The error by unevenness, of variance `uneven` (2,), is constant while the same part of a wall is seen, so it
+    must not average out. It is modelled as a random walk of the line with variance 2 `uneven` over LAG_SCANS
+    scans.
     """
     return 2.0 * uneven / LAG_SCANS
 
@@ -373,7 +387,11 @@ def bend(uneven: Array) -> Array:
 def _changes(
     t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array
 ) -> tuple[Array, Array]:
-    """Return changes of the angle between two walls over LAG_SCANS scans [rad], and their variances."""
+    """Return how much the angle between two walls changed over LAG_SCANS scans [rad], for many pairs of walls.
+
+    Also return the variances [rad^2] of these changes by line fits and wheel slip. The arguments are those of
+    `wall_floor`.
+    """
     exact = variance < MAX_SIGMA_RAD**2
     first = np.concatenate(([0], np.cumsum(exact)))[first]  # from here on only the exact lines
     z, variance, sweep = z[exact], variance[exact], sweep[exact]

@@ -41,7 +41,10 @@ class Anchors:
         return len(self.pose)
 
     def append(self, of: int, z: Array, P: Array) -> int:
-        """Add an anchor at z (3,) with covariance (3, 3) relative to anchor `of` or NOWHERE; return its index."""
+        """Add an anchor with pose z (3,) and covariance P (3, 3) relative to anchor `of`; return its index.
+
+        If `of` is NOWHERE, the pose is relative to the map frame.
+        """
         self.pose = np.vstack((self.pose, z if of == NOWHERE else se2.compose(self.pose[of], z)))
         self.add(Edge(of, len(self.pose) - 1, np.asarray(z), inverted(P)))
         return len(self.pose) - 1

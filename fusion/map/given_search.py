@@ -184,7 +184,7 @@ class _Places:
 
 
 def _no_place(places: _Places, until: float) -> str:
-    """Return the error message if no start was found by the scans until a time [s]."""
+    """Return the error message of a failed search for the start pose; the scans used end at time `until` [s]."""
     if places.seen < MIN_SCANS:
         return f"too little is seen before {until:.0f} s to tell where in the map the drive began"
     if places.best < MIN_SHARE:

@@ -64,7 +64,11 @@ def contours(grid: Grid) -> list[Chain]:
 
 
 def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
-    """Return start and end corners (m, 2) and middles (m, 2) of cell sides, and whether the wall is thin (m,)."""
+    """Return the cell sides between occupied and free cells, in cells: start, end and middle, (m, 2) each.
+
+    Also return whether the wall is thin there (m,): no occupied cell lies behind the side's cell. Raises
+    LocfuseError for more than MAX_SIDES.
+    """
     starts, ends, points, thin, count = [], [], [], [], 0
     for (rows, columns), a, b in CELL_SIDES:
         border = grid.occupied & _shifted(grid.free, rows, columns)
@@ -180,7 +184,10 @@ def _fitted(number: int, grid: Grid, piece: Chain) -> MapLine:
 
 
 def _line(number: int, ends: Array, cell: float, scatter: float) -> MapLine:
-    """Return the map line between two ends (2, 2) [m], free side at the left, with the uncertainty of cells."""
+    """Return the map line between two ends (2, 2) [m]; the free side is at the left, seen along the line.
+
+    Its covariance follows from the size of a `cell` [m] and the `scatter` [m] of the cells about the line.
+    """
     (dx, dy), length = ends[1] - ends[0], float(np.hypot(*(ends[1] - ends[0])))
     c, s = dy / length, -dx / length  # the normal points to the right: away from the free side
     lo, hi = (float(c * y - s * x) for x, y in ends)

@@ -134,7 +134,11 @@ class Guard:
         again: Again,
         slipped: Slipped,
     ) -> tuple[Association, bool]:
-        """Check a scan with matched share `share`; return the association to use, and whether to use the scan."""
+        """Check how a scan agrees with the map; correct slips, and detect and relocate a lost robot.
+
+        Return the association of the scan to use, and whether the scan may correct pose and map. `share` is the
+        share of the scan's line length that matches the map by the association `found`.
+        """
         moved = share < GOOD_SHARE and self._moved(belief.pose())
         if not moved:
             self._slide.reset()
@@ -218,7 +222,11 @@ class Guard:
     def _suspected(
         self, scan: Scan, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped
     ) -> float | None:
-        """Return a small slip [rad] that map and scan matching show; store a large one until it is confirmed."""
+        """Search for a heading slip that explains a scan; return it [rad] if small and confirmed, else None.
+
+        Scan matching confirms a small slip. A slip of SMALL_RAD or more is stored as a suspicion, which the next
+        scans test.
+        """
         turn = slip_turn(scan, lines, belief, again)
         if turn is None:
             return None
@@ -287,7 +295,11 @@ class Guard:
         belief.place((belief.x, belief.y, belief.theta), LOST_SIGMA_M**2, math.pi**2 / 3.0)
 
     def _by_wheels(self, here: Pose) -> Pose:
-        """Return the pose by wheel odometry alone, updated to the predicted pose `here`."""
+        """Return the robot's pose by wheel odometry alone, without the corrections by scans.
+
+        `here` is the pose predicted by the filter: its motion since the last corrected pose is the one by the
+        wheels.
+        """
         self._wheels = se2.carried(self._wheels, self._corrected or here, here)
         self._corrected = here
         return self._wheels
@@ -314,7 +326,7 @@ class Guard:
         self._unplaced_from = None
 
     def begin_anew(self, t: float, belief: JointBelief) -> None:
-        """Begin a new submap, relative to which the pose is known exactly."""
+        """Reset at the begin of a new submap; a lost robot counts as found, since its pose there is known."""
         self._before.clear()
         self._since = self._place = self._suspicion = None
         self._slide.reset()
@@ -395,14 +407,14 @@ class Guard:
 
 
 def _forget_since(first: int, lines: LineMap, belief: JointBelief) -> None:
-    """Remove the map lines with ids from `first` on, unless these are all lines."""
+    """Remove the map lines with ids >= `first` from map and state, unless no line would remain."""
     gone = np.flatnonzero(lines.ids >= first)
     if len(gone) < len(lines):
         belief.remove(lines.drop(gone))
 
 
 def in_map(belief: JointBelief) -> Array:
-    """Return the pose (3,) in the map frame."""
+    """Return the belief's pose (3,) in the map frame, also if the belief uses a local frame."""
     frame, pose = belief.frame_pose(), np.array(belief.pose())
     return pose if frame is None else se2.compose(np.array(frame), pose)
 
@@ -414,7 +426,9 @@ def jump(t: float, kind: str, before: Array, after: Array) -> Jump:
 
 
 def _walls_jumped(before: Sequence[Seen], now: Seen) -> bool:
-    """Return whether no recent scan predicts the walls of a scan, even with a slip: the robot was moved.
+    """Return whether the robot was moved: no recent scan predicts the walls of the scan `now`.
+
+    A predicted scan may have slipped in heading. Without a recent scan with a wide view the answer is False.
 
     An exploring robot sees new walls, but some known ones too. In clutter, lines appear and disappear from scan to
     scan, but one of the last scans had them.

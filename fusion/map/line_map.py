@@ -55,7 +55,11 @@ FLAT_SIGMAS = np.array([0.005, math.radians(0.2)])  # m, rad: how well two piece
 
 
 class LineMap(msgspec.Struct):
-    """J lines as arrays; if a line is a state, its (rho, beta) are in the belief at `column`, else in `value`."""
+    """Map of J lines, one array per property.
+
+    The (rho, beta) of a line that is a state is in the belief from column `column` on, that of a frozen line in
+    `value`.
+    """
 
     ids: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     anchor: Array = field(default_factory=lambda: np.zeros((0, 2)))
@@ -92,7 +96,10 @@ class LineMap(msgspec.Struct):
         return P
 
     def table(self) -> sight.Walls:
-        """Return the kernel's view of the map; it shares the arrays, and is rebuilt after these were replaced."""
+        """Return the table of the lines for the kernel; it shares the map's arrays, so it shows their changes.
+
+        It is built anew after an array was replaced.
+        """
         shown = self._shown
         if self._table is not None and shown[0] is self.column and shown[1] is self.hits and shown[2] is self.seen:
             return self._table
@@ -121,7 +128,7 @@ class LineMap(msgspec.Struct):
         return line
 
     def keep_floor(self, belief: JointBelief, floor: tuple[float, float]) -> None:
-        """Increase line variances below `floor` (2,) [m^2, rad^2] to it, since no wall is an exact plane."""
+        """Raise line variances to at least `floor` (2,) [m^2, rad^2], since no wall is an exact plane."""
         if self._lacking is None or self._room < 2 * len(self.ids):
             self._room = 4 * len(self.ids)
             self._lacking = Loosening(np.empty(self._room, np.intp), np.empty(self._room))
@@ -174,7 +181,10 @@ class LineMap(msgspec.Struct):
         return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
 
     def _framed(self, j: int, placed: Placed, P: Array, joint: Array) -> MapLine:
-        """Return line j in the map frame, with its covariance for an exact and for an uncertain local frame."""
+        """Return line j in the map frame; P is for an exact local frame, P_free for its uncertain pose.
+
+        `joint` (5, 5) is the joint covariance of (rho, beta) and the local frame's pose.
+        """
         line = self._line(j, placed.value, P, placed.anchor)
         J = line_by_frame(line, placed.anchor, placed.frame)
         return replace(line, P_free=J @ joint @ J.T)
@@ -239,9 +249,10 @@ class Association(sight.Sight, Reading):
         self._bent = Loosening(np.zeros(0, np.intp), np.zeros(0))
 
     def compare(self, belief: JointBelief, lines: LineMap, rows: Array, shared: Array = NO_SHARES) -> float:
-        """Match lines (n, 7) in the base frame by the configured mount; return the matched share of length.
+        """Match the lines `rows` (n, 7) of a scan with the map; return the matched share of their length.
 
-        `shared` (n, 2, s) are the correlated errors of the lines (lines.sweep).
+        The lines are in the base frame by the configured mount. `shared` (n, 2, s) are their correlated errors
+        (lines.sweep).
         """
         n, places, parts = len(rows), len(lines.ids), shared.shape[2]
         if n > self._lines or places > self._places or parts > self._parts:
@@ -279,11 +290,15 @@ class Association(sight.Sight, Reading):
         return [i for i in range(self.lines) if self.is_new(i)]
 
     def rows_used(self) -> list[int]:
-        """Return the rows of Measurements.z of the matched lines."""
+        """Return the rows of Measurements.z that hold the matched lines of this scan."""
         return [self.row + i for i in range(self.lines) if self.is_matched(i)]
 
     def bend(self, belief: JointBelief, uneven: tuple[float, float], most: tuple[float, float]) -> None:
-        """Add variance to the seen walls: `uneven` [m^2, rad^2], at most `most` at a time."""
+        """Add process noise to the matched lines, since their walls are uneven.
+
+        Variances of (rho, beta) grow by at most `most` [m^2, rad^2] per scan, and not beyond `uneven` [m^2,
+        rad^2].
+        """
         self.bends(belief, *uneven, *most)
         belief.loosen_all(self._bent)
 
@@ -291,7 +306,11 @@ class Association(sight.Sight, Reading):
 def associate(
     rows: Array, lines: LineMap, belief: JointBelief, like: Association, shared: Array = NO_SHARES
 ) -> Association:
-    """Associate lines `rows` with the present belief, by the rules and mount of the association `like`."""
+    """Associate the lines `rows` (n, 7) of a scan with the map lines, at the belief's present state.
+
+    The rules and the laser mount are those of the association `like`. `shared` (n, 2, s) are the correlated errors
+    of the lines.
+    """
     found = Association(like.rules, like.seat)
     found.compare(belief, lines, rows, shared)
     return found
@@ -355,7 +374,10 @@ def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | N
 
 
 def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, Array, float, float]:
-    """Return y = line i - line j about i's anchor point, the Jacobian H of line j - line i, j's ends along i."""
+    """Compare lines i and j about i's anchor point: return y (2,), H (2, 4), and both ends of j along i [m].
+
+    y = line i - line j in (rho, beta); H is the Jacobian of line j - line i by (rho, beta) of i and of j.
+    """
     rho, beta = values[j]
     c, s = math.cos(beta), math.sin(beta)
     ax, ay = lines.anchor[j] - lines.anchor[i]
@@ -386,7 +408,10 @@ def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None
 
 
 def seat_of(mount: Mount | None, belief: JointBelief) -> sight.Seat:
-    """Return the laser's mount for the kernel: its configured values, and the indices of those that are states."""
+    """Return the laser mount for the kernel: configured x [m], y [m], yaw [rad], and which of them are states.
+
+    Without a mount (None), all are 0 and none is a state.
+    """
     if mount is None:
         return sight.Seat(np.zeros(3), np.zeros(0, np.intp), np.zeros(0, np.intp))
     columns = np.array(mount.columns(belief), np.intp)
@@ -403,6 +428,9 @@ def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
 
 
 def moved_mount(mount: Mount, belief: JointBelief) -> Pose:
-    """Return the motion (x, y, yaw) that converts lines from the configured to the estimated mount."""
+    """Return the transform of lines in the base frame from the configured to the estimated mount.
+
+    It is x [m], y [m], yaw [rad].
+    """
     x, y, yaw = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.configured))).tolist()
     return x, y, yaw

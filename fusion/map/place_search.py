@@ -95,7 +95,9 @@ def search(
     allowed: Callable[[Array], NDArray[np.bool_]],
     enough: Callable[[Array, Ints], NDArray[np.bool_]],
 ) -> Places | None:
-    """Return poses that align two of the scan's `most` longest walls with map walls, with scores; else None.
+    """Return poses of a scan in a map, with scores; None if no pose is good enough.
+
+    Each pose aligns two of the `most` longest walls of the scan with map walls.
 
     `allowed` selects poses (h, 3) before the scoring; `enough` selects poses by matched share (h,) and number of
     walls (h,).
@@ -134,10 +136,11 @@ def distinct(poses: Array) -> Array:
 
 
 def explained(poses: Array, scan: Scan, walls: Array, slack: float = 1.0) -> tuple[Array, Array, Ints]:
-    """Return for each pose (h,) the matched share of wall length, that with longer map walls, and the wall count.
+    """Return for each pose (h,) the matched share of the scan's wall length, the possible share, and a count.
 
-    Map walls may be longer than seen so far, so a rival pose may see an unknown part of a wall. `slack` is a
-    factor on the tolerances.
+    The possible share would match if map walls were longer; the count is that of the matched walls. Map walls may
+    be longer than seen so far, so a rival pose may see an unknown part of a wall. `slack` is a factor on the
+    tolerances.
     """
     out = np.empty((len(poses), 3))
     if len(poses):
@@ -165,9 +168,10 @@ def behind_walls(scan: Scan, walls: Array, pose: Sequence[float], both: bool = F
 
 
 def walls_of(lines: LineMap, values: Array, known: Ints | None = None) -> Array:
-    """Return map walls as a table for kernels.places, (m, COLUMNS): those seen MIN_HITS times, or `known`.
+    """Return map walls as a table (m, COLUMNS) for kernels.places.
 
-    `values` (J, 2) are (rho, beta) of all map lines; `known` are indices of lines.
+    `values` (J, 2) are (rho, beta) of all map lines; `known` (m,) are the indices of the lines to use, None: those
+    seen at least MIN_HITS times.
     """
     known = np.flatnonzero(lines.hits >= MIN_HITS) if known is None else known
     walls = np.empty((len(known), places.COLUMNS))
@@ -220,7 +224,11 @@ def _occluded_share(poses: Array, scan: Scan, walls: Array) -> Array:
 
 
 def _consistent(poses: Array, before: Iterable[tuple[Array, Scan]], walls: Array, all_walls: Array) -> Array:
-    """Return the poses (h, 3) that are consistent with earlier scans; `before`: relative poses (3,) and scans."""
+    """Return those of the poses (h, 3) of the present scan with which earlier scans match the map too.
+
+    `before` yields the earlier scans, each with its pose (3,) relative to the present one. A pose is dropped once
+    MAX_AGAINST scans contradict it.
+    """
     against = np.zeros(len(poses), dtype=np.int64)
     for step, scan in before:
         if not len(poses):
@@ -291,7 +299,9 @@ def _has_enough_walls(found: Closure, expected: Array, P: Array) -> bool:
 
 
 def rival_spread(rivals: Array) -> Array:
-    """Return the position covariance (3, 3) by equally good poses, given as offsets `rivals` (n, 3) from the best.
+    """Return the covariance (3, 3) that equally good poses add to the position x, y [m^2] of the best pose.
+
+    `rivals` (n, 3) are the offsets of these poses from the best one.
 
     In a corridor, rivals differ in the position along it only.
     """
@@ -379,7 +389,10 @@ def _same_walls(
 
 
 class Looks:
-    """Candidate closures: the last pose of the present submap in each frozen submap, and how many agree."""
+    """Latest loop-closure candidate in each frozen submap, and how many consecutive candidates there agree.
+
+    A candidate is the last pose of the present submap in the frozen one.
+    """
 
     def __init__(self) -> None:
         self._found: dict[int, tuple[Closure, int]] = {}  # anchor -> last candidate, number of agreeing ones
@@ -404,7 +417,10 @@ class Looks:
         return self.count(anchor) >= UNKNOWN_LOOKS and not self._has_rival(anchor, anchors)
 
     def _has_rival(self, anchor: int, anchors: Anchors) -> bool:
-        """Return whether a candidate in another submap gives another position of the present submap."""
+        """Return whether the candidate in any other submap puts the present submap more than ELSEWHERE_M away.
+
+        The distance is that from the position by the candidate in the submap of `anchor`.
+        """
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()
         return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())

@@ -51,7 +51,7 @@ class Scan(msgspec.Struct, frozen=True, eq=False):
 
 
 class Scans:
-    """Converts laser measurements to tables of lines, in parts, in the order of time."""
+    """Reader of lines from laser measurements, for scans in order of time: converts many lines at a time."""
 
     def __init__(self) -> None:
         self._of: Measurements | None = None
@@ -85,7 +85,10 @@ class Standing:
         self._counts: Ints = np.zeros(0, np.intp)  # number of summands
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Add a motion by wheel odometry: x, y [m], theta [rad]. Small motions are summed by component."""
+        """Add the wheel-odometry motion u = (x [m], y [m], theta [rad]) to the motion since the first scan.
+
+        Motions of a robot at rest are small, so their components are summed.
+        """
         x, y, theta = self._rolled
         self._rolled = (x + u[0], y + u[1], theta + u[2])
 
@@ -117,7 +120,7 @@ class Standing:
         return mean
 
     def _add(self, rows: Array, same: Ints) -> None:
-        """Add the lines of a scan to the sums of equal earlier lines `same` (k,); -1 starts a new sum."""
+        """Add each line of a scan to the sum of the earlier line `same[k]` that equals it; -1 starts a new sum."""
         new = np.flatnonzero(same < 0)
         if len(new):
             same[new] = len(self._lines) + np.arange(len(new))

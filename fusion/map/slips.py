@@ -203,16 +203,20 @@ class Suspicion:
         return self.looks >= DECIDING_SCANS
 
     def confirmed(self, gain: float, by_scans: bool) -> bool:
-        """Return whether the slip is confirmed; `gain` is the increase of the matched share of the last scan.
+        """Return whether scans match the map so much better with the slip that it is confirmed.
 
-        The least increase is MIN_GAIN if scan matching measured the slip (`by_scans`), else SURE_GAIN for all
+        `gain` is the increase of the matched share of the last scan. The least increase is MIN_GAIN if scan
+        matching measured the slip (`by_scans`); else it is SURE_GAIN, for the last scan and for the mean of all
         scans.
         """
         return gain >= MIN_GAIN if by_scans else min(gain, self._gain / self.looks) >= SURE_GAIN
 
 
 def agree(by_scans: float, turn: float) -> bool:
-    """Return whether the turns of a slip by scan matching and by the map [rad] are about equal."""
+    """Return whether two measurements of a heading slip [rad] are about equal.
+
+    `by_scans` is by scan matching, `turn` by the map.
+    """
     return abs(se2.wrap(by_scans - turn)) <= AGREE_RAD
 
 
@@ -249,7 +253,10 @@ def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]
 
 @contextmanager
 def tried(belief: JointBelief, step: Pose, xy: float, theta: float) -> Iterator[None]:
-    """Shift the belief by `step` (3,) and add variances xy [m^2], theta [rad^2], within a `with` block only."""
+    """Change the belief's pose by `step` (3,) inside a `with` block; restore it at the end of the block.
+
+    The variances grow by xy [m^2] and theta [rad^2].
+    """
     # not by `belief.shift`, which records an event and resets copies of the pose (gyro, pose, twist)
     pose, variances = belief.state[:3], np.einsum("ii->i", belief.covariance[:3, :3])
     before = pose.copy(), variances.copy()

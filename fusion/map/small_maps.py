@@ -24,7 +24,7 @@ MIN_VARIANCE, MIN_VARIANCE_SHARE = 1e-18, 1e-9
 
 
 class SharedWalls(NamedTuple):
-    """Walls (k) of the submap that the robot leaves, in the robot's frame: the next submap begins with them."""
+    """Walls (k) that are copied from the submap that the robot leaves to the next one, in the robot's frame."""
 
     r: Array  # (k,) m, from the robot
     psi: Array  # (k,) rad, base frame
@@ -94,7 +94,7 @@ class FrozenMap(NamedTuple):
 
 
 def frozen(lines: LineMap, belief: JointBelief) -> LineMap:
-    """Return a copy of the lines that holds their values and covariances itself, not as states of the belief."""
+    """Return a copy of the lines with their present values and covariances, independent of the belief."""
     own = {name: getattr(lines, name).copy() for name in COLUMN_NAMES if name != "P"}
     own |= {"column": np.full(len(lines), -1, np.int64), "value": np.array(lines.values(belief))}
     return LineMap(**own, next_id=lines.next_id, P=np.array(lines.covariances(belief)))
@@ -131,7 +131,10 @@ def ends_of(lines: LineMap, values: Array) -> Array:
 
 
 def as_scan(lines: LineMap, least_hits: int) -> Scan:
-    """Convert lines seen at least `least_hits` times to a scan from the origin, with (r, psi) = (rho, beta)."""
+    """Convert frozen lines to a scan taken at the origin of their frame.
+
+    Only lines seen at least `least_hits` times are used; (r, psi) of the scan is (rho, beta) about the origin.
+    """
     at, values, P = np.flatnonzero(lines.hits >= least_hits), lines.value, lines.P
     c, s = np.cos(values[at, 1]), np.sin(values[at, 1])
     ax, ay = lines.anchor[at].T

@@ -76,7 +76,10 @@ def nearest_echo(lines: LineMap, belief: JointBelief, cone: Cone, sigma: float) 
 
 
 def _oblique_range(distance: float, foot: float, off: float, half: float, ends: tuple[float, float]) -> float:
-    """Return the distance [m] of the nearest wall point on an edge of the cone or at a wall end in it, else inf.
+    """Return the least distance [m] of the wall on the edges of the cone, and of wall ends inside the cone.
+
+    It is inf if an edge does not meet the wall and no end is inside. `half` [rad] is half the opening angle;
+    `ends` [m] are along the wall.
 
     The perpendicular on the wall has the length `distance`, meets the wall at `foot` [m along it], and its
     direction differs from the cone's axis by `off` [rad].

@@ -91,7 +91,7 @@ MIN_GAIN_SHARE = 1e-3  # share by which a variance must have decreased to count 
 
 
 class LineTracker(Model):
-    """Filter model of the laser: data association with a line map that grows; `mode` is the use of the map."""
+    """Filter model of the laser: associates scans with a line map; `mode` is how the map is made (lrf.MapMode)."""
 
     local = True
     leads = True
@@ -129,7 +129,10 @@ class LineTracker(Model):
         return self.mount.blocks() if self.mount is not None else []
 
     def begin(self, given: Sequence[MapLine], belief: Any) -> None:
-        """Load a given map; its lines are considered states: their covariance is used, their values stay."""
+        """Load the lines of a given map as considered states: their covariance is used, their values stay.
+
+        Other modes than `given` load nothing. Raises LocfuseError without lines.
+        """
         if self.mode != "given":
             return
         if not given:
@@ -193,7 +196,7 @@ class LineTracker(Model):
         return found
 
     def _bounds(self, m: Measurements, i: int) -> tuple[int, int]:
-        """Return first and last + 1 of the lines of scan i; at a new log, load its columns."""
+        """Return first row and end (exclusive) of scan i in Measurements.z; load the columns of a new log."""
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
             uneven, floor = self.wall_noise(m)
@@ -380,7 +383,10 @@ class AtlasTracker(LineTracker):
         return True
 
     def _leave(self, belief: JointBelief, connected: bool) -> None:
-        """Freeze the present submap; if `connected`, the next one begins at the pose with shared walls."""
+        """Freeze the present submap, and remove its lines from the state.
+
+        `connected`: the next submap begins at the robot's pose and shares walls with this one.
+        """
         self._add_absolute_edge(belief)
         lines = frozen(self.map, belief)
         box = box_of(lines, self._way)
@@ -396,7 +402,11 @@ class AtlasTracker(LineTracker):
         belief.remove(self.map.drop(np.arange(len(self.map))))
 
     def _may_begin_next(self, recent: Ints, belief: JointBelief) -> bool:
-        """Return whether the heading relative to the recent walls is certain, or the reach is exceeded."""
+        """Return whether the robot may begin a submap here: its heading relative to recent walls is certain.
+
+        Also if it is further than MAX_REACH_FACTOR * REACH_M from where the present submap began. `recent` (k,)
+        are the indices of the walls.
+        """
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
         return (
             math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
@@ -449,7 +459,7 @@ class AtlasTracker(LineTracker):
             self.guard.enter_map()
 
     def _enter(self, pose: Array, belief: JointBelief) -> None:
-        """Begin a submap at a new anchor of the graph; the map frame is the anchor's pose."""
+        """Begin a submap at the robot pose `pose` (3,), with a new anchor, whose pose becomes the map frame's."""
         frame = belief.frame_pose()
         if self._left is None:
             own = np.zeros((3, 3)) if frame is None else belief.frame_covariance()
@@ -468,7 +478,10 @@ class AtlasTracker(LineTracker):
         self._search_again_at = {}
 
     def _add_absolute_edge(self, belief: JointBelief) -> None:
-        """Add an edge with the information that absolute sensors gave on the map frame since its begin."""
+        """Add an edge from NOWHERE to the present anchor, for what absolute sensors measured in this submap.
+
+        Its information is what the covariance of the map frame gained since the submap began; none if too little.
+        """
         frame = belief.frame_pose()
         if frame is None:
             return
@@ -578,5 +591,8 @@ def _pair(values: Array) -> tuple[float, float]:
 
 
 def _in_base(rows: Array, offset: tuple[float, float, float] | None) -> Scan:
-    """Return lines in the base frame by the configured mount, moved by the mount's offset x, y [m], yaw [rad]."""
+    """Return the scan of lines `rows` (k, 7), corrected from the configured to the estimated mount.
+
+    `offset` (x [m], y [m], yaw [rad]) is the correction in the base frame; None: the mount is exact.
+    """
     return Scan(rows if offset is None else rows_in_base(rows, *offset))

@@ -145,14 +145,16 @@ def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:
 
 
 def _end_with_drift(x: Array) -> Array:
-    """Return the last pose of a path x (n, 3) after a heading drift of DRIFT_RAD_PER_M."""
+    """Return the last pose (3,) of a path x (n, 3), with a heading drift of DRIFT_RAD_PER_M added along it."""
     steps = se2.between(x[:-1], x[1:])
     steps[:, 2] += DRIFT_RAD_PER_M * np.hypot(steps[:, 0], steps[:, 1])
     return np.asarray(se2.compose(x[0], se2.chain(steps)[-1]))
 
 
 def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None, belief: JointBelief) -> Equation:
-    """Return the measurement equation of pose and mount by a scan-matched motion z (3,) with covariance R (3, 3).
+    """Return the measurement equation of a scan-matched motion z (3,) with covariance R (3, 3).
+
+    It corrects the robot's pose and the laser mount.
 
     The motion leads from the pose `begin` (3,) in the submap to a pose `back` (3,) relative to the present one.
     The scans are in the base frame by the configured laser mount; the mount in the belief may differ.

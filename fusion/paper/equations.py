@@ -16,7 +16,10 @@ from locfuse.fusion.data import Array
 
 
 class Printed(msgspec.Struct, frozen=True):
-    """Parameters printed in the paper (sections III and IV); the last three are ours, as it prints none."""
+    """Parameters of the paper's filter (sections III and IV).
+
+    The last three are chosen here, since the paper prints none.
+    """
 
     period: float = 0.1  # s, sampling time of the EKF
     delta: float = 0.01  # of eq. 9

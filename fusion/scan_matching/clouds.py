@@ -69,7 +69,10 @@ class Clouds(msgspec.Struct, frozen=True):
         return np.repeat(np.arange(len(self)), np.diff(self.first))
 
     def rows(self, clouds: Ints) -> tuple[Ints, Ints]:
-        """Return the rows of the points of clouds with indices (p,), and for each row its index into `clouds`."""
+        """Return the rows of all points of some clouds, and for each row the position of its cloud in `clouds`.
+
+        `clouds` (p,) are indices of clouds.
+        """
         counts = np.diff(self.first)[clouds]
         ends = np.cumsum(counts)
         position = np.repeat(np.arange(len(clouds)), counts)
@@ -128,7 +131,10 @@ def _median_of_each(values: Array, owner: Ints) -> Array:
 
 
 def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
-    """Merge each group of clouds into one cloud; `poses` (k, 3) are those of the group's clouds in its frame."""
+    """Merge the clouds of each group into one cloud, in a frame of the group.
+
+    `groups` are indices (k,) of clouds, `poses` the poses (k, 3) of these clouds in the frame of their group.
+    """
     xy, normal, counts = [np.zeros((0, 2))], [np.zeros((0, 2))], [0]
     for group, pose in zip(groups, poses, strict=True):
         rows, position = clouds.rows(group)

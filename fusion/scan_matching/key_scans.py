@@ -48,7 +48,10 @@ def key_scans(m: Measurements) -> KeyScans:
 
 
 def spaced(way: Array, heading: Array, stride: float, turn: float) -> Ints:
-    """Return indices of poses that lie `stride` [m] of path or `turn` [rad] after the chosen one before."""
+    """Return the indices of key poses, each `stride` [m] of path or `turn` [rad] after the key pose before.
+
+    `way` [m] and `heading` [rad] are path length and heading at all poses, (n,) each.
+    """
     chosen, last_way, last_heading = [], -np.inf, 0.0
     for k, (s, theta) in enumerate(zip(way.tolist(), heading.tolist(), strict=True)):
         if s - last_way >= stride or abs(theta - last_heading) >= turn:

@@ -126,7 +126,10 @@ def _match(
 
 
 def floored(information: Array) -> Array:
-    """Add least variances to the covariances of information matrices (p, 3, 3); singular ones stay singular."""
+    """Return the information (p, 3, 3) after adding FLOOR_M^2 and FLOOR_RAD^2 to the variances of x, y and theta.
+
+    Singular matrices stay singular.
+    """
     floor = np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
     out: Array = information @ np.linalg.inv(np.eye(3) + floor @ information)
     return 0.5 * (out + out.transpose(0, 2, 1))

@@ -50,9 +50,9 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
 
 
 def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: float) -> tuple[Ints, Matches]:
-    """Match every scan with the n-th before it, if nearer than `apart` [m]; return reliable matches.
+    """Match every scan with the scan n before it, if nearer than `apart` [m]; keep reliable matches.
 
-    Also return the indices of the earlier scans. `x` (k, 3) are the poses by matches over fewer steps.
+    Return the indices of the earlier scans, and the matches. `x` (k, 3) are the poses by matches over fewer steps.
     """
     i = np.arange(max(len(x) - n, 0))
     guess = se2.between(x[i], x[i + n])
@@ -65,7 +65,7 @@ def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: flo
 
 
 def by_wheels(moved: Array) -> Array:
-    """Return the information (n, 3, 3) of wheel-odometry motions (n, 3) between scans."""
+    """Return the information matrices (n, 3, 3) of wheel odometry for its motions `moved` (n, 3) between scans."""
     information = np.zeros((len(moved), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = SLIP_M**-2
     information[:, 2, 2] = 1.0 / (SLIP_RAD**2 + (SLIP_SHARE * moved[:, 2]) ** 2)
@@ -82,9 +82,10 @@ SCANS_AT_ONCE = 1024  # scans whose points are in memory at once
 
 
 def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Array:
-    """Return poses (n, 3) of readings `end` (n,) relative to earlier readings `begin`, by matching all between.
+    """Return the poses (n, 3) of readings `end` relative to earlier readings `begin`, (n,) indices each.
 
-    A step without a reliable match is that of the wheels.
+    All scans in between are matched, each with the next one. If a match is not reliable, wheel odometry gives this
+    step.
     """
     counts = end - begin
     first = np.cumsum(counts) - counts

@@ -28,7 +28,7 @@ MAX_DENSE_STATES = 3600  # states up to which the dense inverse is faster
 
 
 class Edges(Columns, frozen=True):
-    """Relative poses (m) with robust kernels of `width` [sigmas]; inf: no kernel."""
+    """Edges (m) of a pose graph: relative poses, each with a robust kernel of `width` [sigmas]; inf: no kernel."""
 
     i: Ints  # (m,)
     j: Ints  # (m,)
@@ -45,7 +45,7 @@ class Edges(Columns, frozen=True):
 
     @classmethod
     def of(cls, i: Ints, j: Ints, z: Array, information: Array, width: float) -> Edges:
-        """Return edges with equal kernel width and no effect of systematic errors."""
+        """Return edges with one kernel `width` [sigmas], whose z do not depend on the systematic errors."""
         return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC_SIGMAS))))
 
     @classmethod
@@ -93,7 +93,7 @@ def chi2_of(poses: Array, expected: Array, P: Array) -> Array:
 
 
 class Rows(msgspec.Struct, frozen=True):
-    """Blocks of the normal equations for terms other than edges, linearised at the present poses."""
+    """Summands of the normal equations H dx = g from terms other than edges, linearised at the present poses."""
 
     at: Ints  # (k, d) state columns of each block; blocks at equal columns are added
     H: Array  # (k, d, d)
@@ -170,7 +170,10 @@ class Normal:
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
     def _dense(self, n: int) -> tuple[Array, Array]:
-        """Return the same as `chain`, by inverting H in place to save memory."""
+        """Return the covariances of `chain`, from the inverse of H as a dense matrix.
+
+        It is inverted in place to save memory.
+        """
         from scipy.linalg import cho_factor
         from scipy.linalg.lapack import dpotri
 

@@ -237,7 +237,10 @@ def from_field(
 def from_imu(
     columns: dict[str, Array], settings: CompassSettings, topic: str, refuse: bool = True
 ) -> tuple[Array, Array]:
-    """Return yaws (n,) [rad] of the base from an IMU's orientation, NaN without orientation; and ones (n,)."""
+    """Return the yaws (n,) [rad] of the base from an IMU's orientation, NaN where it is missing.
+
+    Also return ones (n,), in place of field strengths.
+    """
     q = np.column_stack([columns[f"orientation.{a}"] for a in "xyzw"])
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ((q**2).sum(axis=1) < 0.25)
     if refuse and len(q) and none.all():
@@ -251,7 +254,10 @@ def from_imu(
 
 
 def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
-    """Return headings (n,) [rad] from bare numbers in the configured convention and unit; and ones (n,)."""
+    """Return headings (n,) [rad] from bare numbers in the configured convention and unit.
+
+    Also return ones (n,), in place of field strengths.
+    """
     value = columns["data"].astype(np.float64)
     value[~np.isfinite(value)] = np.nan
     convention: str = settings.convention

@@ -142,7 +142,10 @@ def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
 
 
 def _flat_covariances(column: Array | Ragged) -> Array:
-    """Return 3 x 3 covariances as (n, 9); one of another length (possible in JSON) becomes zeros."""
+    """Return the 3 x 3 covariances of n messages as (n, 9); zeros where a message has not 9 numbers.
+
+    Such messages are possible in JSON.
+    """
     if isinstance(column, np.ndarray):
         return column.astype(np.float64).reshape(-1, 9)
     whole = column.lengths == 9

@@ -129,7 +129,7 @@ class Gyro(Sensor):
 
 
 class Rest(NamedTuple):
-    """An interval without wheel motion: the gyro's turn in it, divided by its length, is the gyro's bias."""
+    """Standstill: an interval without wheel motion, in which the gyro's turn divided by the time is its bias."""
 
     begin: float  # s
     end: float
@@ -226,9 +226,10 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
 
 
 def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings: GyroSettings) -> dict[str, Array]:
-    """Return the standstill that shows the gyro's bias best, as constant columns (n,); {} without a standstill.
+    """Return begin, end and gyro turn of the standstill that shows the gyro's bias best; {} without one.
 
-    It has the smallest variance of the bias at the drive's start: sigma^2 / time + bias_drift^2 * delay.
+    Each value is a constant column (n,), named `rest_begin` and so on. The standstill has the smallest variance of
+    the bias at the drive's start: sigma^2 / time + bias_drift^2 * delay.
     """
     if len(t) < 2:
         return {}

@@ -134,9 +134,10 @@ def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, sprea
 
 
 def _shape_sigma(A: Array, spread: Array) -> Array:
-    """Return standard deviations (2, 2) of A / sqrt(det A), from the covariance of (A_xx, A_xy, A_yy), (3, 3).
+    """Return the standard deviations (2, 2) of the shape A / sqrt(det A), times sqrt(det A).
 
-    d(A / size) = (dA - A tr(A^-1 dA) / 2) / size.
+    `spread` (3, 3) is the covariance of (A_xx, A_xy, A_yy). With size = sqrt(det A), d(A / size) = (dA - A tr(A^-1
+    dA) / 2) / size.
     """
     B = np.linalg.inv(A)
     shape = np.array([A[0, 0], A[0, 1], A[1, 1]])
@@ -146,7 +147,10 @@ def _shape_sigma(A: Array, spread: Array) -> Array:
 
 
 def iron_error_deg(c: Array, A: Array) -> float:
-    """Return the rms heading error [deg] over a full turn, without its mean, by uncorrected iron (c, A)."""
+    """Return the rms heading error [deg] that uncorrected iron causes over a full turn; the mean is subtracted.
+
+    The field readings lie on an ellipse with centre c (2,) and shape A (2, 2), as in `_gauss_newton`.
+    """
     a = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
     raw = c + np.column_stack((np.cos(a), np.sin(a))) @ np.linalg.inv(A)
     error = wrap_all(np.arctan2(raw[:, 1], raw[:, 0]) - a)

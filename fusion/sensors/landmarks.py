@@ -201,7 +201,10 @@ def _first_ids(ids: Any, counts: Any) -> tuple[Ints, Ints]:
 
 
 def _values(column: Any, row: Ints, topic: str) -> Array:
-    """Return one number for each detection (m,). Raises LocfuseError if ids and numbers differ in count."""
+    """Return the numbers of one field of all messages, one for each detection, (m,).
+
+    `row` (m,) is the message of each detection. Raises LocfuseError if a message has not as many numbers as ids.
+    """
     values = np.asarray(column.values[column.first[0] : column.first[-1]], np.float64)
     if not np.array_equal(np.bincount(row, minlength=len(column)), column.lengths):
         raise LocfuseError(
@@ -389,7 +392,10 @@ def mounts_of(m: Measurements, usual: tuple[float, float, float]) -> Array:
 
 
 class Ranging(NamedTuple):
-    """Range model |d| (1 - k short) + offset, with short = 1 - cos(bearing) and the estimated offset and k."""
+    """Range model: measured range = distance (1 - k short) + offset, with short = 1 - cos(bearing).
+
+    The offset [m] and the depth share k are given or estimated.
+    """
 
     offset: float  # m
     depth: float  # k
@@ -401,7 +407,7 @@ class Ranging(NamedTuple):
         return max(1.0 - self.depth * short, MIN_SHARE)
 
     def derivative(self, short: float, distance: float) -> tuple[float, ...]:
-        """Return the derivatives of a range by those of the two states (offset, k) that are estimated."""
+        """Return the derivatives of a measured range by offset and k, for those of the two that are states."""
         of_offset = (1.0,) if self.free[0] else ()
         return (*of_offset, -short * distance) if self.free[1] else of_offset
 
@@ -443,7 +449,10 @@ class LandmarksModel(PointsModel):
     def compared(
         self, m: Measurements, row: int, landmark: int, place: Point, at: tuple[int, ...], belief: Belief
     ) -> Innovation | None:
-        """Return the innovation of one detection; `at` holds the state columns of an estimated position."""
+        """Return the innovation of the detection in row `row`; None if the landmark is too near the detector.
+
+        `place` is the landmark's position [m]. If it is estimated, `at` holds its state columns, else nothing.
+        """
         predicted, ranging = predict(belief.pose(), place, self._mount_of(m, row)), self._ranging(belief)
         if predicted is None:
             return None

@@ -69,10 +69,10 @@ class LevelledField:
 
 
 def tilt_of(stream: Stream, R: Array) -> Tilt | None:
-    """Return the vertical direction in the base frame from an IMU with rotation R (3, 3); None on a level floor.
+    """Return the vertical direction in the base frame over time, by an IMU; None if the robot hardly tilts.
 
-    None too without orientation, gravity and rates, and if up contradicts the configured mount (reported by
-    `locfuse info`).
+    R (3, 3) is the rotation from IMU axes to base axes. None too without orientation, gravity and rates, and if up
+    contradicts the configured mount (reported by `locfuse info`).
     """
     columns = cast("dict[str, Array]", stream.columns(*READS))
     up, words = by_orientation(columns), "the orientation"

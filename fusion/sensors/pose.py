@@ -183,7 +183,9 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
 def plane_covariance(
     column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return planar covariances (n, d, d) and which rows (n,) have one from their message; else diag(own).
+    """Return planar covariances (n, d, d), and whether each is that of its message (n,).
+
+    Otherwise it is diagonal, with the variances `own` (n, d).
 
     `column` holds 6 x 6 matrices of x, y, z, roll, pitch, yaw, of which `axes` (d,) are wanted. A covariance of
     zeros, NaN, and one that is not positive definite are not used. Variances above MAX_SIGMA^2 were not measured:
@@ -245,7 +247,10 @@ class InMapModel(Model):
 
 
 class KeptPoseModel(Model):
-    """Model of poses in a frame other than the map: the measurement is the motion u = (-)B (+) p since pose B."""
+    """Model of poses in a frame other than the map: only motions between two poses are measured.
+
+    The motion is u = (-)B (+) p, with the robot's pose p and its cloned earlier pose B, which is a state.
+    """
 
     local = True
     maps = True
@@ -276,13 +281,16 @@ class KeptPoseModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _drifted(self, u: Pose, floor: Array) -> Matrix:
-        """Return the covariance (3, 3) of a drifting estimator's motion u (3,), by its length and turn."""
+        """Return the covariance (3, 3) of a measured motion u (3,): drift by its length and turn, plus `floor`."""
         way = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(u[2]))
         xy, theta = self.drift[0] * way + floor.item(0, 0), self.drift[1] * way + floor.item(2, 2)
         return ((xy, 0.0, 0.0), (0.0, xy, 0.0), (0.0, 0.0, theta))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Clone the present pose as B; in a frame without drift, move the first B by the measured motion."""
+        """Prepare B for the next reading: clone the present pose if the frame drifts or at the first reading.
+
+        Otherwise move B by the measured motion.
+        """
         column, last, drifts = belief.column(CLONE), self._last, m.plain["drifts"][i]
         self._last = now = _pose_of(m, i)
         if last is None or drifts:

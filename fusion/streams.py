@@ -1,4 +1,4 @@
-"""Streams of several topics merged into one, gaps in a stream, integration of rates."""
+"""Streams of recorded numbers: merge several topics, find gaps, integrate rates."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def gap_limit(t: Array) -> float:
 
 
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
-    """Add counts of unused readings to `dropped`, by reason; each is a number or flags (n,).
+    """Add numbers of unused readings to `dropped`; each argument is a reason with a number or flags (n,).
 
     A reason that never occurs is not listed.
     """
@@ -72,7 +72,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
         return np.repeat(np.arange(len(self.parts)), counts)[self._order]
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return columns of numbers with n rows, by dotted field path."""
+        """Return the numbers of all n rows for each of these fields, by the field's dotted path."""
         found = [cast("dict[str, Array]", part.columns(*fields)) for part in self.parts]
         return {name: np.concatenate([columns[name] for columns in found])[self._order] for name in fields}
 
@@ -92,9 +92,9 @@ def merged(streams: Sequence[Stream]) -> Stream | MergedStream:
 
 
 def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
-    """Return integrals (n, ...) of rates (n, ...) over times t (n,) [s], and the number of gaps before each.
+    """Integrate rates (n, ...) over times t (n,) [s] by trapezoids; nothing is added across a gap.
 
-    By trapezoids; nothing is added across a gap.
+    Returns the integrals (n, ...) from t[0] to each time, and the number (n,) of gaps before each time.
     """
     gap = np.diff(t) > gap_limit(t)
     held = np.where(gap, 0.0, np.diff(t)).reshape(-1, *[1] * (rates.ndim - 1))

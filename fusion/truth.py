@@ -114,7 +114,7 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
 
 
 def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str]) -> list[str]:
-    """Return the names of the bodies that move; a single body is returned in any case."""
+    """Return the names of the bodies that move more than MIN_MOVED_M; a single known body is always returned."""
     if len(known) == 1:
         return known
     found = []
@@ -138,7 +138,10 @@ def _in_plane(where: Array, settings: TruthSettings) -> Array:
 
 
 def body_poses(truth: Truth, t: Array) -> Array:
-    """Return the poses (n, 3) of the base by a truth with headings, at times t (n,) [s]; not wrapped."""
+    """Return poses (n, 3) of the robot's base, interpolated from the truth at times t (n,) [s]; theta not wrapped.
+
+    The truth must have headings, which convert the position of the tracked point to that of the base.
+    """
     assert truth.theta is not None
     x, y, theta = (np.interp(t, truth.t, column) for column in (*truth.xy.T, np.unwrap(truth.theta)))
     return se2.compose(np.stack((x, y, theta), axis=-1), np.array([*(-np.array(truth.point)), 0.0]))

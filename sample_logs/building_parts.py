@@ -84,7 +84,10 @@ def _hole(space: Space, opening: Opening, half: float) -> Segment:
 
 
 def _inside(rectangles: Array, x: Array, y: Array) -> Mask:
-    """Return which cells of the grid of all coordinates x, y lie in a rectangle, padded with outside cells."""
+    """Return which cells of a grid lie in a rectangle, as a mask (len(x) + 1, len(y) + 1).
+
+    The grid lines are at the sorted coordinates x and y; the outer cells of the mask are outside the grid.
+    """
     mask = np.zeros((len(x) + 1, len(y) + 1), bool)
     for west, south, east, north in rectangles:
         i, j = np.searchsorted(x, (west, east)), np.searchsorted(y, (south, north))
@@ -106,7 +109,7 @@ def _faces(solid: Mask, x: Array, y: Array) -> list[Array]:
 
 
 def bent(faces: Array, bow: float, streams: Streams) -> Array:
-    """Return straight faces (m, 4) as chains of short segments (k, 4) [m] that deviate smoothly from the line.
+    """Replace straight faces (m, 4) by chains of short segments (k, 4) [m] that deviate smoothly from each face.
 
     Args:
         faces: m, map frame.
@@ -141,7 +144,10 @@ class _Lines:
         self.known: dict[tuple[int, float], Deviation] = {}
 
     def off(self, axis: int, offset: float, s: Array) -> Array:
-        """Return deviations (n,) [m] of the line "coordinate `axis` = `offset`" at positions s (n,) along it."""
+        """Return the deviations (n,) [m] of a wall line at positions s (n,) [m] along it.
+
+        The undisturbed line is x = `offset` for axis 0 and y = `offset` for axis 1.
+        """
         key = axis, round(offset, 6)
         if key not in self.known:
             name = f"wall {'xy'[axis]} = {key[1]:.6f}"

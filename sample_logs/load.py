@@ -44,7 +44,7 @@ def dumps(scenario: Scenario) -> str:
 
 
 def merge(tables: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `tables` updated with `above`; a table of another `kind` replaces the old one."""
+    """Return `tables` updated recursively with `above`; a table that changes its `kind` is replaced as a whole."""
     merged = dict(tables)
     for key, value in above.items():
         old = merged.get(key)
@@ -95,7 +95,7 @@ def _read(path: Path) -> str:
 
 
 def convert(tables: Mapping[str, Any], where: str, kind: type[LocfuseError]) -> Scenario:
-    """Return the tables as a Scenario. Raises `kind` with the wrong key and the most similar one."""
+    """Convert tables to a Scenario. Raises `kind`, an error that names the wrong key and the most similar one."""
     try:
         return msgspec.convert(tables, Scenario)
     except msgspec.ValidationError as error:
@@ -120,7 +120,7 @@ def _explain(error: str) -> str:
 
 
 def _tables_at(path: str) -> list[type[Table]]:
-    """Return the table types that are possible at a msgspec path such as `.faults[0]`."""
+    """Return the Table types that may be at a path of a msgspec error, such as `.faults[0]`."""
     found: list[type[Table]] = [Scenario]
     for step in filter(None, path.replace("[...]", "").split(".")):
         name = re.sub(r"\[\d+\]", "", step)

@@ -24,7 +24,7 @@ Localise = Callable[[dict[str, dict[str, Any]]], Estimator | None]
 
 
 def on_truth(robot_tables: dict[str, dict[str, Any]]) -> None:
-    """Return None: the robot steers by the true pose."""
+    """Return None in place of an estimator: the robot then steers by its true pose."""
 
 
 def write_log(scenario: Scenario, seed: int, localise: Localise, path: Path) -> Outcome:
@@ -66,7 +66,7 @@ def in_memory(
 
 
 def _stream(messages: list[RawMessage]) -> ArrayStream:
-    """Return the messages of one topic as a stream, without those whose stamp is earlier than a previous one."""
+    """Convert the messages of one topic to a stream; drop each message with a stamp earlier than one before it."""
     stamps: Ints = np.array([m.stamp_ns for m in messages], np.int64)
     in_order = stamps >= np.maximum.accumulate(stamps)
     kept = [m for m, keep in zip(messages, in_order.tolist(), strict=True) if keep]

@@ -208,7 +208,7 @@ class Gps(Table, frozen=True, kw_only=True):
 
 
 class Start(Table, frozen=True, kw_only=True):
-    """Start pose in robot.toml: true pose plus `error` plus a random error of these sigmas."""
+    """Start pose in robot.toml: the sum of true pose, `error`, and a random error with the given sigmas."""
 
     sigma_xy: NotNegative = 0.0  # m, of x and of y
     sigma_theta_deg: NotNegative = 0.0

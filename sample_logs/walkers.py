@@ -63,7 +63,7 @@ class Walk:
 
 
 def stepped_aside(middle: Array, robot: Array) -> Array:
-    """Return the person's positions (n, 2), moved away where they are nearer to the robot than AWAY."""
+    """Return a person's positions (n, 2) [m], moved away from the robot to a distance of at least AWAY."""
     gap = middle - robot
     distance = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-9)[:, None]
     return np.where(distance < AWAY, robot + AWAY * gap / distance, middle)

@@ -53,7 +53,7 @@ class Scene:
         return (self._landmark(t), *self.room.pillars, *self._red_objects(t), *self._people(t, t))
 
     def plan(self, z: float, times: Array | None = None) -> Plan:
-        """Return the objects at height z [m]: only static ones, or with `times` (n,) [s] also moving ones."""
+        """Return the objects at height z [m]: only static ones, or with ray times (n,) [s] also moving ones."""
         standing = [(self.walls, self.room.height), (self.plates, self.room.plate_height)]
         segments = np.concatenate([part for part, height in standing if z < height] or [np.zeros((0, 4))])
         round_walls = self.rings if z < self.room.height else self.rings[:0]
@@ -102,7 +102,7 @@ class Scene:
         return tuple(f.pillar() for f in self.faults if isinstance(f, RedObject) and f.active(t))
 
     def _people(self, present: float, t: float) -> tuple[Pillar, ...]:
-        """Return legs and bodies at t [s] of the people whose faults are active at time `present` [s]."""
+        """Return the people's legs and bodies at t [s]; only of faults that are active at time `present` [s]."""
         found = [f for f in self.faults if isinstance(f, People) and f.active(present)]
         return tuple(solid for person in found for solid in person.solids(t))
 

@@ -90,7 +90,11 @@ def start_among(
 
 
 def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
-    """Return an anchor's position in the frame of `seen` (n, 2) [m] and the range offset; None if ambiguous."""
+    """Fit an anchor's position and the range offset to ranges (n,) [m]; None if the fit is ambiguous.
+
+    The position is in the frame of the antenna positions `seen` (n, 2) [m] at times t (n,) [s]; `sigmas` [m] are
+    those of a range and of the offset.
+    """
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
@@ -213,7 +217,7 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
 
     @property
     def searched_sigmas(self) -> tuple[float, float]:
-        """Standard deviations of a range and of the range offset [m], for the search of a start or an anchor."""
+        """Standard deviations (range, range offset) [m] for the search of a start pose or an anchor position."""
         return self.sigma, EXACT_M if self.offset is not None else self.sigma_offset
 
     def detector(self, rel: Array) -> Array:
@@ -244,7 +248,7 @@ class Ranges(Sensor):
     def measure(
         self, stream: Stream, settings: RangesSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
-        """Measure ranges z (m, 1) [m]; ranges with one stamp form one reading."""
+        """Return ranges z (m, 1) [m] with anchor ids as measurements; ranges with equal stamps are one reading."""
         columns = cast("dict[str, Array]", stream.columns(*self.reads[RANGES]))
         ids, z = np.asarray(columns["id"]).astype(np.int64), np.asarray(columns["range"], np.float64)
         dropped = dict(stream.dropped)
@@ -309,9 +313,9 @@ class Ranges(Sensor):
 def _places_of(
     t: Array, ids: Ints, z: Array, keep: Any, settings: RangesSettings, wheels: WheelMotion
 ) -> tuple[Array, list[str]]:
-    """Return, for each range, the anchor's position relative to the robot and its sigma, (n, 3) [m]; and notes.
+    """Return the estimated anchor of each range, in the robot's frame: (n, 3) x, y, sigma [m]; and notes.
 
-    NaN, and a note, for an anchor whose position is ambiguous.
+    If an anchor's position is ambiguous, its rows are NaN and a note lists it.
     """
     found, words = np.full((len(t), 3), np.nan), list[str]()
     for anchor in np.unique(ids[keep]).tolist():
@@ -347,7 +351,10 @@ class RangesModel(PointsModel):
     def compared(
         self, m: Measurements, row: int, anchor: int, place: Point, at: tuple[int, ...], belief: Any
     ) -> Innovation | None:
-        """Return the innovation of one range; `at` holds the state columns of an estimated anchor position."""
+        """Return the innovation of one range to an anchor at `place`; None if no range can be predicted.
+
+        `at` are the state columns of an estimated anchor position, () for an anchor with a given one.
+        """
         predicted = predict(belief.pose(), place, self.mount)
         if predicted is None:
             return None

@@ -1,4 +1,4 @@
-"""The list of all sensors. A new sensor of locfuse is one file in this folder and one line here.
+"""List of all sensors. To add a sensor to locfuse, add one file to this folder and one line to this module.
 
 A sensor of another package needs no change here: its package names it by an entry point, group `locfuse.sensors`.
 """
@@ -50,7 +50,10 @@ def register(sensor: Sensor | type[Sensor]) -> None:
 
 
 def _add(load: Callable[[], Any], source: str, hint: str) -> None:
-    """Add the sensor that `load` returns. Raises LocfuseError with `source` and `hint` if it is invalid."""
+    """Call `load` and add the sensor that it returns. Raises LocfuseError if the sensor is invalid.
+
+    `source` is where the sensor comes from, which begins the message; `hint` is the hint of the error.
+    """
     try:
         found = load()
         sensor = found() if isinstance(found, type) else found
@@ -101,13 +104,13 @@ def of_points() -> frozenset[str]:
 
 
 def needed(sensor: str) -> tuple[str, ...]:
-    """Return the names of the sensors that this one depends on, direct dependencies last; () if unknown."""
+    """Return all sensors that `sensor` depends on, each after its own dependencies; () for an unknown sensor."""
     own = REGISTRY[sensor].needs if sensor in REGISTRY else ()
     return tuple(dict.fromkeys(name for other in own for name in (*needed(other), other)))
 
 
 def unmet(present: Collection[str]) -> dict[str, str]:
-    """Return sensors of `present` that lack a sensor they depend on, with the reason."""
+    """Return the sensors of `present` that need an absent sensor, directly or indirectly: {name: reason}."""
     left, found = set(present), dict[str, str]()
     while lacking := {
         name: f"it is {why}, and that is absent"

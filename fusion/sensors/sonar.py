@@ -1,4 +1,4 @@
-"""Sonar: the distance to the nearest wall in its cone, compared with the laser's line map.
+"""Sonar: compares the measured distance with that of the nearest mapped wall (laser's line map) in its cone.
 
 A smooth wall sends sound back only where it stands square to a ray of the cone. So an echo is the distance to a
 wall whose foot point lies within the cone and on the wall; no other mapped wall may be nearer. Objects that are
@@ -95,7 +95,7 @@ class Sonar(Sensor):
 
 
 class SonarModel(Model):
-    """z = C + noise, with C the distance to the wall that should return the echo."""
+    """Model of an echo: distance z = C + noise, with C the distance to the mapped wall that should reflect it."""
 
     teaches = False
     local = True
@@ -130,6 +130,9 @@ class SonarModel(Model):
 
 
 def likelier(distance: float, sigma: float) -> float:
-    """Return the NIS below which an echo is more likely from the wall than from clutter within `distance` [m]."""
+    """Return the NIS below which an echo is more likely from the wall than from clutter; 0 if it never is.
+
+    `distance` [m] is that of the wall, with clutter anywhere before it; `sigma` [m] that of the echo.
+    """
     odds = (1.0 - CLUTTER_SHARE) / CLUTTER_SHARE * distance / (math.sqrt(math.tau) * sigma)
     return 2.0 * math.log(odds) if odds > 1.0 else 0.0

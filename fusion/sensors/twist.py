@@ -105,7 +105,7 @@ class Twist(Sensor):
         )
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
-        """Return times (n,) [s] and integrated turning rates (n,) [rad]; constant and drift are unknown."""
+        """Return times (n,) [s] and integrated turning rate (n,) [rad]: heading with unknown start and drift."""
         return m.t, m.z[:, 1]
 
     def model(self, settings: TwistSettings) -> Model:
@@ -157,18 +157,24 @@ class TwistModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _variance(self, m: Measurements, of: int, value: float, last: int, i: int) -> float:
-        """Return the variance of distance (of = 0) [m^2] or turn (of = 1) [rad^2] since reading `last`."""
+        """Return the variance of the distance (of = 0) [m^2] or turn (of = 1) [rad^2] from reading `last` to i.
+
+        `value` is the measured distance [m] or turn [rad].
+        """
         variance = m.plain[VARIANCES[of]]
         return float(variance[i] - variance[last] + self.scale * value * value + m.floor.item(of, of))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Copy the present pose into the cloned pose, from which the next motion is measured."""
+        """Copy the present pose into the cloned pose, since the next distance and turn are measured from here."""
         belief.clone_pose(belief.column(CLONE))
         self._last = i
 
 
 def chord(kept: Sequence[float], pose: Sequence[float]) -> tuple[tuple[float, float], PoseRows, PoseRows]:
-    """Return chord [m] and turn [rad] from the cloned to the present pose, and derivatives (2, 3) by both."""
+    """Return distance along the mean heading [m] and turn [rad] from pose `kept` to `pose`, and both derivatives.
+
+    Each derivative (2, 3) is by one of the poses.
+    """
     (x, y, turn), by_kept, by_pose = seen_from(kept, pose)
     c, s = direction(0.5 * turn)
     bent = 0.5 * (y * c - x * s)

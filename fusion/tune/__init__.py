@@ -1,1 +1,1 @@
-"""Noise settings from logs: maximum likelihood on recorded runs of the filter."""
+"""Tuning of noise settings: finds those with the maximum likelihood of recorded filter runs."""

@@ -1,4 +1,4 @@
-"""Recorded run of the filter, replayed with other noise: acceptance, matches and linearisation stay fixed.
+"""Record a filter run and replay it with other noise; acceptance, matches and linearisation stay as recorded.
 
 With other noise, the recorded events are a linear Kalman filter for the deviations from the run, and its
 innovations have a likelihood (Schweppe 1965). New map lines start with a large variance, so that their first
@@ -39,7 +39,10 @@ UNKNOWN_VARIANCE = 100.0  # variance of a new map line [m^2, rad^2]
 
 
 class SplitCorrection(NamedTuple):
-    """Correction by measurements with R = R_sigma + R_rest, where R_sigma is proportional to sigma^2."""
+    """Filter correction whose measurement covariance R is split into two parts, R_sigma + R_rest.
+
+    R_sigma is proportional to the square of the sensor's sigma setting; R_rest does not depend on sigma.
+    """
 
     event: Corrected
     R_sigma: Array  # (m, m) for the recorded sigma
@@ -102,7 +105,7 @@ def _of_sigma(R: Array, m: Measurements, row: int) -> Array:
 
 
 class Noise(NamedTuple):
-    """B sets of noise, as factors on the recorded variances."""
+    """B sets of noise to replay a run with; each number is a factor on a recorded variance."""
 
     wheels: Array  # (B,)
     sensors: Array  # (B, number of sensors)
@@ -158,7 +161,7 @@ class Replay:
         self.m = np.zeros((B, len(tape.P0)))
 
     def move(self, instant: int, op: Moved) -> None:
-        """Predict the deviations: eq. 5-7, with the derivatives of eq. 7 by theta."""
+        """Predict the deviations and covariances: eq. 5-7, with the derivatives of eq. 7 by the heading theta."""
         P, m = self.P, self.m
         a, b = op.start[1] - op.end[1], op.end[0] - op.start[0]
         m[:, 0] += a * m[:, 2]
@@ -195,7 +198,7 @@ class Replay:
         return score
 
     def turn_frame(self, op: FrameTurned) -> None:
-        """Move the origin of the map frame to match a recorded correction of the frame's direction."""
+        """Update the deviations of the map frame: its origin moved when its direction was corrected in the run."""
         P, m, turn = self.P, self.m, op.first + 2
         for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
             m[:, column] += by * m[:, turn]
@@ -204,7 +207,7 @@ class Replay:
             P[:, :, column] += by * P[:, :, turn]
 
     def add(self, op: Added) -> None:
-        """Append states: the map frame is a copy of the pose, other states have a large variance."""
+        """Append new states as in the run: a map frame copies the pose, other states get UNKNOWN_VARIANCE."""
         n, k = op.before, op.states
         T = np.eye(n + k, n)
         if op.frame:
@@ -214,7 +217,7 @@ class Replay:
             self.P[:, range(n, n + k), range(n, n + k)] = UNKNOWN_VARIANCE
 
     def change(self, op: Changed) -> None:
-        """Replace some states by linear functions of all states."""
+        """Replace the states `op.rows` by linear functions `op.by` of all states, with noise added."""
         P = self.P
         self.m[:, op.rows] = self.m @ op.by.T
         P[:, op.rows, :] = op.by @ P
@@ -249,7 +252,10 @@ NO_STRAIGHTS = (
 
 
 class Figures(msgspec.Struct):
-    """Present noise settings; `factors` are ln(present / configured) of the wheels' variance and of sigmas."""
+    """Noise settings during tuning: the configured ones, and for each search variable the change since then.
+
+    `factors` are ln(present / configured): of the wheels' variance, the sensors' sigmas, and the drift.
+    """
 
     configured: Robot
     sensors: tuple[str, ...]
@@ -301,12 +307,15 @@ class Figures(msgspec.Struct):
 
 
 def drift_key(sensor: str) -> str:
-    """Return the setting of the drift of a sensor's offset, "" for a sensor without one."""
+    """Return the key in robot.toml for the drift of this sensor's offset; "" if the sensor has no such key."""
     return REGISTRY[sensor].drift_key or ""
 
 
 def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
-    """Return the sensor with an estimated offset that drifts, or with `wanted` may drift; None without one."""
+    """Return the first sensor with an estimated offset, provided that the offset drifts; else None.
+
+    With `wanted`, the configured drift may be 0.
+    """
     for s in sensors:
         offset, key = REGISTRY[s].bias, drift_key(s)
         if key and offset is not None and getattr(robot.settings(s), offset.key) is None:
@@ -315,7 +324,7 @@ def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
 
 
 class Problem(msgspec.Struct):
-    """Log likelihood of recorded runs as a function of logarithms of noise, relative to the recorded noise."""
+    """Log likelihood of recorded runs as a function of theta = ln(noise / recorded noise)."""
 
     tapes: Sequence[Tape]
     until: Sequence[float]  # s: later corrections are held out
@@ -335,7 +344,10 @@ class Problem(msgspec.Struct):
         return total
 
     def means(self, theta: Array) -> tuple[list[tuple[float, ...] | None], tuple[int, int]]:
-        """Return mean log likelihoods per number at B points, in training and held out, and counts of numbers."""
+        """Return the mean log likelihood per measured number, and how many numbers: (training, held out) each.
+
+        Both means have B values, one per point of theta (B, p); None for a part without numbers.
+        """
         sums, counts = np.zeros((2, len(theta))), np.zeros(2)
         for tape, end in zip(self.tapes, self.until, strict=True):
             played = play(tape, self._noise(tape, theta))
@@ -380,7 +392,7 @@ def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | Non
 
 
 def identify(problem: Problem) -> tuple[Array, list[str]]:
-    """Return standard errors (p,) of the logarithms, and notes on noise of the wheels that is not identifiable.
+    """Return standard errors (p,) of the log noise at the maximum, and notes on unidentifiable wheel noise.
 
     By the likelihood's curvature with separate wheel noise for straight motions and for turns.
     """
@@ -397,9 +409,11 @@ def identify(problem: Problem) -> tuple[Array, list[str]]:
 
 
 def at_most(problem: Problem, which: int, upper: float) -> float:
-    """Return the largest logarithm with nearly the likelihood of the maximum at 0; inf if flat.
+    """Return the largest log noise that is nearly as likely as the maximum at 0; inf if all searched ones are.
 
-    If the likelihood is flat towards small noise, this is the end of the flat part.
+    `which` is the index of the search variable; the other ones stay at 0. Searched up to `upper`, or to
+    PROFILE_REACH_LOG if that is larger. If the likelihood is flat towards small noise, this is the end of the flat
+    part.
     """
     grid = np.linspace(0.0, max(upper, PROFILE_REACH_LOG), PROFILE_POINTS)
     theta = np.zeros((PROFILE_POINTS, len(problem.names)))
@@ -410,7 +424,7 @@ def at_most(problem: Problem, which: int, upper: float) -> float:
 
 
 def _moves(problem: Problem, turn: bool) -> list[Moved]:
-    """Return the training motions that turn, or (`turn` is false) those that are straight."""
+    """Return the recorded motions used for training: those that turn, or with `turn` false the straight ones."""
     return [
         op
         for tape, end in zip(problem.tapes, problem.until, strict=True)

@@ -164,7 +164,7 @@ class Bench:
             self.move(steps)
 
     def preview(self) -> list[float]:
-        """Return the time [s] in each log after PREVIEW_S seconds of motion."""
+        """Return for each log the time [s] at which the robot has moved for PREVIEW_S; else the log's end."""
         ends = []
         for t in self.trials:
             d = t.drive
@@ -173,7 +173,10 @@ class Bench:
         return ends
 
     def move(self, steps: dict[str, float]) -> None:
-        """Add steps to the logarithms; measure sensors again whose lines depend on a changed sigma."""
+        """Add `steps` to the logarithms of the noise, by search variable.
+
+        If a sensor's lines depend on its sigma and sigma has changed much, its measurements are made again.
+        """
         for name, step in steps.items():
             self.figures.factors[name] = self.figures.factors.get(name, 0.0) + step
         for s in self.figures.sensors:
@@ -191,7 +194,7 @@ class Bench:
                 self._again.append(s)
 
     def problem(self) -> Problem:
-        """Record all logs with the present noise settings, for a search with fixed acceptance."""
+        """Run the filter on all logs with the present noise; return the likelihood of these runs to maximise."""
         tapes = [record(t.drive, t.robot, list(t.drive.measurements)) for t in self.now()]
         return Problem(tapes, [t.until for t in self.trials], self.figures.names)
 
@@ -262,7 +265,7 @@ def check_same_noise(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
 
 
 def optimal(robot: Robot) -> Robot:
-    """Return the robot with settings of an optimal filter: lines of the map as states, outliers rejected."""
+    """Return the robot, configured as an optimal filter: map lines are states and outliers are rejected."""
     settings = {}
     for s, c in robot.sensors.items():
         mode = getattr(c, "map", "")

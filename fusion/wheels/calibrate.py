@@ -44,7 +44,7 @@ class Figure(msgspec.Struct, frozen=True):
 
 
 class Residuals(msgspec.Struct, frozen=True):
-    """Errors of n pieces with d components, their regressors, and their covariances."""
+    """Linear regression of n errors with d components: regressors of p nuisance parameters, and covariances."""
 
     e: Array  # (n, d)
     X: Array  # (n, d, p)
@@ -133,7 +133,7 @@ class Sigma(NamedTuple):
 
 
 class Pieces(msgspec.Struct, frozen=True):
-    """Motions by wheels and by truth over n pieces: errors, derivatives and covariances."""
+    """Straight or turning pieces of drives: errors of wheels against truth, derivatives and covariances."""
 
     kind: Ints  # (n,)
     size: Array  # (n,) m or rad
@@ -155,7 +155,10 @@ class Pieces(msgspec.Struct, frozen=True):
 
     @property
     def prior(self) -> Array:
-        """Return the prior standard deviation of each parameter (3,); FIXED_SIGMA if no piece shows it."""
+        """Return prior standard deviations (3,) of mean scale, scale difference and track.
+
+        FIXED_SIGMA for a parameter that no piece determines.
+        """
         straight, turn = self.kind == STRAIGHT, self.kind == TURN
         observable = (straight.any(), ((self.dof > 1) & (straight | turn)).any(), turn.any())
         return np.where(observable, PRIOR_SIGMAS, FIXED_SIGMA)
@@ -212,7 +215,10 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
 
 
 def find_pieces(drive: Drive, moved: Array) -> Pieces:
-    """Return the pieces of a drive, with left scale, right scale and track changed by `moved` (3,), relative."""
+    """Cut a drive into straight and turning pieces; return the errors of the wheels against the truth in each.
+
+    `moved` (3,) are relative changes of left scale, right scale and track. Raises LocfuseError without a truth.
+    """
     truth = drive.truth
     if truth is None:
         raise LocfuseError(
@@ -289,7 +295,10 @@ def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
 
 
 def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
-    """Return the least length of pieces (m, rad) for which the truth's noise is small beside the wheels'."""
+    """Return the least length of a straight [m] and of a turning [rad] piece.
+
+    In pieces of this length, the noise of the truth is small beside that of the wheels.
+    """
     noise = wheels.noise or USUAL_NOISE  # the configured noise may be 0
     straight = 16.0 * sigma.xy**2 / noise
     turn = 8.0 * sigma.theta**2 * wheels.track / noise
@@ -297,7 +306,7 @@ def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
 
 
 def _truth_noise(seen: Array, sigma: Sigma) -> Array:
-    """Return the covariance (n, 3, 3) of the truth's relative poses `seen` (n, 3), by the noise of both poses."""
+    """Return covariances (n, 3, 3) of relative poses `seen` (n, 3) of the truth; both poses have noise `sigma`."""
     T = np.zeros((len(seen), 3, 3))
     lever = np.stack((seen[:, 1], -seen[:, 0], -np.ones(len(seen))), axis=-1)
     T += sigma.theta**2 * lever[:, :, None] * lever[:, None, :]
@@ -360,7 +369,7 @@ def _labels(wheels: Wheels) -> Ints:
 def cut_runs(
     runs: Sequence[Run], wheels: Wheels, stamps: Array, least: tuple[float, float]
 ) -> tuple[Ints, Ints, Ints]:
-    """Cut runs at times `stamps` (m,) [s] into equal pieces of about `least` (m, rad) each.
+    """Cut runs into equal pieces of about `least` (m, rad) each, at the truth's stamps (m,) [s].
 
     Returns (kind, index of first stamp, index of last stamp) of each piece, (k,) each; pieces do not overlap.
     """

@@ -106,7 +106,11 @@ def _delay(wheels: Wheels, t: Array, own: Array) -> float:
 
 
 def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) -> tuple[Array, Array]:
-    """Return gyro turns (n,) [rad] and wheel data (n, 4) of windows with motion: right, left [m], s, both [m]."""
+    """Return gyro turns (n,) [rad] and wheel data (n, 4), in windows of `length` [s] in which the robot moves.
+
+    Wheel data: distance of right and left wheel [m], `length` [s], sum of both absolute distances [m]. `delay` [s]
+    is added to the gyro's times t to convert them to the wheels' clock.
+    """
     first, last = max(t[0], wheels.t[0] - delay), min(t[-1], wheels.t[-1] - delay)
     start = np.arange(first, last - length, length)
     turn = np.interp(start + length, t, own) - np.interp(start, t, own)
@@ -121,7 +125,10 @@ def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) 
 
 
 def _fit(rows: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
-    """Fit gyro turns by the wheels: return turn per metre of right and left (2,), covariance, explained share."""
+    """Fit gyro turns by wheel distances, with one gyro bias per drive.
+
+    Returns turn per metre of right and left wheel (2,) [rad/m], covariance (2, 2), explained share of the turns.
+    """
     own = np.concatenate([turn for turn, _ in rows])
     by = np.zeros((len(own), 2 + len(rows)))
     at = 0

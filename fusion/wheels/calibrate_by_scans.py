@@ -119,7 +119,7 @@ class Intervals(msgspec.Struct, frozen=True):
         return np.stack(columns, axis=-1)
 
     def wheel_noise(self, p: Array) -> Array:
-        """Return the covariance (n, 3, 3) of the predicted motions per unit of wheel noise."""
+        """Return covariances (n, 3, 3) of the motions `predicted` by parameters p (7,), for wheel noise of 1 m."""
         wheels = replace(corrected(self.motion.wheels, p[:3]), noise=1.0)
         found = wheels.between(self.t_from + p[6], self.t_to + p[6])
         J = np.broadcast_to(np.eye(3), found.Q.shape).copy()
@@ -269,7 +269,7 @@ def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
 
 
 def _scaled(residuals: Residuals, match: float) -> Residuals:
-    """Return the problem with the covariance of the matches multiplied by `match`."""
+    """Return the problem with the covariance of the scan matches multiplied by `match`, plus FLOOR."""
     return replace(residuals, T=match * residuals.T + FLOOR)
 
 

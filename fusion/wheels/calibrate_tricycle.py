@@ -45,7 +45,10 @@ MAX_SPEED_RATIO = 3.0  # of a wheel and of the tracked point
 
 
 class Reference(NamedTuple):
-    """Reference motion for the encoders: poses of one body on its own clock, or headings alone."""
+    """Reference motion with which the encoders are compared, on its own clock.
+
+    Poses of a tracked point or of the laser; only headings if it is from a gyro.
+    """
 
     by: By
     t: Array  # (n,) s
@@ -87,7 +90,10 @@ def calibrate_tricycle(
     moved, spans = se2.between(pose[first], pose[later[first]]), stamps[later[first]] - stamps[first]
 
     def point(p: Array) -> Array:
-        """Return poses (k, 3) of the tracked point relative to the body's start, for parameters p."""
+        """Return the poses (k, 3) of tracked point or laser by the encoders, in the robot's start frame.
+
+        p are the tricycle's parameters.
+        """
         ds = np.diff(found.rolled) * p[SCALE]
         angle = (found.steering - settings.servo_offset) * p[GAIN] + p[ZERO]
         way = dead_reckoning(rolled_by(ds, angle, p[BASE]))
@@ -135,7 +141,7 @@ def calibrate_tricycle(
 
 
 def nominal(stream: MergedStream, settings: WheelSettings, reference: Reference, shift: float) -> WheelSettings:
-    """Return settings from which `calibrate_tricycle` converges; configured values are kept.
+    """Return initial settings from which `calibrate_tricycle` converges; only missing values are guessed.
 
     The path length of the reference gives the radius. The middle of the steering values is the zero, and their
     range counts as one radian for the gain. `shift` [s] converts the encoders' times to the reference's clock.

@@ -40,7 +40,9 @@ def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> 
 
 
 def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -> Geometry | None:
-    """Fit radius and track to wheel angles and a body motion `theirs`; None if they do not agree.
+    """Fit wheel radius and track to wheel angles and a body motion `theirs`.
+
+    None if wheels and body motion disagree or overlap too little in time.
 
     Raises LocfuseError if the counters cannot be read.
     """
@@ -76,7 +78,11 @@ def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Arra
 
 
 def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
-    """Fit the geometry with the best signs of the wheels; the configured signs if they fit equally well."""
+    """Fit the geometry with the wheel directions that agree best with the motion; None if even these disagree.
+
+    The configured directions are kept if they agree equally well. Wheel angles left, right (n,) [rad]; body twists
+    `moved` (n, 3).
+    """
     agrees = {
         mirrored: _correlation(0.5 * (s_left * left + s_right * right), moved[:, 0])
         for mirrored, (s_left, s_right) in SIGNS.items()

@@ -50,7 +50,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
-        """Build from body twists (n-1, 3) between the times t (n,); also over gaps the twist is exact.
+        """Build from body twists (n-1, 3) between times t (n,); gaps add no extra noise, as the twist holds there.
 
         A base that drives sideways (mecanum, legs) gets the noise of wheels that point in the direction of motion.
         """
@@ -146,11 +146,14 @@ class Wheels(msgspec.Struct, frozen=True):
             return se2.between(begin, end), 0.5 * (Q + np.swapaxes(Q, 1, 2)), back @ _sums(J, count)
 
     def _passed(self, k: Ints, t: Array) -> Array:
-        """Return the elapsed share of wheel intervals k (...) at times t (...), limited to -1 ... 2."""
+        """Return the share of wheel intervals k (...) passed at times t (...): 0 at their start, 1 at their end.
+
+        Times outside the interval give shares below 0 or above 1, limited to -1 ... 2.
+        """
         return np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), -1.0, 2.0)
 
     def _pieces(self, k: Ints, begin: Array, share: Array, end: Array, parameters: bool) -> tuple[Array, Array]:
-        """Return noise and derivative (m, 3, 3) that pieces (m,) of wheel intervals k add to poses `end` (m, 3).
+        """Return the noise and derivative (m, 3, 3) of the poses `end` (m, 3) that m pieces of intervals k cause.
 
         A piece is the part of wheel interval k from share `begin` to `begin` + `share`. The derivative is by the
         wheel parameters.
@@ -193,7 +196,7 @@ def _travel_direction(ahead: Array, left: Array) -> Array:
 
 
 def _sums(pieces: Array, count: Ints) -> Array:
-    """Return the sums (n, ...) of pieces (m, ...) over each interval, which has `count` (n,) pieces."""
+    """Sum consecutive pieces (m, ...) for each of n intervals: (n, ...); interval i has count[i] pieces."""
     out, some = np.zeros((len(count), *pieces.shape[1:])), count > 0
     if some.any():
         out[some] = np.add.reduceat(pieces, (np.cumsum(count) - count)[some])
@@ -201,7 +204,7 @@ def _sums(pieces: Array, count: Ints) -> Array:
 
 
 def silences(t: Array, rolled: Array, turn: Array) -> Array:
-    """Return for each wheel interval that is a gap: variance of the end position [m^2], turning rate [rad/s].
+    """Return (n-1, 2) for n-1 wheel intervals: position variance [m^2] and turning rate [rad/s] of gaps, else 0.
 
     Over a gap, the counters give the distance of each wheel but not the path: a straight line, an arc or two
     corners. With the fastest usual turning rate w, the heading deviates from the constant turn by up to w T / 2
@@ -255,7 +258,9 @@ def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
 
 
 def ways_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_WAY_M) -> float | None:
-    """Return the share of distances between positions that a motion explains; None below `least` [m] in total.
+    """Return how much of the distance between positions a motion explains, as a share in [0, 1].
+
+    None if there are too few positions, or less than `least` [m] between them in total.
 
     `xy` (n, 2) [m] are the positions at times t (n,) [s] on the clock of the motion.
     """

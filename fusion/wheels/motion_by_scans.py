@@ -172,7 +172,10 @@ def _spaced(t: Array) -> Ints:
 
 
 def _predict(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velocity, int]:
-    """Continue through scans `rows` (m,) without surfaces, with the decaying velocity."""
+    """Predict the motion through scans `rows` (m,) without surfaces by the decaying velocity; mark them blind.
+
+    Returns the velocity at the last of these scans, and the index of this scan in `rows`.
+    """
     for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
         velocity = velocity.after(span)
         way.step[row], way.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
@@ -201,7 +204,7 @@ def _match_in_sequence(
 
 
 def _neighbours(targets: Targets, sources: Clouds, i: Ints, j: Ints, known: Velocity, dt: float) -> Matches:
-    """Match scan j (1,) with scan i, dt [s] before; if the match is bad, try turned initial poses."""
+    """Match scan j (1,) with scan i (1,), dt [s] earlier; if the match is bad, try turned initial poses."""
     guess = se2.exp(known.v * dt)[None]
     prior = inverse(known.P * dt * dt + FLOOR)[None]
     found = match(targets, i, sources, j, guess, PAIRING_PRIOR_SHARE * prior, REACH_M)
@@ -252,7 +255,7 @@ def _keys(targets: Targets, sources: Clouds, chain: Array) -> Ints:
 
 
 def _mutual_overlap(targets: Targets, sources: Clouds, chain: Array, a: int, b: int) -> float:
-    """Return the overlap share of scan a with scan b times that of scan b with scan a.
+    """Return the overlap of scans a and b: the share of a's points that lie on b, times the share of b's on a.
 
     A laser that looks forward sees all points of a later scan already in an earlier one, but not conversely.
     """
@@ -288,7 +291,7 @@ def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
 
 
 def _spread_evenly(C: Array, key: Ints, start: Array) -> Array:
-    """Return a covariance for each step: the covariance of a key's last match, divided by the number of its steps.
+    """Return the covariance of each step from scan to scan: that of the key's last match over the key's steps.
 
     Scans are matched with their key, not with the scan before, so the errors of steps are not those of matches.
     """
@@ -329,7 +332,10 @@ class Velocity(NamedTuple):
         return Velocity(P @ (prior @ self.v + dt * (information @ twist)), 0.5 * (P + P.T))
 
     def spread(self, before: Velocity, dt: float) -> Array:
-        """Return the covariance (3, 3) of a step of dt [s]; `before` is the predicted velocity."""
+        """Return the covariance (3, 3) of the motion over dt [s] that ended with this velocity.
+
+        `before` is the same velocity as predicted, before its correction.
+        """
         if dt == 0.0:  # two scans with one stamp: no motion, and A is 1
             return np.zeros((3, 3))
         A = self.P @ inverse(before.P) * np.exp(-dt / DECAY_S)

@@ -160,7 +160,7 @@ def commanded(topic: str, msgtype: str) -> bool:
 
 
 def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
-    """Return the motion of a body that follows commands (n, 2): speed [m/s], rate [rad/s] at times t (n,) [s].
+    """Return the motion of a body that obeys commands (n, 2) of speed [m/s] and rate [rad/s] at times t (n,) [s].
 
     A command lasts until the next one, at most MAX_HOLD_S; then the body is at rest. Returns times (m,) and the
     twists (m-1, 3) between them.
@@ -186,9 +186,10 @@ def wheelbase_of(stream: Stream, settings: WheelSettings) -> float:
 
 
 def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, posed: bool = True) -> Way:
-    """Return the motion by poses (n, 5); the speeds give only the sign, or the motion if the position is constant.
+    """Return the motion by an odometry's values (n, 5): x, y [m], yaw [rad], speed [m/s], turning rate [rad/s].
 
-    `posed` is whether the messages have a pose.
+    The steps are those of the poses; with `by_twist`, a negative speed marks a step as backwards. If the position
+    never changes, the speeds are integrated. `posed` is whether the messages have a pose.
     """
     placed = posed and not (np.ptp(values[:, :2], axis=0).max() <= 0.0 and values[:, 3:].any())
     if posed and not placed and np.ptp(values[:, 2]) > 0.0:  # heading and speed are known
@@ -215,7 +216,10 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
 
 
 def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
-    """Return why the steps `twist` (n-1, 3) are impossible for a robot, else ""; `far` marks outliers."""
+    """Return the reason why no robot can move by the steps `twist` (n-1, 3); "" if a robot can.
+
+    `far` (n-1,) marks steps that are too long, t (n,) are the times [s].
+    """
     dt = np.diff(t)
     dt = np.maximum(dt, np.median(dt)) if len(dt) else dt  # dt may be tiny in a burst of messages
     sideways = float(np.percentile(np.abs(twist[:, 1]) / dt, 95.0)) if len(dt) else 0.0
@@ -244,7 +248,7 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
 
 
 def backing_up(steps: Array, by_speed: Array) -> Mask:
-    """Mark steps (n-1, 3) that go forward while the distance by the speeds (n-1,) [m] is negative.
+    """Mark steps (n-1, 3) that go forward by the poses but backward by the speeds: `by_speed` (n-1,) [m] < 0.
 
     Marks no step if the speeds disagree with most steps, or if the poses have reverse motion, so that the reason
     of the disagreement is another one.

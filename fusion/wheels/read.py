@@ -59,7 +59,7 @@ class WheelReading(NamedTuple):
     doubt: str = ""  # why the motion is impossible for a robot
 
     def with_noise(self, noise: float) -> WheelReading:
-        """Return the same motion with another noise, as variance per metre rolled [m]."""
+        """Return the same motion with the wheel noise replaced by `noise`, the variance per metre rolled [m]."""
         return self._replace(wheels=replace(self.wheels, noise=noise), dropped=dict(self.dropped))
 
 
@@ -159,7 +159,9 @@ def counts_ticks(msgtype: str) -> bool:
 def _from_body(
     stream: Stream, values: Array, settings: WheelSettings, posed: bool, commands: bool
 ) -> WheelReading:
-    """Read the body's motion from poses and speeds (n, 5); without a track, a virtual one scales the noise.
+    """Read the body's motion from values (n, 5): x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s].
+
+    Without a configured track, VIRTUAL_TRACK is used; it affects only the noise.
 
     `posed` is whether the messages have poses, `commands` whether the speeds are commands.
     """

@@ -191,7 +191,10 @@ def _speeds(speed: Array, at: Ints) -> Array:
 
 
 def spikes(t: Array, values: Array, limit: Array) -> Mask:
-    """Mark readings that jump away and return soon: values (n, k), largest plausible steps `limit` (n-1,)."""
+    """Mark the readings (n,) between a jump away and a jump back soon afterwards.
+
+    A jump is a step between values (n, k) that is longer than the largest plausible one, `limit` (n-1,).
+    """
     out = np.zeros(len(t), dtype=bool)
     jumps = np.flatnonzero(_length(np.diff(values, axis=0)) > limit)
     at = 0

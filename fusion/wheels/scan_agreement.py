@@ -51,7 +51,10 @@ LANE_M = 1e4  # offset between two scans in the common search tree
 
 
 class ScanPairs(msgspec.Struct, frozen=True, dict=True):
-    """Pairs of scans of one laser, which give the agreement s of a motion."""
+    """Pairs of scans of one laser, to measure how well motions agree with it.
+
+    The agreement s of a motion is the share of the later scan's points that lie on the earlier scan.
+    """
 
     stream: Stream
     laser: Laser
@@ -63,7 +66,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def judge(self) -> bool:
-        """Return whether any pair of scans has points."""
+        """Return whether the share s can be computed: there are points of earlier and of later scans."""
         return any(len(p) for p in self.points) and any(len(p) for p in self.surface)
 
     def share(self, moved: Array, stride: int = 1) -> float:
@@ -81,7 +84,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def still(self) -> float:
-        """Return the share s for a robot at rest."""
+        """Return the share s that would result if the robot did not move."""
         return self.share(np.zeros((len(self.first), 3)))
 
     def of(self, motion: WheelReading) -> float:
@@ -199,7 +202,10 @@ def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> 
 
 
 def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:
-    """Return the points of scans `rows` in the laser's frame, about `most` each, in the order of beams."""
+    """Return points (k, 2) [m] for each of the scans `rows`, in the laser's frame and in the order of beams.
+
+    Of a scan with more than `most` points, only every second, third, ... is returned.
+    """
     plain = laser._replace(mount=np.zeros(3), deskew=False)
     scans = ScanPoints(stream, SCAN_FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
     near = (p[np.hypot(*p.T) < MAX_RANGE_M] for p in scans.read(np.arange(len(rows))))

@@ -205,7 +205,7 @@ def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) ->
 
 
 def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[str]) -> tuple[Array, Mask]:
-    """Return the positions (n, 2) of two joints, NaN if missing, and which messages (n,) have one of them."""
+    """Return positions (n, 2) of two joints, NaN if missing, and a mask (n,) of messages with at least one."""
     out = np.full((len(names), 2), np.nan)
     layouts = {row: i for i, row in enumerate(dict.fromkeys(names))}
     layout = np.zeros(len(names), np.int64)
@@ -257,7 +257,7 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
 
 
 def _guesses(joints: Sequence[str], side: str) -> list[str]:
-    """Return the joints whose names fit a wheel on this side; else those that fit this side and no limb."""
+    """Return the wheel joints of this side, by name; without any, the joints of this side that are no limbs."""
     found = [j for j in joints if side in j.lower() and not any(word in j.lower() for word in LIMBS)]
     wheels = [j for j in joints if "wheel" in j.lower() and not any(word in j.lower() for word in NO_DRIVE)]
     return [j for j in wheels if j in found or _letters(j) & SIDE_LETTERS[side]] or found

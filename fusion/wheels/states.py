@@ -76,7 +76,11 @@ def wheel_words(
 def _scale_words(
     settings: WheelSettings, found: Array, prior: float, metric: Mapping[str, str | None]
 ) -> list[str]:
-    """Return notes for the user if wheels and sensors differ in distance scale: only the ratio is observed."""
+    """Return notes for the user on the distance scale of wheels relative to sensors; [] if `metric` is empty.
+
+    Only the ratio is observed, so a note cannot name the wrong one. `found` (3,) are the relative corrections of
+    radius, ratio and track, `metric` the sensors that measure distances, with the settings of their scales.
+    """
     if not metric:
         return []
     scale, _, track = found.tolist()

@@ -37,7 +37,7 @@ STEERING_WORD = "steer"
 
 
 def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
-    """Return (n, 5) zeros (no pose), forward speed [m/s] and turning rate [rad/s] at the motor's readings.
+    """Return x, y, yaw (zeros: no pose), forward speed [m/s], turning rate [rad/s] of n motor readings, (n, 5).
 
     Each motor reading gets the last steering reading before it, or the first one. Raises LocfuseError if a setting
     or the steering is missing.

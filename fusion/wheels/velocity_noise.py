@@ -35,7 +35,7 @@ MAX_PERIODS = 1.5  # steps over longer gaps are not used
 
 
 class VelocityNoise(NamedTuple):
-    """Noise of forward speed and turning rate, (2,) each: in m and rad."""
+    """Noise of the wheels' velocities; arrays (2,) hold values of forward speed (m) and turning rate (rad)."""
 
     period: float  # s, T
     reading: Array  # R: variance of one reading, (m/s)^2 and (rad/s)^2
@@ -45,7 +45,10 @@ class VelocityNoise(NamedTuple):
 
 
 def velocity_noise(wheels: Wheels) -> VelocityNoise:
-    """Return the wheel noise per reading and per second, at the speeds of this drive."""
+    """Return the wheel noise as a filter with velocity states needs it, estimated from this drive.
+
+    Variances are per reading or per second of motion; they hold at the speeds of this drive.
+    """
     dt = np.diff(wheels.t)
     period = float(np.median(dt))
     grown = _grown(wheels)
@@ -64,7 +67,9 @@ def velocity_noise(wheels: Wheels) -> VelocityNoise:
 
 
 def random_walk(z: Array, variance: float, period: float) -> float:
-    """Return the process noise per second of a value read as z (n,) every `period` s with noise `variance`.
+    """Return the process noise per second of a random walk, from readings z (n,) at intervals of `period` s.
+
+    Each reading has noise of this `variance`. If z is too short or has no noise, MIN_VARIANCE is returned.
 
     By maximum likelihood: in steady state the prior variance p satisfies p = p R / (p + R) + q T.
     """

@@ -35,7 +35,7 @@ KEY_INFORMATION = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of 
 
 
 class Spans(Columns, frozen=True):
-    """Times (n,) between two key poses: the index of the earlier key and the odometry since this key."""
+    """Key poses before and after each of n times, and the odometry from the key before to the time."""
 
     a: Ints  # (n,) index of the key before, at most the last but one
     b: Ints  # (n,) index of the key after
@@ -65,7 +65,7 @@ class Spans(Columns, frozen=True):
 
 
 class Fixes(Columns, frozen=True):
-    """Update times with a known odometry error since the previous key pose: the keys and the scans between them.
+    """Odometry errors since the previous key, at the update times of the keys and of the scans between them.
 
     Sorted by key, then by time. The first row of every span is its key (zero error), the last row is the next key.
     """
@@ -77,7 +77,7 @@ class Fixes(Columns, frozen=True):
 
     @classmethod
     def of_keys(cls, odometry: Odometry, keys: Ints, x: Array) -> Fixes:
-        """Return the odometry errors at the key poses x (m, 3), whose update times are `keys` (m,)."""
+        """Return the odometry errors from each key to the next: poses x (m, 3) at update times `keys` (m,)."""
         a = np.arange(len(keys) - 1)
         whole = se2.between(odometry.pose[keys[:-1]], odometry.pose[keys[1:]])
         error = se2.compose(se2.between(x[:-1], x[1:]), se2.inverse(whole))
@@ -87,7 +87,10 @@ class Fixes(Columns, frozen=True):
         return cls(np.repeat(a, 2), both, xi, np.zeros((len(xi), 3, 3)))
 
     def at(self, odometry: Odometry, k: Ints, spans: Spans) -> tuple[Array, Array]:
-        """Interpolate odometry errors xi (n, 3) and covariances (n, 3, 3) at times after update times k (n,)."""
+        """Interpolate odometry errors: xi (n, 3) and covariances (n, 3, 3) for the times of `spans`.
+
+        k (n,) is the last update time before each.
+        """
         size = len(odometry.pose) + 1
         last = len(self.a) - 1
         f = np.searchsorted(self.a * size + self.instant, spans.a * size + k, side="right") - 1
@@ -222,7 +225,10 @@ def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
 
 
 def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
-    """Convert scan matches to errors xi (n, 3) of the odometry u (n, 3), with information (n, 3, 3)."""
+    """Convert scan matches to errors xi (n, 3) of the odometry u (n, 3) since the key, and their information.
+
+    `guess` (n, 3) are the expected errors. The information (n, 3, 3) is 0 for a bad match.
+    """
     xi = se2.compose(found.alone, se2.inverse(u))
     xi[:, 2] = guess[:, 2] + se2.wrap_all(xi[:, 2] - guess[:, 2])
     L = np.broadcast_to(np.eye(3), (len(u), 3, 3)).copy()
@@ -231,7 +237,9 @@ def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
 
 
 def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, information: Array) -> Fixes:
-    """Smooth the odometry errors at the keys and at scans, at update times k (n,) after keys a (n,).
+    """Smooth the odometry errors along each span between two keys; return them at the keys and at the scans.
+
+    `ends` are the known errors at the keys. Scan i has update time k[i] and follows key a[i].
 
     xi (n, 3) with `information` (n, 3, 3) are the errors measured by the scans.
     """

@@ -39,7 +39,10 @@ def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
 
 
 def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edges:
-    """Convert scan matches to graph edges; with path lengths `way` (n,) [m], headings may drift along the path."""
+    """Convert matches of scans i and j to graph edges.
+
+    If the path lengths `way` (n,) [m] are given, the edges allow for a heading drift proportional to path length.
+    """
     edges = Edges.of(i, j, found.alone, INFORMATION_SHARE * found.information, SCAN_WIDTH_SIGMAS)
     if way is not None:
         edges.by[:, 2, 0] = way[j] - way[i]

@@ -73,7 +73,10 @@ class Views(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, clouds: Clouds, origin: Array) -> Views:
-        """Return the free ranges of scans; in each direction the shortest range of three neighbouring bins."""
+        """Return the free ranges of scans, from the laser at `origin` (2,) [m] on the base.
+
+        The free range in a direction is the shortest range of its bin and the two bins beside it.
+        """
         depth = np.full((len(clouds), BIN_COUNT), np.inf)
         bins, ranges = _polar(clouds.xy - origin)
         np.minimum.at(depth, (clouds.owner, bins), ranges)
@@ -81,7 +84,11 @@ class Views(msgspec.Struct, frozen=True):
         return cls(origin, np.where(np.isfinite(nearest), nearest, np.nan))
 
     def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
-        """Count for each pair of keys (p,) the points of scan j in free space of scan i, and all in its view."""
+        """Count the points of scan j that lie in free space of scan i, which contradicts it, for each pair (p,).
+
+        Returns this count and the count of all points in the view of scan i, (p,) each. `pose` (p, 3) is that of
+        key j in the frame of key i.
+        """
         pieces = np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1)
         counts = [self._counted(clouds, i[some], j[some], pose[some]) for some in pieces]
         bad, judged = (np.concatenate(each) for each in zip(*counts, strict=True))
@@ -107,7 +114,7 @@ def _polar(points: Array) -> tuple[Ints, Array]:
 
 
 class Submaps(msgspec.Struct, frozen=True):
-    """Submaps: for each middle key, the point cloud of the keys around it in its frame."""
+    """Submaps: each is the points of neighbouring keys, in the frame of the middle one of these keys."""
 
     middle: Ints  # (s,) index of the middle key
     members: list[Ints]  # indices of the keys of each submap
@@ -253,7 +260,10 @@ def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candida
 
 
 def _nearest_visits(b: Ints, cost: Array) -> Ints:
-    """Return the indices of the MAX_VISITS candidates with the lowest `cost` of each later submap b (c,)."""
+    """Choose among c candidates: for each later submap, keep the MAX_VISITS with the lowest `cost` (c,).
+
+    b (c,) is the later submap of each candidate. Returns the indices of the kept candidates.
+    """
     order = np.lexsort((cost, b))
     first = np.searchsorted(b[order], b[order])
     return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])

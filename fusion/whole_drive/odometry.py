@@ -42,12 +42,15 @@ class Odometry(msgspec.Struct, frozen=True):
         return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT_VARIANCES)
 
     def between(self, a: Ints, b: Ints) -> tuple[Array, Array]:
-        """Return motions (m, 3) from update times a to b (m,), and covariances of xi about the pose at a."""
+        """Return motions (m, 3) from update times a to b, (m,) each, and covariances of xi in the frames at a."""
         u = se2.between(self.pose[a], self.pose[b])
         return u, moved(self.C[b] - self.C[a], se2.inverse(self.pose[a]))
 
     def grown(self, k: Ints, motions: Motions, wheels: Array | None) -> Odometry:
-        """Return the odometry at the ends of `motions` (m,); motion i begins at update time k[i]."""
+        """Return the odometry at the ends of m motions that begin at the update times k (m,).
+
+        `wheels` are corrections of the wheel parameters, None without.
+        """
         u = motions.u if wheels is None else motions.u + motions.J @ wheels
         pose = se2.compose(self.pose[k], u)
         Q = motions.Q if self.left_out is None else motions.Q + evenly(u, self.left_out)
@@ -78,28 +81,31 @@ def dead_reckoned(u: Array) -> Array:
 
 
 def evenly(u: Array, variances: Array) -> Array:
-    """Return covariances (n, 3, 3) of motions u (n, 3): `variances` (3,) per metre driven and radian turned."""
+    """Return covariances (n, 3, 3) that grow evenly along motions u (n, 3).
+
+    `variances` (3,) of x, y, theta are per metre driven and per radian turned.
+    """
     far = np.hypot(u[:, 0], u[:, 1]) + np.abs(u[:, 2])
     return far[:, None, None] * np.diag(variances)
 
 
 def at_origin(start: Array, u: Array, Q: Array) -> Array:
-    """Convert covariances Q of motions u (n, 3) from poses `start` (n, 3) to those of xi at the odometry's origin.
+    """Convert covariances Q (n, 3, 3) of motions to those of the odometry error xi at the odometry's origin.
 
-    Q is the covariance of each motion's (x, y, theta) in the frame of its start. A small rigid motion about the
-    start moves the end by a lever arm, which is removed first.
+    The motions are u (n, 3) from poses `start` (n, 3). Q is the covariance of each motion's (x, y, theta) in the
+    frame of its start. A small rigid motion about the start moves the end by a lever arm, which is removed first.
     """
     return moved(by_lever(Q, u[:, 1], -u[:, 0]), start)
 
 
 def moved(C: Array, frame: Array) -> Array:
-    """Convert covariances C (n, 3, 3) of xi from frames `frame` (n, 3) to the parent frame of these."""
+    """Convert covariances C (n, 3, 3) of xi from the frames `frame` (n, 3) to the parent of these frames."""
     R = se2.rotation(frame[:, 2])
     return by_lever(R @ C @ R.transpose(0, 2, 1), frame[:, 1], -frame[:, 0])
 
 
 def by_lever(C: Array, x: Array, y: Array) -> Array:
-    """Add the effect of the heading error on x and y to covariances C (n, 3, 3): lever arms (x, y) (n,) [m]."""
+    """Return covariances C (n, 3, 3) after adding the heading error times x (n,), y (n,) [m] to x and y."""
     L = np.broadcast_to(np.eye(3), C.shape).copy()
     L[:, 0, 2], L[:, 1, 2] = x, y
     out: Array = L @ C @ L.transpose(0, 2, 1)

@@ -94,7 +94,10 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
-        """Return keys, poses, covariances and odometry errors, with the start pose as first key pose."""
+        """Return the key poses with the start pose put before them, unless the first key is at the start.
+
+        Returns update times, poses, covariances, covariances with the next key pose, and odometry errors.
+        """
         keys, x, (own, after), fixes = self.keys, self.x, self.spread, self.fixes
         if not keys[0]:
             return keys, x, own, after, fixes
@@ -106,7 +109,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def spread(self) -> tuple[Array, Array]:
-        """Return the covariance of each key pose (m, 3, 3), and that with the next key pose (m - 1, 3, 3)."""
+        """Return covariances of the key poses (m, 3, 3), and of each key pose with the next one (m - 1, 3, 3)."""
         return self.normal.chain(len(self.x))
 
     def seen_again(self) -> tuple[Array, Array]:
@@ -244,7 +247,7 @@ class Scans:
 
 
 def straight_mount(found: Array, configured: Array, x: Array, u: Array) -> Array:
-    """Return the laser mount `found` (3,), with the configured yaw if the robot then drives straighter.
+    """Return the laser mount (3,): `found`, or with the configured yaw if the robot drives straighter with that.
 
     Key poses x (m, 3) were computed with the mount `found`; u (m - 1, 3) are the motions between them by wheel
     odometry. A filter with heading drift may estimate a wrong mount yaw; 0.5 degrees of it rotate a whole drive.
@@ -271,7 +274,7 @@ def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
 
 
 def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
-    """Return the actual variance of wheel-odometry turns between keys, measured by scans, over the claimed one.
+    """Return a factor on the variance of the wheels' turns between keys: actual (by scan poses x) over claimed.
 
     With an assumed track width the claimed error is 5 degrees per metre; the actual one is below 1 degree. Between
     keys, scans correct the heading. Before the first key only wheel odometry is available, and its heading error
@@ -327,7 +330,10 @@ class Start(msgspec.Struct, frozen=True):
         return Edges.known(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return the smoothed start pose, its covariance, and that with the first key pose `key` (3,)."""
+        """Return the start pose smoothed by the first key pose, its covariance, and that with the key pose.
+
+        `key` (3,) is the first key pose as the graph estimates it, P (3, 3) its covariance.
+        """
         G = self.cross @ np.linalg.inv(self.P_at_key)
         step = key - self.at_key
         step[2] = se2.wrap(float(step[2]))

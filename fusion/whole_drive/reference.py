@@ -49,7 +49,9 @@ def possible(drive: Drive, robot: Robot) -> bool:
 
 
 def sets(drive: Drive) -> list[tuple[str, ...]]:
-    """Return the sets of sensors to solve: all sensors, and all but one (and but those that need this one).
+    """Return the sets of sensors for which a reference is computed: all sensors, and all without one sensor.
+
+    The sensors that need the left-out one are left out with it.
 
     A set is left out if none of its sensors measures the position: its distance scale would be that of the wheels.
     """
@@ -113,7 +115,9 @@ class References(msgspec.Struct, frozen=True):
         return self.solved.get(frozenset(_without(sensor, self.present)))
 
     def contradiction(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
-        """Return two contradictory sensors among those of a reference and the `judged` ones; else None.
+        """Return two sensors that contradict each other, among those of a reference and an estimate; else None.
+
+        `judged` are the sensors of the estimate.
 
         A sensor that contradicts all others may be evaluated by a reference of the others.
         """
@@ -121,7 +125,11 @@ class References(msgspec.Struct, frozen=True):
         return next((pair for pair in self.contradict if set(pair) <= known), None)
 
     def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:
-        """Evaluate an estimate, if possible by a reference of other sensors; return evaluation, reference."""
+        """Evaluate an estimate e by a reference; return the evaluation and this reference.
+
+        A reference that shares no sensor with the estimate is preferred, that with the least sigma first. If none
+        can evaluate it, the reference of all sensors is used.
+        """
         others = [
             r
             for r in self.solved.values()

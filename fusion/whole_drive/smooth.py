@@ -188,7 +188,7 @@ class Backward:
                 self._step(event.back)
 
     def _undo_motion(self, event: Moved, k: int) -> None:
-        """Smooth over the motion to update time k; store the values for `between_instants`."""
+        """Go back over the motion that ends at update time k; store the values that `between_instants` needs."""
         self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
         if self._frame is not None:
             self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._to_G[3:, 3:].T

@@ -18,7 +18,7 @@ MAX_TEXT_FILE = 256 * 1024 * 1024  # a trajectory or detections: an hour at 100 
 MAX_METADATA = 4 * 1024 * 1024  # metadata.yaml of a rosbag2 folder; a bag of 10 000 files has 1 MB
 MAX_MAP_FILE = 64 * 1024 * 1024  # a line map: 150 bytes a wall
 MAX_MAP_PICTURE = 129 * 1024 * 1024  # a map image: 2 bytes for each of MAX_MAP_PIXELS, and the header
-MAX_WALLS = 3000  # of a given map: its covariance takes 0.7 GiB and grows with the square
+MAX_WALLS = 3000  # of a given map: its states take 0.7 GiB, which grows with the square
 MAX_REPORT = 64 * 1024 * 1024  # report.json; over an hour's drive it has 100 kB
 
 # structure of a file

@@ -269,7 +269,7 @@ def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]
 
 
 def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:
-    """Return the drive with at most `rates[sensor]` [Hz] readings: the first of every period.
+    """Return the drive with at most `rates[sensor]` readings per second: the first of every period.
 
     The update times stay, so that all configurations have the same ones.
     """

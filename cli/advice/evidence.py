@@ -91,7 +91,7 @@ class Evidence(Noise):
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return lists of functions that find faults; a list is used only if the earlier ones find none."""
+        """Return lists of functions that find faults; a list waits while an earlier one has an open severe one."""
         return (
             (self.truth,),
             (self.start, self.clocks, self.other_clocks, self.geometry),
@@ -114,7 +114,7 @@ class Evidence(Noise):
         return any(s.high < 0.0 for s in self.compared.scores)
 
     def truth(self) -> list[Candidate]:
-        """Return findings on a truth that is shifted, mirrored or not in metres; then no error is valid."""
+        """Return findings on a truth that steps sideways, is mirrored or not in metres; then no error is valid."""
         return [self._candidate(f, ()) for f in self.doctor if f.code in {STEP, MIRROR, UNIT}]
 
     def start(self) -> list[Candidate]:
@@ -303,7 +303,7 @@ class Evidence(Noise):
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
-        """Findings on mounts that the filter estimated and that differ from the configured ones."""
+        """Findings on mounts that the run of one sensor alone estimated differently than configured."""
         return [
             finding
             for e in self.runs_alone()

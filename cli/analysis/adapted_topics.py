@@ -119,6 +119,7 @@ def offer_tags(log: Log, robot: Robot) -> None:
 
     A frame is a tag if its name has a word for tags and ends in a number, and if it moves in the frame of a camera
     on the robot, beside other tags. Nothing is added if the log has a topic of poses, or the settings name one.
+    Reading /tf takes time, so call this only if landmarks are needed.
     Raises LocfuseError if the frames form a loop.
     """
     settings = robot.settings("landmarks")

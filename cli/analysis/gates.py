@@ -164,7 +164,7 @@ def known_figure(gate: Gate) -> Gate:
 
 
 def parse_tolerance(text: str) -> Tolerance:
-    """Return the tolerance of "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError for others."""
+    """Return the tolerance of "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError, also for 5 (500 %)."""
     found: dict[str, float] = {}
     for part in text.split(","):
         read = TOLERANCE_PATTERN.fullmatch(part.strip())

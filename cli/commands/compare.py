@@ -143,7 +143,7 @@ def _named(words: Sequence[str]) -> dict[str, str]:
 
 
 def _refuse_log_options() -> None:
-    """Raise UsageError for an option that finished results do not support, such as a gate."""
+    """Raise UsageError for an option that finished results do not support: a gate is never skipped silently."""
     from locfuse.fusion.data import UsageError
 
     context = click.get_current_context()

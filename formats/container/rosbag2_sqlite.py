@@ -43,7 +43,7 @@ Row = tuple[int, int, bytes | None]  # topic, time in ns, message
 
 
 class TimeLimit:
-    """Aborts an sqlite step that takes too long.
+    """Aborts an sqlite step that takes too long; a signal aborts any step.
 
     sqlite calls `_late` every STEPS_PER_CHECK instructions and drops exceptions from there: a step that was
     interrupted before its time limit was interrupted by a signal.
@@ -151,7 +151,7 @@ class SqliteSource(Source):
         if self._has_journal:
             # if no recorder has the file open, open it without locks: sqlite then writes no file next to the bag
             alone = not Path(f"{where}-shm").exists()
-            if alone and not self._journal_is_used:  # sqlite would delete a journal without commits
+            if alone and not self._journal_is_used:  # sqlite would delete it, even if read-only
                 return self._open(where, "&immutable=1")
             for options in ("&vfs=unix-none", "") if alone else ("", "&vfs=unix-none"):
                 try:

@@ -279,7 +279,8 @@ def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
 def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Convert Foxglove LaserScan columns to sensor_msgs/LaserScan, with angles rotated by each scan's pose.
 
-    Foxglove's scans have no time_increment (0 here) and no range limits (0 and FAR_M here).
+    Beams are evenly spaced from start to end. Foxglove's scans have no time_increment (0 here) and no range limits
+    (0 and FAR_M here).
     """
     start, end = _numbers(columns["start_angle"]), _numbers(columns["end_angle"])
     ranges, turn = _ragged(columns, "ranges"), headings(*_stacked(columns, TURN).T)

@@ -19,7 +19,7 @@ MAX_BACK_NS = 2 * 10**9  # larger steps back are not jitter but another clock or
 MAX_BACK_SHARE = 0.25  # of the times that contradict the order; with more, the right ones are unknown
 
 WINDOW_READINGS = 7  # neighbours on either side that determine the expected time
-MIN_OFF_DEVIATIONS, MIN_OFF_PERIODS = 8.0, 0.25  # a time that is off by both is wrong
+MIN_OFF_DEVIATIONS, MIN_OFF_PERIODS = 8.0, 0.25  # robust deviations and periods: off by both is wrong
 
 
 def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
@@ -107,7 +107,7 @@ def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
 
 
 def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
-    """Return times (n,) with those not in `keep` replaced by evenly spaced ones."""
+    """Return times (n,) with those not in `keep` replaced by evenly spaced ones, at the end by the period."""
     period = int(np.median(np.diff(times[keep]))) if keep.sum() > 1 else 0
     return filled(times, keep, np.arange(len(times)), period)
 

@@ -232,7 +232,7 @@ class Log:
 
     @property
     def unchecked(self) -> list[str]:
-        """Names of the files without checksums."""
+        """Names of the files without checksums, in which a changed value cannot be detected."""
         return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not s.checked]
 
     @property

@@ -3,7 +3,7 @@
 The layout of a message depends only on the length words of its strings and arrays. Messages are grouped by layout:
 the first of a group is parsed (`read_layout`), the length words of all others are compared with its words at once,
 and each wanted field is then gathered from the chunk at once. The length of an array of numbers at a message's end
-(an image's bytes) may differ within a group. Each new layout costs time.
+(an image's bytes) may differ within a group. Each new layout costs time: unusual messages are slow, never wrong.
 """
 
 from __future__ import annotations

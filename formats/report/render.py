@@ -1,4 +1,7 @@
-"""Tables as Markdown, HTML, LaTeX and CSV. Text from logs is escaped by the rules of each format."""
+"""Tables as Markdown, HTML, LaTeX and CSV. Text from logs is escaped by the rules of each format.
+
+Control characters are made visible in all formats but CSV, which programs read.
+"""
 
 from __future__ import annotations
 

@@ -337,7 +337,7 @@ def _number_or_text(value: Any) -> Any:
 
 
 def everything(report: Report) -> Table:
-    """Return one row per configuration with every scalar of report.json and every sensor's counts."""
+    """Return one row per configuration with every value but lists of report.json and every sensor's counts."""
     runs = report["configurations"]
     keys = dict.fromkeys(k for v in runs.values() for k, x in v.items() if not isinstance(x, Mapping | list))
     keys.pop("configuration")  # the first column: there it is the row's name, such as all-smoothed

@@ -34,7 +34,8 @@ def stamps(epoch_ns: int, t: Array) -> list[int]:
 def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, Array]:
     """Return t (n,) s, pose (n, 3), triangles of P (n, 6) at every update time and truth stamp of the drive.
 
-    evo pairs stamps within 10 ms by default, so the prediction at each truth stamp is written too.
+    evo pairs stamps within 10 ms unless it is asked to interpolate (since 1.38), so the prediction at each truth
+    stamp is written too. Rows at update times do not depend on the truth.
     """
     if drive.truth is None or estimates.truth_pose is None or estimates.truth_P is None:
         return estimates.t, estimates.pose, estimates.triangles

@@ -144,7 +144,7 @@ def by_field(stream: Stream, drive: Drive) -> Array | None:
 
 
 def angles(up: Array) -> tuple[int, int]:
-    """Return roll and pitch [deg] of a mount, given the vertical direction `up` (3,) in the sensor frame."""
+    """Return roll and pitch [deg] of a mount, given the vertical `up` (3,) in the sensor frame: R's last row."""
     x, y, z = (float(v) for v in up)
     pitch = math.degrees(-math.asin(max(-1.0, min(1.0, x))))
     roll = math.degrees(math.atan2(y, z)) if math.hypot(y, z) > 1e-3 else 0.0
@@ -201,7 +201,10 @@ def _on_robot(iron: Iron, settings: CompassSettings) -> list[Finding]:
 
 
 def _in_room(iron: Iron, field: Array, t: Array, drive: Drive, robot: Robot) -> list[Finding]:
-    """Return a finding on a place in the room where iron changes the field's strength."""
+    """Return a finding on a place in the room where iron changes the field's strength.
+
+    No calibration of the compass corrects that.
+    """
     strength = np.linalg.norm((field - iron.hard) @ iron.soft.T, axis=1) / iron.strength
     off = np.abs(strength - 1.0) > max(MIN_DISTURBED, 5.0 * iron.scatter)
     if off.sum() < MIN_READINGS:

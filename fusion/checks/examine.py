@@ -29,7 +29,7 @@ from .truth import UNIT, metre, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
 
 MIN_READINGS = 10  # readings from which a sensor is judged
-MAX_EMPTY_SHARE = 0.9  # largest share of readings without a measurement
+MAX_EMPTY_SHARE = 0.9  # largest share of readings without a measurement: with more a sensor is dead or misread
 REASONS = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
@@ -120,7 +120,7 @@ def _scales(
 
 
 def _refused(drive: Drive) -> list[Finding]:
-    """Return findings that count unused readings by reason."""
+    """Return findings that count unused readings by reason; repaired readings have findings of their own."""
     found = []
     for stream, reasons in drive.dropped.items():
         words = [
@@ -132,7 +132,10 @@ def _refused(drive: Drive) -> list[Finding]:
 
 
 def _gaps(name: str, t: Array) -> list[Finding]:
-    """Return a finding with the gaps in a stream's times (n,) [s]."""
+    """Return a finding with the gaps in a stream's times (n,) [s].
+
+    In a gap of a sensor the filter only predicts; in a gap of the wheels the whole motion counts as one arc.
+    """
     found = gaps(t)
     if not found:
         return []

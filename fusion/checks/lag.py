@@ -29,8 +29,8 @@ SHORT_WINDOWS_S = (0.1, 0.25, 0.5)  # s: the best one depends on the noise of se
 RATE_CHANGE_SPAN_S = 0.3  # s between the rates whose difference is the change of the turning rate
 MAX_LEFT_OUT_SHARE = 0.9  # largest share of windows left out for a constant turning rate
 RATE_SPAN_S = 0.1  # s over which the wheels' turning rate is computed
-MAX_ITERATIONS = 3  # of least squares
-# s, steps of the lag
+MAX_ITERATIONS = 3  # of least squares: the problem is nearly linear over the few 0.01 s left
+# s, steps of the lag: correlations over a whole window are smooth, so the best is near the coarse best
 COARSE_STEP_S, FINE_STEP_S = 0.05, 0.01
 MIN_LAG_S = 0.04  # s: a sensor with a smaller lag can be a reference for others
 MIN_SAID_LAG_S, SAID_SIGMAS = 0.01, 4.0  # s, sigmas: a smaller lag is not reported
@@ -60,7 +60,7 @@ class Lag(NamedTuple):
     offset: float  # s to add to the sensor's stamps
     correlation: float  # at that offset
     without: float  # correlation at offset 0
-    sigma: float = math.inf  # s, of the offset; infinite if found by correlation only
+    sigma: float = math.inf  # s, standard deviation of the offset; infinite if found by correlation only
     against: str = "wheels"  # source of the reference
 
 
@@ -218,7 +218,7 @@ def _without(column: Array, others: Array) -> Array:
 
 
 def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the turns during which the turning rate changes much; `lag` [s] is added to times."""
+    """Return a mask (n,) of the turns whose rate changes most (above the rms); `lag` [s] is added to times."""
     middle = 0.5 * (turns.start + turns.end) + lag
     before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
     change = np.abs(after - 2.0 * now + before)

@@ -47,8 +47,8 @@ MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 5.0  # rad; standard errors, as t
 BUMP_STRETCHES = 16  # of the drive, with independent errors
 MIN_BUMP_SHARE = 0.1  # of the walls, before and after the step
 MAX_RADIUS_MISFIT = 0.5  # difference of two errors with one cause, as a share of the smaller error
-MIN_CORRELATION = 0.9  # of turns by walls and by wheels
-MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, smallest sum of squared turns
+MIN_CORRELATION = 0.9  # of turns by walls and by wheels: with less, turns by wheels are noise
+MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, smallest sum of squared turns: on a straight path they are noise
 
 
 class Walls(NamedTuple):
@@ -314,7 +314,7 @@ def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
     """Return the jackknife standard errors of `estimate(walls)`: one stretch of the drive is left out at a time.
 
-    They are infinite if an estimate without one of the stretches is None.
+    Pairs of scans overlap, so they are not independent. Infinite if an estimate without a stretch is None.
     """
     parts = np.array_split(np.arange(len(walls.y)), STRETCHES)
     found = [estimate(Walls(*(np.delete(column, part, axis=0) for column in walls))) for part in parts]

@@ -247,7 +247,10 @@ def _no_return(values: Array, far: Array) -> list[Finding]:
 
 
 def _in_turn(column: dict[str, Array]) -> list[Finding]:
-    """Return a finding if scans alternate between two first angles, as from two lasers on one topic."""
+    """Return a finding if scans alternate between two first angles.
+
+    They come from two lasers on one topic, or from one laser that sends a revolution in parts.
+    """
     angles, which, counts = np.unique(column["angle_min"].round(3), return_inverse=True, return_counts=True)
     if len(angles) < 2:
         return []

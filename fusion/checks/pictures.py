@@ -162,7 +162,7 @@ class Circle(NamedTuple):
 
 
 def of_rims(pictures: Sequence[Picture], settings: CameraSettings) -> list[Finding]:
-    """Return a finding if the mirror's circles in the pictures differ from the configured ones."""
+    """Return a finding if the mirror's circles in the pictures are clear and differ from the configured ones."""
     if len(pictures) < MIN_PICTURES:
         return []
     grey = np.mean([p.astype(np.float32).mean(axis=2) for p in pictures], axis=0)

@@ -20,12 +20,12 @@ from .laser import range_fix
 
 # codes of the findings: on a mount; on mount or sideways motion of the wheels
 MOUNT, DIRECTION = "mount", "direction"
-MAX_CREEP_DEG = 1.5  # angle between heading and motion of wheels that creep sideways
+MAX_CREEP_DEG = 1.5  # angle between heading and motion of creeping wheels: 2 % of the path are 1.1 degrees
 DIRECTION_WORDS = (
     "it and the wheels differ by {:.1f}° (1 sigma {:.1g}°) in the direction of driving: its mount, or wheels that "
     "drive sideways. To find out drive 3 m along a line on the floor: if the robot leaves it, it is the wheels"
 )
-MIN_SIGMAS = 4.0  # smallest difference between estimate and configured value
+MIN_SIGMAS = 4.0  # standard deviations: smallest difference between estimate and configured value
 MIN_EXPLAINED_SHARE = 0.8  # of the true path's squares by the laser's path, for equal shapes
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are not reported
 MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
@@ -65,8 +65,9 @@ def of_mount(
     """Yield a finding if the mount that a run estimated differs from the configured one.
 
     Without truth (`judged`) a difference must be plausible by the prior sigmas, `prior_xy` [m] and `prior_yaw_deg`
-    unless the sensor's settings are larger, and larger than errors of measured mounts: a late clock or sideways
-    motion of the wheels look like a small yaw. A yaw below MAX_CREEP_DEG is a finding without a fix.
+    unless the sensor's settings are larger, and larger than errors of measured mounts: on a drive of left
+    turns, a clock that is 20 ms late looks like a yaw of a third of a degree, and sideways motion of the wheels
+    looks like a yaw too. A yaw below MAX_CREEP_DEG is a finding without a fix.
     """
     fixes, words = [], []
     for part, (key, scale) in MOUNT_KEYS.items():

@@ -77,8 +77,8 @@ class _Spread(NamedTuple):
 def slip(drive: Drive) -> Slip | None:
     """Return the smallest wheel slip that any sensor shows; None if no sensor shows slip.
 
-    Drift of a sensor counts as slip too, so the smallest value is that of the wheels. If all sensors show less
-    than configured, the largest of their values is taken.
+    Drift of a sensor counts as slip too, so the smallest value is that of the wheels. If all sensors show
+    clearly less than configured, the largest of their values is taken, since all of them agree on that.
     """
     if drive.wheels.matched is not None or drive.wheels.noise <= 0.0:
         return None

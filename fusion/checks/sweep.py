@@ -22,7 +22,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from .finding import Finding
 from .laser import MAX_WALL_TURN_RAD, seen_twice
 
-MIN_RATE_RADPS = 0.3  # rad/s between the turn rates of two scans
+MIN_RATE_RADPS = 0.3  # rad/s between the turn rates of two scans: equal smear shows nothing
 MIN_PAIRS = 60  # walls seen at such different turn rates
 MAX_MISFIT_RATIO = 0.65  # of the misfit in the other order over the one as configured
 RATE_STEP_S = 0.1  # s over which the turn rate is taken

@@ -403,7 +403,7 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
 
 
 def _best(names: Sequence[str], marks: Mapping[str, Marks]) -> str:
-    """Return the configuration with the smallest position error; without truth the first one."""
+    """Return the configuration with the smallest position error, of those with sensors if any; else the first."""
     names = [n for n in names if n not in BASES] or names
     known = {n: p for n in names if (p := marks[n].position) is not None}
     return min(known, key=lambda n: known[n]) if known else names[0]

@@ -18,8 +18,8 @@ from .finding import Finding
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: largest growth of a position error
 MAX_CHANCE_LOSS = 0.15  # relative, for a configuration that no user would keep
-MAX_CONSISTENT_LOSS = 0.3  # the same, if its ANEES stays within its chance range
-MAX_SMOOTHED_LOSS = 1.0  # of a smoothed path whose ANEES stays within its chance range
+MAX_CONSISTENT_LOSS = 0.3  # the same, if its ANEES is not above its chance range
+MAX_SMOOTHED_LOSS = 1.0  # of a smoothed path whose ANEES is not above its chance range
 MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: more than chance explains
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may move away from its chance range at equal error
 MIN_GAIN = 0.1  # relative gain of the position error
@@ -27,10 +27,10 @@ MIN_TURN_DEG = 0.1  # deg: smallest change of a heading error; allowed growth in
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
 MAX_SETTLED_SHARE = 0.5  # of the error before: a fix with a smaller error after it is right
 MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that reduces it by more is right
-MIN_GAIN_M = 2e-4  # m: smaller changes of the position error count as none
+MIN_GAIN_M = 2e-4  # m: smaller gains of the position error count as none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that no user would keep
-MAX_ANEES = 50.0  # larger values are not compared
+MAX_ANEES = 50.0  # larger values only show that the noise is wrong, and are not compared
 MAX_LOST_SHARE = 0.005  # of the drive: largest growth of the lost share
 WEIGHT_OF_HEADING = 0.5  # of ln heading error, relative to ln position error
 WEIGHT_OF_ANEES = 0.5  # of ln ANEES, relative to ln position error
@@ -95,7 +95,7 @@ def worsens_alone(before: Marks, after: Marks) -> bool:
     """Return whether a configuration that no user would keep gets worse by more than chance.
 
     Small changes of weights change the error on one drive by many percent by chance, so such a configuration may
-    get worse within wider limits: the widest if its ANEES after the fix is within its chance range.
+    get worse within wider limits: the widest if no ANEES is above its chance range, or only that before the fix.
     """
     allowed = MAX_CONSISTENT_LOSS if within_claim(before, after) or was_chance(before, after) else MAX_CHANCE_LOSS
     return worsens(before, after, allowed, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
@@ -108,16 +108,17 @@ def within_claim(before: Marks, after: Marks) -> bool:
 
 
 def worsens_smoothed(before: Marks, after: Marks) -> bool:
-    """Return whether the errors of a smoothed path get notably worse; its ANEES does not count.
+    """Return whether the errors of a smoothed path get notably worse.
 
-    If its ANEES stays within its chance range, it may get worse by chance.
+    Its ANEES does not count, since no fix is about its covariance. If this is not above its chance range, the path
+    may get worse by chance.
     """
     allowed = MAX_SMOOTHED_LOSS if within_claim(before, after) else MAX_LOSS
     return worsens(before._replace(anees=None), after._replace(anees=None), allowed)
 
 
 def _only_underconfident(before: Marks, after: Marks) -> bool:
-    """Return whether a fix leaves the error nearly equal and makes the filter underconfident (ANEES < 1)."""
+    """Return whether a fix only makes the filter underconfident (ANEES < 1), without a larger error: no harm."""
     if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
         return False
     small = after.position <= before.position * (1.0 + MAX_CHANCE_LOSS) + MAX_LOSS_M
@@ -148,7 +149,7 @@ def leaves(before: Marks, after: Marks) -> bool:
 
 
 def improves(before: Marks, after: Marks) -> bool:
-    """Return whether a figure gets notably better by a fix."""
+    """Return whether a figure gets notably better by a fix; an ANEES within its chance range cannot."""
     if before.lost - after.lost > MAX_LOST_SHARE:
         return True
     if before.position is not None and after.position is not None:
@@ -158,7 +159,7 @@ def improves(before: Marks, after: Marks) -> bool:
         if turns_right(before, after) and less >= -MAX_CHANCE_LOSS * before.position:
             return True
         nearer = _off(before) - _off(after)
-        # a better ANEES must outweigh a larger error
+        # a better ANEES must outweigh a larger error: 220 and 176 are both far off
         return nearer > MIN_LN_ANEES_GAIN and gain(before, after) > WEIGHT_OF_ANEES * MIN_LN_ANEES_GAIN - 1e-9
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction > MIN_GAIN_NATS

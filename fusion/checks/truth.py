@@ -33,7 +33,7 @@ MIN_READINGS = 5  # of a truth that is checked
 WINDOW_S = 1.0  # s over which distances are compared
 STRETCHES = 8  # of the drive, for the jackknife
 MIN_WAY_M = 0.1  # m per window, by the wheels
-MIN_SEEN_M = 1e-6  # m per window, by the truth
+MIN_SEEN_M = 1e-6  # m per window, by the truth: at rest it measures no wheels
 MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' distances
 WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
 MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps it is unusable
@@ -119,7 +119,7 @@ def _gaps(truth: Truth) -> list[Finding]:
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
-    """Return a finding if the truth is noisier than truth.sigma."""
+    """Return a finding if the truth is noisier than truth.sigma: ANEES counts that as an error of the estimate."""
     rest, moving = truth_sigma(truth, drive.wheels), _scatter(truth, drive.wheels)
     place, turn = max(rest.xy, moving.xy), max(rest.theta, moving.theta)
     parts: list[tuple[str, str]] = []
@@ -209,7 +209,8 @@ def _fastest(drive: Drive) -> float:
 def of_unit(drive: Drive) -> list[Finding]:
     """Return a finding if the truth is not in metres: its distances are a power of ten times the wheels'.
 
-    (Not if the wheels' speed is implausible for a robot, as with a wrong radius.)
+    Wheels of a wrong radius show the same: the truth is wrong only if the wheels' speed is plausible for a robot,
+    and the truth's is not.
     """
     factor, (slowest, fastest), speed = (wheels_metre(drive) or (1.0,))[0], ROBOT_SPEEDS_MPS, _fastest(drive)
     unit = next((u for f, u in UNITS.items() if 1.0 / MAX_UNIT_RATIO < factor / f < MAX_UNIT_RATIO), None)

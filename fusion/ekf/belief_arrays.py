@@ -601,7 +601,7 @@ class JointBelief(ekf.State):
         self.keeps = len(kept) > 0
 
     def not_positive(self, greatest: float) -> None:
-        """Raise LocfuseError: an innovation covariance with this largest variance is not positive."""
+        """Raise LocfuseError: an innovation covariance with this largest variance is not positive definite."""
         positive(greatest)
 
     def __deepcopy__(self, memo: object) -> JointBelief:

@@ -29,7 +29,7 @@ class Reference(msgspec.Struct, frozen=True):
 
     sensors: tuple[str, ...]  # that were used, beside the wheels
     left_out: tuple[str, ...]  # sensors of the log that were not used
-    sigma: float  # m, median over the drive of sqrt(P_xx + P_yy)
+    sigma: float  # m, median over the drive of its position's standard deviation, sqrt(P_xx + P_yy)
     drive: Drive  # with the reference as its truth, at every instant
 
     @classmethod

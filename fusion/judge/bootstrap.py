@@ -60,7 +60,7 @@ class Errors(msgspec.Struct, frozen=True):
         return min(float(low), value - least), max(float(high), value + least)
 
     def _gaussian(self, weights: Array) -> float:
-        """Return the half width of `interval` for Gaussian errors, with `samples` independent stamps."""
+        """Return the half width of `interval` for Gaussian errors, with `samples` independent stamps (x and y)."""
         n = 2.0 * self.samples
         scaled = weights / np.sqrt(n)
         variance = 0.5 * float(scaled @ self.correlation**2 @ scaled)

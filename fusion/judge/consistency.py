@@ -170,7 +170,8 @@ def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -
     """Return the verdict "biased": `bias` is the mean of measured minus predicted [rad or m], `sure` its sigma.
 
     If `sure` is clearly larger than the sigma of the mean by the readings' noise (`drawn`), the reference has a
-    constant error of its own: the fix then also sets the sigma of the offset.
+    constant error of its own: the fix then also sets the sigma of the offset. As an exact value, this error would
+    pull the estimate with the weight of all readings.
     """
     amount, unit = _human(bias, sensor)
     sigma = rounded(_human(sure, sensor)[0])

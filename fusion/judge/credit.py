@@ -24,7 +24,7 @@ from .bootstrap import MIN_REPLICATES, Errors, by_chance, student_t
 Verdict = Literal["helps", "seems to help", "no effect seen", "seems to hurt", "hurts", "no verdict"]
 
 MIN_EFFECT = 0.02  # an effect below 2 % counts as none, however certain
-MIN_EXPECTED_EFFECT = 0.15  # smallest effect that counts if its interval includes zero
+MIN_EXPECTED_EFFECT = 0.15  # smallest effect (15 %) that counts if its interval includes zero
 MAX_UNSURE = math.log(10.0)  # largest bound of an effect's interval on the side of the opposite sign
 MIN_HARM_LAST = 0.10  # `all` is significantly 10 % better without the sensor: it hurts
 MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # overconfident: ANEES above this, and this many times the one before
@@ -84,7 +84,7 @@ def _surely(effect: Effect, sign: float) -> bool:
     """Return whether an effect of this sign is large enough and its interval excludes zero.
 
     The interval counts twice as wide if the predicted covariances hardly change by the sensor: the effect is then
-    probably chance.
+    probably chance, and 1 in 20 would be too often.
     """
     bound = effect.low if sign > 0 else effect.high
     if effect.expected is not None and abs(effect.expected) < MIN_EXPECTED_EFFECT:
@@ -157,7 +157,7 @@ def credit_over_logs(drives: Sequence[Credit]) -> Credit:
 
 
 def subsets(sensors: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return all 2^n subsets of sensors, the smallest first."""
+    """Return all 2^n subsets of sensors, the smallest first, each in the order of `sensors`."""
     return [c for k in range(len(sensors) + 1) for c in combinations(sensors, k)]
 
 

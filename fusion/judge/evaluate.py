@@ -4,8 +4,8 @@ Errors are computed at the truth's stamps, to which the filter predicts; by defa
 alignment hides an error of the start.
 
 Length of the truth's path: the sum of steps between readings would be too long, since 2 mm of noise at 100 Hz are
-0.35 m in a second of standing still. So the path consists of chords between readings that are further apart than
-noise can move them.
+0.35 m in a second of standing still, and a drift per metre would look better. So the path consists of chords
+between readings that are further apart than noise can move them.
 """
 
 from __future__ import annotations

@@ -38,8 +38,8 @@ class Own(NamedTuple):
     refused: float  # share
     nis: float  # mean per degree of freedom of what was accepted
     bounds: tuple[float, float]  # of the mean NIS of a consistent filter, 95 %
-    bias: tuple[float, ...]  # mean in predicted standard deviations
-    middle: tuple[float, ...]  # median innovation
+    bias: tuple[float, ...]  # mean in predicted standard deviations; with those rejected by the gate
+    middle: tuple[float, ...]  # median innovation; with those rejected by the gate
     sure: tuple[float, ...]  # standard error of the median
     whiteness: tuple[float, ...]  # autocorrelation at lags 1..LAGS
     raw: float  # factor on the innovations' covariance S
@@ -215,7 +215,8 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
     """Return innovation figures, without outliers; None if all rows have one stamp.
 
     A row of `rows` (k, 5) is t [s], innovation, reference variance, R, heading [rad]. Innovations are in rad where
-    `angular`, else m; `unknown`: they contain an unknown offset.
+    `angular` (their mean is that of directions), else m; `unknown`: they contain an unknown offset. One stamp does
+    not show how long an error lasts.
     """
     period = usual_period(rows[:, 0])
     if period is None:
@@ -257,7 +258,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
 
 
 def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
-    """Return a step or a steady drift of errors y (k,), mean 0, if it explains most of their slow part.
+    """Return a step or a steady drift of errors y (k,), mean 0, at t [s], if it explains most of their slow part.
 
     None where the robot's heading `theta` [rad] explains more: iron on the robot, in a drive of few turns.
     """

@@ -40,7 +40,10 @@ COLUMNS = 8  # of a map line; the last two are written here
 
 
 def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Array) -> None:
-    """Convert lines `rows` (lines, 7) from the frame of a laser at x, y [m], yaw [rad] to the base frame."""
+    """Convert lines `rows` (lines, 7) from the frame of a laser at x, y [m], yaw [rad] to the base frame.
+
+    A row is r, psi, R as 00, 01, 11, and both ends.
+    """
     for i in range(lines):
         psi = rows[i, PSI] + yaw
         if psi - psi != 0.0:  # Inf or NaN: there is no such line

@@ -89,7 +89,7 @@ class Laser(NamedTuple):
     range_max: float | None  # m, readings beyond are not used
     deskew: bool
     lines: LineSettings
-    backward: bool = False  # the last beam of a scan is measured first
+    backward: bool = False  # the last beam of a scan is measured first, whatever time_increment says
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
@@ -166,7 +166,7 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
 
 
 def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Array, Array]:
-    """Return the points (k, b, 2) [m] of k scans in the base frame, NaN without a return; and their times (k,)."""
+    """Return the points (k, b, 2) [m] of k scans in the base frame, NaN without a return; and times (k,) [s]."""
     ranges, angles = returns(scans, laser)
     t, offsets = deskew(scans["time_increment"].astype(np.float64), ranges.shape[1], stamps, laser, wheels)
     points = np.stack((ranges * np.cos(angles), ranges * np.sin(angles)), axis=-1)
@@ -212,8 +212,8 @@ def deskew(
 ) -> tuple[Array, Array | None]:
     """Return the middle time of each scan (n,), and each beam's laser pose relative to that time (n, b, 3).
 
-    Wheel odometry gives the poses at KNOTS_PER_SCAN times, and the poses between are interpolated linearly: the
-    error is some micrometres. The poses are None without deskewing.
+    The poses are in the laser frame at the middle time. Wheel odometry gives them at KNOTS_PER_SCAN times, and
+    those between are interpolated linearly: the error is some micrometres. They are None without deskewing.
     """
     if not laser.deskew or beams < 2 or not np.any(increment > 0.0):
         return stamps, None

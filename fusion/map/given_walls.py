@@ -126,7 +126,7 @@ def _chains(starts: Ints, ends: Ints) -> list[list[int]]:
 
 MAX_BEND_CELLS = 1.0  # cells: the rasterised line of a straight wall deviates by less
 MIN_LENGTH_M, MIN_CELLS = 0.3, 5
-OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # least standard deviations of a line
+OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # least sigmas of a line: no plan is more exact
 
 
 def walls_of(grid: Grid) -> list[MapLine]:

@@ -18,7 +18,8 @@ predicted reading by the mount is
     d(r, psi)/d(x, y, yaw) = [[-cos(psi), -sin(psi), x sin(psi) - y cos(psi)], [0, 0, -1]]
 
 at the measured psi, where this is exact. (At the predicted psi, the heading error of the wheels would enter, which
-is correlated with their distance error: y was wrong by 8 mm.) The derivatives by pose and line are unchanged.
+is correlated with their distance error: y was wrong by k / (2 dtheta), 8 mm.) The derivatives by pose and line
+are unchanged.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ class Scans:
 MAX_ROLLED_M, MAX_TURNED_RAD = 0.001, math.radians(0.1)  # motion since the first scan that counts as rest
 SAME_D2 = 25.0  # largest squared Mahalanobis distance between lines of two scans that are equal
 SAME_LENGTH = 0.5  # least common length of equal lines, as share of the longer one
-SAME_SHARE = 0.5  # least share of line length that must be equal at rest
+SAME_SHARE = 0.5  # least share of line length that must be equal at rest: with less, something has moved
 
 
 class Standing:

@@ -44,7 +44,7 @@ RECENT_SCANS = 60  # scans
 DECIDING_SCANS = 3  # scans until a slip is decided
 # least increase of the matched share by a slip: if scan matching measured the turn, and by the map alone
 MIN_GAIN, SURE_GAIN = 0.2, 0.5
-SMALL_RAD = math.radians(5.0)  # a smaller slip is decided at once, without further scans
+SMALL_RAD = math.radians(5.0)  # a smaller slip is decided at once: headings may be off so much without one
 AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by scan matching
 CARRIED_SCANS = 6  # consecutive scans that suggest a slip: the robot is being carried
 CONTINUING_SHARE = 0.4  # share of line length at the position predicted by earlier scans: no jump

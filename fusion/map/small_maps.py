@@ -89,7 +89,7 @@ class FrozenMap(NamedTuple):
     lines: LineMap  # no line is a state
     way: Way
     box: tuple[Array, Array]  # (2,) m: least and greatest x, y of the lines and the path
-    origin: Array  # (3,) pose of the robot where the submap began
+    origin: Array  # (3,) pose of the robot where the submap began, in the frame of the anchor
     joint: Array  # (2J, 2J) joint covariance of (rho, beta), line by line
 
 

@@ -13,7 +13,7 @@ from locfuse.fusion.se2 import wrap
 from .line_map import LineMap
 
 MAX_OVERHANG_M = 0.05  # m that a wall may extend beyond its seen part
-CLEAR_SIGMAS = 3.0  # no prediction if another wall is nearer than the echo by more than this
+CLEAR_SIGMAS = 3.0  # standard deviations: no prediction if another wall is nearer than the echo by more
 MIN_SLOPE = 1e-6  # least cosine at which an edge of the cone meets a wall
 
 

@@ -75,8 +75,8 @@ UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
 )
 REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next submap begins
-# the next submap begins if the heading relative to the seen walls is this certain, or beyond this factor times
-# REACH_M: an error of its frame at the begin stays
+# the next submap begins if the heading relative to the seen walls is this certain (1 sigma), or beyond this factor
+# times REACH_M: an error of its frame at the begin stays
 MAX_HEADING_SIGMA_RAD, MAX_REACH_FACTOR = math.radians(0.5), 1.5
 # m of path in a submap before the first search for the submap in earlier ones, and between two searches
 FIRST_LOOK_M, LOOK_AGAIN_M = 3.0, 1.5

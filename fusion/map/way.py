@@ -30,7 +30,7 @@ from .anchors import MIN_STEP, inverted
 from .scan import Scan
 
 STRIDE_M, TURN_RAD = 0.75, math.radians(45.0)  # m, rad between two scans that are kept
-MAX_SIGHTS = 60  # kept scans of one submap
+MAX_SIGHTS = 60  # kept scans of one submap: more do not help
 # key scans of a path: fewer are inexact; over more, the submap is more accurate than the chain of matches
 MIN_KEYS, MAX_KEYS = 4, 100
 FILTER_P = np.square(

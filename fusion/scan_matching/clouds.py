@@ -15,7 +15,7 @@ from msgspec.structs import astuple
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements
 
-MAX_BEAMS = 360  # matched beams of a scan
+MAX_BEAMS = 360  # matched beams of a scan: more take time and do not improve the match
 NEIGHBOUR_BEAMS = 3  # beams at each side to which a surface is fitted
 MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # of a surface: least number of neighbours, largest distance from the line
 MAX_GAP_M, GAP_SPACINGS = 0.25, 5.0  # neighbours further apart (m, beam spacings) belong to different surfaces

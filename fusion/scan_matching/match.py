@@ -29,7 +29,7 @@ MIN_FACING = 0.7  # least cosine between the normals of matched points: a wall h
 INLIER_M = 0.1  # largest distance of an inlier from its line
 # m, rad: 1 sigma of a weak prior, which gives a solution in directions without points (along a corridor)
 MAX_ALONE_SIGMAS = (0.3, 0.3, np.radians(10.0))
-MATCHED_POINTS = 120  # of one cloud
+MATCHED_POINTS = 120  # of one cloud: more take time, and neighbouring points add little
 POINTS_AT_ONCE = 1_000_000
 SETTLED_M = 2e-4  # m, rad: a pair with a smaller step has converged
 

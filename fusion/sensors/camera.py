@@ -129,7 +129,10 @@ class Camera(Sensor):
         return _collect(look(stream, detector(settings)), settings, epoch_ns)
 
     def again(self, before: Measurements, settings: CameraSettings, epoch_ns: int) -> Measurements | None:
-        """Return the result of `measure` from stored detections; None if the detector's settings changed."""
+        """Return the result of `measure` from stored detections; None if the detector's settings changed.
+
+        Without a new detection only clock, direction and sigma may change.
+        """
         seen = before.seen
         if self.missing(settings) or not isinstance(seen, Seen) or not seen.by.looks_like(detector(settings)):
             return None

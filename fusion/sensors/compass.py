@@ -239,7 +239,7 @@ def from_imu(
 ) -> tuple[Array, Array]:
     """Return the yaws (n,) [rad] of the base from an IMU's orientation, NaN where it is missing.
 
-    Also return ones (n,), in place of field strengths.
+    Also return ones (n,), in place of field strengths. A first covariance element of -1 means no orientation.
     """
     q = np.column_stack([columns[f"orientation.{a}"] for a in "xyzw"])
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ((q**2).sum(axis=1) < 0.25)

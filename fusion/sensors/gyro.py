@@ -207,7 +207,7 @@ class GyroModel(Model):
 
 
 def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Array:
-    """Return the turning rates (n,) [rad/s] about the robot's vertical axis."""
+    """Return the turning rates (n,) [rad/s] about the robot's vertical axis, by the mount's row for up."""
     if "data" in columns:  # a bare number is the rate itself
         bare = np.asarray(columns["data"], dtype=np.float64)
         return np.radians(bare) if settings.unit == "deg" else bare

@@ -70,7 +70,10 @@ def plausible(field: Array) -> Array:
 
 
 def _start(m: Array) -> tuple[Array, Array]:
-    """Return a first guess of centre (2,) and shape (2, 2) of the ellipse, by linear least squares."""
+    """Return a first guess of centre (2,) and shape (2, 2) of the ellipse, by linear least squares.
+
+    The algebraic fit a x^2 + b x y + d y^2 + e x + f y = 1, about the mean.
+    """
     mean = m.mean(axis=0)
     x, y = (m - mean).T
     if min(np.ptp(x), np.ptp(y)) < 1e-6:
@@ -149,7 +152,7 @@ def _shape_sigma(A: Array, spread: Array) -> Array:
 def iron_error_deg(c: Array, A: Array) -> float:
     """Return the rms heading error [deg] that uncorrected iron causes over a full turn; the mean is subtracted.
 
-    The field readings lie on an ellipse with centre c (2,) and shape A (2, 2), as in `_gauss_newton`.
+    The field readings are m = c + A^-1 (cos, sin), with centre c (2,) and shape A (2, 2).
     """
     a = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
     raw = c + np.column_stack((np.cos(a), np.sin(a))) @ np.linalg.inv(A)

@@ -216,7 +216,7 @@ def _values(column: Any, row: Ints, topic: str) -> Array:
 LEVER = ("x", "y", "yaw")  # of a detection, where several cameras look
 OFFSET, DEPTH = "range_offset", "range_depth"
 SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
-MAX_DEPTH_SIGMA, MIN_DEPTH = 0.2, 0.5  # limits of k for the note that ranges are depths
+MAX_DEPTH_SIGMA, MIN_DEPTH = 0.2, 0.5  # 1 sigma and value of k: limits for the note that ranges are depths
 MAX_PLACE_NOTES = 20  # on landmarks that are elsewhere than in the map
 WRONG_SIGMAS = 3.0  # of one detection's position; the median of many is much more exact
 MIN_FIT = 50  # detections needed to judge poses
@@ -337,7 +337,7 @@ class Landmarks(Sensor):
         )
 
     def misfit(self, m: Measurements, settings: LandmarksSettings, poses: Array) -> float | None:
-        """Return the spread [rad] of bearing errors at poses (n, 3); None for an estimated map."""
+        """Return the spread [rad] of bearing errors at poses (n, 3); None for an estimated map or few bearings."""
         if settings.grows:
             return None
         places = settings.places

@@ -71,8 +71,8 @@ class LevelledField:
 def tilt_of(stream: Stream, R: Array) -> Tilt | None:
     """Return the vertical direction in the base frame over time, by an IMU; None if the robot hardly tilts.
 
-    R (3, 3) is the rotation from IMU axes to base axes. None too without orientation, gravity and rates, and if up
-    contradicts the configured mount (reported by `locfuse info`).
+    R (3, 3) is the rotation from IMU axes to base axes. None too if the IMU has neither orientation nor gravity
+    and rates, and if up contradicts the configured mount (reported by `locfuse info`).
     """
     columns = cast("dict[str, Array]", stream.columns(*READS))
     up, words = by_orientation(columns), "the orientation"
@@ -107,7 +107,7 @@ def levelled(m: Array, up: Array) -> tuple[Array, Array]:
 
 
 def by_orientation(columns: dict[str, Array]) -> Array | None:
-    """Return up (n, 3) in the IMU frame by its orientation, NaN where missing; None if it never changes."""
+    """Return up (n, 3) in the IMU frame by its orientation, NaN where missing; None if absent or constant."""
     q = np.stack([columns[name] for name in ORIENTATION], axis=-1).astype(np.float64)
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ~((q**2).sum(axis=1) >= 0.25)
     if none.all():
@@ -140,7 +140,7 @@ def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
 
 
 def _bias(a: Array, w: Array) -> Array:
-    """Return the bias (3,) [rad/s] of the turning rates about horizontal axes, where the mean rate is zero."""
+    """Return the bias (3,) [rad/s] of the turning rates about horizontal axes, as a robot keeps its mean tilt."""
     up = np.median(a, axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     bias = np.median(w, axis=0)

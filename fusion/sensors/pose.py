@@ -250,6 +250,7 @@ class KeptPoseModel(Model):
     """Model of poses in a frame other than the map: only motions between two poses are measured.
 
     The motion is u = (-)B (+) p, with the robot's pose p and its cloned earlier pose B, which is a state.
+    A source in an unknown frame gives no absolute heading.
     """
 
     local = True

@@ -246,7 +246,7 @@ def brings_covariance(sensor: str, trials: Sequence[Trial]) -> bool:
 
 
 def check_same_noise(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
-    """Raise LocfuseError if two logs are configured with different noise."""
+    """Raise LocfuseError if two logs are configured with different noise: the search needs one start."""
     first = trials[0]
     for t in trials[1:]:
         pairs = [("wheels.noise", first.robot.wheels.noise, t.robot.wheels.noise)]

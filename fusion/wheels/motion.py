@@ -103,7 +103,7 @@ class Wheels(msgspec.Struct, frozen=True):
         return np.interp(t, self.t, self.pose[:, 2])
 
     def driven(self, t: Array) -> Array:
-        """Return the distance (...) [m, increasing] that the faster wheel rolled until times t (...) [s]."""
+        """Return the distance (...) [m, never decreasing] that the faster wheel rolled until times t (...) [s]."""
         steps = np.abs(self.rolled).max(axis=1)
         return np.interp(t, self.t, np.concatenate(([0.0], np.cumsum(steps))))
 
@@ -206,10 +206,10 @@ def _sums(pieces: Array, count: Ints) -> Array:
 def silences(t: Array, rolled: Array, turn: Array) -> Array:
     """Return (n-1, 2) for n-1 wheel intervals: position variance [m^2] and turning rate [rad/s] of gaps, else 0.
 
-    Over a gap, the counters give the distance of each wheel but not the path: a straight line, an arc or two
-    corners. With the fastest usual turning rate w, the heading deviates from the constant turn by up to w T / 2
-    and returns, on average by w T / 4 (uniform), and the position by this share of the path; at most it lies
-    anywhere in a disc about the start.
+    Both are 0 elsewhere. Over a gap, the counters give the distance of each wheel but not the path: a straight
+    line, an arc or two corners. With the fastest usual turning rate w, the heading deviates from the constant turn
+    by up to w T / 2 and returns, on average by w T / 4 (uniform), and the position by this share of the path; at
+    most it lies anywhere in a disc about the start.
     """
     span, way = np.diff(t), 0.5 * np.abs(rolled).sum(axis=1)
     silent = span > gap_limit(t)
@@ -230,10 +230,12 @@ def dead_reckoning(twist: Array) -> Array:
     return np.column_stack((np.append(0.0, x), np.append(0.0, y), theta))
 
 
-# ---- share of a sensor's readings that a motion explains: turns of a gyro or compass, distances between fixes
-# ----  The log is cut into n windows. With the readings a (n,) of the sensor and b (n,) of the motion, the
-# explained share is 1 - |a - b|^2 / |a|^2, at the best delay between both clocks. It is 0 for a motion at rest.
-# Both signs of the turns are tried, so an axis that points down is not detected.
+# ---- share of a sensor's readings that a motion explains ----
+#
+# Readings are turns of a gyro or compass, or distances between fixes. The log is cut into n windows. With the
+# readings a (n,) of the sensor and b (n,) of the motion, the share is 1 - |a - b|^2 / |a|^2, at the best delay
+# between both clocks. It is 0 for a motion at rest. Both signs of the turns are tried, so an axis that points down
+# is not detected.
 
 TURN_WINDOW_S, WAY_WINDOW_S, MIN_WINDOWS = 1.0, 5.0, 5
 LAGS_S = np.arange(-1.0, 1.01, 0.1)  # between the clocks of a motion and a sensor

@@ -35,11 +35,11 @@ from locfuse.fusion.sensor import WheelMotion
 from .motion import Wheels
 from .read import WheelReading
 
-MAX_POINTS = 240  # of a scan
+MAX_POINTS = 240  # of a scan: neighbouring beams add no information
 # motion assumed in the first pass, before scans are matched: none
 STANDING = Wheels.from_twists(np.array([0.0, 1.0]), np.zeros((1, 3)), 1.0, 0.0)
 SCANS_AT_ONCE = 400
-MIN_PAIR_S = 0.15  # least time between the two scans that give the velocity
+MIN_PAIR_S = 0.15  # least time between two scans for a velocity: the motion in less is below the error of a match
 # share of the prior's information used while matching; afterwards match and full prior are combined
 PAIRING_PRIOR_SHARE = 0.1
 # a key is kept while the overlap of a scan with it is this share of its first scan's: fewer keys give less drift
@@ -57,7 +57,7 @@ USUAL_NOISE = WheelSettings().noise
 NO_RETURNS = "no scan of {topic} sees enough to be matched with another"
 # (m/s)^2, (m/s)^2, (rad/s)^2: prior variance of a robot's velocity
 USUAL_VARIANCES = np.array([0.5, 0.3, 1.0]) ** 2
-DECAY_S = np.array([4.0, 4.0, 1.0])  # s, decay times of the velocity
+DECAY_S = np.array([4.0, 4.0, 1.0])  # s, decay times of the velocity: turns change fastest
 
 
 class _Way(msgspec.Struct):

@@ -146,7 +146,7 @@ def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
     rows = np.flatnonzero(finite)
     if len(rows) == 0:
         return rows
-    # of several readings with one stamp the last one is used
+    # of several readings with one stamp the last one is used: it has the newest value
     last = np.append(t_ns[rows[1:]] > t_ns[rows[:-1]], True)
     same = (values[rows[1:]] == values[rows[:-1]]).all(axis=1) & ~last[:-1]
     count_dropped(dropped, repeat=same, same_stamp=~last[:-1] & ~same)

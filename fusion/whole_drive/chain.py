@@ -13,7 +13,7 @@ from locfuse.fusion.scan_matching.solve import Edges, Problem
 
 from .odometry import Odometry, by_lever
 
-WHEEL_FLOOR_P = np.diag([0.005**2, 0.005**2, np.radians(0.3) ** 2])  # m^2, rad^2: least variance (uneven floors)
+WHEEL_FLOOR_P = np.diag([0.005**2, 0.005**2, np.radians(0.3) ** 2])  # m^2, rad^2: added for uneven floors
 # sideways error per distance: with a mount yaw error of 2 degrees, the laser measures sideways motion
 SIDEWAYS_SHARE = 0.04
 WHEEL_WIDTH_SIGMAS = 3.0  # width of the robust kernel: wheel slips are outliers

@@ -236,10 +236,7 @@ class JointBelief(ekf.State):
         self._queue[: self.queued] = waiting
 
     def equation(self, seen: Sequence[Innovation] | None = None) -> Equation:
-        """Return queued innovations as one equation: y (m,), state columns (c,), H (m, c), R (m, m).
-
-        `seen`: only these innovations; None: all queued rows.
-        """
+        """Return the innovations `seen`, by default all queued, as one equation: y (m,), columns, H (m, c), R."""
         at, H, count, y, R = self._rows
         rows = self._queue[: self.queued].tolist()
         if seen is not None:

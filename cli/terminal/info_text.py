@@ -202,7 +202,7 @@ def _keys(fixes: Sequence[str]) -> set[str]:
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
-    """Return lines with `fixes` as --set options, the first line after `head`.
+    """Return lines with `fixes` as --set options; the first line begins with the text `head`.
 
     Lines are wrapped at `width` characters; None: one line.
     """

@@ -40,7 +40,7 @@ class McapSource(ChunkedSource):
         self.channels = self._channels()
 
     def _use(self, found: Survey) -> None:
-        """Take the parts of the file from a survey; read those parts whose channels or message counts are unknown.
+        """Keep the parts of the file found by a survey; read parts whose channels or message counts are unknown.
 
         Messages that the file's statistics promise, but no part has, are recorded as a loss.
         """

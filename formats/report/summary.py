@@ -116,7 +116,7 @@ def is_figure(key: str, value: Any) -> bool:
 
 
 def columns_of(summary: Mapping[str, Any]) -> list[Column]:
-    """Return the columns of main figures that at least one configuration has."""
+    """Return the table columns for those main result numbers that at least one configuration has."""
     rows = [c["figures"] for c in summary["configurations"].values()]
     return [c for c in MAIN if any(c.key in row for row in rows)]
 

@@ -479,7 +479,7 @@ def worth(advice: Advice) -> float:
 
 
 def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
-    """Return the gain of a fix in the comparison with rival fixes.
+    """Return the gain by which a fix is ranked among `rivals`, fixes that compete with it.
 
     Without truth, two sensors that disagree each predict better with a change of the other one. So only
     configurations that judged all rivals count, if there are any.

@@ -255,7 +255,7 @@ def leave_strays(fit: Fit, limit: float, least: float) -> None:
 
 
 def normal_equations(fit: Fit) -> None:
-    """Compute the sums of w, wq, wqq, we, wqe, wee."""
+    """Compute the weighted sums of a line fit: weights w, places q along the line, residuals e."""
     a = b = c = f = g = ee = 0.0
     for k in range(fit.count):
         e, q, w = fit.error[k], fit.foot[k], fit.weight[k]

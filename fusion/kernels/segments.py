@@ -70,7 +70,7 @@ class Limits:
 
 
 class Returns:
-    """Returns of one scan (`count` of them), in beam order.
+    """Laser echoes of one scan, `count` of them in beam order.
 
     Each has a range [m], started at the origin o [m] along the direction u, ended at (x, y) [m] and may lie off a
     straight piece by its tolerance [m]. `closed`: no gap cuts the circle of them.

@@ -353,7 +353,10 @@ def _refined(
 def _same_walls(
     x: Array, scan: Scan, there: MapWithPath, known: Ints, near: float, turned: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Return Jacobian (2p, 3), residuals, weights (2p,) of p pairs of equal walls, and common lengths (p,)."""
+    """Return Jacobian (2p, 3) by the pose x, residuals and weights (2p,) of p walls seen in scan and map.
+
+    Also return the length (p,) [m] by which the two walls of a pair overlap.
+    """
     lines, values = there.lines, there.lines.value[known]
     beta = values[:, 1]
     c, s = np.cos(beta), np.sin(beta)

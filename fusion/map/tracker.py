@@ -204,7 +204,7 @@ class LineTracker(Model):
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
-        """Return the shared errors (k, 2, s) of the lines first:last."""
+        """Return by how much s error sources that all lines of a scan share move lines first:last, (k, 2, s)."""
         if not self.joint or "shared" not in m.extra:
             return NO_SHARES
         return np.ascontiguousarray(m.extra["shared"][first:last], np.float64)

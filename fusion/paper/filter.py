@@ -86,7 +86,7 @@ def _grid(end: float, period: float) -> Array:
 
 
 class PrintedFilter:
-    """The printed filter: pose, covariance, measurement rows of each sensor, and the record of a run."""
+    """Filter with the equations as printed in the paper: state, measurements and the record of a run."""
 
     def __init__(
         self,

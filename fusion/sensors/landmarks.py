@@ -403,7 +403,7 @@ class Ranging(NamedTuple):
     free: tuple[bool, bool]  # whether offset and k are states
 
     def share(self, short: float) -> float:
-        """Return the factor from true distance to measured range, 1 - k short."""
+        """Return measured range / true distance: 1 - depth * short."""
         return max(1.0 - self.depth * short, MIN_SHARE)
 
     def derivative(self, short: float, distance: float) -> tuple[float, ...]:

@@ -80,7 +80,7 @@ class Judged:
         return "unclear" if verdict is None else verdict.verdict
 
     def _doubtful(self, name: str) -> bool:
-        """Return whether a run is lost, or truth contradicts its covariance or did not check it."""
+        """Return whether a run is lost, or its covariance is inconsistent with the truth or was not compared with it."""
         check = self.covariance_checks.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return check is None or lost or not check.consistent

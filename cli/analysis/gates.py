@@ -67,7 +67,7 @@ class Gate(msgspec.Struct, frozen=True):
 
 
 class Tolerance(msgspec.Struct, frozen=True):
-    """Allowed growth of an error figure over the baseline: a share, or a length or angle if that is larger."""
+    """Allowed growth of an error over the baseline: the larger of a share of it and a length or angle."""
 
     text: str
     share: float = 0.0

@@ -161,7 +161,7 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 
 def _may_apply(f: Finding) -> bool:
-    """Return whether a fix needs no question: its finding is severe, measured, or a choice already made."""
+    """Return whether init may set a fix without asking: it is severe, or its value is measured or chosen."""
     return f.code not in {OPEN_SCALE, OPEN_CLOCK} and (f.severe or f.code in {*MEASURED_CODES, "choice"})
 
 

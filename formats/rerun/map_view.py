@@ -89,7 +89,7 @@ def _moves(xy: Array, angle: Array) -> rr.ComponentColumnList:
 
 
 def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
-    """Draw the walls as in the first scan, from the map's start, and the final walls with their 3-sigma bands.
+    """Draw the walls of the map's first scan, and the walls of the final map with 3-sigma bands.
 
     A final wall appears at the time of its first match.
     """

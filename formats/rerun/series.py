@@ -132,7 +132,7 @@ def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: Se
 
 
 def _draw_gate(pen: Pen, path: str, t: Array, codes: Ints) -> None:
-    """Draw a sensor's gate over time: the state (an index into STATES) of readings at t (n,) s, at each change."""
+    """Draw when the state of a sensor's readings changes; `codes` (n,) at t (n,) [s] are indices into STATES."""
     names = list(ink.STATES)
     reading, code = thinned_states(codes, pen.limit)
     changes = np.flatnonzero(np.diff(code, prepend=-1))

@@ -126,7 +126,7 @@ def by_memory(sensor: str, settings: Any, variance: float, repeats: float, perio
 
 
 def _on_sigma(o: Own, floor: Sequence[float]) -> float:
-    """Return the factor on sigma that changes R = sigma^2 R_unit + floor by the factor `o.scale`."""
+    """Return the factor by which to change sigma so that R = sigma^2 R_unit + floor changes by `o.scale`."""
     parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
     return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
 

@@ -142,7 +142,7 @@ class Own(msgspec.Struct, frozen=True):
 
     @property
     def is_overconfident(self) -> bool:
-        """Whether the smoothed path differs by more than the estimate's covariance allows."""
+        """Whether the distance to the smoothed path is larger than the estimate's covariance allows."""
         apart = 0.0 if self.smoothed is None else self.smoothed.rms
         return apart > max(MAX_CLAIM_RATIO * self.claimed_m, MIN_APART_M)
 

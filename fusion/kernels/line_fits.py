@@ -322,7 +322,7 @@ def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
 
 
 def stiffness(fit: Fit) -> float:
-    """Return the weight of the curvature term q^2, made orthogonal to the line's terms 1 and q."""
+    """Return the information of the curvature: of q^2 without its fit by 1 and q (q: place along the line)."""
     a, b, c, cubic = fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_wqqq
     return fit.sum_wqqqq - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / determinant(fit)
 

@@ -403,7 +403,7 @@ class Ranging(NamedTuple):
     free: tuple[bool, bool]  # whether offset and k are states
 
     def share(self, short: float) -> float:
-        """Return measured range / true distance: 1 - depth * short."""
+        """Return the ratio measured range / true distance, with `short` = 1 - cos(bearing)."""
         return max(1.0 - self.depth * short, MIN_SHARE)
 
     def derivative(self, short: float, distance: float) -> tuple[float, ...]:

@@ -225,7 +225,7 @@ def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
 
 
 def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
-    """Convert scan matches to errors xi (n, 3) of the odometry u (n, 3) since the key, and their information.
+    """Return errors xi (n, 3) of odometry u (n, 3) since a key pose, by scan matches, and inverse covariances.
 
     `guess` (n, 3) are the expected errors. The information (n, 3, 3) is 0 for a bad match.
     """

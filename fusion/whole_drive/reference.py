@@ -76,7 +76,7 @@ class References(msgspec.Struct, frozen=True):
         noise: Mapping[str, float],
         contradict: Sequence[tuple[str, str]] = (),
     ) -> References | None:
-        """Compute the references of a drive; None if the robot is lost in the solution with all sensors.
+        """Compute smoothed paths that stand in for truth; None if the robot is lost in the one with all sensors.
 
         A smoothed solution that contradicts the filter's within the covariances of both is not used: one is wrong.
         `known`: filtered and smoothed estimates that were computed before, by set of sensors. `noise`: factor by

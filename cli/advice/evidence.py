@@ -36,7 +36,18 @@ from locfuse.fusion.checks.pictures import RIMS
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
-from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, UNIT, WHEEL_SCALE, of_point, of_ways, swing
+from locfuse.fusion.checks.truth import (
+    CREEP,
+    POINT,
+    SIZE,
+    START,
+    STEP,
+    UNIT,
+    WHEEL_SCALE,
+    of_point,
+    of_ways,
+    swing,
+)
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Consistency, biased_against
@@ -95,16 +106,20 @@ class Evidence(Noise):
         return (
             (self.truth,),
             (self.start, self.clocks, self.other_clocks, self.geometry),
-            [partial(self._on_even_clocks, f) for f in (self.offsets, self.slips, self.noise, self.unexplained)],
+            (
+                self.offsets,
+                self.slips,
+                *(partial(self._on_even_clocks, f) for f in (self.noise, self.unexplained)),
+            ),
         )
 
     def _on_even_clocks(self, find: Callable[[], list[Candidate]]) -> list[Candidate]:
         """Return the candidates of `find` without those of a sensor if the stamps of another sensor scatter.
 
-        Scattering stamps of one sensor can look like a fault of another.
+        Scattering stamps of one sensor can look like the noise of another.
         """
         uneven = {f.role for f in self.doctor if f.code == UNEVEN}
-        return [c for c in find() if c.finding.role not in REGISTRY or not uneven - {c.finding.role}]
+        return [c for c in find() if not uneven or c.finding.role in uneven or c.finding.role not in REGISTRY]
 
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
@@ -115,7 +130,7 @@ class Evidence(Noise):
 
     def truth(self) -> list[Candidate]:
         """Return findings on a truth that steps sideways, is mirrored or not in metres; then no error is valid."""
-        return [self._candidate(f, ()) for f in self.doctor if f.code in {STEP, MIRROR, UNIT}]
+        return [self._candidate(f, ()) for f in self.doctor if f.code in {STEP, MIRROR, UNIT, SIZE}]
 
     def start(self) -> list[Candidate]:
         """Return the finding on a wrong start, which is fixed first since it affects every error."""
@@ -141,13 +156,13 @@ class Evidence(Noise):
     def _late(self, explanations: Sequence[Sequence[Clock]]) -> list[Candidate]:
         found: dict[str, Candidate] = {}
         by_truth = self.loaded.drive.truth is not None
-        if self._bumped and not by_truth:
-            return []  # they are compared with the laser's
         for clock in (clock for clocks in explanations for clock in clocks):
             if clock.name in found or not self.judges(clock.name):
                 continue  # no run uses this sensor
             sure = abs(clock.offset) > SAID_SIGMAS * clock.sigma
             finding = Finding(clock.name, CLOCK, clock_words(clock), (), sure and abs(clock.offset) > SEVERE_LAG_S)
+            if self._bumped and not by_truth and not finding.severe:
+                continue  # small lags are those against the laser, whose headings step
             steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
             ways: tuple[Fixes, ...] = tuple((offset_of(clock, self.loaded.robot, 3, n),) for n in steps)
             one = self._candidate(finding, ways, not finding.severe)
@@ -190,6 +205,8 @@ class Evidence(Noise):
         seen = [f for f in self.doctor if f.code not in {CLOCK, OPEN_CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
         scales = [] if self._open_scale else [self._unless_open(f) for f in self._distances]
+        if any(f.code == OPEN_SCALE and not f.fixes for f in scales):
+            scales = scales[:1]  # no fix of the wheels either: prediction gets better if both are equally wrong
         open_ = [self._candidate(f, ()) for f in found if not f.fixes]
         return [*known, *open_, *(self._candidate(f, (f.fixes,) if f.fixes else ()) for f in scales)]
 

@@ -80,7 +80,7 @@ class Judged:
         return "unclear" if verdict is None else verdict.verdict
 
     def _doubtful(self, name: str) -> bool:
-        """Return whether a run is lost, or its covariance is inconsistent with the truth or was not compared with it."""
+        """Return whether a run is lost, or its covariance does not fit the truth or was not checked by it."""
         check = self.covariance_checks.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return check is None or lost or not check.consistent
@@ -240,7 +240,7 @@ class Noise(Judged):
             return None
         return ranges_sigma(self.loaded.stream(LASER), self.loaded.robot.settings(LASER))
 
-    @property
+    @cached_property
     def _walls_bend(self) -> bool:
         """Whether straight walls look bent in the laser's raw ranges, as with a constant range error."""
         stream = self.loaded.stream(LASER) if LASER in self.loaded.drive.measurements else None

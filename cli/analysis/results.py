@@ -85,7 +85,7 @@ def repeat(loaded: Loaded, asked: Asked) -> str:
 
 
 def log_words(log: Log, as_given: bool = False) -> list[str]:
-    """Return a log as arguments of a command line: its file names, or if `as_given` the paths that the user typed."""
+    """Return a log as command-line arguments: its file names, or if `as_given` the paths that the user typed."""
     if log.name in sample_logs.names() and log.paths[0] == sample_logs.path(log.name):
         return [log.name]
     if as_given:

@@ -44,6 +44,7 @@ MAX_WRONG = 3  # clocks of one log
 UNEVEN = "uneven"  # code of the finding that stamps scatter about an even clock
 MIN_SCATTER_S, MIN_SCATTER_SHARE = 0.01, 0.1  # s and share of the period, 1 sigma: less is not reported
 MAX_EVEN_CORRELATION = -0.35  # of neighbouring intervals: -0.5 about an even clock, 0 where periods vary
+MAX_ALTERNATING_CORRELATION = 0.3  # of intervals that are two apart: 0 about an even clock, 1 of long, short, long
 MIN_EVEN_PERIODS = 50
 WHEEL_LAG_SHARE = 0.1  # share of the wheels' lag that a laser's run may contain
 AS_STAMPED = Lag(0.0, 1.0, 1.0)
@@ -93,7 +94,8 @@ def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
     if sigma < max(MIN_SCATTER_S, MIN_SCATTER_SHARE * period):
         return []
     off = np.clip(dt, 0.0, 2.0 * period)  # of dropped readings, a part
-    if np.corrcoef(off[1:], off[:-1])[0, 1] > MAX_EVEN_CORRELATION:
+    one, two = (float(np.corrcoef(off[k:], off[:-k])[0, 1]) for k in (1, 2))
+    if one > MAX_EVEN_CORRELATION or two > MAX_ALTERNATING_CORRELATION:
         return []
     words = (
         f"stamps scatter by {sigma:.3f} s (1 sigma) about an even period of {period:.3f} s. If it measures "

@@ -25,7 +25,7 @@ from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius
 from .laser_ranges import of_offset, of_scatter
 from .sweep import of_sweep
-from .truth import UNIT, metre, of_size, of_truth, of_unit, wheels_metre
+from .truth import SIZE, metre, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
 
 MIN_READINGS = 10  # readings from which a sensor is judged
@@ -81,7 +81,7 @@ def examine(
     if least is None:  # callers that try fixes compare clocks themselves
         scales += of_clocks(drive, robot)
         scales += unseen(drive) if scales else []
-    truth = [] if any(o.code == UNIT for o in scales) else of_truth(drive, robot)
+    truth = [] if any(o.code == SIZE for o in scales) else of_truth(drive, robot)
     return [*found, *scales, *truth]
 
 

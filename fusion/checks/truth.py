@@ -19,11 +19,13 @@ from .finding import Finding, Least
 from .laser import OPEN_SCALE, Motion, range_fix, who_is_right
 
 UNIT, JUMP = "unit", "jump"  # codes of the findings on an unusable truth
+SIZE = "size"  # code of the finding on a truth with another distance scale than wheels and laser
 # by the ratio of its distances to those in m
 UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}
 MAX_UNIT_RATIO = 1.5  # of that ratio, either way
 # standard errors; share of the truth's scale error that wheels and laser may differ by
 MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
+MIN_SCALE_SHARE = 0.05  # of the squared steps of a path that no tracked point explains: with less it has no scale
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: 99th percentile of the speeds of a robot
 STEP = "step"  # code of the finding on sideways steps
 POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on sideways motion
@@ -231,19 +233,19 @@ def of_size(drive: Drive, motion: Motion | None) -> list[Finding]:
     truth = drive.truth
     if truth is None or motion is None or drive.wheels.matched is not None:
         return []
-    swung = swing(truth, drive, axle_path(truth, drive.wheels))  # a tracked point off the axle drives other ways
-    found = wheels_metre(drive) if swung is None else (float(swung.x[2]), float(swung.sigma[2]))
+    # chords do not do: noise makes them longer, and so does a tracked point off the axle
+    found = swing(truth, drive, axle_path(truth, drive.wheels))
     if found is None:
         return []
-    factor, off = found[0], abs(found[0] - 1.0)
-    apart = abs(motion.scale - 1.0) + MAX_SIZE_SIGMAS * motion.scale_sigma
-    if off < max(SEVERE_SCALE_ERROR, MAX_SIZE_SIGMAS * found[1]) or apart > MAX_APART_SHARE * off:
+    factor, sigma = float(found.x[2]), float(found.sigma[2])
+    off, apart = abs(factor - 1.0), abs(motion.scale - 1.0) + MAX_SIZE_SIGMAS * motion.scale_sigma
+    if off < max(SEVERE_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma) or apart > MAX_APART_SHARE * off:
         return []
     words = (
         f"its distances are {factor:.3f} times those of the wheels and of the laser, which agree to "
-        f"{abs(motion.scale - 1.0):.1%}: its scale is wrong. Errors by it mean nothing until it is corrected"
+        f"{abs(motion.scale - 1.0):.1%}: its scale is wrong, or theirs if one was calibrated by the other"
     )
-    return [Finding("truth", UNIT, words, (), True)]
+    return [Finding("truth", SIZE, words, (), True)]
 
 
 def unusable(drive: Drive) -> Finding | None:
@@ -346,6 +348,10 @@ def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
     A = np.stack((np.stack(along, axis=-1), np.stack(across, axis=-1)), axis=1)
     if (A[:, :, :2] ** 2).sum() < 1.0:
         return None
+    lever, way = A[:, :, :2].reshape(-1, 2), A[:, :, 2].ravel()
+    alone = way - lever @ np.linalg.lstsq(lever, way, rcond=None)[0]
+    if alone @ alone <= MIN_SCALE_SHARE * (way @ way):
+        return None  # on a circle a point beside the axle moves as a path of another scale
     parts = np.array_split(np.arange(len(y)), STRETCHES)
     others = np.array([_robust(np.delete(A, part, axis=0), np.delete(y, part, axis=0)) for part in parts])
     return Swing(_robust(A, y), others.std(axis=0) * math.sqrt(STRETCHES - 1))
@@ -387,7 +393,7 @@ def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
     if found is None or way <= 0.0:
         return []
     ratio, sigma = float(found.x[2]), max(float(found.sigma[2]), math.sqrt(0.5 * drive.wheels.noise / way))
-    if abs(ratio - 1.0) < max(MIN_WAY_ERROR, WAY_SIGMAS * sigma):
+    if abs(ratio - 1.0) < max(MIN_WAY_ERROR, WAY_SIGMAS * sigma) or not range_fix(robot, ratio):
         return []
     fixes = range_fix(robot, 1.0 / ratio)
     words = (

@@ -331,7 +331,7 @@ class Sight:
                 self.match[i] = -1
 
     def try_pair(self, p: int, i: int) -> None:
-        """Keep pair p if its score is the best so far for line i: of the matches, or of the pairs that do not fit."""
+        """Keep pair p if it scores best so far for line i, among matches or among pairs that do not fit."""
         if self.pairs[p, OVERLAP] > 0.0 and self.pairs[p, D2] <= NEAR_D2:
             self.near[i] = 1
         if self.fits_well(p, i):

@@ -107,7 +107,7 @@ def levelled(m: Array, up: Array) -> tuple[Array, Array]:
 
 
 def by_orientation(columns: dict[str, Array]) -> Array | None:
-    """Return the up direction (n, 3) in the IMU frame by its orientation; None if missing everywhere, or constant."""
+    """Return up directions (n, 3) in the IMU frame by its orientation; None if all missing, or constant."""
     q = np.stack([columns[name] for name in ORIENTATION], axis=-1).astype(np.float64)
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ~((q**2).sum(axis=1) >= 0.25)
     if none.all():

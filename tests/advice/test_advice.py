@@ -177,6 +177,10 @@ def test_ranges_that_are_all_too_long_are_named_without_truth_where_nothing_else
 
 def test_laser_and_wheels_that_differ_in_distance_are_both_named(log: Path) -> None:
     """The laser's own readings are predicted better by the wheels' distances, even if the wheels are wrong."""
+    for small in ("lrf.range_scale=1.04", "lrf.range_scale=0.97"):
+        found = load(log, sets=("truth.topic=none", small)).findings()
+        assert not {fix.partition("=")[0] for fix in found["fixes"]} & {"lrf.range_scale", "wheels.radius"}
+        assert any(f["code"] == "distances" for f in found["findings"])
     for wrong in (("lrf.range_scale=1.08",), ("wheels.radius=0.046", "wheels.track=0.552")):
         found = load(log, sets=("truth.topic=none", *wrong)).findings()
         assert not {fix.partition("=")[0] for fix in found["fixes"]} & {"lrf.range_scale", "wheels.radius"}

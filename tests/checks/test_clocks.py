@@ -270,5 +270,6 @@ def test_stamps_that_scatter_about_an_even_period_are_named_with_their_sigma() -
     )
     varying = np.cumsum(rng.normal(0.1, 0.03, 600).clip(0.01))
     dropped = even[rng.random(600) > 0.2]
+    alternating = even[np.arange(600) % 3 > 0][:399]  # every third one is not recorded
     slight = even + rng.normal(0.0, 0.005, 600)
-    assert not any(of_uneven_stamps("lrf", t) for t in (even, varying, dropped, slight, even[:20]))
+    assert not any(of_uneven_stamps("lrf", t) for t in (even, varying, dropped, alternating, slight, even[:20]))

@@ -25,6 +25,7 @@ from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius, range_fix
 from locfuse.fusion.checks.probes import path_scale
 from locfuse.fusion.checks.truth import (
+    SIZE,
     UNIT,
     jumps_of,
     metre,
@@ -355,9 +356,9 @@ def test_a_truth_whose_size_wheels_and_laser_both_deny_is_wrong(truth: float, wh
     own = rolled(healthy, wheels * healthy.wheels.rolled, TRACK * wheels)
     scaled = replace(own, truth=replace(truth_of(own), xy=truth * truth_of(own).xy))
     found = of_size(scaled, seen(scaled))
-    assert [(f.role, f.code, f.fixes, f.severe) for f in found] == ([("truth", UNIT, (), True)] if named else [])
+    assert [(f.role, f.code, f.fixes, f.severe) for f in found] == ([("truth", SIZE, (), True)] if named else [])
     scales = _scales(scaled, robot(), turnings(scaled), (), None)
-    assert (("truth", UNIT) in {(f.role, f.code) for f in scales}) == named
+    assert (("truth", SIZE) in {(f.role, f.code) for f in scales}) == named
     assert not named or not told(scales)
 
 

@@ -24,6 +24,7 @@ from locfuse.fusion.checks.clocks import (
     clock_words,
     differences,
     offset_of,
+    start_kept,
     wrong_clocks,
 )
 from locfuse.fusion.checks.compass import ROOM
@@ -164,7 +165,10 @@ class Evidence(Noise):
             if self._bumped and not by_truth and not finding.severe:
                 continue  # small lags are those against the laser, whose headings step
             steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
-            ways: tuple[Fixes, ...] = tuple((offset_of(clock, self.loaded.robot, 3, n),) for n in steps)
+            drive, robot = self.loaded.drive, self.loaded.robot
+            ways: tuple[Fixes, ...] = tuple((offset_of(clock, robot, 3, n),) for n in steps)
+            if clock.name == "wheels" and (start := start_kept(clock.offset, drive, robot)):
+                ways = ((*ways[0], *start), *ways)
             one = self._candidate(finding, ways, not finding.severe)
             proven = finding.severe and len(clock.against) > 1
             shape = by_truth and clock.name == LASER

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Truth
 from locfuse.fusion.robot import Robot
@@ -25,6 +26,7 @@ from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
 from .lag import SAID_SIGMAS, Lag, Reference, by_wheels, find_lag
+from .truth import MIN_START_ERROR_M, MIN_START_ERROR_RAD
 
 WINDOW_S = 1.0  # s over which distances are compared
 MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s
@@ -121,6 +123,23 @@ def offset_of(clock: Clock, robot: Robot, digits: int = 3, sigmas: float = 0.0) 
     tables: dict[str, Any] = {"wheels": robot.wheels, "truth": robot.truth}
     now = float((tables.get(clock.name) or robot.settings(clock.name)).time_offset)
     return f"{clock.name}.time_offset={now + clock.offset + sigmas * clock.sigma:z.{digits}f}"
+
+
+def start_kept(offset: float, drive: Drive, robot: Robot) -> tuple[str, ...]:
+    """Return the start settings that keep the path in its frame if the wheels' clock changes by `offset` [s].
+
+    [start] is the pose at the first wheel reading. If the robot moves when the log begins, another clock turns and
+    shifts the whole path. () if the robot stands, if the start has a time of its own, or if neither a truth nor a
+    configured start says where the path lies.
+    """
+    start, wheels = robot.start, drive.wheels
+    if start.at or not (robot.start_given or drive.truth is not None):
+        return ()
+    moved = wheels.relative(wheels.t[0], wheels.t[0] + np.float64(abs(offset)))
+    if np.hypot(*moved[:2]) < MIN_START_ERROR_M and abs(moved[2]) < MIN_START_ERROR_RAD:
+        return ()
+    x, y, theta = se2.compose(np.array(start.pose), moved if offset > 0.0 else se2.inverse(moved)).tolist()
+    return f"start.x={x:z.3f}", f"start.y={y:z.3f}", f"start.theta_deg={np.degrees(theta):z.1f}"
 
 
 def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> dict[Pair, Lag]:

@@ -16,11 +16,12 @@ from locfuse.fusion.checks.clocks import (
     lag_of_run,
     lags_by_truth,
     of_uneven_stamps,
+    start_kept,
     wrong_clocks,
 )
 from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag, worth_saying
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Truth
-from locfuse.fusion.robot import Robot
+from locfuse.fusion.robot import Robot, StartSettings
 from locfuse.fusion.wheels.motion import Wheels
 
 T = np.arange(0.0, 90.0, 0.02)
@@ -186,6 +187,34 @@ def test_a_run_without_truth_s_headings_tells_no_clock() -> None:
     drive, truth, run = a_run(*turned(0), 0, 0.02)
     assert lag_of_run(drive, None, run) is None
     assert lag_of_run(drive, replace(truth, theta=None), run) is None
+
+
+@pytest.mark.parametrize("offset", [0.2, -0.2])
+def test_another_clock_of_the_wheels_does_not_turn_the_path_of_a_robot_that_moves_at_the_start(
+    offset: float,
+) -> None:
+    twist = np.tile(
+        [0.5 * 0.02, 0.0, 0.8 * 0.02], (len(T) - 1, 1)
+    )  # m, rad in each step: a circle from the start on
+    robot = replace(Robot(), start=StartSettings(x=1.0, y=2.0, theta_deg=90.0), start_given=True)
+    fixes = dict(
+        fix.split("=") for fix in start_kept(offset, drive_of(Wheels.from_twists(T, twist, 0.6, 4e-4)), robot)
+    )
+    turn, r = 0.8 * offset, 0.5 / 0.8  # rad; m, of the circle about (1 - r, 2)
+    assert float(fixes["start.theta_deg"]) == pytest.approx(90.0 + np.degrees(turn), abs=0.1)
+    assert float(fixes["start.x"]) == pytest.approx(1.0 - r + r * np.cos(turn), abs=0.002)
+    assert float(fixes["start.y"]) == pytest.approx(2.0 + r * np.sin(turn), abs=0.002)
+
+
+def test_the_start_stays_where_the_robot_stands_or_nothing_says_where_the_path_lies() -> None:
+    given = replace(Robot(), start_given=True)
+    twist = np.zeros((len(T) - 1, 3))
+    twist[50:, 2] = 0.01
+    stands, turns = Wheels.from_twists(T, twist, 0.6, 4e-4), Wheels.from_twists(T[50:], twist[50:], 0.6, 4e-4)
+    assert start_kept(0.2, drive_of(stands), given) == ()
+    assert start_kept(0.2, drive_of(turns), given) != ()
+    assert start_kept(0.2, drive_of(turns), Robot()) == ()
+    assert start_kept(0.2, drive_of(turns), replace(given, start=StartSettings(at=3.0))) == ()
 
 
 # --- a sensor's clock against the wheels': the lag that was put in is found, by wheels that slip too

@@ -457,7 +457,11 @@ def _stored(dtype: str, little: bool) -> str:
 
 
 def _native(values: NDArray[Any], dtype: str) -> NDArray[Any]:
-    return values != 0 if dtype == "?" else values.astype(dtype, copy=False)
+    """Return values in the machine's byte order; signalling NaNs become quiet, of which no computation warns."""
+    native = values != 0 if dtype == "?" else values.astype(dtype, copy=False)
+    if native.dtype.kind == "f":
+        native[np.isnan(native)] = np.nan
+    return native
 
 
 def _rows(values: NDArray[Any]) -> Ragged:

@@ -295,3 +295,17 @@ def test_a_definition_that_cannot_be_used_says_why_in_one_line(text: str, says: 
 @pytest.mark.parametrize("spelling", ["sensor_msgs/msg/Imu", "sensor_msgs/Imu", "sensor_msgs::msg::Imu"])
 def test_type_names_are_spelt_one_way(spelling: str) -> None:
     assert message_type(spelling) == "sensor_msgs/msg/Imu"
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("little", [True, False])
+def test_a_signalling_nan_becomes_a_quiet_one(little: bool) -> None:
+    """Bits 7fa00001: without the highest bit of the fraction, a conversion to double raises the invalid flag."""
+    end = "<" if little else ">"
+    floats = struct.pack(f"{end}3I", 0x7FA00001, *np.array([2.5, np.inf], np.float32).view(np.uint32).tolist())
+    doubles = struct.pack(f"{end}Q", 0x7FF4000000000001)
+    payload = bytes((0, little, 0, 0)) + floats + bytes(4) + doubles
+    decoder = Decoder(parse("a/msg/B", "ros2msg", "float32[3] f\nfloat64 d"))
+    columns = decode(decoder, [payload], ("f", "d")).columns
+    np.testing.assert_array_equal(np.asarray(columns["f"]).astype(np.float64), [[np.nan, 2.5, np.inf]])
+    assert np.isnan(np.asarray(columns["d"]) * 2.0).all()

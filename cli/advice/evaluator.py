@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 
 from msgspec.structs import replace
 
@@ -19,6 +19,8 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.report.findings import change
+from locfuse.fusion.checks.examine import of_data
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import (
     Advice,
     Candidate,
@@ -115,7 +117,7 @@ class Evaluator:
     def advised(self) -> Advised:
         """Return all findings with their tried fixes."""
         if not self.may_judge:
-            return Advised()
+            return Advised(self.of_data)
         trial = self.trial
 
         def look(fixes: Fixes) -> Evidence | None:
@@ -132,7 +134,15 @@ class Evaluator:
             found, kept = on_the_whole_drive(found, trial)
         if kept and _harm_to_path_or_map(found, (), kept, list(trial.configurations), trial):
             found, kept = on_the_whole_drive(found, trial, afterwards=True)
-        return Advised(tuple(without_repeated(found, kept, trial.whole.robot)), trial.fusions)
+        found = without_repeated(found, kept, trial.whole.robot)
+        empty, helped = {a.finding.role for a in self.of_data}, {a.finding.role for a in found if a.helps}
+        found = [a for a in found if a.helps or a.finding.role not in empty]
+        return Advised((*found, *(a for a in self.of_data if a.finding.role not in helped)), trial.fusions)
+
+    @cached_property
+    def of_data(self) -> tuple[Advice, ...]:
+        """Findings on data that no estimate can use."""
+        return tuple(Advice(f, f.fixes) for f in data_findings(self.trial.whole))
 
 
 def _harm_to_path_or_map(
@@ -226,6 +236,11 @@ def may_judge(loaded: Loaded) -> bool:
     if not loaded.drive.measurements and loaded.drive.truth is None:
         return False
     return float(loaded.drive.t[-1]) - float(loaded.drive.t[0]) >= MIN_DURATION_S
+
+
+def data_findings(loaded: Loaded) -> list[Finding]:
+    """Return the findings on data of a log that no estimate can use."""
+    return of_data(loaded.drive, loaded.robot, loaded.stream)
 
 
 def looks_wrong(loaded: Loaded, one: Compared) -> bool:

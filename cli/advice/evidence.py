@@ -423,7 +423,7 @@ class Evidence(Noise):
         if drive.truth is not None and drive.truth.theta is not None:
             return of_spins(drive, drive.truth.t, body_poses(drive.truth, drive.truth.t), "truth")
         scans = drive.measurements.get(LASER)
-        if scans is None or np.median(np.diff(scans.t, append=np.inf)) > MAX_SCAN_PERIOD_S:
+        if scans is None or len(scans.t) < 2 or np.median(np.diff(scans.t, append=np.inf)) > MAX_SCAN_PERIOD_S:
             return []
         return [
             f

@@ -15,6 +15,7 @@ from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import MAX_ANEES, length, options, void_reasons
 from locfuse.formats.robot import robot_toml
+from locfuse.fusion.checks.examine import BLIND
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
@@ -173,6 +174,14 @@ def add_validity(
         withdraw_verdicts(report, "Not judged while a warning is open.")
 
 
+def _withdraw_empty(report: dict[str, Any], advised: Advised | None) -> None:
+    """Replace the verdict "no effect seen" on sensors without measurements by "no verdict"."""
+    for advice in advised.advice if advised is not None else ():
+        verdict = (report.get("verdicts") or {}).get(advice.finding.role, {})
+        if advice.finding.code == BLIND and verdict.get("verdict") == "no effect seen":
+            verdict.update(verdict="no verdict", words="It gives hardly any measurement.")
+
+
 def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
     """Return warnings on severe faults of settings or sensors, except those whose fix has no effect.
 
@@ -182,7 +191,7 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
     for advice in advised.advice if advised is not None else ():
         found = advice.finding
         using = [n for n, v in report["configurations"].items() if found.role in {*BASE_ROLES, *v["sensors"]}]
-        if found.severe and using and found.code != "start" and not advice.harmless:
+        if found.severe and using and found.code not in {"start", BLIND} and not advice.harmless:
             first_sentence = re.sub(r" \(correlation [^()]*\)", "", found.brief.partition(". ")[0])
             message = f"{found.role}: {first_sentence}"
             if advice.fixes:
@@ -316,7 +325,7 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
     if anees is None or anees <= MAX_CONSISTENT_ANEES or any(not v["void"] for v in report.get("validity") or ()):
         return ""
     truth = report.get("settings", {}).get("truth", {})
-    open_ = [f["role"] for f in found if not f["fixes"] and not f["harmless"]]
+    open_ = [f["role"] for f in found if not f["fixes"] and not f["harmless"] and f["code"] != BLIND]
     if anees <= MAX_ANEES or truth.get("sigma") or truth.get("sigma_theta_deg"):
         times = f"{'still ' if any(shown) else ''}{anees**0.5:.1f} times too small"
         return f" The covariance ({name}) is {times}, and no setting explains it."
@@ -424,6 +433,7 @@ def complete(
     add_findings(report, advised)
     _remove_mount_notes(report)
     add_validity(report, advised, start_error_m, truth)
+    _withdraw_empty(report, advised)
     sets = {
         name: tuple(values["sensors"])
         for name, values in report["configurations"].items()

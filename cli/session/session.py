@@ -341,16 +341,17 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return report
 
     def _advice_on_run(self, compared: Compared, align: str) -> Advised:
-        """Return the advice of a full evaluation if this run's result looks suspicious, else empty advice.
+        """Return the advice of a full evaluation if this run's result looks suspicious, else on unusable data.
 
-        It is also empty if the robot stands still or the log has motion faults.
+        It is empty if the robot stands still or the log has motion faults.
         """
         from locfuse.cli.advice.evaluator import Evaluator, looks_wrong
 
         filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])
-        if self.drive.wheels.stands or self.loaded.motion_faults or not looks_wrong(self.loaded, filtered):
+        if self.drive.wheels.stands or self.loaded.motion_faults:
             return Advised()
-        return Evaluator(self.loaded, self.progress, align).advised()
+        evaluator = Evaluator(self.loaded, self.progress, align)
+        return evaluator.advised() if looks_wrong(self.loaded, filtered) else Advised(evaluator.of_data)
 
     def configuration(self, sensors: Sensors) -> Configuration:
         """Return the configuration of some sensors. Raises LocfuseError for one that this log lacks."""

@@ -7,7 +7,7 @@ truth with both. A finding names the setting that fixes it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -23,7 +23,7 @@ from .clocks import of_clocks, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius
-from .laser_ranges import of_offset, of_scatter
+from .laser_ranges import of_offset, of_scatter, unreturned
 from .sweep import of_sweep
 from .truth import SIZE, metre, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
@@ -39,6 +39,8 @@ REASONS = {
     "too_many_lines": f"with more walls than can be true (over {MAX_LINES})",
 }
 REPAIRED = {"spike", "other_joints"}
+BLIND = "blind"  # code of the finding on a sensor without measurements
+CHECK_SENSOR = "Check the sensor and its driver, then record again"
 
 
 def examine(
@@ -51,9 +53,11 @@ def examine(
     """
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
+    found += of_data(drive, robot, streams.__getitem__)
     found += _gaps("wheels", drive.wheels.t)
     for name, m in drive.measurements.items():
-        found += [*_gaps(name, m.t), *blind(name, m), *of_uneven_stamps(name, m.t)]
+        found += [*_gaps(name, m.t), *(Finding(name, "seen", note) for note in m.notes)]
+        found += of_uneven_stamps(name, m.t)
     if "lrf" in drive.measurements:
         lrf = streams["lrf"], robot.settings("lrf")
         found += [*of_scatter(*lrf), *of_offset(*lrf)]
@@ -123,12 +127,15 @@ def _refused(drive: Drive) -> list[Finding]:
     """Return findings that count unused readings by reason; repaired readings have findings of their own."""
     found = []
     for stream, reasons in drive.dropped.items():
-        words = [
-            f"{n} {REASONS.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in REPAIRED
-        ]
+        words = _reasons({why: n for why, n in reasons.items() if why not in REPAIRED})
         if words:
-            found.append(Finding(stream, "refused", f"readings that are not used: {', '.join(words)}"))
+            found.append(Finding(stream, "refused", f"readings that are not used: {words}"))
     return found
+
+
+def _reasons(counts: Mapping[str, int]) -> str:
+    """Return numbers of readings by reason as text: "3 repeat the one before, 1 hold NaN or Inf"."""
+    return ", ".join(f"{n} {REASONS.get(why, why.replace('_', ' '))}" for why, n in counts.items())
 
 
 def _gaps(name: str, t: Array) -> list[Finding]:
@@ -154,16 +161,38 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 
-def blind(name: str, m: Measurements) -> list[Finding]:
-    """Return findings on a sensor with hardly any measurements, and the notes of its measurements."""
-    n = len(m.t)
-    if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
-        words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
-        why = (Finding(name, "seen", note) for note in m.notes)
-        return [Finding(name, "blind", words, severe=REGISTRY[name].blind_is_severe), *why]
-    if not n:
-        return [Finding(name, "blind", "no reading within the wheels' time", severe=True)]
-    return [Finding(name, "seen", note) for note in m.notes]
+def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list[Finding]:
+    """Return findings on data that no estimate can use: sensors without measurements.
+
+    `stream` returns the raw readings of a role; it is called only for a role with a finding.
+    """
+    found = []
+    for name, m in drive.measurements.items():
+        found += blind(name, m, float(robot.settings(name).time_offset), stream)
+    return found
+
+
+def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:
+    """Return a finding on a sensor with hardly any measurements: what its data hold, and what to do."""
+    n, unused = len(m.t), sum(m.dropped.values())
+    if n >= MIN_READINGS:
+        if m.absent <= MAX_EMPTY_SHARE * n:
+            return []
+        held = unreturned(stream(name), MAX_EMPTY_SHARE) if name == "lrf" else ""
+        why = f"its ranges are {held}. {CHECK_SENSOR}" if held else "it is dead, or its settings do not fit"
+        words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: {why}"
+        return [Finding(name, BLIND, words, severe=REGISTRY[name].blind_is_severe)]
+    if n and not unused:
+        return []
+    total = len(stream(name).t_ns)
+    words, late = "no reading within the wheels' time", True
+    if unused > MAX_EMPTY_SHARE * total:
+        words = f"{n or 'none'} of {total} readings can be used: {_reasons(m.dropped)}"
+        late = max(m.dropped, key=lambda why: m.dropped[why]) == "outside_wheels"
+    elif n:
+        return []
+    check = f"Check its clock, and {name}.time_offset={time_offset:g} (s)" if late else CHECK_SENSOR
+    return [Finding(name, BLIND, f"{words}. {check}", severe=True)]
 
 
 # ---- quantities that a drive does not determine with any sensor, and the manoeuvre that would ----

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, cast
 
@@ -41,11 +41,19 @@ def driver(stream: Stream) -> list[Finding]:
     if not parts:
         return []
     column = {k: np.concatenate([np.asarray(p[k]) for p in parts]) for k in parts[0] if k != "ranges"}
+    lengths = np.concatenate([cast("Ragged", p["ranges"]).lengths for p in parts])
+    held = _in_words(_unreturned(*_ranges(parts)))
+    found = [Finding("lrf", "no return", f"ranges without a return: {held}")] if held else []
+    return [*found, *_angles(column, lengths), *_in_turn(column), *of_angles(stream)]
+
+
+def _ranges(parts: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
+    """Return all ranges (n,) [m] of the columns of scans, and the range limit of each (n,) [m]."""
+    if not parts:
+        return np.empty(0), np.empty(0)
     ranges = [cast("Ragged", p["ranges"]) for p in parts]
-    lengths = np.concatenate([r.lengths for r in ranges])
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
-    far = np.repeat(limits(column)[1], lengths)
-    return [*_no_return(values, far), *_angles(column, lengths), *_in_turn(column), *of_angles(stream)]
+    return values, np.concatenate([np.repeat(limits(p)[1], r.lengths) for p, r in zip(parts, ranges, strict=True)])
 
 
 def of_angles(stream: Stream) -> list[Finding]:
@@ -234,16 +242,26 @@ def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
             return
 
 
-def _no_return(values: Array, far: Array) -> list[Finding]:
-    """Return a finding with the shares of ranges without a return: inf, NaN, zero, or beyond range_max."""
-    shares = {
-        "inf": np.isinf(values).mean() if len(values) else 0.0,
-        "NaN": np.isnan(values).mean() if len(values) else 0.0,
-        "zero": (values == 0.0).mean() if len(values) else 0.0,
-        "beyond range_max": ((values > far) & np.isfinite(values)).mean() if len(values) else 0.0,
+def unreturned(stream: Stream, least: float) -> str:
+    """Return the shares of ranges without a return in words; "" if together they are not above `least`."""
+    shares = _unreturned(*_ranges([columns for _, columns in _sample(stream, SAMPLE_SCANS)]))
+    return _in_words(shares) if sum(shares.values()) > least else ""
+
+
+def _unreturned(values: Array, far: Array) -> dict[str, float]:
+    """Return the shares of ranges (n,) [m] without a return: inf, NaN, zero, or beyond range_max `far` (n,)."""
+    if not len(values):
+        return {}
+    return {
+        "inf": np.isinf(values).mean(),
+        "NaN": np.isnan(values).mean(),
+        "zero": (values == 0.0).mean(),
+        "beyond range_max": ((values > far) & np.isfinite(values)).mean(),
     }
-    words = ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)
-    return [Finding("lrf", "no return", f"ranges without a return: {words}")] if words else []
+
+
+def _in_words(shares: Mapping[str, float]) -> str:
+    return ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)
 
 
 def _in_turn(column: dict[str, Array]) -> list[Finding]:

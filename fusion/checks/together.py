@@ -163,7 +163,8 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
     if swings is not None and drive.truth is not None:
         for i, key in enumerate(("truth.x", "truth.y")):
             found[key] = Number(float(swings.x[i]), float(swings.sigma[i]), drive.truth.point[i])
-    for e in (e for e in runs if len(e.sensors) == 1 and not e.smoothed and not e.lost):
+    single = (e for e in runs if len(e.sensors) == 1 and not e.smoothed and not e.lost)
+    for e in (e for e in single if (m := drive.measurements[e.sensors[0]]).absent < len(m.t)):
         found |= _mount(e, robot)
         ratio = path_scale(e, drive) if e.sensors == (LASER,) else None
         if ratio is not None:

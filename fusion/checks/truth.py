@@ -387,6 +387,8 @@ def of_creep(found: Swing | None) -> list[Finding]:
 def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
     """Return findings if distances of the wheels and of a `run` with only the laser differ."""
     rows = np.unique(drive.instant[run.sensors[0]])
+    if len(rows) < 2:
+        return []
     by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
     found = swing(by_laser, drive, axle_path(by_laser, drive.wheels))
     way = float(drive.wheels.driven(drive.wheels.t[-1]))

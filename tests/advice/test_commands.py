@@ -10,7 +10,7 @@ import pytest
 from commands import jobs_here, locfuse, ok
 from lock_step import simulated
 from msgspec.structs import replace
-from trap_logs import TRUTH, Drive, seconds
+from trap_logs import COMPASS, SCAN, TRUTH, Drive, seconds
 from traps import elsewhere, pitched_imu, short_metre, upside_down
 
 from locfuse.cli.analysis.load import start_error
@@ -161,3 +161,38 @@ def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_be
     for text in (done.stdout, (tmp_path / "out" / "report.md").read_text()):
         assert text.index("Warning: lrf") < text.index("rmse")
     assert "<strong>Warning:</strong> <span" in (tmp_path / "out" / "report.html").read_text()
+
+
+EMPTY = {"nan": "NaN", "inf": "inf", "0": "zero"}
+
+
+@pytest.mark.parametrize("value", EMPTY)
+def test_a_laser_whose_scans_are_empty_is_named_by_info_and_compare_alike(value: str, tmp_path: Path) -> None:
+    drive = Drive()
+    drive.field(SCAN, ranges=lambda r: np.full(len(r), float(value), np.float32))
+    log, n = drive.record(tmp_path / "log.mcap"), len(drive.on(SCAN))
+    words = f"lrf: no line in {n} of {n} readings: its ranges are 100% {EMPTY[value]}. Check the sensor"
+    assert words in ok("info", log).stdout
+    told = ok("compare", log, "-o", tmp_path / "out", "--write", "json").stdout
+    assert words in told
+    assert "lrf no verdict" in told
+    assert "lrf.range_scale" not in told
+
+
+def test_a_compass_that_gives_no_number_is_named_by_compare(tmp_path: Path) -> None:
+    drive = Drive()
+    drive.field(COMPASS, **dict.fromkeys(("magnetic_field.x", "magnetic_field.y"), float("nan")))
+    log, n = drive.record(tmp_path / "log.mcap"), len(drive.on(COMPASS))
+    told = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json").stdout
+    assert f"compass: none of {n} readings can be used: {n} hold NaN or Inf. Check the sensor" in told
+    assert "compass no verdict" in told
+
+
+def test_a_laser_of_which_no_scan_falls_in_the_drive_is_told_its_offset(tmp_path: Path) -> None:
+    drive = Drive()
+    drive.drop(TRUTH, COMPASS)
+    log, n = drive.record(tmp_path / "log.mcap"), len(drive.on(SCAN))
+    words = ("--set", "lrf.time_offset=1000", "-o", tmp_path / "out", "--write", "json")
+    told = ok("compare", log, *words).stdout
+    assert f"lrf: none of {n} readings can be used: {n} before the first or after the last of the wheels." in told
+    assert "lrf.time_offset=1000" in told

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 import rooms
-from lock_step import simulated
 from msgspec.structs import replace
 from present import present
 from textbook import numeric_jacobian
 from worlds import ROOM, World
 
+from benchmarks import experiment
+from benchmarks.accuracy import LOCK_STEP
 from locfuse.cli.analysis.configurations import for_comparison, parse
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.fusion.checks.examine import blind
+from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.data import Array, ArrayStream, Drive, MapLine, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
@@ -108,12 +109,14 @@ def test_the_mount_moves_lines_into_the_base_frame() -> None:
 
 
 def test_a_round_room_leaves_the_pose_to_the_wheels_and_says_why() -> None:
-    drive, robot = simulated(3, "round_room", ("path.laps=0.3",))
+    made = experiment.simulated("round_room", (*LOCK_STEP, "camera.enabled=false", "path.laps=0.3"), 3)
+    drive, robot = made.measured()
     (note,) = drive.measurements["lrf"].notes
     assert "curved walls" in note
-    dead, why = blind("lrf", drive.measurements["lrf"])
-    assert "no line in" in dead.message
-    assert why.message == note
+    found = {f.code: f.message for f in examine(drive, robot, made.streams) if f.role == "lrf"}
+    assert "no line in" in found["blind"]
+    assert "its settings do not fit" in found["blind"]  # its ranges are not empty
+    assert found["seen"] == note
     np.testing.assert_allclose(fuse(drive, robot, ("lrf",)).pose, fuse(drive, robot, ()).pose, atol=1e-9)
 
 

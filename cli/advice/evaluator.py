@@ -19,6 +19,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.report.findings import change
+from locfuse.fusion.checks.clocks import EQUAL
 from locfuse.fusion.checks.examine import of_data
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import (
@@ -116,7 +117,7 @@ class Evaluator:
 
     def advised(self) -> Advised:
         """Return all findings with their tried fixes."""
-        if not self.may_judge:
+        if not self.may_judge or any(a.finding.code == EQUAL for a in self.of_data):
             return Advised(self.of_data)
         trial = self.trial
 
@@ -141,7 +142,7 @@ class Evaluator:
 
     @cached_property
     def of_data(self) -> tuple[Advice, ...]:
-        """Findings on data that no estimate can use."""
+        """Findings on data that no estimate can use; their fixes change how a log is read and are not tried."""
         return tuple(Advice(f, f.fixes) for f in data_findings(self.trial.whole))
 
 

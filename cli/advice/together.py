@@ -11,12 +11,13 @@ import msgspec
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.visible import writable
+from locfuse.fusion.checks.clocks import EQUAL
 from locfuse.fusion.checks.together import Look, Shown, Step, asked, shown
 from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.judge.evaluate import Align, evaluate
 
-from .evaluator import may_judge, standard
+from .evaluator import data_findings, may_judge, standard
 from .report import FIXES_FILE, fixes_file, score
 from .trial import Trial, marks_of
 
@@ -50,6 +51,8 @@ def looks(loaded: Loaded, sets: Sequence[Fixes], align: str, progress: Progress)
 def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any] | None:
     """Return a log's estimates of settings as plain values; None if the log cannot be evaluated."""
     if loaded.motion_faults or loaded.drive.wheels.stands or not may_judge(loaded):
+        return None
+    if any(f.code == EQUAL for f in data_findings(loaded)):
         return None
     found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
     return found

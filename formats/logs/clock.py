@@ -103,6 +103,9 @@ def _settled(log_time: Ints, stamp: Ints | None, order: str) -> Clock:
         return _by_stamp(log_time, stamp)
     if not stamp.any():
         return Clock(log_time, None, "log time (all header stamps are zero)")
+    if (stamp == stamp[0]).all() and log_time[-1] - log_time[0] > LATENCY_NS:
+        words = f"log time (all {len(stamp)} header stamps are the same: let the driver stamp each message)"
+        return Clock(log_time, None, words)
     bad = _untrusted(log_time, stamp)
     trusted = ~np.any([*bad.values()], axis=0)
     if order == "recorded":
@@ -126,8 +129,10 @@ def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
 def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
     """Use the recording times minus the median delay (recording time - stamp) of the trusted stamps.
 
-    A delay above LATENCY_NS is not subtracted: it means two clocks.
+    A stamp that repeats the one before is too old for its message and not counted. A delay above LATENCY_NS is not
+    subtracted: it means two clocks.
     """
+    trusted = trusted & (np.diff(stamp, prepend=stamp[0] - 1) != 0)
     delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
     if abs(delay) > LATENCY_NS:
         return Clock(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))

@@ -51,6 +51,8 @@ def in_parts(finding: Mapping[str, Any], brief: bool = False) -> tuple[str, str]
     if not finding["fixes"]:
         return f"{head}{_failed_fixes(finding)}", ""
     tried = finding["tried"]
+    if tried is None:
+        return f"{head} Fix (not tried):", options(finding["fixes"])
     which = "Fix for the covariance only" if _worse(tried) else "Fix"
     with_what = "" if brief else f" with {tried['configuration']}"
     return f"{head} {which} (tried{with_what}: {effect_of(tried, brief)}):", options(finding["fixes"])

@@ -196,7 +196,7 @@ class ReportedFinding(Struct):
     code: str
     message: str
     fixes: list[str]  # "table.key=value" each; empty: nothing helped
-    tried: Tried | None  # null: no fix was found
+    tried: Tried | None  # null: no fix was found, or it was not tried
     alternatives: list[list[str]]  # fixes that were tried and do not help
     harmless: bool = False  # an alternative changes little; false without a fix: all make the result worse
 

@@ -9,7 +9,7 @@ the same lag relative to the truth, and none to the wheels, the truth's clock is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -18,9 +18,10 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD
-from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Stream, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import parts_of
 from locfuse.fusion.truth import body_poses
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -44,6 +45,8 @@ OPEN_CLOCK = "clocks"  # code if truth and one other clock differ, and either ma
 LASER = "lrf"
 MAX_WRONG = 3  # clocks of one log
 UNEVEN = "uneven"  # code of the finding that stamps scatter about an even clock
+EQUAL = "equal stamps"  # code of the finding that messages of a topic share their stamps
+MAX_EQUAL_SHARE = 0.1  # largest share of readings with the stamp of another reading before
 MIN_SCATTER_S, MIN_SCATTER_SHARE = 0.01, 0.1  # s and share of the period, 1 sigma: less is not reported
 MAX_EVEN_CORRELATION = -0.35  # of neighbouring intervals: -0.5 about an even clock, 0 where periods vary
 MAX_ALTERNATING_CORRELATION = 0.3  # of intervals that are two apart: 0 about an even clock, 1 of long, short, long
@@ -104,6 +107,29 @@ def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
         "evenly, its stamps are wrong by that: let the driver stamp by the sensor's own clock"
     )
     return [Finding(name, UNEVEN, words)]
+
+
+def of_equal_stamps(drive: Drive, stream: Callable[[str], Stream]) -> list[Finding]:
+    """Report topics whose stamps stand still: different readings in a row have one stamp.
+
+    The mean error of such stamps is half the time to the next stamp. Several topics of a role may share stamps.
+    `stream` returns the raw readings of a role.
+    """
+    times = {"wheels": drive.wheels.t, **{name: m.t for name, m in drive.measurements.items()}}
+    found = []
+    for role, t in times.items():
+        step, dropped = np.diff(t), drive.dropped.get(role, {})
+        n, equal = len(t) + sum(dropped.values()), int((step == 0.0).sum()) + dropped.get("same_stamp", 0)
+        period = float(np.median(step[step > 0.0])) if step.any() else math.inf
+        if equal <= MAX_EQUAL_SHARE * n or 0.5 * equal / n * period < MIN_SCATTER_S:
+            continue
+        if len(parts_of(readings := stream(role))) == 1:
+            words = (
+                f"{readings.topic}: {equal} of {n} messages have the header stamp of the one before: these stamps "
+                "cannot be used. Let the driver stamp each message; for this log use recording times"
+            )
+            found.append(Finding(role, EQUAL, words, ("order=recorded",), severe=True))
+    return found
 
 
 def clock_words(clock: Clock) -> str:

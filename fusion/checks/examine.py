@@ -19,7 +19,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.repairs import gaps_of
 
-from .clocks import of_clocks, of_uneven_stamps
+from .clocks import EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius
@@ -54,6 +54,8 @@ def examine(
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
     found += of_data(drive, robot, streams.__getitem__)
+    if any(f.code == EQUAL for f in found):
+        return found  # other checks need right times
     found += _gaps("wheels", drive.wheels.t)
     for name, m in drive.measurements.items():
         found += [*_gaps(name, m.t), *(Finding(name, "seen", note) for note in m.notes)]
@@ -162,14 +164,14 @@ def gaps(t: Array) -> list[tuple[float, float]]:
 
 
 def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list[Finding]:
-    """Return findings on data that no estimate can use: sensors without measurements.
+    """Return findings on data that no estimate can use: sensors without measurements, stamps that stand still.
 
     `stream` returns the raw readings of a role; it is called only for a role with a finding.
     """
     found = []
     for name, m in drive.measurements.items():
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
-    return found
+    return [*found, *of_equal_stamps(drive, stream)]
 
 
 def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:
@@ -191,7 +193,7 @@ def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str]
         late = max(m.dropped, key=lambda why: m.dropped[why]) == "outside_wheels"
     elif n:
         return []
-    check = f"Check its clock, and {name}.time_offset={time_offset:g} (s)" if late else CHECK_SENSOR
+    check = f"Check its clock and {name}.time_offset (now {time_offset:g} s)" if late else CHECK_SENSOR
     return [Finding(name, BLIND, f"{words}. {check}", severe=True)]
 
 

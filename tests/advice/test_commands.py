@@ -195,4 +195,15 @@ def test_a_laser_of_which_no_scan_falls_in_the_drive_is_told_its_offset(tmp_path
     words = ("--set", "lrf.time_offset=1000", "-o", tmp_path / "out", "--write", "json")
     told = ok("compare", log, *words).stdout
     assert f"lrf: none of {n} readings can be used: {n} before the first or after the last of the wheels." in told
-    assert "lrf.time_offset=1000" in told
+    assert "lrf.time_offset (now 1000 s)" in told
+
+
+@pytest.mark.parametrize("command", ["run", "compare"])
+def test_stamps_that_stand_still_get_recording_times_and_no_other_fix(command: str, tmp_path: Path) -> None:
+    drive = Drive()
+    drive.each(SCAN, lambda m: m._replace(stamp_ns=m.stamp_ns // 10**9 * 10**9))
+    log = drive.record(tmp_path / "log.mcap")
+    told = locfuse(command, log, "-o", tmp_path / "out", "--write", "json").stdout
+    (file,) = (tmp_path / "out").glob("*.json")
+    assert json.loads(file.read_text())["fixes"] == ["order=recorded"]
+    assert "Fix (not tried): --set order=recorded" in told

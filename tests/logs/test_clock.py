@@ -46,6 +46,21 @@ def test_without_a_header_log_time_is_the_time() -> None:
     assert clock.words == "log time (no header)"
 
 
+def test_stamps_that_are_all_the_same_date_nothing() -> None:
+    log_time, stamp = recording()
+    clock = settle(log_time, np.full_like(stamp, T0))
+    np.testing.assert_array_equal(clock.t_ns, log_time)
+    assert "all 200 header stamps are the same" in clock.words
+    together = settle(np.full(3, T0), np.full(3, T0 - S))  # readings of one moment
+    assert together.by_stamps
+
+
+def test_repeated_stamps_do_not_count_in_the_delay_of_recording_times() -> None:
+    log_time, stamp = recording()
+    clock = settle(log_time, stamp[np.arange(200) // 4 * 4], order="recorded")
+    assert error(clock, stamp) < 0.006  # the jitter of the delay, 5 ms
+
+
 def test_repeated_stamps_are_kept() -> None:
     log_time, stamp = recording()
     stamp[7] = stamp[6]

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
-from locfuse.formats.report.findings import MAX_ANEES, length, options, void_reasons
+from locfuse.formats.report.findings import MAX_ANEES, in_one_unit, length, options, void_reasons
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.examine import BLIND
 from locfuse.fusion.checks.finding import Finding
@@ -242,7 +242,7 @@ def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> st
     The first "the laser" becomes "the laser (lrf)", with the name of its settings.
     """
     words = " ".join(filter(None, (report.get("doubt"), _verdict(report, sets))))
-    return re.sub(r"\bthe laser\b(?!')", "the laser (lrf)", words, count=1)
+    return re.sub(r"\bthe laser\b(?!')", "the laser (lrf)", in_one_unit(words), count=1)
 
 
 def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.report import json_report
-from locfuse.formats.report.findings import length
+from locfuse.formats.report.findings import in_one_unit, length
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Evaluation, result_name
 from locfuse.fusion.fuse import configuration_name
@@ -320,7 +320,7 @@ def add_own_scans(
         values["smoothed_distance_m"] = msgspec.to_builtins(apart)
         away = f"differs by {length(apart.rms)} rms (at most {length(apart.max)}, at {apart.t_s:.0f} s)"
         more = ", which is more than both claim: neither is a reference" if own.contradicted else ""
-        values["notes"].append(f"the smoothed path {away}{more}")
+        values["notes"].append(in_one_unit(f"the smoothed path {away}{more}"))
         if own.is_overconfident:
             times = apart.rms / max(own.claimed_m, 1e-9)
             values["notes"].append(f"covariance too small: the smoothed path differs by {times:.1f} sigma")

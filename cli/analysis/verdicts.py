@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import asdict, replace
 
-from locfuse.formats.report.findings import length
+from locfuse.formats.report.findings import change, in_one_unit, length
 from locfuse.fusion.data import ODOMETRY, Drive, Estimates, Evaluation
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
@@ -329,7 +329,7 @@ def add_pairs(
         worst = max(harms, default=(0.0, "", ""))
         pairs += [(worst[1], worst[2], f"Beside {worst[1]}")] if by_truth and worst[0] > MIN_HARM_RATIO else []
         words = [
-            f"{what}: {length(known[a])} -> {length(known[b])} ({times(math.log(known[a] / known[b]))})."
+            f"{what}: {change(known[a], known[b])} ({times(math.log(known[a] / known[b]))})."
             for a, b, what in pairs
             if a in known and b in known
         ]
@@ -390,7 +390,7 @@ def by_reference(
         bound = f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
         span, after = (interval(effect), after) if found.sure else (bound, f"at most {after}")
         words = f"Against {name} the position error is {before}{after} (plausible: {span}). {own['words']}".strip()
-        return {"verdict": verdict(None, effect, None, None), "words": words}
+        return {"verdict": verdict(None, effect, None, None), "words": in_one_unit(words)}
     if contradiction is not None:
         words = f"{name.capitalize()} cannot judge it: {' and '.join(contradiction)} contradict each other."
     else:

@@ -33,45 +33,51 @@ def deviations(scene: Scene) -> Section:
     """Return the section of deviations (x, y, along, across, heading, position), all configurations per panel."""
     judged = [j for _, j in scene.shown() if len(j.t)]
     span = (0.0, float(scene.drive.t[-1]))
-    panels = {name: _overlay(judged, name, span) for name in OVERLAYS if "heading" not in name}
-    near = [_enlarged(panels[name], judged) for name in ("deviation_x", "deviation_y")]
+    unit = metres([j.deviation for j in judged])
+    panels = {name: _overlay(judged, name, span, unit) for name in OVERLAYS if "heading" not in name}
+    near = {name: _similar(name, judged) for name in ("deviation_x", "deviation_y")}
+    unit = metres([c for small in near.values() for c in small])
     shown = list(panels.values())
-    shown[2:2] = [p for p in near if p is not None]
+    shown[2:2] = [_enlarged(panels[name], judged, small, unit) for name, small in near.items() if small]
     with_heading = [j for j in judged if j.heading is not None]
-    shown += [_overlay(with_heading, "deviation_heading", span)] if with_heading else []
+    shown += [_overlay(with_heading, "deviation_heading", span, (1.0, "°"))] if with_heading else []
     shown.append(_error(judged, scene.judged_by))
     text = f"Estimate minus {scene.judged_by}. Curves are thinned; peaks are kept."
     return Section("deviation", f"Deviation from {scene.judged_by}", text, tuple(shown))
 
 
-def _overlay(judged: list[Evaluation], name: str, span: tuple[float, float]) -> Panel:
+def _overlay(judged: list[Evaluation], name: str, span: tuple[float, float], in_unit: tuple[float, str]) -> Panel:
+    """Return the panel of one deviation over time; `in_unit` is (factor to the unit, unit)."""
     title, key, column = OVERLAYS[name]
-    columns = [column(j) for j in judged]
-    scale, unit = (1.0, "°") if key.endswith("_deg") else metres(columns)
-    marks = tuple(Curve(j.name, j.t, scale * c) for j, c in zip(judged, columns, strict=True))
+    scale, unit = in_unit
+    marks = tuple(Curve(j.name, j.t, scale * column(j)) for j in judged)
     summary = f"{title} over time; " + _figures_words(judged, key, "°" if key.endswith("_deg") else "m")
     return Panel(name, title, f"{title.lower()}, {unit}", TIME, marks, summary, x_range=span)
 
 
-def _enlarged(panel: Panel, judged: list[Evaluation]) -> Panel | None:
-    """Return a panel like `panel` with y limits that fit the curves with the smallest rms.
+def _similar(name: str, judged: list[Evaluation]) -> list[Array]:
+    """Return the deviations [m] of a panel with the smallest rms, which are enlarged.
 
-    None if the largest rms is less than MIN_ENLARGED_RATIO times the smallest.
+    [] if the largest rms is less than MIN_ENLARGED_RATIO times the smallest.
     """
-    columns = [OVERLAYS[panel.name][2](j) for j in judged]
+    columns = [OVERLAYS[name][2](j) for j in judged]
     rms = [float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else np.nan for c in columns]
     least = min(filter(np.isfinite, rms), default=0.0)
     if least <= 0.0 or np.nanmax(rms) < MIN_ENLARGED_RATIO * least:
-        return None
-    small = [c for c, size in zip(columns, rms, strict=True) if size <= MAX_SIMILAR_RATIO * least]
-    scale, unit = metres(small)
+        return []
+    return [c for c, size in zip(columns, rms, strict=True) if size <= MAX_SIMILAR_RATIO * least]
+
+
+def _enlarged(panel: Panel, judged: list[Evaluation], small: list[Array], in_unit: tuple[float, str]) -> Panel:
+    """Return a panel like `panel` with y limits that fit the curves `small`."""
+    scale, unit = in_unit
     reach = 1.1 * scale * max(float(np.nanmax(np.abs(c))) for c in small)
     return replace(
         panel,
         name=f"{panel.name}_enlarged",
         title=f"{panel.title}, enlarged",
         y_label=f"{panel.title.lower()}, enlarged, {unit}",
-        marks=tuple(Curve(j.name, j.t, scale * c) for j, c in zip(judged, columns, strict=True)),
+        marks=tuple(Curve(j.name, j.t, scale * OVERLAYS[panel.name][2](j)) for j in judged),
         y_range=(-reach, reach),
     )
 
@@ -94,7 +100,7 @@ def _error(judged: list[Evaluation], by: str) -> Panel:
 def bands(scene: Scene) -> Section:
     """Return the section of deviations in x, y and heading with their 3-sigma bands, a row per configuration."""
     judged = [j for _, j in scene.shown() if len(j.t)]
-    rows = [[_band(j, i, c) for i, c in enumerate(_components(j))] for j in judged]
+    rows = [_bands(j) for j in judged]
     text = (
         "Each configuration on its own scale. The band is the 3 sigma that the filter claims: "
         "a curve that leaves it is an overconfident estimate."
@@ -109,9 +115,16 @@ def _components(judged: Evaluation) -> list[Array]:
     return [*judged.deviation.T, *([] if judged.heading is None else [judged.heading])]
 
 
-def _band(judged: Evaluation, column: int, deviation: Array) -> Panel:
+def _bands(judged: Evaluation) -> list[Panel]:
+    """Return a configuration's panels: x and y in one unit, and heading if the truth has it."""
+    in_unit = metres([judged.deviation, np.minimum(BAND_SIGMAS * judged.sigma[:, :2], 10.0)])
+    units = (in_unit, in_unit, (180.0 / np.pi, "°"))
+    return [_band(judged, i, c, units[i]) for i, c in enumerate(_components(judged))]
+
+
+def _band(judged: Evaluation, column: int, deviation: Array, in_unit: tuple[float, str]) -> Panel:
     what, sigma = COMPONENTS[column], BAND_SIGMAS * judged.sigma[:, column]
-    scale, unit = (180.0 / np.pi, "°") if what == "heading" else metres([deviation, np.minimum(sigma, 10.0)])
+    scale, unit = in_unit
     return Panel(
         name=f"band_{judged.name}_{what}",
         title=f"{judged.name}: deviation in {what} with 3 sigma",
@@ -237,9 +250,10 @@ def credit(scene: Scene) -> Section:
     sensors = dict((scene.credit or {}).get("sensors", {}))
     marks: list[Mark] = []
     for lane, (sensor, values) in enumerate(sensors.items()):
-        for kind, place in EFFECTS.items():
-            if values.get(kind):
-                marks += _effect(sensor, kind, lane + place, values[kind])
+        kinds = [kind for kind in EFFECTS if values.get(kind)]
+        for kind in kinds:
+            place = EFFECTS[kind] if len(kinds) > 1 else 0.5
+            marks += _effect(sensor, kind, lane + place, values[kind])
     if not marks:
         return Section("credit", "", "", ())
     n = len(sensors)

@@ -153,8 +153,8 @@ COLOURED_STRETCHES = 240  # pieces of a path, each in one colour
 MAX_POINTS_ON_SMALL_MAP = 1500  # of a path on a small map
 GATE = VERDICTS.index("gate")
 REFUSAL_CELL = 0.025  # share of the map's extent: rejected readings in one cell share a cross
-LAST_LIMIT_SHARE = 0.6  # share of the largest value that is above the last limit, so that the last colour occurs
 TINY_M = 1e-6  # m: smaller values count as 0
+LIMITS = 10.0 ** np.arange(-6, 7)[:, None] * np.array([1.0, 2.0, 5.0])  # m, the possible limits between colours
 
 
 class Route(NamedTuple):
@@ -174,8 +174,8 @@ def where(scene: Scene) -> Section:
     if not routes:
         return Section("where", "", "", ())
     what = "position error" if scene.has_truth else "claimed sigma of the position"
-    edges = _edges(min(float(np.nanmax(r.value)) for r in routes))  # for the path with the smallest maximum
-    legend = dict(zip((f"level {i}" for i in range(len(LEVELS))), _words(edges), strict=True))
+    edges = _edges(routes)
+    legend = dict(zip((f"level {i}" for i in range(len(LEVELS))), _words(edges), strict=False))
     legend["time"] = f"every {step(routes[0].t):.0f} seconds"
     panels = tuple(_panel(scene, route, edges, what, legend) for route in routes)
     crosses = any(len(r.refused) for r in routes)
@@ -195,18 +195,25 @@ def _route(e: Estimates, judged: Evaluation, has_truth: bool) -> Route:
     return Route(e.name, t, xy, np.sqrt(np.maximum(e.triangles[:, 0] + e.triangles[:, 3], 0.0)), times)
 
 
-def _edges(largest: float) -> Array:
-    """Return the limits between the colours [m]: 1, 3, 10, 30, ... up to about half of `largest` [m]."""
-    power = np.floor(2.0 * np.log10(max(LAST_LIMIT_SHARE * largest, TINY_M)))
-    halves = np.arange(power - len(LEVELS) + 2, power + 1)
-    edges: Array = np.where(halves % 2 == 0, 1.0, 3.0) * 10.0 ** np.floor(halves / 2.0)
+def _edges(routes: Sequence[Route]) -> Array:
+    """Return at most four increasing limits between the colours [m]: 1, 2 or 5 times a power of ten.
+
+    They are near the quantiles of all paths, each with the same weight, so that every colour occurs.
+    """
+    shares = np.arange(1, len(LEVELS)) / len(LEVELS)
+    values = [r.value[r.value > TINY_M] for r in routes]
+    own = [np.quantile(v, np.linspace(0.0, 1.0, 101)) for v in values if len(v)]
+    limits = np.quantile(np.concatenate(own), shares) if own else np.full(1, TINY_M)
+    nearest = np.abs(np.log(limits[:, None]) - np.log(LIMITS.ravel())).argmin(axis=1)
+    edges: Array = LIMITS.ravel()[np.unique(nearest)]
     return edges
 
 
 def _words(edges: Array) -> list[str]:
-    legend = [f"{1000.0 * e:g} mm" if e < 1.0 else f"{e:g} m" for e in edges]
-    middle = [f"{a} to {b}" for a, b in pairwise(legend)]
-    return [f"below {legend[0]}", *middle, f"above {legend[-1]}"]
+    scale, unit = (1000.0, "mm") if edges[-1] < 1.0 else (1.0, "m")
+    legend = [f"{scale * e:g}" for e in edges]
+    middle = [f"{a} to {b} {unit}" for a, b in pairwise(legend)]
+    return [f"below {legend[0]} {unit}", *middle, f"above {legend[-1]} {unit}"]
 
 
 def _panel(scene: Scene, route: Route, edges: Array, what: str, legend: dict[str, str]) -> Panel:

@@ -131,14 +131,22 @@ def change(before: float, after: float) -> str:
 
 
 def length(metres: float) -> str:
-    """Return a readable length: "4 mm", "0.11 m", "12 m"."""
-    if metres < 0.0995:
+    """Return a readable length: "4 mm", "110 mm", "1.20 m", "12 m"."""
+    if metres < 0.9995:
         return f"{1000.0 * metres:.2g} mm" if metres < 0.00995 else f"{1000.0 * metres:.0f} mm"
     return f"{metres:.2f} m" if metres < 9.95 else f"{metres:.0f} m"
 
 
+def in_one_unit(words: str) -> str:
+    """Return a text whose lengths are in m if any of them is: "87 mm ... 1.20 m" -> "0.087 m ... 1.20 m"."""
+    if not LENGTH_M.search(words):
+        return words
+    return LENGTH_MM.sub(lambda found: f"{float(found[1]) / 1000.0:.2g} m", words)
+
+
 # --- Notes: notes that differ only in numbers or names are merged into one
 
+LENGTH_M, LENGTH_MM = re.compile(r"\d m\b"), re.compile(r"\b([\d.]+) mm\b")
 NUMBER = re.compile(r"(?<![\w@])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?[%°]?")  # no digits of a name: lrf2, lrf@2Hz
 
 

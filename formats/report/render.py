@@ -35,6 +35,7 @@ LATEX = {
     "^": r"\textasciicircum{}",
     "°": r"\textdegree{}",
 }
+UNIT, NBSP = re.compile(r" (?=\S{1,2}$)"), "\u00a0"  # the space before the unit at the end of a heading
 SIGNS = {
     "helps": "▲",
     "seems to help": "△",
@@ -82,7 +83,8 @@ def html(
     """
     classes = ("", *(_class(c, head=True) for c in table.columns[1:]))
     heads = "".join(
-        f'<th scope="col"{own}>{html_text(heading(c))}</th>' for own, c in zip(classes, table.columns, strict=True)
+        f'<th scope="col"{own}>{UNIT.sub(NBSP, html_text(heading(c)))}</th>'
+        for own, c in zip(classes, table.columns, strict=True)
     )
     rows = "".join(_html_row(table.columns, row, swatches, bars or {}, tinted) for row in table.rows)
     label = f' tabindex="0" role="region" aria-label="{html_text(table.label)}"' if table.label else ""

@@ -36,7 +36,8 @@ COLUMNS = (
     ANEES,
 )
 ON_DEMAND = ("final_position_error_m", "drift_5m")  # on a terminal only with --verbose
-IN_MM = (0.01, 10.0)  # m: mm if the smallest error is below the first and the largest below the second
+IN_MM = 1.0  # m: mm if all errors are smaller, as in the headline,
+IN_MM_IF_SMALL = (0.01, 10.0)  # m: or the smallest below the first and the largest below the second
 ASIDE = ("position_median_m", "along_rmse_m", "cross_rmse_m", "drift_1m", "drift_10m")  # in the full table only
 MAIN = tuple(c for c in COLUMNS if c.key not in ASIDE)
 LOST = Column("lost_share", "lost", form="{:.0%}")
@@ -137,8 +138,9 @@ def configurations(report: Report, main: bool = True) -> Table:
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
     found += [JUDGED_BY] if report.get("reference") else []
-    errors = [e for c in found if c.unit == "m" for v in rows if (e := v.get(c.key))]
-    if errors and min(errors) < IN_MM[0] and max(errors) < IN_MM[1]:
+    errors = [e for c in COLUMNS if c.unit == "m" for v in rows if (e := v.get(c.key))]
+    most = IN_MM_IF_SMALL[1] if errors and min(errors) < IN_MM_IF_SMALL[0] else IN_MM
+    if errors and max(errors) < most:
         in_mm = {"unit": "mm", "scale": 1000.0, "form": "{:.1f}", "brief_form": "{:.1f}"}
         found = [replace(c, **in_mm) if c.unit == "m" else c for c in found]
     found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _scan_quality(report))]

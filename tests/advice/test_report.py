@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from locfuse.cli.advice.report import Advised, add_findings, add_validity, covariance, headline
-from locfuse.formats.report.findings import sentence
+from locfuse.formats.report.findings import in_one_unit, sentence
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import Advice
 from locfuse.fusion.checks.turning import MIRROR
@@ -262,3 +262,14 @@ def test_a_smoothed_run_is_void_by_the_words_of_its_filter() -> None:
     assert entry["message"] == "all: lost for 14% of the drive, first at 3.0 s"
     assert entry["configurations"] == ["all", "all-smoothed"]
     assert all(values["anees"] is None for values in report["configurations"].values())
+
+
+@pytest.mark.parametrize(
+    ("words", "same"),
+    [
+        ("Keep it: 68 mm. Odometry alone: 113 mm.", "Keep it: 68 mm. Odometry alone: 113 mm."),
+        ("Keep it: 87 mm, smoothed 4.5 mm. With all it is 1.20 m.", None),
+    ],
+)
+def test_a_headline_has_one_unit_of_length(words: str, same: str | None) -> None:
+    assert in_one_unit(words) == (same or "Keep it: 0.087 m, smoothed 0.0045 m. With all it is 1.20 m.")

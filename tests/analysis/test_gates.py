@@ -305,8 +305,8 @@ def test_a_lower_rate_and_a_pair_in_which_one_harms_are_said_in_figures() -> Non
     add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, ERRORS, by_truth=True)
     words = {s: v["words"].removeprefix("Why.").strip() for s, v in found.items()}
     assert words["camera"] == ""
-    assert words["compass"] == "Beside camera: 64 mm -> 0.12 m (1.9x worse)."
-    assert words["lrf"] == "lrf@2Hz: 4 mm -> 8 mm (2.0x worse)."
+    assert words["compass"] == "Beside camera: 64 -> 120 mm (1.9x worse)."
+    assert words["lrf"] == "lrf@2Hz: 4 -> 8 mm (2.0x worse)."
 
 
 def test_without_errors_nothing_is_added() -> None:

@@ -169,7 +169,7 @@ def test_a_real_log_got_worse_where_position_or_heading_did(after: tuple[float, 
     log, fix, name, position, heading, anees, worse, again, cpu = (cell.strip() for cell in line.split("|")[1:-1])
     assert (log, fix, name, anees) == ("fr079", "`wheels.time_offset=0.13`", "all", "7 -> 7")
     assert (again, cpu) == ("nothing", "2.5 x")
-    assert position.startswith("0.40 m -> 0.")
+    assert position == f"400 mm -> {1000 * after[0]:.0f} mm"
     assert heading == f"4.00° -> {after[1]:.2f}°"
     assert worse == bad
 

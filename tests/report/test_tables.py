@@ -100,7 +100,7 @@ def test_a_value_that_does_not_exist_is_the_mediums_dash() -> None:
 def test_units_stand_in_the_heading() -> None:
     assert "| name | length, m | share |" in render.markdown(TABLE)
     assert "name & length [m] & share" in render.latex(TABLE)
-    assert '<th scope="col">length, m</th>' in render.html(TABLE)
+    assert '<th scope="col">length,\u00a0m</th>' in render.html(TABLE)
     heads, first, _ = text_table.lines(TABLE, None)
     assert heads.split() == ["name", "len,", "m", "share"]
     assert first.split() == ["short", "1.2", "50.0%"]

@@ -41,7 +41,7 @@ from locfuse.fusion.wheels.read import WHEEL_READS
 MAX_BEAMS = 360  # drawn of a scan
 MAX_PICTURES = 600  # by default
 MAX_ARRAY_COLUMNS = 8  # longer numeric arrays, such as ranges, are not drawn as curves
-SMOOTHED_LIGHT_SHARE = 0.65  # brightness of a smoothed result's colour
+SMOOTHED_LIGHT_SHARE = 0.7  # brightness of a smoothed result's colour
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # quantiles of the band of consistent NIS
 JPEG_QUALITY = 80  # of panoramas and raw Image messages

@@ -103,7 +103,7 @@ def show_and_wait(path: Path) -> None:
 
 def start(path: Path) -> subprocess.Popen[bytes]:
     """Start a viewer on the loopback interface and return its process. Raises LocfuseError if it ends at once."""
-    viewer = _start_rerun(["--port", str(free_port(PORT)), str(path)])
+    viewer = start_rerun(["--port", str(free_port(PORT)), str(path)])
     try:
         code = viewer.wait(START_TIMEOUT_S)
     except subprocess.TimeoutExpired:
@@ -119,7 +119,7 @@ def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
     Raises LocfuseError if the server ends by itself.
     """
     port, data = free_port(wanted), free_port(PORT)
-    server = _start_rerun(["--port", str(data), "--serve-web", "--web-viewer-port", str(port), str(path)])
+    server = start_rerun(["--port", str(data), "--serve-web", "--web-viewer-port", str(port), str(path)])
     try:
         address = f"http://{HOST}:{port}/?url=" + quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
         say(address)
@@ -134,7 +134,7 @@ def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
     raise LocfuseError(f"the web viewer ended with code {code}")
 
 
-def _start_rerun(words: list[str]) -> subprocess.Popen[bytes]:
+def start_rerun(words: list[str]) -> subprocess.Popen[bytes]:
     """Start Rerun on the loopback interface, without output, unaffected by the terminal's Ctrl-C.
 
     Runs Rerun's binary, not its console script, which forks a viewer that would not be terminated.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -40,15 +39,13 @@ def record(path: Path, tab: str) -> None:
 def screenshot(path: Path) -> bytes:
     """Return the viewer's picture of a recording as PNG."""
     port = viewer.free_port(0)
-    command = [viewer.program(), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
-    command += ["--window-size", f"{SIZE[0]}x{SIZE[1]}", "--hide-welcome-screen", str(path)]
+    options = ["--headless", "--port", str(port), "--window-size", f"{SIZE[0]}x{SIZE[1]}", "--hide-welcome-screen"]
     with tempfile.TemporaryDirectory() as runtime:
-        environment = {"XDG_RUNTIME_DIR": runtime, **os.environ, "RUST_LOG": "off", "RERUN_APP_ONLY": "true"}
-        window = subprocess.Popen(command, env=environment)
+        os.environ.setdefault("XDG_RUNTIME_DIR", runtime)
+        window = viewer.start_rerun([*options, str(path)])
         try:
             client = connected(f"rerun+http://127.0.0.1:{port}/proxy")
-            (timeline,) = [t for t in client.get_state().recordings[0].timelines if t.name == "log time"]
-            client.set_time("log time", duration=timeline.start * 1e-9 + SECONDS, play_state="paused")
+            client.set_time("drive", duration=SECONDS, play_state="paused")
             time.sleep(8.0)  # notices fade, pictures are decoded
             return bytes(client.take_screenshot())
         finally:
@@ -82,9 +79,10 @@ def main(tab: str = TAB, target: str = str(Path(__file__).with_name("rerun.png")
         picture = Image.open(io.BytesIO(screenshot(recording))).convert("RGB")
     picture = picture.crop((0, TOP_BAR, *picture.size))
     size = (WIDTH, round(picture.height * WIDTH / picture.width))
-    picture.resize(size, Image.Resampling.LANCZOS).quantize(255, dither=Image.Dither.NONE).save(
-        target, optimize=True
+    few = picture.resize(size, Image.Resampling.LANCZOS).quantize(
+        255, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE
     )
+    few.save(target, optimize=True)
     print(target)
 
 

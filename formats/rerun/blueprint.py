@@ -17,6 +17,10 @@ from .scene import RerunScene
 BACKGROUND = (20, 21, 26)
 MARGIN_SHARE = 0.06  # margin around the map, as a share of its size
 SCAN_RANGE_M = (1.5, 15.0)  # limits of the range around the robot shown first
+LEGEND_SHARES = (0.04, 0.037)  # of the left column: the legend's title, each of its rows
+TICK_MARGIN = 0.04  # share of a plot's range, or of a step, beyond its outer values
+MAX_TEN_STEPS = 6.5  # a plot over more steps of a power of ten has no room for their labels
+LEGEND_ROWS = 5  # entries of a plot's legend that fit into a plot of usual height
 MAX_RAW_VIEWS = 12  # topics with a view of their own
 Range = tuple[float, float]
 
@@ -38,7 +42,8 @@ def _left(scene: RerunScene) -> Any:
     """Return the left column: map, legend, and panorama if there are pictures."""
     rows = [(_map_view(scene), 0.66)]
     if len(drawing.legend_of(scene)) > 1:
-        rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", *drawing.legend_ranges(scene)), 0.1))
+        share = LEGEND_SHARES[0] + LEGEND_SHARES[1] * drawing.legend_rows(scene)
+        rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", *drawing.legend_ranges(scene)), share))
     if scene.picture_rows is not None:
         rows.append((_view_2d("Panorama", f"/{drawing.PANORAMA}"), 0.24))
     views, shares = zip(*rows, strict=True)
@@ -53,7 +58,7 @@ def _right(scene: RerunScene, tab: str | None) -> Any | None:
     if tabs := _tabs(scene):
         front = list(tabs).index(tab) if tab in tabs else 0
         parts.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
-    return rrb.Vertical(contents=parts, row_shares=[0.34, 0.66]) if len(parts) > 1 else next(iter(parts), None)
+    return rrb.Vertical(contents=parts, row_shares=[0.26, 0.74]) if len(parts) > 1 else next(iter(parts), None)
 
 
 def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = None, **more: Any) -> Any:
@@ -133,19 +138,52 @@ def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: l
             f"{origin}/{part(e.name)}/three_sigma": [rrb.EntityBehavior(visible=e.name == scene.best.name)]
             for e in judged
         }
-        span = close[i] if close else None
-        views.append(_plot(f"{component} [{unit}]", origin, span, legend=i == 0, overrides=bands))
+        low, high = ticked(*((-close[i], close[i]) if close else _deviation_range(scene, judged, i)))
+        views.append(_plot(f"{component} [{unit}]", origin, high, low, legend=i == 0, overrides=bands))
     label = f"{name} (reference)" if judged[0].reference else name
-    return rrb.Vertical(contents=views, name=label, row_shares=[1.35, *[1.0] * (count - 1)])  # room for the legend
+    first = max(1.2, len(judged) / LEGEND_ROWS)  # room for the legend
+    return rrb.Vertical(contents=views, name=label, row_shares=[first, *[1.0] * (count - 1)])
+
+
+def _deviation_range(scene: RerunScene, judged: list[Evaluation], i: int) -> Range:
+    """Return the least and the greatest value of the i-th deviation [m, m, deg] and of the best one's 3 sigma."""
+    scale = list(series.DEVIATIONS.values())[i][1]
+    columns = [j.heading if i == 2 and j.heading is not None else j.deviation[:, i % 2] for j in judged]
+    bands = [series.DEVIATION_BAND_SIGMAS * j.sigma[:, i] for j in judged if j.name == scene.best.name]
+    values = scale * np.concatenate([*columns, *bands, *(-b for b in bands)])
+    values = values[np.isfinite(values)]
+    return (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)
+
+
+def ticked(low: float, high: float) -> Range:
+    """Return limits of a y axis, widened so that it has at least two labelled ticks.
+
+    The viewer labels multiples of a power of ten only, and only where they are not too close.
+    """
+    margin = TICK_MARGIN * max(high - low, 1e-9)
+    low, high = low - margin, high + margin
+    step = 10.0 ** np.floor(np.log10(high - low))
+    steps = (high - low) / step
+    if steps <= MAX_TEN_STEPS and _ticks(low, high, step) >= 2:
+        return low, high
+    step *= 10.0 if steps > MAX_TEN_STEPS else 1.0
+    down = float((np.floor(low / step) - TICK_MARGIN) * step)
+    up = float((np.ceil(high / step) + TICK_MARGIN) * step)
+    wider = [ends for ends in ((down, high), (low, up)) if _ticks(*ends, step) >= 2]
+    return min(wider, key=lambda ends: ends[1] - ends[0], default=(down, up))
+
+
+def _ticks(low: float, high: float, step: float) -> int:
+    return int(np.floor(high / step + 1e-9) - np.ceil(low / step - 1e-9)) + 1
 
 
 def _close_spans(judged: list[Evaluation]) -> list[float]:
     """Return y limits for x, y [m] and heading [deg] that show the better half of the configurations."""
     by_error = sorted(judged, key=lambda e: e.figures["position_rmse_m"] or 0.0)
     good = by_error[: (len(by_error) + 1) // 2]
-    xy = 1.2 * max(float(np.abs(e.deviation).max()) for e in good)
+    xy = 1.05 * max(float(np.abs(e.deviation).max()) for e in good)
     heading = max(float(np.abs(e.heading).max()) if e.heading is not None else 0.0 for e in good)
-    return [xy, xy, float(np.degrees(1.2 * heading))]
+    return [xy, xy, float(np.degrees(1.05 * heading))]
 
 
 def _nis(scene: RerunScene, sensor: str) -> Any:

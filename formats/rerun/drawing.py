@@ -19,14 +19,14 @@ from .scene import MATCHED, NEW, REJECTED, Picture, RerunScene, Rgb
 DRIVE, TIME, STEP = "drive", "log time", "step"  # s since the start, the log's own clock, update time
 MIN_DATE_NS = 10**17  # 1973; smaller times count from the robot's start and are shown as durations
 OMNI, PANORAMA, LEGEND = "camera/omni", "camera/panorama", "legend"
-LEGEND_COLUMNS, LEGEND_CELL = 7, 4.0  # entries per row, and their distance in row heights
+LEGEND_COLUMNS, LEGEND_CELL = 6, 4.6  # entries per row, and their distance in row heights
 FOUND_ORDER = 10.0  # draw order of detections, above the picture
 PICTURES_IN_MEMORY = 16
 
 TRUTH: Rgb = (244, 245, 247)
 FIELD_COLOURS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
 LANDMARK: Rgb = (255, 60, 230)
-FIRST_WALL: Rgb = (120, 80, 40)
+FIRST_WALL: Rgb = (170, 115, 60)
 WALL: Rgb = (225, 205, 150)
 SCAN: Rgb = (110, 165, 200)
 LIMIT: Rgb = (255, 235, 60)
@@ -95,7 +95,7 @@ def points(colour: Rgb, width: float, alpha: int = 255) -> rr.Points2D:
 def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:
     """Return the legend of the map as (text, colour), configurations first."""
     runs = scene.estimates
-    groups = {"matched": GROUPS[MATCHED], "refused": GROUPS[REJECTED], "new": GROUPS[NEW]}
+    groups = {"matched": GROUPS[MATCHED], "rejected": GROUPS[REJECTED], "new": GROUPS[NEW]}
     shown: list[tuple[bool, dict[str, Rgb]]] = [
         (scene.drive.truth is not None, {"truth": TRUTH}),
         (any(e.audits for e in runs), groups),
@@ -109,9 +109,13 @@ def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:
 
 
 def legend_ranges(scene: RerunScene) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the x and y ranges of the legend's view."""
-    rows = -(-len(legend_of(scene)) // LEGEND_COLUMNS)
-    return (-0.5 * LEGEND_CELL, (LEGEND_COLUMNS - 0.5) * LEGEND_CELL), (-0.2, rows - 0.1)
+    """Return the x and y ranges of the legend's view, 1 high per row."""
+    return (-0.5 * LEGEND_CELL, (LEGEND_COLUMNS - 0.5) * LEGEND_CELL), (-0.2, legend_rows(scene) - 0.1)
+
+
+def legend_rows(scene: RerunScene) -> int:
+    """Return the number of rows of the legend."""
+    return -(-len(legend_of(scene)) // LEGEND_COLUMNS)
 
 
 def draw_legend(to: TimelineRecorder, scene: RerunScene) -> None:

@@ -19,6 +19,7 @@ from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.geometry import ellipses, mounted, segments, to_map, wall, wall_band
 from locfuse.formats.rerun import drawing as style
+from locfuse.formats.rerun.blueprint import ticked
 from locfuse.formats.rerun.drawing import STATES
 from locfuse.formats.rerun.recording import save_recording, unfolded
 from locfuse.formats.rerun.scene import REJECTED, RawTopic, RerunScene, SensorLook
@@ -308,3 +309,15 @@ def test_red_is_what_was_refused_and_nothing_else() -> None:
     refused = lab(style.GROUPS[REJECTED])
     others = [style.TRUTH, style.LANDMARK, style.LIMIT, style.LEVEL, *style.FIELD_COLOURS]
     assert all(np.linalg.norm(lab(rgb) - refused) > 2.0 * APART for rgb in others)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-0.73, 0.12), (-0.05, 0.75), (0.0, 3.0), (-0.4, 0.4), (3.2, 3.9), (-12.0, 17.0), (5.0, 5.0)]
+)
+def test_a_plot_of_deviations_has_two_labelled_ticks_with_room(low: float, high: float) -> None:
+    """The viewer labels multiples of a power of ten, where at most seven fit into the plot."""
+    below, above = ticked(low, high)
+    assert below <= low <= high <= above
+    steps = [10.0**p for p in range(-12, 4) if (above - below) / 10.0**p <= 7.0]
+    assert any(np.floor(above / s) - np.ceil(below / s) >= 1 for s in steps)
+    assert above - below <= 20.0 * max(high - low, 1e-9)

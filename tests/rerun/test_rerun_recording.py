@@ -80,7 +80,7 @@ def test_the_truth_lies_below_the_estimates(made: Made) -> None:
 def test_the_legend_names_every_configuration_in_its_colour(made: Made) -> None:
     names = {p.removeprefix("legend/") for p in made.entities if p.startswith("legend/")}
     assert {name_of(n) for n in made.estimates} <= names
-    assert {"truth", "matched", "refused", "landmark"} <= names
+    assert {"truth", "matched", "rejected", "landmark"} <= names
     for name in made.estimates:
         sample = made.entities[f"legend/{name_of(name)}"].static["Points2D:colors"]
         assert sample == made.entities[f"world/{name_of(name)}/path"].static["LineStrips2D:colors"]

@@ -21,22 +21,22 @@ from locfuse.cli.analysis.errors import expected, silence_overflows
 from locfuse.cli.terminal.screen import ignore_closed_stdout, say, settle_streams
 
 COMMANDS = {
-    "run": "Run one configuration: trajectory, covariances, run.json.",
-    "compare": "Run all configurations in one pass and report what each sensor adds.",
-    "fleet": "Compare each of many logs, and write tables and a page over all of them.",
-    "info": "Say what is in a log, what reads what, what is missing, and what looks wrong, with the fix.",
-    "init": "Print a commented robot.toml for a log: what it tells, what is guessed, what to measure.",
-    "view": "Look at a log, a result or a recording in Rerun.",
-    "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
-    "tune": "Find the noise of wheels and sensors from logs, without truth.",
-    "export": "Write what was found into the YAML of ROS nodes: ekf, controllers, AMCL, FusionCore.",
-    "recover": "Copy everything readable of a damaged log into one clean MCAP.",
-    "explain": "Say what a word of a report means: ANEES, NIS, drift ...",
-    "completion": "Print the script by which a shell completes commands, logs, sensors, keys and topics.",
+    "run": "Estimate the trajectory with one set of sensors.",
+    "compare": "Compare sets of sensors, and report what each sensor adds.",
+    "fleet": "Compare many logs, and summarise the results in tables and on one page.",
+    "info": "Show what is in a log, and what looks wrong, with the fix.",
+    "init": "Print a robot.toml for a log; values that you must measure are marked.",
+    "view": "Show a log, a result or a recording in Rerun.",
+    "calibrate": "Estimate wheel noise, wheel geometry, laser mount and magnetometer iron from logs.",
+    "tune": "Estimate the noise of wheels and sensors from logs, without truth.",
+    "export": "Write parameters found from a log into YAML files of ROS nodes.",
+    "recover": "Copy the readable part of a damaged log into a new MCAP.",
+    "explain": "Explain a term of a report, or a sensor: ANEES, NIS, drift ...",
+    "completion": "Print a script for your shell that completes locfuse's commands and options.",
     "paper": "Repeat the paper's table and figures, with our filter and as printed, on one page.",
-    "simulate": "Drive a scenario and record it as a log with known truth.",
-    "mcp": "Serve an agent: tools on the logs below some folders (Model Context Protocol).",
-    "schema": "Print the JSON Schema of robot.toml, report.json or --json, for editors and programs.",
+    "simulate": "Simulate a drive, and record it as a log with known truth.",
+    "mcp": "Let an AI agent use locfuse on the logs of some folders (Model Context Protocol).",
+    "schema": "Print the JSON Schema of robot.toml, of report.json or of --json output.",
 }
 MODULES = {  # command -> module in cli/commands, where their names differ
     **dict.fromkeys(("calibrate", "tune"), "estimate"),
@@ -95,7 +95,7 @@ VERSION: dict[str, Any] = {"is_flag": True, "expose_value": False, "is_eager": T
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.option("--version", help="Show the version and exit.", **VERSION)
 def locfuse() -> None:
-    """Say what each sensor adds to a robot: EKF localization from MCAP logs, compared.
+    """Find out which sensors a robot needs: EKF localization from recorded logs, with every set of sensors.
 
     \b
     Start with:  locfuse compare rounded_rectangle

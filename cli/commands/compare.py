@@ -48,10 +48,10 @@ ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options for
     *o.RERUN,
 )
 def compare(log: tuple[str, ...], options: o.Options) -> int:
-    """Say what each sensor of LOG adds: all configurations in one pass, and a report.
+    """Report what each sensor of LOG adds: run the filter with several sets of sensors and compare the errors.
 
-    LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. Two logs are compared
-    as `locfuse fleet` compares many; folders of finished results are compared with each other.
+    LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. For several logs this
+    command does what `locfuse fleet` does. Folders of results are compared with the first of them.
 
     \b
     locfuse compare rounded_rectangle

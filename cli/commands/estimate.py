@@ -27,14 +27,16 @@ def _estimates(what: str, tables: str) -> tuple[o.Declared, ...]:
 
 @click.command()
 @o.LOGS
-@o.carried(*_estimates("Write what was found as robot.toml, to be used with --robot.", "a table"), *o.READING)
+@o.carried(*_estimates("Write the result as robot.toml, for --robot.", "a table"), *o.READING)
 def calibrate(log: tuple[str, ...], options: o.Options) -> int:
-    """Find wheel noise, wheel geometry, laser mount and magnetometer iron from LOGs of one robot.
+    """Estimate wheel noise, wheel geometry, laser mount and magnetometer iron from LOGs of one robot.
 
-    From straight runs and turns on the spot with truth: the noise per metre (and the paper's delta), wheel radius,
-    ratio and track. Without truth, from any drive with wheels and a laser: radius, ratio, track, where the laser
-    sits and how late it is; with wheels and a gyro: ratio, track and noise. From any log in which the robot turns
-    once, without truth: hard and soft iron.
+    \b
+    LOGs have wheels and ...           what is estimated
+    truth, straight runs and turns     noise per metre, the paper's delta, radius, ratio, track
+    a laser                            radius, ratio, track; mount and clock lag of the laser
+    a gyro                             ratio, track, noise
+    a magnetometer and one full turn   hard and soft iron
 
     \b
     locfuse simulate straight_runs -o straight.mcap
@@ -55,14 +57,14 @@ def calibrate(log: tuple[str, ...], options: o.Options) -> int:
 
 @click.command()
 @o.LOGS
-@o.sensors("Comma-separated sensors to tune and to tune by, or: all.")
+@o.sensors("Comma-separated sensors to use and to tune, or: all.")
 @o.each(
     "--hold-out",
-    "Judge by this log instead of tuning on it. Repeatable.  [default: the last fifth of every log]",
+    "Do not tune on this log, but test the result on it. Repeatable.  [default: the last fifth of every log]",
     metavar="LOG",
 )
-@o.flag("--drift", "Ask also whether the compass' estimated offset drifts.")
-@o.carried(*_estimates("Write robot.toml: --robot and --set with the noise that was found.", "tables"), *o.READING)
+@o.flag("--drift", "Also estimate whether the compass offset drifts.")
+@o.carried(*_estimates("Write robot.toml: the given settings with the estimated noise.", "tables"), *o.READING)
 def tune(log: tuple[str, ...], options: o.Options, hold_out: tuple[str, ...], drift: bool) -> int:
     """Estimate sensor and wheel noise from LOGs of one robot (maximum likelihood).
 

@@ -22,14 +22,14 @@ TARGETS = ("diff_drive", "ekf", "amcl", "fusioncore")  # as in cli/ros/export.py
 )
 @o.option(
     "--into",
-    "Change the values in this YAML file of yours, keep your comments, and show a diff.",
+    "Change the values in this YAML file, keep its comments, and show a diff.",
     type=o.FILE,
     metavar="FILE",
 )
 @o.option("--node", "Name of the node in the --into file, if it has several of this kind.", metavar="NAME")
-@o.option("-o --out", "Write to this file.  [default: print it, or change --into]", type=o.FILE)
+@o.option("-o --out", "Write to this file.  [default: print, or change the --into file]", type=o.FILE)
 @o.OVERWRITE
-@o.flag("--as-set", "Take the settings as they are: calibrate and tune nothing.")
+@o.flag("--as-set", "Use the present settings: do not calibrate or tune.")
 @o.carried(o.GIVEN_MAP, *o.READING)
 def export(
     log: tuple[str, ...],
@@ -40,10 +40,10 @@ def export(
     node: str | None,
     as_set: bool,
 ) -> int:
-    """Write the parameters of ROS nodes as found on LOG: ekf.yaml, controllers, AMCL, FusionCore.
+    """Write parameters of ROS nodes, estimated from LOG: ekf.yaml, controllers, AMCL, FusionCore.
 
-    LOG is calibrated and tuned first. A folder of results is taken as it is: its settings and its fixes. Every
-    line says where its value comes from: found, carried over, or cannot be mapped (docs/export.md).
+    LOG is calibrated and tuned first. If LOG is a folder of results, its settings and fixes are used instead. A
+    comment on each line says where the value comes from (docs/export.md).
 
     \b
     locfuse export ros drive.mcap --to ekf -o ekf.yaml

@@ -46,10 +46,10 @@ MAX_LINES_PRINTED = 20  # of losses or gates on stderr; the tables have all
     o.RERUN_SHOW,
 )
 def fleet(log: tuple[str, ...], options: o.Options) -> int:
-    """Compare each of many LOGS, and write tables and a page over all of them (docs/fleet.md).
+    """Compare many LOGS, and summarise the results in tables and on one page (docs/fleet.md).
 
-    LOGS are logs as `locfuse compare` takes them, also as @list.txt or "pattern*.mcap". Logs whose results are
-    there already are not run again. A setting that helps all logs of a robot is tried on each, and is one fix.
+    LOGS may also be @list.txt or "pattern*.mcap". Logs that already have results are not run again. A fix for a
+    robot is tried on all of its logs, and is printed if it helps in all of them.
 
     \b
     locfuse fleet rounded_rectangle rounded_triangle disturbed --jobs 2

@@ -23,23 +23,23 @@ TRIED = "tried by fusing"
 @o.LOGS
 @o.flag(
     "--check",
-    "Also try the fixes by fusing again. Exit with 3 if something would spoil an estimate, or a run is lost.",
+    "Also run the filter with the fixes. Exit with 3 if a problem would spoil an estimate, or a run gets lost.",
 )
 @o.ADVICE
-@o.flag("--topics", "List the topics and nothing else: no message is read.")
+@o.flag("--topics", "List only the topics; no message is read.")
 @o.flag("--json as_json", "Print everything as JSON.")
 @o.option(
     "--preview",
-    "Write a few of the camera's pictures there, with what counts as red and what was found.",
+    "Write a few camera pictures to this folder; red pixels and detected objects are marked.",
     type=o.DIRECTORY,
     metavar="DIR",
 )
 @o.carried(*o.READING)
 def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, preview: Path | None) -> int:
-    """Say what is in LOG, which sensor reads which topic and why, what is missing, and what looks wrong.
+    """Show what is in LOG, which topic each sensor uses, what is missing, and what looks wrong.
 
-    A finding that a setting fixes is printed with that setting. --check tries them by fusing. Several logs of one
-    robot are asked together: one lag, one track, one mount, with the spread over the logs.
+    If a setting fixes a problem, the setting is printed; --check runs the filter with it. Several logs of one
+    robot are examined together: their common clock lag, track and mount, with the spread over the logs.
 
     \b
     locfuse info bag/

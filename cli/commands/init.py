@@ -24,17 +24,17 @@ LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
 
 @click.command()
 @o.LOGS
-@o.option("-o --out", "Write it to this file.  [default: print it]", type=o.FILE)
+@o.option("-o --out", "Write robot.toml to this file.  [default: print it]", type=o.FILE)
 @o.OVERWRITE
 @o.option(
     "--update",
-    "Add to this file what the log shows and the file does not say; its comments and values stay.",
+    "Add values that the log shows and this file lacks; its comments and values stay.",
     type=o.EXISTING,
     metavar="ROBOT.TOML",
 )
 @o.option(
     "--ekf",
-    "Take topics and frames from this configuration of robot_localization; what does not map is said.",
+    "Take topics and frames from this robot_localization file; parameters that cannot be used are listed.",
     type=o.EXISTING,
     metavar="EKF.YAML",
 )
@@ -42,9 +42,9 @@ LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
 def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Path | None) -> int:
     """Print a robot.toml for LOG: a starting point with a comment on every line.
 
-    With -o or --update on a terminal it asks for the values that no log can tell, such as the wheels' radius.
-    What the log shows is set: topics, joints, mounts by /tf_static, wheels by /robot_description, clock lags.
-    Guesses are marked as guesses. Lines starting with # are inactive: they say what to measure.
+    Values that the log shows are set: topics, joints, mounts (/tf_static), wheels (/robot_description), clock
+    lags. Guesses are marked. Lines starting with # are inactive: they name what you must measure. With -o or
+    --update, on a terminal, locfuse asks for values that no log contains, such as the wheel radius.
 
     \b
     locfuse init bag/ -o robot.toml

@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from mcp.server.mcpserver import MCPServer
 
 INSTRUCTIONS = (
-    "locfuse tells what each sensor of a wheeled robot is worth, from recorded logs: info() lists the logs, "
-    "info(log) says what is in one, compare(log) which sensors to keep and what is set wrong. Findings have "
-    "fixes: pass them as settings, {'table.key': value}, and compare again. Read the headline first; figures of a "
-    "log with void or doubtful entries must not be used."
+    "locfuse computes from recorded logs what each sensor of a wheeled robot adds: info() lists the logs, "
+    "info(log) shows what is in one, compare(log) which sensors to keep and which settings are wrong. Findings "
+    "have fixes: pass them as settings, {'table.key': value}, and compare again. Read the headline first; figures "
+    "of a log with void or doubtful entries must not be used."
 )
 MAX_LISTED = 200  # logs and notes of one answer
 FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees", "lost_share", "revisit_agreement")
@@ -51,11 +51,11 @@ Settings = dict[str, Any]  # {"table.key": value} of robot.toml
 
 @click.command()
 @click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path, file_okay=False, exists=True))
-@o.option("-o --out", "The folder that results are written to.", required=True, type=o.DIRECTORY)
+@o.option("-o --out", "Folder for the results.", required=True, type=o.DIRECTORY)
 def mcp(folders: tuple[Path, ...], out: Path) -> None:
-    """Serve an agent: tools on the logs below FOLDERS, by the Model Context Protocol (stdin, stdout).
+    """Let an AI agent use locfuse, by the Model Context Protocol over stdin and stdout.
 
-    It reads nothing outside FOLDERS and writes only below -o. An agent's program starts this command itself.
+    The agent can read logs below FOLDERS only, and write below -o only. Its program starts this command.
 
     \b
     pip install 'locfuse[mcp]'
@@ -121,7 +121,7 @@ class Tools:
         self._out = out.resolve()
 
     def info(self, log: str = "", settings: Settings | None = None, check: bool = False) -> Answer:
-        """Say what is in a log, which sensor reads which topic, what is missing, and what looks wrong, with fixes.
+        """Show what is in a log, which topic each sensor uses, what is missing, and what looks wrong, with fixes.
 
         Without `log`, list the logs. `check` also tries the fixes by fusing (minutes on a long log).
         """
@@ -149,7 +149,7 @@ class Tools:
         align: str = "none",
         smooth: bool | None = None,
     ) -> Answer:
-        """Say what each sensor of a log is worth: errors of all configurations, verdicts, what looks wrong, fixes.
+        """Return what each sensor of a log adds: errors of all configurations, verdicts, what looks wrong, fixes.
 
         `sensors` are configurations, such as ["odometry", "compass,lrf", "all"]; none: odometry, each alone, all.
         `align` "se2" judges the shape of the path only. `smooth` adds paths from the whole drive; null: those with
@@ -175,19 +175,19 @@ class Tools:
         return Answer(result.headline, _findings(result.findings), values, list(map(str, files)))
 
     def tune(self, logs: list[str], sensors: str = "all", settings: Settings | None = None) -> Answer:
-        """Find the noise of wheels and sensors from logs of one robot, without truth (minutes on a long log)."""
+        """Estimate wheel and sensor noise from logs of one robot, without truth (a long log takes minutes)."""
         paths = [[self._below(log)] for log in logs]
         found = tune.tune_logs(paths, [], tune.sensor_names(sensors), False, self._how(settings), silent)
         refused = "A log gets worse with the noise that was found: it is not used."
         return self._found(found, refused if found.refused else f"Noise from {_logs(logs)}.")
 
     def calibrate(self, logs: list[str], settings: Settings | None = None) -> Answer:
-        """Find wheel noise, radius and track, laser mount and magnetometer iron from logs of one robot."""
+        """Estimate wheel noise, radius and track, laser mount and magnetometer iron from logs of one robot."""
         found = calibrated([[self._below(log)] for log in logs], self._how(settings), silent)
         return self._found(found, f"Calibration from {_logs(logs)}.")
 
     def explain(self, term: str = "") -> Answer:
-        """Say what a word of an answer or a report means: ANEES, lrf, drift; without `term`, all but sensors."""
+        """Explain a term of an answer or a report: ANEES, lrf, drift; without `term`, all but sensors."""
         return Answer(meaning(term)) if term else Answer("Words of reports.", values=dict(GLOSSARY))
 
     def _found(self, found: Found, headline: str) -> Answer:

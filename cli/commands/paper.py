@@ -18,8 +18,10 @@ from locfuse.cli.terminal.screen import ignore_closed_stdout, put
     default=Path("locfuse-out/paper"),
     show_default=True,
 )
-@o.flag("--overwrite", "Replace existing files, also in a folder that holds other files.")
-@o.option("-j --jobs", "Drives at once.", type=click.IntRange(min=1), default=2, show_default=True)
+@o.OVERWRITE
+@o.option(
+    "-j --jobs", "Number of drives to run at once.", type=click.IntRange(min=1), default=2, show_default=True
+)
 @o.flag("--json as_json", "Print the figures as JSON instead of a table.")
 @o.flag("--open shown", "Open the page in the browser when it is written.")
 @o.flag("-q --quiet", "Print no progress.")
@@ -27,7 +29,7 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
     """Repeat the paper's experiment: its table, figures 12, 13 and 14, in one folder and on one page.
 
     Each figure comes as SVG and PDF, one column wide, once with our filter and once with the equations as printed.
-    Nothing is downloaded: logs and scenarios are shipped.
+    Nothing is downloaded: logs and scenarios are included.
 
     \b
     locfuse paper -o paper

@@ -18,10 +18,10 @@ from locfuse.cli.terminal.screen import ignore_closed_stdout, put, say
 @o.flag("--json as_json", "Print what was copied and what is lost as JSON.")
 @o.QUIET
 def recover(log: tuple[str, ...], out: Path, overwrite: bool, as_json: bool, quiet: bool) -> int:
-    """Copy what can be read of LOG into one MCAP that is whole, indexed and checksummed.
+    """Copy the readable part of LOG into a new MCAP with an index and checksums.
 
-    LOG is a damaged or unfinished .mcap, .db3 or .bag, its parts, or a rosbag2 folder. Bytes, times and
-    attachments stay as they are. What is lost is printed, stands in the copy's metadata, and gives exit code 3.
+    LOG is a damaged or unfinished .mcap, .db3 or .bag, its parts, or a rosbag2 folder. Messages, times and
+    attachments are not changed. Losses are printed and stored in the copy's metadata; the exit code is then 3.
 
     \b
     locfuse recover crashed.mcap -o fixed.mcap

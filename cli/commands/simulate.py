@@ -13,16 +13,16 @@ from locfuse.cli.terminal.screen import put, say
 @click.command()
 @click.argument("scenario", required=False)
 @o.option("-o --out", "Log to write (.mcap).", type=o.FILE)
-@o.option("--seed", "Seed of all chance.  [default: the scenario's]", type=click.IntRange(0))
+@o.option("--seed", "Seed of the random numbers.  [default: the scenario's]", type=click.IntRange(0))
 @o.each(
     "--set sets",
     "Set one key of the scenario, e.g. --set compass.noise_deg=0.1. Repeatable.",
     metavar="TABLE.KEY=VALUE",
 )
-@o.flag("--list listing", "List the shipped scenarios.")
-@o.flag("--show", "Print the scenario with all its keys as TOML: a start for your own.")
+@o.flag("--list listing", "List the included scenarios.")
+@o.flag("--show", "Print the scenario with all keys as TOML; start your own from it.")
 @o.OVERWRITE
-@o.flag("--json as_json", "Print what the simulator knows of the drive as JSON.")
+@o.flag("--json as_json", "Print the true values of the drive as JSON.")
 def simulate(
     scenario: str | None,
     out: Path | None,
@@ -33,9 +33,9 @@ def simulate(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Drive SCENARIO and record it as an MCAP log with known truth.
+    """Simulate SCENARIO, and record it as an MCAP log with known truth.
 
-    SCENARIO is a TOML file or the name of a shipped scenario.
+    SCENARIO is a TOML file or the name of an included scenario.
 
     \b
     locfuse simulate rounded_rectangle -o drive.mcap --seed 7

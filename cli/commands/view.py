@@ -29,24 +29,24 @@ TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw to
     "A configuration to show. Repeatable.  [default: those of compare]",
     shell_complete=completion.sensors,
 )
-@o.option("--save", "Write the recording to this file and open nothing.", type=o.FILE, metavar="FILE.rrd")
-@o.flag("--overwrite", "Let --save replace an existing file.")
+@o.option("--save", "Write the recording to this file; open no viewer.", type=o.FILE, metavar="FILE.rrd")
+@o.OVERWRITE
 @o.option(
     "--connect",
-    "Send it to the viewer at this address.",
+    "Send the recording to the viewer at this address.",
     callback=lambda context, parameter, value: _address(value),
     metavar="URL",
 )
-@o.flag("--web", "Serve it to a browser on this machine, on 127.0.0.1 only.")
+@o.flag("--web", "Show the recording in a browser on this machine (127.0.0.1 only).")
 @o.option("--web-port", "", type=click.IntRange(1, 65535), default=9090, show_default=True)
-@o.option("--tab", "Which curves lie in front.", type=click.Choice(TABS, case_sensitive=False))
+@o.option("--tab", "The tab of plots that is shown first.", type=click.Choice(TABS, case_sensitive=False))
 @o.option(
     "--images",
-    "Which pictures go into the recording.  [default: evenly, at most 600]",
+    "Pictures to record: every N-th, or none.  [default: evenly, at most 600]",
     callback=lambda context, parameter, value: _every(value),
     metavar="every=N|none",
 )
-@o.flag("--full", "Record everything: no thinning of curves (4000 points) and scans (2000).")
+@o.flag("--full", "Record all points: do not thin curves to 4000 points, and scans to 2000.")
 @o.carried(*o.READING)
 def view(
     log: tuple[str, ...],
@@ -59,9 +59,9 @@ def view(
     images: int | None,
     full: bool,
 ) -> None:
-    """Show a log with all its configurations, a folder of results, or a recording, in Rerun's viewer.
+    """Show a log with all its configurations, a folder of results, or a recording in Rerun's viewer.
 
-    A viewer that is running is used; otherwise one is started, and this command waits until it is closed.
+    A running viewer is used. If there is none, one is started, and this command waits until you close it.
 
     \b
     locfuse view rounded_rectangle

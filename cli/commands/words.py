@@ -13,7 +13,7 @@ COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # environment variable set by the she
 @click.command()
 @click.argument("term", required=False)
 def explain(term: str | None) -> int:
-    """Say what TERM of a report or what a sensor is; without TERM, list the terms.
+    """Explain TERM of a report, or a sensor; without TERM, list all terms.
 
     \b
     locfuse explain ANEES
@@ -47,8 +47,8 @@ def meaning(term: str) -> str:
 def schema(what: str) -> int:
     """Print the JSON Schema of robot.toml, of report.json, or of what a command prints with --json.
 
-    With the schema beside a robot.toml, an editor completes keys, shows their units, and marks what is wrong:
-    the first line that `init` writes names that file. report.json and run.json share one schema.
+    With this schema an editor completes the keys of robot.toml, shows their units and marks errors. Save it beside
+    robot.toml, whose first line (by `locfuse init`) names it. report.json and run.json have the same schema.
 
     \b
     locfuse schema robot > robot.schema.json
@@ -67,7 +67,7 @@ def schema(what: str) -> int:
 @click.command()
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """Print what makes SHELL complete locfuse's commands, options, sample logs, sensors, keys and topics.
+    """Print a script for your shell that completes commands, options, sample logs, sensors, keys and topics.
 
     \b
     eval "$(locfuse completion bash)"                                # in ~/.bashrc

@@ -24,7 +24,7 @@ from . import text_table
 
 TOGETHER = "all logs together"
 READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
-    "what reads what",
+    "sensors and their topics",
     "configurations",
     "would spoil an estimate",
     "worth knowing",

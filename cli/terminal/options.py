@@ -100,7 +100,8 @@ class Grouped(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the groups of options, with --help-all also the other options."""
-        records = {p.name: record for p in self.get_params(ctx) if (record := p.get_help_record(ctx))}
+        shown = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
+        records = {p.name: record for p in shown if (record := p.get_help_record(ctx))}
         own = self.get_help_option(ctx)
         help_itself = [records.pop(name) for name in (own and own.name, "help_all") if name in records]
         groups = {title: [records.pop(n) for n in names if n in records] for title, names in HELP_GROUPS.items()}
@@ -171,15 +172,14 @@ def each(names: str, words: str, **more: Any) -> Declared:
 
 
 LOGS = click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-OVERWRITE = flag("--overwrite", "Replace an existing file.")
+OVERWRITE = flag("--overwrite", "Replace existing files.")
 QUIET = flag("-q --quiet", "Print no progress and no notes.")
 
 # --- how a log is read
 READING = (
     each(
         "--robot robots",
-        "robot.toml, merged over the one in the log. Repeatable: later files win. Of many logs "
-        "(--robot-from): 'robots/{robot}.toml'.",
+        "A robot.toml. Its values replace those in the log. Repeatable: the last value counts.",
         type=RobotFile(path_type=Path, exists=True, dir_okay=False),
     ),
     each(
@@ -190,19 +190,19 @@ READING = (
     ),
     option(
         "--order",
-        "The clock to use where stamps run backwards.  [default: auto]",
+        "Clock to use where stamps run backwards.  [default: auto]",
         type=click.Choice(settings.ORDERS),
     ),
     option(
         "--truth",
-        "Reference poses beside the log: a .tum, or a .csv with columns t, x, y (theta).",
+        "File with reference poses: a .tum, or a .csv with columns t, x, y (theta).",
         type=EXISTING,
         metavar="FILE",
     ),
-    flag("--strict", "Exit with 3 on any loss of data."),
+    flag("--strict", "Exit with 3 if any data is lost."),
     flag(
         "--hash hash_all",
-        "Read and hash every byte of the log for the report.  [default: only if all bytes are read]",
+        "Put the log's hash into the report; this reads the whole log.  [default: only if it is read anyway]",
     ),
     QUIET,
 )
@@ -217,15 +217,15 @@ WINDOW = (
 )
 GIVEN_MAP = option(
     "--map given_map",
-    "Localise in this map: the JSON of --save-map, or the .yaml of an image (map_server), in which the start "
-    "is looked for. It is not changed.",
+    "Localise in this map: a .json of --save-map, or a .yaml of map_server, in which the start is searched. "
+    "The map is not changed.",
     type=EXISTING,
 )
 
 # --- what is computed
 ALIGN = option(
     "--align",
-    "Move the estimate onto the truth before judging it.",
+    "Move the estimate onto the truth before the error is computed.",
     type=click.Choice(["none", "origin", "se2"]),
     default="none",
     show_default=True,
@@ -237,21 +237,21 @@ SMOOTH = option(
 )
 REFERENCE = option(
     "--reference/--no-reference",
-    "Without truth: measure errors against the solution of the whole drive by all sensors, and judge each "
-    "sensor by one without it.  [default: with --smooth, and for drives of up to "
+    "Without truth: measure errors against the smoothed solution of all sensors; judge each sensor by a "
+    "solution without it.  [default: with --smooth, and for drives of up to "
     f"{settings.MAX_REFERENCE_INSTANTS} update times]",
     default=None,
 )
 ADVICE = option(
     "--no-advice advice",
-    "Try no fixes: report the results of the present settings.",
+    "Do not try fixes: report only the results of the present settings.",
     flag_value=False,
     default=True,
 )
 JITTER = option(
     "--jitter",
-    "Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped, and report the range of "
-    "every figure.",
+    "Also run the filter N times with stamps moved by 1 µs and 1 % of the readings dropped; report the range "
+    "of every figure.",
     type=int,
     default=0,
     metavar="N",
@@ -259,11 +259,11 @@ JITTER = option(
 CONFIGURATIONS = (
     each(
         "--sensors",
-        "A configuration to compare, e.g. compass,lrf, or at a lower rate, lrf@2Hz. Repeatable.  [default: "
+        "A set of sensors to compare, e.g. compass,lrf; lrf@2Hz uses a lower rate. Repeatable.  [default: "
         "odometry, each sensor alone, all]",
         shell_complete=completion.sensors,
     ),
-    flag("--all-subsets", "Run every subset of the sensors: each one's credit, not only its effect alone."),
+    flag("--all-subsets", "Run every subset of the sensors, to compute the average effect of each (its credit)."),
 )
 
 
@@ -283,20 +283,20 @@ def sensors(words: str) -> Declared:
 GATES = (
     each(
         "--fail-if",
-        'Exit with 4 if this is true, e.g. "all.position_rmse_m > 0.02"; of several logs also '
+        'Exit with 4 if this condition is true, e.g. "all.position_rmse_m > 0.02"; for several logs also '
         '"fleet.all.position_rmse_m.p90 > 0.05". Repeatable.',
         metavar="GATE",
     ),
     option(
         "--baseline",
-        "Exit with 4 if an error figure is worse than in this earlier report of the same log (of several "
-        "logs: their summary.json).",
+        "Exit with 4 if an error figure is worse than in this earlier report of the same log (for "
+        "several logs: their summary.json).",
         type=EXISTING,
         metavar="REPORT.JSON",
     ),
     option(
         "--tolerance",
-        "How much worse than the baseline is allowed: a share, a floor (1mm, 0.1deg), or both: 5%,1mm.",
+        "How much worse than the baseline is allowed: in per cent, as a length or angle, or both: 5%,1mm,0.1deg.",
         default="5%",
         show_default=True,
     ),
@@ -306,10 +306,10 @@ GATES = (
 FIGURES = option(
     "--figures", "Also write every figure there as SVG and PDF, for a paper.", type=DIRECTORY, metavar="DIR"
 )
-OPEN = flag("--open", "Open the report in the browser when it is written.")
+OPEN = flag("--open", "Open the report in the browser.")
 EXPORT = option(
     "--export",
-    "Comma-separated formats of other tools to write as well (docs/bags.md): "
+    "Comma-separated formats of other tools to write too (docs/bags.md): "
     f"{'; '.join(f'{kind} ({what})' if what else kind for kind, what in EXPORTS.items())}.",
     callback=kinds_of(list(EXPORTS), "--export: unknown format", ""),
     metavar="KINDS",
@@ -321,7 +321,7 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
     usual = ",".join(settings.by_default(kinds))
     return (
         option("-o --out", "Folder for the results.  [default: locfuse-out/<log name>]", type=DIRECTORY),
-        flag("--overwrite", "Replace existing files, also in a folder that holds other files."),
+        OVERWRITE,
         option(
             "--write",
             f"Comma-separated outputs to write: {', '.join(kinds)}, or all.  [default: {usual}]",
@@ -329,12 +329,14 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
             metavar="KINDS",
         ),
         flag("--json as_json", "Print the report as JSON instead of a table."),
-        flag("-v --verbose", "Print also the notes and the table of sensors."),
+        flag("-v --verbose", "Also print the notes and the table of sensors."),
     )
 
 
 # --- Rerun
-RERUN_SHOW = flag("--rerun", "Show the drive in Rerun; of several logs, record each. More options: locfuse view.")
+RERUN_SHOW = flag(
+    "--rerun", "Show the drive in Rerun; several logs are only recorded. More options: locfuse view."
+)
 RERUN = (
     RERUN_SHOW,
     option("--rerun-save", "Write the Rerun recording to this file.", type=FILE, metavar="FILE.rrd"),
@@ -347,7 +349,7 @@ def fleet(hidden: bool = False) -> tuple[Declared, ...]:
     return (
         option(
             "-j --jobs",
-            "How many logs to compare at once, each in a process of its own.",
+            "Number of logs to compare at once, each in its own process.",
             type=click.IntRange(min=1),
             default=1,
             show_default=True,
@@ -355,7 +357,7 @@ def fleet(hidden: bool = False) -> tuple[Declared, ...]:
         ),
         option(
             "--cluster",
-            "Compare them on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786 (docs/fleet.md).",
+            "Compare the logs on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786 (docs/fleet.md).",
             metavar="ADDRESS",
             hidden=hidden,
         ),
@@ -366,7 +368,7 @@ def fleet(hidden: bool = False) -> tuple[Declared, ...]:
             metavar="DIR",
             hidden=hidden,
         ),
-        flag("--again", "Compare also logs whose results are there already.", hidden=hidden),
+        flag("--again", "Also run logs that already have results.", hidden=hidden),
         option(
             "--max-failures",
             "Stop when more than N logs have failed.  [default: go on]",
@@ -376,14 +378,14 @@ def fleet(hidden: bool = False) -> tuple[Declared, ...]:
         ),
         option(
             "--robot-from",
-            "Which robot a log is of: a pattern of its path with a group, such as 'fleet/(?P<robot>[^/]+)/'.",
+            "Regular expression that finds the robot's name in a log's path, such as 'fleet/([^/]+)/'. With it, "
+            "--robot 'robots/{robot}.toml' names a file per robot.",
             metavar="REGEX",
             hidden=hidden,
         ),
         each(
             "--sweep",
-            "Compare under each of these values of a key, e.g. lrf.sigma_range=0.01,0.03. A log is read "
-            "once. Repeatable.",
+            "Run each log with each of these values of a key, e.g. lrf.sigma_range=0.01,0.03. Repeatable.",
             metavar="KEY=V1,V2",
             hidden=hidden,
         ),

@@ -111,6 +111,9 @@ def _scales(
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
         motion = laser_motion(lrf, aligned(lrf, by_sensor.get("lrf")), drive, robot)
+        t = drive.wheels.t
+        if motion is not None and _straight(drive.wheels.heading(t), drive.wheels.driven(t)):
+            motion = motion._replace(scale_sigma=math.inf)
     size = of_size(drive, motion)
     if size:
         drive = replace(drive, truth=None)  # nothing can be held against such a truth

@@ -19,6 +19,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split
 from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
+from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -44,8 +45,8 @@ MIN_RANGE_FACTOR, MAX_RANGE_FACTOR = 0.5, 2.0  # plausible factors on a laser's 
 OPEN_SCALE = "distances"  # code: laser and wheels differ, the log does not show which is wrong
 BUMP = "bumped"  # code of the finding on a step of its yaw
 MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 5.0  # rad; standard errors, as the best of many times is taken
-BUMP_STRETCHES = 16  # of the drive, with independent errors
-MIN_BUMP_SHARE = 0.1  # of the walls, before and after the step
+BUMP_STRETCHES = 20  # of the drive, with independent errors
+MIN_BUMP_SHARE = 0.2  # of the walls, before and after the step: 4 stretches, whose spread is known
 MAX_RADIUS_MISFIT = 0.5  # difference of two errors with one cause, as a share of the smaller error
 MIN_CORRELATION = 0.9  # of turns by walls and by wheels: with less, turns by wheels are noise
 MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, smallest sum of squared turns: on a straight path they are noise
@@ -118,23 +119,32 @@ def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
     by_walls = float(left.std()) * math.hypot(*split.sigmas)
     # errors by slip are correlated between neighbouring walls
     at = split.at + 1
-    counts = [max(3, round(BUMP_STRETCHES * part / n)) for part in (at, n - at)]
-    halves = zip(np.split(across, [at]), np.split(left, [at]), counts, strict=True)
-    by_stretches = math.hypot(*(_slope_sigma(*half) for half in halves))
+    counts = [max(4, round(BUMP_STRETCHES * part / n)) for part in (at, n - at)]
+    halves = list(zip(*(np.split(c, [at]) for c in (across, left, _by_mount(walls))), counts, strict=True))
+    by_stretches = math.hypot(*(_slope_sigma(a, rest, stretches) for a, rest, _, stretches in halves))
+    slopes = [a @ moved / max(float(a @ a), MIN_SQUARES) for a, _, moved, _ in halves]
+    by_mount = SIGMA_M * float(np.hypot(*(slopes[0] - slopes[1])))
     change = split.before - split.after  # of the true yaw: both slopes are configured minus true yaw
-    least = max(MIN_BUMP_RAD, BUMP_SIGMAS * max(by_walls, by_stretches))
+    least = max(MIN_BUMP_RAD, BUMP_SIGMAS * math.hypot(max(by_walls, by_stretches), by_mount))
     return (float(walls.t[split.at]), change) if abs(change) > least else None
 
 
 def _slope_sigma(across: Array, left: Array, stretches: int) -> float:
     """Return the sigma of the slope of residuals `left` (k,) over `across` (k,).
 
-    The residuals may be correlated within each of `stretches` consecutive parts (cluster-robust standard error).
+    The residuals may be correlated within each of `stretches` > 3 consecutive parts (cluster-robust standard
+    error; of few parts times the standard deviation of Student's t).
     """
     parts = (np.array_split(column, stretches) for column in (across, left))
     scores = np.array([float(a @ b) for a, b in zip(*parts, strict=True)])
     squares = max(float(across @ across), MIN_SQUARES)
-    return math.sqrt(stretches / (stretches - 1) * float(scores @ scores)) / squares
+    return math.sqrt(stretches / (stretches - 3) * float(scores @ scores)) / squares
+
+
+def _by_mount(walls: Walls) -> Array:
+    """Return by how much each wall comes nearer (k, 2) per metre of an error of the mount, in x and in y."""
+    (c, s), (x, y) = (np.cos(walls.by_wheels) - 1.0, np.sin(walls.by_wheels)), walls.n.T
+    return np.stack((c * x + s * y, c * y - s * x), axis=-1)
 
 
 def _along_across(walls: Walls) -> tuple[Array, Array]:
@@ -312,16 +322,20 @@ def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
 
 
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
-    """Return the jackknife standard errors of `estimate(walls)`: one stretch of the drive is left out at a time.
+    """Return the standard errors of `estimate(walls)`: one stretch of the drive is left out at a time (jackknife).
 
-    Pairs of scans overlap, so they are not independent. Infinite if an estimate without a stretch is None.
+    Pairs of scans overlap, so they are not independent. In turns a mount that is off by SIGMA_M looks like another
+    scale and yaw: that is added. Infinite if an estimate is None.
     """
     parts = np.array_split(np.arange(len(walls.y)), STRETCHES)
-    found = [estimate(Walls(*(np.delete(column, part, axis=0) for column in walls))) for part in parts]
+    moved = [walls._replace(y=walls.y + SIGMA_M * nearer) for nearer in _by_mount(walls).T]
+    others = [Walls(*(np.delete(column, part, axis=0) for column in walls)) for part in parts]
+    found = [estimate(some) for some in (walls, *moved, *others)]
     if any(f is None for f in found):
         return [math.inf] * numbers
-    known = np.array(found).reshape(-1, numbers)
-    spread: list[float] = (known.std(axis=0) * math.sqrt(len(parts) - 1)).tolist()
+    whole, x, y, *known = np.array(found).reshape(-1, numbers)
+    variance = np.var(known, axis=0) * (len(parts) - 1) + (x - whole) ** 2 + (y - whole) ** 2
+    spread: list[float] = np.sqrt(variance).tolist()
     return spread
 
 

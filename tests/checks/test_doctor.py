@@ -20,7 +20,7 @@ from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import OPEN_CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
-from locfuse.fusion.checks.examine import _scales, gaps
+from locfuse.fusion.checks.examine import _scales, gaps, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius, range_fix
 from locfuse.fusion.checks.probes import path_scale
@@ -104,6 +104,23 @@ def test_walls_that_come_nearer_by_less_than_their_noise_tell_neither_metre_nor_
     motion = present(laser_motion(m, m.t, loaded.drive, loaded.robot))
     assert motion.walls > 100
     assert of_laser(motion, loaded.robot) == []
+
+
+@pytest.mark.parametrize("straight", [False, True])
+def test_a_drive_without_a_straight_metre_tells_no_range_scale(
+    straight: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    t, _ = path(1.0)
+    if not straight:  # a circle with a radius of 0.8 m in the middle of the room
+        angle = 0.3 / 0.8 * t
+        at = np.stack((3.0 + 0.8 * np.sin(angle), 4.0 - 0.8 * np.cos(angle), angle), axis=-1)
+        monkeypatch.setattr("small_drive.path", lambda laps: (t, at))
+    drawn = drive(1, robot(), truth=False)
+    m = drawn.measurements["lrf"]
+    short = replace(drawn, measurements={"lrf": replace(m, z=m.z * [1.25, 1.0])})
+    found = _scales(short, robot(), turnings(short), (), None)
+    assert [f.code for f in found] == (["distances"] if straight else [])
+    assert straight != any("no metre of its way is straight" in f.message for f in unseen(short))
 
 
 def test_nothing_is_said_of_a_laser_that_sees_too_few_walls() -> None:
@@ -525,6 +542,17 @@ def test_wheels_that_slip_for_seconds_at_a_time_are_hardly_ever_a_bump() -> None
         d = np.stack((c * still.d[:, 0] - s * still.d[:, 1], s * still.d[:, 0] + c * still.d[:, 1]), axis=-1)
         found += bumped(still._replace(d=d), 1.0) is not None
     assert found <= 3
+
+
+@pytest.mark.parametrize("begin", [0, WALLS // 2])
+def test_a_mount_3_cm_off_is_no_bump_where_the_robot_drives_a_curve(begin: int) -> None:
+    """In a fourth of the drive it turns by 20 degrees from scan to scan, and the laser swings."""
+    still, turn = walls(0.0, 1, noise=0.002), math.radians(20.0)
+    curve = (np.arange(WALLS) >= begin) & (np.arange(WALLS) < begin + WALLS // 4)
+    off = np.array([-0.03, 0.0])
+    swing = se2.compose(np.array([0.0, 0.0, turn]), np.array([*off, 0.0]))[:2] - off
+    nearer = still.y + np.where(curve, still.n @ swing, 0.0)
+    assert bumped(still._replace(y=nearer, by_wheels=np.where(curve, turn, 0.0)), 1.0) is None
 
 
 def test_few_walls_tell_nothing() -> None:

@@ -15,12 +15,12 @@ from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared, PredictionReceiver, RunReceiver, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
-from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.load import Loaded, unbroken
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.report.findings import change
 from locfuse.fusion.checks.clocks import EQUAL
-from locfuse.fusion.checks.examine import of_data
+from locfuse.fusion.checks.examine import holes, of_data
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import (
     Advice,
@@ -58,6 +58,7 @@ class Evaluator:
     """The evaluation of one log, which uses finished runs of a comparison where possible."""
 
     def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
+        loaded, self._holes = unbroken(loaded)  # fixes are tried beside a hole
         self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
         self._seen: dict[str, tuple[Estimates, Evaluation, list[Run]]] = {}
         self._scores: list[Score] = []
@@ -66,16 +67,16 @@ class Evaluator:
 
     @property
     def run_receivers(self) -> list[RunReceiver]:
-        """Return a list with the function that takes each finished run; [] if the log cannot be evaluated."""
-        return [self._take] if self.may_judge else []
+        """Return a list with the function that takes each finished run; [] if none is used."""
+        return [self._take] if self.may_judge and not self._holes else []
 
     @property
     def prediction_receivers(self) -> list[PredictionReceiver]:
         """Return a list with the function that takes each run that predicts unused sensors.
 
-        [] if the log cannot be evaluated.
+        [] if none is used.
         """
-        return [self._take_predicted] if self.may_judge else []
+        return [self._take_predicted] if self.may_judge and not self._holes else []
 
     def _take(self, e: Estimates, judged: Evaluation) -> None:
         """Store a finished run; only its figures if it is smoothed or fixes are tried on part of the drive."""
@@ -117,8 +118,9 @@ class Evaluator:
 
     def advised(self) -> Advised:
         """Return all findings with their tried fixes."""
+        holes = [Advice(hole) for hole in self._holes]
         if not self.may_judge or any(a.finding.code == EQUAL for a in self.of_data):
-            return Advised(self.of_data)
+            return Advised((*self.of_data, *holes))
         trial = self.trial
 
         def look(fixes: Fixes) -> Evidence | None:
@@ -138,7 +140,8 @@ class Evaluator:
         found = without_repeated(found, kept, trial.whole.robot)
         empty, helped = {a.finding.role for a in self.of_data}, {a.finding.role for a in found if a.helps}
         found = [a for a in found if a.helps or a.finding.role not in empty]
-        return Advised((*found, *(a for a in self.of_data if a.finding.role not in helped)), trial.fusions)
+        unusable = (a for a in self.of_data if a.finding.role not in helped)
+        return Advised((*found, *unusable, *holes), trial.fusions)
 
     @cached_property
     def of_data(self) -> tuple[Advice, ...]:
@@ -249,7 +252,7 @@ def looks_wrong(loaded: Loaded, one: Compared) -> bool:
     if loaded.robot.lines or loaded.robot.preset != "default":
         return False
     trial = Trial(loaded, {c.name: c for c in one.configurations}, "none", silent)
-    return Evidence(one, trial, ()).suspicious()
+    return bool(holes(loaded.drive)) or Evidence(one, trial, ()).suspicious()
 
 
 def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:

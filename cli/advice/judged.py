@@ -20,6 +20,7 @@ from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import of_offset, ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import Slip, beside_path, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
+from locfuse.fusion.checks.truth import START
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
 from locfuse.fusion.judge.evaluate import covariance_check
@@ -60,11 +61,14 @@ class Judged:
     def doctor(self) -> list[Finding]:
         """Findings by comparison of the sensors with each other (`fusion.checks`)."""
         loaded = self.trial.whole_under(self.fixes)
-        if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
+        if loaded is None or loaded.robot.preset != "default":
+            return []
+        if any(loaded.window) and not loaded.how.beside_hole:
             return []  # checks need whole drives
         streams = {role: loaded.stream(role) for role in loaded.choice.topics}
         found = examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
-        return [f for f in found if f.code != "start" or self.trial.align == "none"]
+        known = self.trial.align == "none" and not loaded.how.begin
+        return [f for f in found if f.code != START or known]
 
     def _looks_wrong(self, sensor: str) -> bool:
         """Return whether a sensor's residuals are unusual, or its run is inconsistent."""

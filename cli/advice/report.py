@@ -15,7 +15,7 @@ from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import MAX_ANEES, in_one_unit, length, options, void_reasons
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.checks.examine import BLIND
+from locfuse.fusion.checks.examine import BLIND, HOLE
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
@@ -142,7 +142,7 @@ def score(score: Marks) -> dict[str, float | None]:
 
 MAX_LOST_SHARE = 0.1  # of the drive: a filter that is lost for longer has void figures
 MAX_START_ERROR_M = 0.5  # between the truth's first position and a start that is not configured
-BASE_ROLES = ("wheels", "truth")  # roles that every configuration depends on
+BASE_ROLES = ("wheels", "truth", "log")  # roles that every configuration depends on
 
 
 def add_validity(
@@ -267,10 +267,14 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     if not sets[best]:
         return f"No sensor improves on {best}: {length(errors[best])}.{_with_fixes(report, sets, least)}"
     smoothed = _smoothed(report, best, errors[best])
-    if any(not v["void"] for v in report.get("validity") or ()):
+    if doubts := [v.get("code") for v in report.get("validity") or () if not v["void"]]:
         first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
         first += (
-            " Set the fixes first." if report.get("fixes") else " Something is wrong that no setting explains."
+            " Set the fixes first."
+            if report.get("fixes")
+            else " Something is wrong that no setting explains."
+            if {*doubts} != {HOLE}
+            else ""
         )
         return f"{first}{_with_fixes(report, sets, least)}"
     first = f"Keep {_names(sets[best])}: {length(errors[best])}{smoothed}."
@@ -343,6 +347,8 @@ def _ties(errors: Mapping[str, float]) -> list[str]:
 
 def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
     """Return a sentence with the error after all fixes if it is smaller than `least` [m], else ""."""
+    if any(v.get("code") == HOLE for v in report.get("validity") or ()):
+        return ""  # fixes were tried on a part of the drive
     tried = [f["tried"] for f in report.get("findings") or () if f["fixes"] and f["tried"]]
     after = {
         t["configuration"]: t["after"]["position_rmse_m"]

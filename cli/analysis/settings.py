@@ -54,6 +54,7 @@ class LogOptions(msgspec.Struct, frozen=True):
     preset: str | None = None
     begin: float | None = None  # s since the first wheel reading: earlier readings are not used
     end: float | None = None  # s: later readings are not used
+    beside_hole: bool = False  # whether begin and end leave out a hole in the log, and are not the user's
     hash_all: bool = False  # hash every byte of the log for the report
     given_map: Path | None = None  # a map in which the laser localises
 

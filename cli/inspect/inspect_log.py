@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
-from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured
+from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured, unbroken
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
@@ -151,7 +151,9 @@ def _measure(overview: Overview, progress: Progress) -> None:
     overview.findings += [Finding(n.role, "motion", n.words, n.fixes, severe=True) for n in loaded.motion_faults]
     if loaded.drive.wheels.stands:
         overview.findings.append(Finding("wheels", "standing", STANDS))
-    overview.findings += examine(loaded.drive, loaded.robot, streams)
+    part, holes = unbroken(loaded)
+    found = examine(part.drive, part.robot, streams)
+    overview.findings += [*holes, *(f for f in found if f.code != START or not part.how.begin)]
     overview.findings += _unusable(overview, loaded)
 
 

@@ -14,7 +14,7 @@ from locfuse.fusion.data import Array, Drive, LocfuseError, Stream
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
-from locfuse.fusion.sensors.iron import Iron, fit_iron, iron_error_deg, plausible
+from locfuse.fusion.sensors.iron import MAX_MISSING_ARC_RAD, Iron, fit_iron, iron_error_deg, plausible
 
 from .finding import Finding
 from .turning import Turning, explain
@@ -171,6 +171,9 @@ def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     field = _vectors(stream, MAGNETIC_FIELDS[:2])
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
     inside = plausible(field) & (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
+    # about a wrong centre the field's own angle turns too far: the robot's heading must turn
+    if np.ptp(drive.wheels.heading(t[inside])) < 2.0 * math.pi - MAX_MISSING_ARC_RAD:
+        return []
     try:
         iron = fit_iron(field[inside])
     except LocfuseError:

@@ -166,6 +166,58 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 
+HOLE = "hole"  # code of the finding
+MIN_HOLE_M, MIN_HOLE_RAD = 0.3, math.radians(20.0)  # m, rad: a smaller motion the wheels bridge well enough
+
+
+def holes(drive: Drive) -> list[tuple[float, float]]:
+    """Return the times (start, end) [s] in which no stream has a reading and the robot drove on."""
+    wheels, others = drive.wheels, [m.t for m in drive.measurements.values()]
+    t = np.concatenate([*others, *([] if drive.truth is None else [drive.truth.t])])
+    found = []
+    for start, end in gaps(wheels.t):
+        edges = np.array([start, *np.sort(t[(t > start) & (t < end)]), end])
+        i = int(np.argmax(np.diff(edges)))
+        way, turn = _moved(drive, start)
+        if edges[i + 1] - edges[i] > gap_limit(wheels.t) and (way > MIN_HOLE_M or turn > MIN_HOLE_RAD):
+            found.append((float(edges[i]), float(edges[i + 1])))
+    return found
+
+
+def _moved(drive: Drive, t: float) -> tuple[float, float]:
+    """Return the way [m] and the turn [rad] of the wheel interval at a time [s]."""
+    ahead, left, turn = drive.wheels.twist[drive.wheels.at(np.array(t))[0]].tolist()
+    return math.hypot(ahead, left), abs(turn)
+
+
+def of_holes(drive: Drive) -> list[Finding]:
+    """Return a finding on the times in which nothing was recorded while the robot drove on."""
+    found = holes(drive)
+    if not found:
+        return []
+    when = " and ".join(f"from {start:.1f} s to {end:.1f} s" for start, end in found[:3])
+    more = f" and {len(found) - 3} times more" if len(found) > 3 else ""
+    way, turn = np.sum([_moved(drive, start) for start, _ in found], axis=0).tolist()
+    words = (
+        f"nothing was recorded {when}{more}, while the robot drove on: by the wheels before and after it may have "
+        f"moved {way:.1f} m and turned {math.degrees(turn):.0f}°. What is estimated across that is a guess, by "
+        f"which no sensor is judged. To judge a part: --to {found[0][0]:.1f} or --from {found[-1][1]:.1f}"
+    )
+    return [Finding("log", HOLE, words, severe=True)]
+
+
+def longest_part(drive: Drive) -> tuple[float | None, float | None]:
+    """Return begin and end [s] of the longest part without a hole; None: no bound.
+
+    The start pose is known of the first part only, so another one must be twice as long.
+    """
+    found = holes(drive)
+    ends = [float(drive.t[0]), *(t for hole in found for t in hole), float(drive.t[-1])]
+    spans = [(b - a) * (1.0 if i else 2.0) for i, (a, b) in enumerate(zip(ends[::2], ends[1::2], strict=True))]
+    i = int(np.argmax(spans))
+    return None if i == 0 else ends[2 * i], None if i == len(found) else ends[2 * i + 1]
+
+
 def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list[Finding]:
     """Return findings on data that no estimate can use: sensors without measurements, stamps that stand still.
 

@@ -12,7 +12,7 @@ from locfuse.fusion.data import Array, Drive, Estimates, Truth, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
-from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.motion import STANDS_M, Wheels
 from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 
 from .finding import Finding, Least
@@ -421,6 +421,7 @@ def _robust(A: Array, y: Array) -> Array:
 START = "start"  # code of the finding
 SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD = 0.1, math.radians(5.0)
 MIN_START_ERROR_M, MIN_START_ERROR_RAD = 0.02, math.radians(1.0)  # limits for a truth with headings
+DRIVES_S = 0.5  # s after the first reading, in which a robot that drives rolls more than STANDS_M
 SIGMAS = 3.0  # of the combined sigma of configured and true start
 SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is found: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
@@ -452,9 +453,11 @@ def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> li
         math.radians(robot.start.sigma_theta_deg), heading_sigma
     ):
         return []
+    drives = severe and robot.start_given and wheels.driven(wheels.t[0] + DRIVES_S) > STANDS_M
+    begun = ", and the robot drives at the first reading: its beginning may be lost" if drives else ""
     where = f"the drive is at {at:.1f} s" if fitted.t else "the drive starts"
     words = (
-        f"it starts {away:.2f} m and {math.degrees(turn):.1f} deg from where {where}; set the start, or "
+        f"it starts {away:.2f} m and {math.degrees(turn):.1f} deg from where {where}{begun}; set the start, or "
         "judge the shape only (--align origin)"
     )
     degrees = math.degrees(se2.wrap(theta))

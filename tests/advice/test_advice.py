@@ -237,3 +237,25 @@ def test_its_whole_drive_is_no_reference(tmp_path: Path) -> None:
     log = product.load(standing(tmp_path / "x.mcap"))
     with pytest.raises(UsageError, match="does not move"):
         log.compare(reference=True)
+
+
+def test_a_lost_chunk_is_said_and_charged_to_no_sensor(log: Path, tmp_path: Path) -> None:
+    """8 s of all topics are lost in the middle of the lap, in which the robot rounds a corner."""
+    cut = rewritten(tmp_path / "log.mcap", source=log, keep=lambda _, t: not 23.4 < t < 31.4)
+    found = load(cut).findings()
+    (hole,) = (f for f in found["findings"] if f["role"] == "log")
+    assert re.match(r"nothing was recorded from 23.4 s to 31.4 s, .* moved 2.4 m and turned 90°", hole["message"])
+    assert [v["code"] for v in found["validity"]] == ["hole"]
+    assert not found["fixes"]
+    severe = [f for f in product.info(cut)["findings"] if f["severe"]]
+    assert [f["message"] for f in severe] == [hole["message"]]
+
+
+def test_a_start_that_is_metres_off_voids_the_errors_and_blames_no_sensor(log: Path, tmp_path: Path) -> None:
+    """The first chunk is lost, and [start] is the pose at the start of the drive."""
+    cut = rewritten(tmp_path / "log.mcap", source=log, keep=lambda _, t: t > 11.0)
+    found = load(cut).compare(audits=False, smooth=False).report
+    assert "the truth starts 2.97 m from where the drive starts" in found["headline"]
+    assert {v["verdict"] for v in found["verdicts"].values()} == {"no verdict"}
+    assert "the robot drives at the first reading: its beginning may be lost" in found["findings"][0]["message"]
+    assert found["findings"][0]["fixes"]

@@ -14,11 +14,12 @@ from small_drive import NOISE, drive, robot
 
 from locfuse.cli.session.session import Session, load
 from locfuse.fusion import se2
-from locfuse.fusion.checks.examine import unseen
+from locfuse.fusion.checks.examine import HOLE, holes, longest_part, of_holes, unseen
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, of_turning
 from locfuse.fusion.data import Drive
+from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log
 
@@ -295,3 +296,53 @@ def test_a_drive_that_never_moves_a_metre_is_no_error() -> None:
     (first, second) = unseen(drive_of(STAND))
     assert "0° to the left" in first.message
     assert "no metre" in second.message
+
+
+# --- a lost chunk: nothing at all was recorded
+
+
+def without(one: Drive, start: float, end: float, wheels_only: bool = False) -> Drive:
+    """The drive whose readings between two times are lost."""
+    kept = (one.wheels.t < start) | (one.wheels.t >= end)
+    way = np.vstack(([0.0, 0.0], np.cumsum(one.wheels.rolled, axis=0)))[kept]
+    wheels = Wheels.from_wheels(one.wheels.t[kept], *way.T, one.wheels.track, NOISE)
+    lost = {n: m.take(np.flatnonzero((m.t < start) | (m.t >= end))) for n, m in one.measurements.items()}
+    return replace(one, wheels=wheels, measurements=one.measurements if wheels_only else lost)
+
+
+def test_a_lost_chunk_is_named_with_its_time_and_what_the_robot_moved_in_it() -> None:
+    one = drawn(8)
+    rolled = float(
+        np.hypot(*one.wheels.twist[(one.wheels.t[:-1] >= 20.0) & (one.wheels.t[:-1] < 28.0), :2].T).sum()
+    )
+    (found,) = of_holes(without(one, 20.0, 28.0))
+    assert (found.role, found.code, found.fixes, found.severe) == ("log", HOLE, (), True)
+    assert found.message.startswith("nothing was recorded from 20.0 s to 28.0 s, while the robot drove on")
+    assert f"may have moved {rolled:.1f} m" in found.message
+    assert found.message.endswith("--to 20.0 or --from 28.0")
+
+
+@pytest.mark.parametrize(("start", "end", "wheels_only"), [(20.0, 28.0, True), (20.0, 20.4, False)])
+def test_a_silence_of_the_wheels_alone_and_a_short_one_are_no_lost_chunk(
+    start: float, end: float, wheels_only: bool
+) -> None:
+    assert not holes(without(drawn(8), start, end, wheels_only))
+
+
+def test_a_robot_that_stands_while_nothing_is_recorded_misses_nothing() -> None:
+    one = drawn(8)
+    stands = (one.wheels.t[:-1] > 19.0) & (one.wheels.t[:-1] < 29.0)
+    rolled = np.where(stands[:, None], 0.0, one.wheels.rolled)
+    left, right = np.vstack(([0.0, 0.0], np.cumsum(rolled, axis=0))).T
+    still = replace(one, wheels=Wheels.from_wheels(one.wheels.t, left, right, one.wheels.track, NOISE))
+    assert not holes(without(still, 20.0, 28.0))
+
+
+@pytest.mark.parametrize(
+    ("start", "part"), [(60.0, (None, 60.0)), (45.0, (None, 45.0)), (10.0, (18.0, None))], ids=str
+)
+def test_fixes_are_tried_on_the_first_part_unless_another_is_twice_as_long(
+    start: float, part: tuple[float | None, float | None]
+) -> None:
+    found = longest_part(without(drawn(8), start, start + 8.0))
+    assert found == pytest.approx(part, abs=0.11)

@@ -15,6 +15,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD
@@ -26,7 +27,7 @@ from locfuse.fusion.truth import body_poses
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
-from .lag import SAID_SIGMAS, Lag, Reference, by_wheels, find_lag
+from .lag import SAID_SIGMAS, Lag, Reference, by_parts, by_wheels, find_lag
 from .truth import MIN_START_ERROR_M, MIN_START_ERROR_RAD
 
 WINDOW_S = 1.0  # s over which distances are compared
@@ -200,14 +201,14 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
 def _known(lag: Lag) -> Lag:
     """Return a lag with a realistic sigma: model errors are added to it.
 
-    A lag found by correlation of speeds has no sigma: it gets SPEED_SIGMA_S, and offset 0 unless it is
-    significant.
+    A lag found by correlation only has no sigma: it gets SPEED_SIGMA_S and its spread over parts of the drive, and
+    offset 0 unless it is significant.
     """
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
     clearly = 1.0 - lag.correlation <= MAX_MISFIT_RATIO * (1.0 - lag.without)
     significant = abs(lag.offset) >= MIN_TRUTH_LAG_S and lag.correlation >= MIN_CORRELATION and clearly
-    return lag._replace(offset=lag.offset if significant else 0.0, sigma=SPEED_SIGMA_S)
+    return lag._replace(offset=lag.offset if significant else 0.0, sigma=math.hypot(SPEED_SIGMA_S, lag.spread))
 
 
 def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
@@ -364,14 +365,18 @@ def way_lag(truth: Truth, drive: Drive) -> Lag | None:
     if own.std() < 0.02 or own.std() < 0.1 * own.mean():
         return None
     lags = np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S)
-    scores = []
-    for lag in lags.tolist():
-        theirs = np.hypot(*wheels.relative(start + lag, start + lag + WINDOW_S)[:, :2].T)
-        scores.append(float(np.corrcoef(own, theirs)[0, 1]) if theirs.std() > 0 else 0.0)
+    theirs = [np.hypot(*wheels.relative(start + lag, start + lag + WINDOW_S)[:, :2].T) for lag in lags.tolist()]
+
+    def scored(some: NDArray[np.bool_]) -> list[float]:
+        of = own[some]
+        return [float(np.corrcoef(of, one[some])[0, 1]) if one[some].std() > 0 else 0.0 for one in theirs]
+
+    scores = scored(np.ones(len(own), dtype=bool))
     best = int(np.argmax(scores))
     if scores[best] < MIN_CORRELATION or best in {0, len(lags) - 1}:
         return None
-    return Lag(float(lags[best]), scores[best], scores[int(np.argmin(np.abs(lags)))])
+    spread = by_parts(lambda some: float(lags[np.argmax(scored(some))]), len(own))
+    return Lag(float(lags[best]), scores[best], scores[int(np.argmin(np.abs(lags)))], spread=spread)
 
 
 MIN_READINGS = 20  # readings

@@ -40,6 +40,7 @@ MIN_WINDOWS = 20  # windows
 STRETCHES = 16  # of the drive, over which residuals are summed, for errors that are correlated
 MIN_SIGMA_S = 5e-4  # s, as turning rates are differences over 0.1 s
 MAX_RESIDUAL_CORRELATION = 0.5  # of neighbouring residuals: with more they show no lag
+PARTS = 8  # of the drive: one at a time is left out
 COARSE_OVERLAP = 4.0  # number of windows at any time, for the coarse search
 
 Heading = Callable[[Array], Array]  # [rad, not wrapped, up to a constant] at any time [s]
@@ -62,6 +63,7 @@ class Lag(NamedTuple):
     without: float  # correlation at offset 0
     sigma: float = math.inf  # s, standard deviation of the offset; infinite if found by correlation only
     against: str = "wheels"  # source of the reference
+    spread: float = 0.0  # s, standard deviation of an offset by correlation only, by parts of the drive
 
 
 class _Turns(NamedTuple):
@@ -115,9 +117,25 @@ def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
     best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
     if best is None and turns.overlap <= 1.0:
         return None  # with readings further apart than the window, correlation does not show the lag
+    spread = 0.0
+    if best is None:
+        spread = by_parts(lambda some: _best(turns.where(some), reference.heading), len(turns.angle))
+    if math.isinf(spread):
+        return None
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
-    return Lag(offset, at, zero, math.inf if best is None else best.sigma)
+    return Lag(offset, at, zero, math.inf if best is None else best.sigma, spread=spread)
+
+
+def by_parts(find: Callable[[NDArray[np.bool_]], float | None], n: int) -> float:
+    """Return the standard deviation [s] of a lag, with one part of n values left out at a time (jackknife).
+
+    `find` returns the lag by the values of a mask (n,), or None; the deviation is then infinite.
+    """
+    part = np.arange(n) * PARTS // n
+    found = [find(part != k) for k in range(PARTS)]
+    known = [lag for lag in found if lag is not None]
+    return float(np.std(known)) * math.sqrt(PARTS - 1) if len(known) == PARTS else math.inf
 
 
 def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -> _Turns:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -17,6 +20,7 @@ from locfuse.fusion.checks.clocks import (
     lags_by_truth,
     of_uneven_stamps,
     start_kept,
+    way_lag,
     wrong_clocks,
 )
 from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag, worth_saying
@@ -302,3 +306,17 @@ def test_stamps_that_scatter_about_an_even_period_are_named_with_their_sigma() -
     alternating = even[np.arange(600) % 3 > 0][:399]  # every third one is not recorded
     slight = even + rng.normal(0.0, 0.005, 600)
     assert not any(of_uneven_stamps("lrf", t) for t in (even, varying, dropped, alternating, slight, even[:20]))
+
+
+@pytest.mark.parametrize(("stops", "known"), [(range(5, 80, 8), True), ([35], False)], ids=["often", "once"])
+def test_a_lag_by_speeds_is_known_only_if_every_part_of_the_drive_shows_it(stops: list[int], known: bool) -> None:
+    """A truth of points, 0.2 s late, of a robot that stops for 2 s; its speed is else noise to either."""
+    t = np.arange(0.0, 80.0, 0.1)
+    speed = np.where(np.any([(t > stop) & (t < stop + 2.0) for stop in stops], axis=0), 0.0, 0.3)
+    ours, theirs = np.random.default_rng(3).normal(0.0, 0.03, (2, len(t)))
+    wheels = Wheels.from_twists(t, 0.1 * np.outer((speed + ours)[1:], [1.0, 0.0, 0.0]), 0.5, 0.0)
+    xy = np.outer(0.1 * np.cumsum(np.interp(t - 0.2, t, speed) + theirs), [1.0, 0.0])
+    drive = cast("Drive", SimpleNamespace(wheels=wheels))
+    found = present(way_lag(Truth("/truth", t, xy, None), drive))
+    assert found.offset == pytest.approx(-0.2, abs=0.05)
+    assert (found.spread < 0.05) == known

@@ -33,7 +33,7 @@ from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.lag import SAID_SIGMAS
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
 from locfuse.fusion.checks.laser_ranges import OFFSET
-from locfuse.fusion.checks.pictures import RIMS
+from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
@@ -361,7 +361,8 @@ class Evidence(Noise):
         for sensor, verdict in self.consistency.items():
             either = sensor == "compass" and any(not c.alternatives for c in start)  # compass offset or start
             options = [] if either else list(self.constant(verdict))
-            if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
+            wrong = {"biased", "outliers", "contradicts", "understated"}
+            if sensor == "camera" and verdict.verdict in wrong and self._may_be_mirrored:
                 options.append(
                     (f"camera.clockwise={str(not self.loaded.robot.settings('camera').clockwise).lower()}",)
                 )
@@ -369,6 +370,12 @@ class Evidence(Noise):
                 finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(self._candidate(finding, tuple(options)))
         return found
+
+    @property
+    def _may_be_mirrored(self) -> bool:
+        """Whether the camera's bearings do not turn against the robot for sure."""
+        share, _ = turning_along(self.loaded.drive, self.loaded.robot)
+        return share is None or share > 1.0 - MIRRORED_SHARE
 
     def _start_heading(self) -> list[Candidate]:
         """Return a finding if configured start heading and configured compass offset disagree.

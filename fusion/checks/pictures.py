@@ -96,15 +96,8 @@ def of_handedness(drive: Drive, robot: Robot) -> list[Finding]:
     """
     settings = robot.settings("camera")
     t, z = _alone(drive)
-    if settings.landmark is None or len(t) < 2:
-        return []
-    turn, change = np.diff(drive.wheels.heading(t)), wrap_all(np.diff(z))
-    clear = (np.abs(turn) > MIN_TURN_RAD) & (np.abs(turn) < MAX_TURN_RAD)
-    turn, change = turn[clear], change[clear]
-    whole = float(np.abs(turn).sum())
-    along = np.abs(wrap_all(change - turn)) < np.abs(wrap_all(change + turn))
-    share = float(np.abs(turn[along]).sum()) / max(whole, 1e-9)
-    if whole < MIN_WHOLE_TURN_RAD or share < MIRRORED_SHARE:
+    share, whole = turning_along(drive, robot)
+    if share is None or share < MIRRORED_SHARE:
         return []
     words = (
         f"the landmark turns with the robot, not against it, in {share:.0%} of {math.degrees(whole):.0f} degrees: "
@@ -116,6 +109,22 @@ def of_handedness(drive: Drive, robot: Robot) -> list[Finding]:
         degrees = math.degrees(wrap(zero + math.radians(settings.zero_deg)))
         fixes.append(f"camera.zero_deg={degrees:.0f}")
     return [Finding("camera", "mirrored", words, tuple(fixes), True)]
+
+
+def turning_along(drive: Drive, robot: Robot) -> tuple[float | None, float]:
+    """Return the share of the robot's turns in which the landmark's bearing turns along, and their sum [rad].
+
+    The share is None without a landmark, or if the robot hardly turned.
+    """
+    t, z = _alone(drive)
+    if robot.settings("camera").landmark is None or len(t) < 2:
+        return None, 0.0
+    turn, change = np.diff(drive.wheels.heading(t)), wrap_all(np.diff(z))
+    clear = (np.abs(turn) > MIN_TURN_RAD) & (np.abs(turn) < MAX_TURN_RAD)
+    turn, change = turn[clear], change[clear]
+    whole = float(np.abs(turn).sum())
+    along = np.abs(wrap_all(change - turn)) < np.abs(wrap_all(change + turn))
+    return (float(np.abs(turn[along]).sum()) / whole if whole >= MIN_WHOLE_TURN_RAD else None), whole
 
 
 def _alone(drive: Drive) -> tuple[Array, Array]:

@@ -31,7 +31,7 @@ from locfuse.fusion.checks.laser_ranges import (
     ranges_sigma,
     scatter_more,
 )
-from locfuse.fusion.checks.pictures import of_handedness, of_rims
+from locfuse.fusion.checks.pictures import MIRRORED_SHARE, of_handedness, of_rims, turning_along
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
 from locfuse.fusion.checks.sweep import of_sweep
 from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, Ragged, Truth
@@ -69,6 +69,7 @@ def mirrored(drive: Drive, zero_deg: float) -> Drive:
 
 def test_a_camera_that_is_as_configured_is_left_alone(healthy: tuple[Drive, Robot]) -> None:
     assert of_handedness(*healthy) == []
+    assert present(turning_along(*healthy)[0]) < 1.0 - MIRRORED_SHARE  # so no other handedness is tried
 
 
 def test_a_mirrored_camera_is_named_with_its_handedness(healthy: tuple[Drive, Robot]) -> None:

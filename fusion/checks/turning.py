@@ -254,14 +254,15 @@ def of_track(
     slips = sigma if least == WORTH_SAYING else 0.0
     if abs(off) < max(least.error + least.sigmas * own / track, least.sigmas * slips / track):
         return []
+    sure = abs(off) > max(SEVERE_TRACK_ERROR, MIN_TRACK_ERROR + MIN_SIGMAS * own / track)
     if of_driver:
         words = f"they turn {abs(off):.1%} too {'far' if off > 0.0 else 'little'} by {by} (1 sigma {sigma:.1%})"
-        return [Finding("wheels", "track", words, ("wheels.estimate=true",), abs(off) > SEVERE_TRACK_ERROR)]
+        return [Finding("wheels", "track", words, ("wheels.estimate=true",), sure)]
     words = (
         f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
         "or let the filter find it (wheels.estimate=true)"
     )
-    return [Finding("wheels", "track", words, (f"wheels.track={track:.4g}",), abs(off) > SEVERE_TRACK_ERROR)]
+    return [Finding("wheels", "track", words, (f"wheels.track={track:.4g}",), sure)]
 
 
 def observed_track(

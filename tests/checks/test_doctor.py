@@ -136,6 +136,17 @@ def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
     assert of_track(right, settings, turnings(right), seen(right)) == []
 
 
+@pytest.mark.parametrize(("sigma", "severe"), [(0.02, True), (0.05, False)])
+def test_a_track_is_severe_only_beyond_the_sigmas_by_which_it_is_said_without_a_trial(
+    sigma: float, severe: bool
+) -> None:
+    one, tried = drive(4, robot(), truth=False), Least(0.005, 2.0)
+    motion = Motion(1.0, 0.01, 0.0, 0.01, 0.84, sigma, 500)
+    (found,) = of_track(one, robot().wheels, {}, motion, least=tried)
+    assert found.severe == severe
+    assert bool(of_track(one, robot().wheels, {}, motion)) == severe
+
+
 @pytest.mark.parametrize("factor", [0.9, 1.06])
 def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float) -> None:
     """What the encoders count is multiplied by a radius that is off."""

@@ -409,13 +409,14 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 def _by_itself(score: Score, base: str) -> dict[str, Any]:
     """Return the verdict on a log's only sensor by its own readings: these show faults, but not correctness."""
-    if score.high < 0.0:
+    notable = abs(score.gain) > MIN_GAIN_NATS
+    if notable and score.high < 0.0:
         words = (
             f"Self-check failed: it predicts its readings worse than {base} ({score.gain:+.2f}; 0.1 is much). "
             "Check its clock, mount and settings."
         )
         return {"verdict": "hurts", "words": words}
-    if score.low > 0.0:
+    if notable and score.low > 0.0:
         words = (
             f"Self-check passed: it predicts its readings better than {base} ({score.gain:+.2f}; 0.1 is much). "
             "A bias would not show."

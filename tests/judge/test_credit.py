@@ -13,7 +13,7 @@ from present import present
 from scipy import stats
 from textbook import correlated
 
-from locfuse.cli.analysis.verdicts import credit_values, verdicts
+from locfuse.cli.analysis.verdicts import _by_itself, credit_values, verdicts
 from locfuse.fusion.data import Array
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.bootstrap import (
@@ -36,6 +36,7 @@ from locfuse.fusion.judge.credit import (
     verdict,
 )
 from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.predictive import Score
 
 SENSORS = ("compass", "lrf")
 HELP = {"helps", "seems to help"}  # one short drive seldom proves it
@@ -360,3 +361,15 @@ def test_chance_is_that_of_gaussian_moves_of_equal_errors(move: float, n: float)
     moved = 1.0 + move * np.random.default_rng(5).normal(size=(400_000, round(n)))
     expected = np.percentile(-0.5 * np.log((moved**2).mean(axis=1)), (2.5, 97.5))
     np.testing.assert_allclose(by_chance(move, n), expected, rtol=0.05, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("gain", "verdict", "words"),
+    [(-0.3, "hurts", "failed"), (-0.004, "no verdict", "no better than"), (0.3, "no verdict", "passed")],
+)
+def test_a_gain_below_a_fiftieth_of_a_nat_is_no_self_check(gain: float, verdict: str, words: str) -> None:
+    """A short drive may show it beyond its 95 % interval."""
+    score = Score("odometry", "lrf", 500, 1.0, gain, gain - 0.001, gain + 0.001, stretches=True)
+    found = _by_itself(score, "odometry")
+    assert found["verdict"] == verdict
+    assert words in found["words"]

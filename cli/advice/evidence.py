@@ -17,13 +17,13 @@ from locfuse.cli.analysis.verdicts import overconfident_by_truth
 from locfuse.fusion.checks.clocks import (
     CLOCK,
     MIN_LAG_S,
-    OPEN_CLOCK,
     SEVERE_LAG_S,
     UNEVEN,
     Clock,
     clock_words,
     differences,
     offset_of,
+    rival_words,
     start_kept,
     wrong_clocks,
 )
@@ -46,6 +46,7 @@ from locfuse.fusion.checks.truth import (
     UNIT,
     WHEEL_SCALE,
     of_point,
+    of_truth,
     of_ways,
     swing,
 )
@@ -161,19 +162,30 @@ class Evidence(Noise):
             if clock.name in found or not self.judges(clock.name):
                 continue  # no run uses this sensor
             sure = abs(clock.offset) > SAID_SIGMAS * clock.sigma
-            finding = Finding(clock.name, CLOCK, clock_words(clock), (), sure and abs(clock.offset) > SEVERE_LAG_S)
+            rival = rival_words(self.wrong, self.loaded.robot) if clock in self.wrong[0] else ""
+            words = f"{clock_words(clock)}{rival}"
+            finding = Finding(clock.name, CLOCK, words, (), sure and abs(clock.offset) > SEVERE_LAG_S)
             if self._bumped and not by_truth and not finding.severe:
                 continue  # small lags are those against the laser, whose headings step
             steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
             drive, robot = self.loaded.drive, self.loaded.robot
-            ways: tuple[Fixes, ...] = tuple((offset_of(clock, robot, 3, n),) for n in steps)
-            if clock.name == "wheels" and (start := start_kept(clock.offset, drive, robot)):
+            ways = tuple(self._with_start((offset_of(clock, robot, 3, n),)) for n in steps)
+            start = start_kept(clock.offset, drive, robot) if clock.name == "wheels" and len(ways[0]) == 1 else ()
+            if start:
                 ways = ((*ways[0], *start), *ways)
             one = self._candidate(finding, ways, not finding.severe)
             proven = finding.severe and len(clock.against) > 1
             shape = by_truth and clock.name == LASER
             found[clock.name] = replace(one, measured=sure or by_truth, proven=proven, by_shape=shape)
         return [*found.values()]
+
+    def _with_start(self, fixes: Fixes) -> Fixes:
+        """Add the start by the truth to a time offset, if a kept fix has set it by the clock before."""
+        if not any(fix.startswith("start.") for fix in self.fixes):
+            return fixes
+        loaded = self.trial.under(together(self.fixes, fixes))
+        found = [] if loaded is None else of_truth(loaded.drive, loaded.robot)
+        return together(fixes, next((f.fixes for f in found if f.code == START), ()))
 
     def _late_pictures(self) -> Iterator[Candidate]:
         """Yield time offsets to try for an inconsistent camera, and the fix of a constant bearing error.
@@ -206,7 +218,7 @@ class Evidence(Noise):
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
         measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
-        seen = [f for f in self.doctor if f.code not in {CLOCK, OPEN_CLOCK, START}]
+        seen = [f for f in self.doctor if f.code not in {CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
         scales = [] if self._open_scale else [self._unless_open(f) for f in self._distances]
         if any(f.code == OPEN_SCALE and not f.fixes for f in scales):

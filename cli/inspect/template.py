@@ -5,7 +5,7 @@ Lines with known values are active; the others have a comment on how to find the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import msgspec
@@ -20,7 +20,6 @@ from locfuse.cli.analysis.topics import filled
 from locfuse.cli.analysis.wheel_topics import steers
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import TomlLine, TomlSection
-from locfuse.fusion.checks.clocks import OPEN_CLOCK
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.data import LocfuseError
@@ -116,7 +115,8 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
         robot = f"this robot is a {known_robot.name} ({known_robot.sign})" if fixes else ""
         overview = _inspected_with(fixes, log, how, progress) if fixes else overview
     for _ in range(MAX_ROUNDS):
-        new = {key: fix for key, fix in _fixes(filter(_may_apply, overview.findings)).items() if key not in given}
+        chosen = (f for f in overview.findings if _may_apply(f, fixes))
+        new = {key: fix for key, fix in _fixes(chosen).items() if key not in given}
         if new.items() <= fixes.items():
             break
         fixes |= new
@@ -160,9 +160,13 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
     return {fix.partition("=")[0]: (fix, _why(f)) for f in kept for fix in f.fixes if _is_valid(fix)}
 
 
-def _may_apply(f: Finding) -> bool:
-    """Return whether init may set a fix without asking: it is severe, or its value is measured or chosen."""
-    return f.code not in {OPEN_SCALE, OPEN_CLOCK} and (f.severe or f.code in {*MEASURED_CODES, "choice"})
+def _may_apply(f: Finding, known: Collection[str] = ()) -> bool:
+    """Return whether init may set a fix without asking: it is severe, or its value is measured or chosen.
+
+    Values of the `known` keys, set by an earlier round, are measured again: a start moves with the truth's clock.
+    """
+    again = {*_fixes((f,))} <= {*known}
+    return f.code != OPEN_SCALE and (f.severe or again or f.code in {*MEASURED_CODES, "choice"})
 
 
 def _why(f: Finding) -> str:

@@ -14,7 +14,6 @@ from locfuse.cli.inspect.robot_facts import Overview
 from locfuse.cli.inspect.topics import clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.formats.report.table import Column, of_values
-from locfuse.fusion.checks.clocks import OPEN_CLOCK
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.tried import by_key
@@ -233,8 +232,7 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
     """
     if overview.choice.unused_wheels:  # wheels first: other findings depend on their size
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
-    open_codes = {OPEN_SCALE, OPEN_CLOCK}  # the user has to choose between two fixes
-    worst = [f for f in overview.findings if f.severe and f.code not in open_codes]
+    worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the user has to choose
     fixes = by_key(fix for f in worst for fix in f.fixes)
     if fixes and helped is not None:
         fixes = by_key(helped)

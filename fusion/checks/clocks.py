@@ -42,7 +42,6 @@ MODEL_SIGMA_S = 0.002  # s, 1 sigma of a lag beyond the one by its readings
 PREFERENCE_COST = {"truth": 0.1, "wheels": 0.2}
 NEAR = 4.0  # of chi-square: explanations that differ by less are equally good
 CLOCK = "lag"  # code of the finding on a wrong clock
-OPEN_CLOCK = "clocks"  # code if truth and one other clock differ, and either may be wrong
 LASER = "lrf"
 MAX_WRONG = 3  # clocks of one log
 UNEVEN = "uneven"  # code of the finding that stamps scatter about an even clock
@@ -69,22 +68,22 @@ class Clock(NamedTuple):
 def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
     """Return findings on wrong clocks, with the time offset that corrects each."""
     explanations = wrong_clocks(differences(drive, robot), SAID_SIGMAS)
-    if not explanations:
-        return []
-    equal = [other for (other,) in (e for e in explanations[1:] if len(e) == 1)]
     found = []
-    for clock in explanations[0]:
-        rival = equal[0] if len(explanations[0]) == 1 and equal else None
-        words = clock_words(clock)
-        if rival is not None:
-            words += (
-                f"; no third clock shows which of the two is wrong: {offset_of(rival, robot, 2)} is equivalent"
-            )
+    for clock in explanations[0] if explanations else ():
+        words = f"{clock_words(clock)}{rival_words(explanations, robot)}"
         severe = abs(clock.offset) > SEVERE_LAG_S
         digits = 2 if clock.sigma > MIN_LAG_S else 3
-        code = CLOCK if rival is None or "truth" not in {clock.name, rival.name} else OPEN_CLOCK
-        found.append(Finding(clock.name, code, words, (offset_of(clock, robot, digits),), severe))
+        found.append(Finding(clock.name, CLOCK, words, (offset_of(clock, robot, digits),), severe))
     return found
+
+
+def rival_words(explanations: Sequence[Sequence[Clock]], robot: Robot) -> str:
+    """Return a clause if another clock alone explains the lags as well as the first explanation, else ""."""
+    first, *others = explanations
+    rival = next((e[0] for e in others if len(first) == len(e) == 1), None)
+    if rival is None:
+        return ""
+    return f"; no third clock shows which of the two is wrong: {offset_of(rival, robot, 2)} is equivalent"
 
 
 def of_uneven_stamps(name: str, t: Array) -> list[Finding]:

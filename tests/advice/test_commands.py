@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from commands import jobs_here, locfuse, ok
 from lock_step import simulated
 from msgspec.structs import replace
 from trap_logs import COMPASS, SCAN, TRUTH, Drive, seconds
-from traps import elsewhere, pitched_imu, short_metre, upside_down
+from traps import elsewhere, late, pitched_imu, short_metre, upside_down
 
 from locfuse.cli.analysis.load import start_error
 
@@ -145,6 +146,28 @@ def test_a_log_with_wheels_and_truth_alone_gets_the_fix_of_its_start(tmp_path: P
     ok("compare", log, *fixed, "-o", tmp_path / "again", "--write", "json")
     again = json.loads((tmp_path / "again" / "report.json").read_text())
     assert again["configurations"]["odometry"]["position_rmse_m"] < 0.5
+
+
+def test_info_init_and_compare_set_a_late_truth_and_measure_the_start_by_its_clock(tmp_path: Path) -> None:
+    """With the wheels alone beside it no third clock shows which is late: all three commands take the truth's."""
+    drive = Drive()
+    elsewhere(drive)
+    late(TRUTH, 0.5)(drive)
+    drive.drop("/compass", "/scan")
+    for sensor in ("compass", "lrf"):
+        drive.tables.pop(sensor, None)
+    log, file = drive.record(tmp_path / "log.mcap"), tmp_path / "robot.toml"
+    assert "--set truth.time_offset=" in ok("info", log).stdout.partition("\nnext\n")[2]
+    ok("init", log, "-o", file)
+    locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
+    fixes = dict(f.split("=") for f in json.loads((tmp_path / "out" / "report.json").read_text())["fixes"])
+    robot = tomllib.loads(file.read_text())
+    assert robot["truth"]["time_offset"] == pytest.approx(float(fixes["truth.time_offset"]), abs=0.02)
+    assert robot["truth"]["time_offset"] == pytest.approx(-0.5, abs=0.05)
+    assert robot["start"]["theta_deg"] == pytest.approx(float(fixes["start.theta_deg"]), abs=1.0)
+    ok("compare", log, "--robot", file, "-o", tmp_path / "again", "--write", "json")
+    again = json.loads((tmp_path / "again" / "report.json").read_text())["fixes"]
+    assert not any(fix.startswith(("start.", "truth.time_offset")) for fix in again)
 
 
 def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_before(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import locfuse
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
-from locfuse.fusion.checks.clocks import OPEN_CLOCK, of_clocks
+from locfuse.fusion.checks.clocks import CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import _scales, gaps, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
@@ -202,7 +202,7 @@ def late(drive: Drive, **by: float) -> Drive:
 def test_of_two_clocks_alone_nobody_knows_which_is_off() -> None:
     moved = late(drive(6, robot()), truth=0.3)
     (found,) = of_clocks(replace(moved, measurements={}), robot())
-    assert (found.role, found.code) == ("truth", OPEN_CLOCK)  # init leaves it to the user
+    assert (found.role, found.code) == ("truth", CLOCK)
     assert "no third clock shows which of the two is wrong: wheels.time_offset=0.3" in found.message
     (found,) = of_clocks(moved, robot())
     assert found.role == "truth"

@@ -13,7 +13,14 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
-from locfuse.formats.report.findings import MAX_ANEES, in_one_unit, length, options, void_reasons
+from locfuse.formats.report.findings import (
+    MAX_ANEES,
+    in_one_unit,
+    length,
+    options,
+    void_reasons,
+    without_correlation,
+)
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.examine import BLIND, HOLE
 from locfuse.fusion.checks.finding import Finding
@@ -192,7 +199,7 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
         found = advice.finding
         using = [n for n, v in report["configurations"].items() if found.role in {*BASE_ROLES, *v["sensors"]}]
         if found.severe and using and found.code not in {"start", BLIND} and not advice.harmless:
-            first_sentence = re.sub(r" \(correlation [^()]*\)", "", found.brief.partition(". ")[0])
+            first_sentence = without_correlation(found.brief.partition(". ")[0])
             message = f"{found.role}: {first_sentence}"
             if advice.fixes:
                 message += f". All figures are without this fix: {options(advice.fixes)}"

@@ -14,7 +14,7 @@ from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import Progress
 from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
-from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, void_reasons
+from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, unwarned, void_reasons
 from locfuse.formats.report.table import Table
 from locfuse.fusion.progress import heard_by
 
@@ -221,7 +221,7 @@ def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: boo
 
     All fixes together are in a file in `folder`; without a folder they are printed.
     """
-    found = report.get("findings") or ()
+    found = unwarned(report)
     lines(sentence(f, brief=not verbose) for f in found if verbose or not _is_note(f))
     if (all_fixes := together(report)) is not None:
         text = all_fixes if folder is None else f"All fixes together: --robot {folder / 'fixes.toml'}"

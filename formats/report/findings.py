@@ -15,9 +15,35 @@ MAX_ANEES = 50.0  # larger ones are shown as "over 50"
 
 
 def banner_of(report: Mapping[str, Any]) -> list[str]:
-    """Return the warnings of a report: why figures are void or doubtful."""
+    """Return the warnings of a report: why figures are void or doubtful; with its fix where a finding has one."""
     found = [report["validity"][i] for i in boxed(report)]
-    return [f"{'Void' if v.get('void', True) else 'Warning'}: {v['message']}." for v in found]
+    lines = []
+    for v in found:
+        finding = next((f for f in report.get("findings") or () if _says(f, v)), None)
+        words = f"{v['message']}." if finding is None else sentence(finding)
+        lines.append(f"{'Void' if v.get('void', True) else 'Warning'}: {words}")
+    return [*dict.fromkeys(lines)]
+
+
+def _says(finding: Mapping[str, Any], warning: Mapping[str, Any]) -> bool:
+    """Return whether a finding says what a warning of doubtful figures does."""
+    role, _, words = warning["message"].partition(": ")
+    return (
+        not warning.get("void", True)
+        and finding["role"] == role
+        and words.partition(". ")[0] in without_correlation(finding["message"])
+    )
+
+
+def without_correlation(words: str) -> str:
+    """Return a finding's words without how closely two signals agreed."""
+    return re.sub(r" \(correlation [^()]*\)", "", words)
+
+
+def unwarned(report: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the findings that no warning says."""
+    warnings = [report["validity"][i] for i in boxed(report)]
+    return [f for f in report.get("findings") or () if not any(_says(f, v) for v in warnings)]
 
 
 def boxed(report: Mapping[str, Any]) -> list[int]:
@@ -32,8 +58,8 @@ def void_reasons(report: Mapping[str, Any]) -> list[str]:
 
 
 def findings_of(report: Mapping[str, Any]) -> list[str]:
-    """Return one sentence per finding; [] for a report without findings."""
-    return [sentence(f) for f in report.get("findings") or ()]
+    """Return one sentence per finding that no warning says; [] for a report without findings."""
+    return [sentence(f) for f in unwarned(report)]
 
 
 def sentence(finding: Mapping[str, Any], brief: bool = False) -> str:

@@ -29,7 +29,7 @@ def test_info_check_says_what_its_fix_did(hanging: Path) -> None:
     done = locfuse("info", hanging, "--check")
     assert done.exit_code == 3
     tried = done.stdout.partition("tried by fusing")[2]
-    (line,) = (line for line in tried.splitlines() if line.startswith("lrf: "))
+    (line,) = (line for line in tried.splitlines() if line.startswith("Warning: lrf: "))
     assert "mounted upside-down" in line
     assert "error" in line.partition("Fix (tried with")[2]
     assert "--set lrf.flipped=true" in line
@@ -183,6 +183,7 @@ def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_be
     assert any(v["message"].startswith("lrf: ") and "lrf.range_scale" in v["message"] for v in doubts)
     for text in (done.stdout, (tmp_path / "out" / "report.md").read_text()):
         assert text.index("Warning: lrf") < text.index("rmse")
+        assert text.count("too short by the truth") == 1  # not as a finding again
     assert "<strong>Warning:</strong> <span" in (tmp_path / "out" / "report.html").read_text()
 
 

@@ -29,6 +29,10 @@ from .settings import ORDERS, PRESETS, Asked, LogOptions
 KEY_OPTIONS = ("sensors", "all_subsets", "align", "smooth", "jitter", "reference")  # in a result's key
 FILES = "files"  # key of the hashes of the files that settings name
 ATTACHMENT = "robot.toml"  # name of the log's attachment with settings
+UNREADABLE = (
+    f"its settings (attachment {ATTACHMENT}) cannot be read: {{}}; its topics and defaults are used instead. Give "
+    "settings with --robot FILE; locfuse init LOG -o FILE writes one"
+)
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
     "start": StartSettings,
@@ -126,10 +130,25 @@ def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
 def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
     """Return the tables of each source; later ones override earlier ones."""
     layers = given_layers(how)
-    if ATTACHMENT in log.attachments:
-        attached = _checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}")
-        layers = {"robot.toml in the log": _of_log(log, attached, layers), **layers}
+    if (tables := attached(log, quiet=bool(how.robots))) is not None:
+        layers = {"robot.toml in the log": _of_log(log, tables, layers), **layers}
     return layers
+
+
+def attached(log: Log, quiet: bool = True) -> dict[str, Any] | None:
+    """Return the settings attached to the log; None without any, or if they cannot be read.
+
+    Settings that cannot be read are a loss of the log, except `quiet` ones: then only a wrong checksum is.
+    """
+    try:
+        text = log.attachments.get(ATTACHMENT)
+        tables = None if text is None else _checked(text, "")
+    except LocfuseError as e:
+        if not quiet:
+            log.losses.add(str(log.paths[0]), UNREADABLE.format(str(e).removeprefix(": ")), 0, 0)
+        return None
+    log.losses.explain(f"attachment {ATTACHMENT!r} fails its checksum", UNREADABLE.format("wrong checksum"))
+    return tables
 
 
 def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]]) -> dict[str, Any]:

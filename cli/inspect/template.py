@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.load import Parts
 from locfuse.cli.analysis.mounts import is_base
-from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
+from locfuse.cli.analysis.robot_tables import attached, flat, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions, Progress, set_words
 from locfuse.cli.analysis.topics import filled
 from locfuse.cli.analysis.wheel_topics import steers
@@ -140,8 +140,8 @@ def _inspected_with(
 def _given(overview: Overview, how: LogOptions, imported: Mapping[str, Mapping[str, Any]]) -> Known:
     """Return the given settings with their source: attachment, --robot, another program's file, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
-    if (own := overview.log.attachments.get(ATTACHMENT)) is not None:
-        layers.append(("the log's own robot.toml", robot_toml.parse(own, ATTACHMENT)))
+    if (own := attached(overview.log)) is not None:
+        layers.append(("the log's own robot.toml", own))
     layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robots]
     layers += imported.items()
     layers.append(("--set", robot_toml.apply_sets(how.sets)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 from msgspec import field
+from msgspec.structs import replace
 
 
 class Loss(msgspec.Struct, frozen=True):
@@ -23,6 +24,12 @@ class Losses(msgspec.Struct):
     def add(self, path: str, reason: str, offset: int, n_bytes: int, messages: int | None = None) -> None:
         """Record the loss of `n_bytes` from `offset` on."""
         self.places.setdefault((path, reason, offset), Loss(path, reason, n_bytes, messages))
+
+    def explain(self, reason: str, words: str) -> None:
+        """Put better words for a reason."""
+        for place, loss in self.places.items():
+            if loss.reason == reason:
+                self.places[place] = replace(loss, reason=words)
 
     def __bool__(self) -> bool:
         return bool(self.places)

@@ -68,7 +68,7 @@ class McapSource(ChunkedSource):
             try:
                 name, data, crc = rec.attachment(content)
                 if crc and zlib.crc32(content[:-4]) != crc:
-                    raise DamagedError("an attachment fails its checksum")
+                    raise DamagedError(f"attachment {name!r} fails its checksum")
                 found[name] = data
             except DamagedError as problem:
                 self.losses.add(str(self.path), str(problem), at, length)

@@ -513,7 +513,7 @@ def test_attachments_up_to_the_cap_are_read(
         source = McapSource(data, losses)
         assert list(source.attachments) == (["a"] if found and crc != 1 else [])
         assert [(r, at, one.bytes) for (_, r, at), one in losses.places.items()] == (
-            [("an attachment fails its checksum", len(FRONT) + 9, length)] if found and crc == 1 else []
+            [("attachment 'a' fails its checksum", len(FRONT) + 9, length)] if found and crc == 1 else []
         )
 
 

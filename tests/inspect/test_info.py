@@ -240,6 +240,26 @@ def test_damage_is_a_finding_and_a_3_without_being_asked(tmp_path: Path) -> None
     assert section(done, "would spoil an estimate")[0].startswith("  file: ")
 
 
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (b"[wheels]\nradius = 0.05\n[whe", "not valid TOML"),
+        (b"[wheels]\nradius = '\xff'", r"not UTF-8 text \(byte 19\)"),
+        (b"[wheels]\nradius = 'five'", "wheels.radius = 'five'"),
+    ],
+)
+def test_damaged_settings_in_a_log_are_named_and_a_file_replaces_them(
+    tmp_path: Path, text: bytes, why: str
+) -> None:
+    path = write(tmp_path / "x.mcap", drive(100), attachments={"robot.toml": text})
+    assert re.search(
+        rf"its settings .* cannot be read: {why}", section(locfuse("info", path), "would spoil an estimate")[0]
+    )
+    file = tmp_path / "robot.toml"
+    assert locfuse("init", path, "-o", file, *GEOMETRY).exit_code == 3
+    assert "cannot be read" not in locfuse("info", path, "--robot", file).stdout
+
+
 def test_strict_takes_a_refused_reading_for_a_loss(tmp_path: Path) -> None:
     said = drive(100)
     path = write(tmp_path / "x.mcap", [*said, said[0]._replace(log_time=said[0].log_time + 1)])

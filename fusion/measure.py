@@ -23,7 +23,7 @@ from . import se2
 from .data import END_OF_TIME, Array, Drive, LocfuseError, Measurements, Stream, Truth
 from .robot import Robot, StartSettings
 from .sensor import FoundStart
-from .streams import gap_limit
+from .streams import gap_limit, outside
 from .truth import body_poses, read_truth
 
 MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # of jittered drives: largest shift of a time [s], share of readings left out
@@ -70,6 +70,10 @@ def measure(
                 # the other sensors can still be compared
                 missing[name] = e.sentence if e.role == name else str(e)
                 fixes[name] = e.fixes
+                continue
+            t = found.t[np.isfinite(found.t)]
+            if len(t) and not ((t >= wheels.t[0]) & (t <= wheels.t[-1])).any():
+                missing[name] = outside(t, wheels.t, name)
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)

@@ -20,6 +20,16 @@ def gap_limit(t: Array) -> float:
     return max(GAP, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else GAP
 
 
+def outside(t: Array, of_drive: Array, role: str) -> str:
+    """Return words on the times t (n,) [s] of a role that all lie outside the drive, and the offset to try."""
+    begin, end = float(of_drive[0]), float(of_drive[-1])
+    off = begin - float(t.min())
+    words = f"none of its {len(t)} readings lies within the {end - begin:.1f} s of the drive"
+    where = f"they begin {abs(off):.1f} s {'before' if off > 0.0 else 'after'} it"
+    fix = f"If both began together, add {off:.3f} to {role}.time_offset; else it is another drive"
+    return f"{words}: {where}. {fix}"
+
+
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
     """Add numbers of unused readings to `dropped`; each argument is a reason with a number or flags (n,).
 

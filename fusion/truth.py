@@ -19,6 +19,7 @@ from .streams import count_dropped
 
 BODIES = "mocap4r2_msgs/msg/RigidBodies"
 FIX = "sensor_msgs/msg/NavSatFix"
+NO_TRUTH = "truth.topic=none"  # the setting that leaves a truth out
 # Types that hold several bodies -> the fields of their names and poses: motion capture, and what Gazebo simulates.
 SEVERAL: Mapping[str, tuple[str, ...]] = {
     kind: (names, *pose_fields(pose))
@@ -66,7 +67,9 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
         count_dropped(dropped, jump=away)
         rows = rows[~away]
     if len(rows) == 0:
-        raise LocfuseError(f"{stream.topic} has no usable reading of {len(stream.t_ns)}", role="truth")
+        words = f"{stream.topic} has no usable reading of {len(stream.t_ns)}"
+        hint = f"(to judge without it: --set {NO_TRUTH})"
+        raise LocfuseError(words, role="truth", fixes=(NO_TRUTH,), hint=hint)
     # all zero: no heading was recorded
     theta = se2.yaw(*values[rows, 2:].T) if values.shape[1] == 6 and values[rows, 2:].any() else None
     return (

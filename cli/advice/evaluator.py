@@ -20,7 +20,7 @@ from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.report.findings import change
 from locfuse.fusion.checks.clocks import EQUAL
-from locfuse.fusion.checks.examine import holes, of_data
+from locfuse.fusion.checks.examine import holes, of_data, too_short
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import (
     Advice,
@@ -44,7 +44,6 @@ from .judged import SHARED_ROLES
 from .report import Advised
 from .trial import SMOOTHED, TRIED, WHOLE, Trial, marks_of, predicted
 
-MIN_DURATION_S = 5.0  # a shorter drive cannot judge settings
 MAX_AGREEMENT_LOSS = 0.1  # of the revisit agreement: two equally good paths differ by less
 MAX_WHOLE = 2  # severe findings without effect on the beginning that are also tried on the whole drive
 
@@ -239,7 +238,7 @@ def may_judge(loaded: Loaded) -> bool:
         return False
     if not loaded.drive.measurements and loaded.drive.truth is None:
         return False
-    return float(loaded.drive.t[-1]) - float(loaded.drive.t[0]) >= MIN_DURATION_S
+    return not too_short(loaded.drive)
 
 
 def data_findings(loaded: Loaded) -> list[Finding]:

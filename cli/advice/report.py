@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import (
@@ -161,7 +160,7 @@ def add_validity(
     known_faults += [
         a.finding for a in (advised.advice if advised is not None else ()) if a.finding.code == MIRROR
     ]
-    spoilt = next(((f.code, f"truth: {f.brief}") for f in known_faults), None)
+    spoilt = next(((f.code, f"truth: {f.sentence}") for f in known_faults), None)
     for name, values in report["configurations"].items():
         reason = _lost(values) or spoilt or _elsewhere(start_error_m, values)
         if reason is None:
@@ -434,14 +433,14 @@ def complete(
     advised: Advised | None,
     start_error_m: float | None = None,
     foreign: Collection[str] = (),
-    stands: bool = False,
+    unmoved: str = "",
     truth: Finding | None = None,
 ) -> None:
     """Add findings, validity and headline to a finished report.
 
     `advised` is None if the log was not evaluated. `start_error_m` is the distance between the starts of truth and
     drive, None if [start] is set. `truth` is the fault that makes errors to the truth void. Rows of `foreign`
-    estimates are ignored, and a robot that `stands` gets no advice.
+    estimates are ignored. `unmoved`: why the drive judges no sensor (the robot stands, or the drive is short).
     """
     add_findings(report, advised)
     _remove_mount_notes(report)
@@ -453,7 +452,10 @@ def complete(
         if not values.get("smoothed") and not values.get("rates_hz") and name not in foreign
     }
     words = f"{headline(report, sets)}{covariance(report, sets)}"
-    report["headline"] = f"{STANDS[0].upper()}{STANDS[1:]}." if stands else words
+    if unmoved:
+        words = f"{unmoved[0].upper()}{unmoved[1:]}."
+        withdraw_verdicts(report, "This drive cannot judge a sensor.")
+    report["headline"] = words
     report.update(json_report.plain(report))
 
 

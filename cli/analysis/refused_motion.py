@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 STANDS = "the robot does not move in this log, so no sensor can be judged"
+MAX_PERIOD_S = 5.0  # of the motion's readings: in more a robot may turn round
 MIN_WAY_M = 1.0  # path length by another topic that counts as motion
 MIN_FIX_SPREAD_M = 15.0  # fixes of a standing receiver drift by some metres
 
@@ -34,6 +35,11 @@ def find_motion_faults(log: Log, robot: Robot, choice: Choice, motion: WheelRead
     topics = " and ".join(choice.of("wheels"))
     if motion.doubt:
         found.append(Note("wheels", f"{topics}: {motion.doubt}", (), is_fault=True))
+    t = motion.wheels.t
+    if float(period := np.median(np.diff(t))) > MAX_PERIOD_S:
+        words = f"{topics}: {len(t)} readings in {t[-1] - t[0]:.1f} s, one each {period:.1f} s"
+        why = "the way in between is unknown. Record at least one each second"
+        found.append(Note("wheels", f"{words}: {why}", (), is_fault=True))
     return (*found, *_standing(log, robot, choice, motion))
 
 

@@ -244,5 +244,5 @@ def _void_all(report: dict[str, Any], faults: Sequence[Note]) -> None:
     withdraw_verdicts(report, "What is used as the motion is not the robot's.")
     report.update(dict.fromkeys(key for key in ("credit", "prediction") if report.get(key) is not None))
     entry = {"code": "motion", "message": message, "since_s": 0.0, "void": True}
-    report["validity"] = [{**entry, "configurations": [*report["configurations"]]}, *report.get("validity", ())]
+    report["validity"] = [{**entry, "configurations": [*report["configurations"]]}]
     report["headline"] = f"No verdict on this log: {message}."

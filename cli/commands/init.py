@@ -171,6 +171,8 @@ def _foot(made: Draft) -> str:
 def _notes(made: Draft, words: str, name: str) -> list[str]:
     """Return notes on guessed values and on the next command."""
     from locfuse.cli.analysis.refused_motion import STANDS
+    from locfuse.fusion.checks.examine import too_short
+    from locfuse.fusion.sensors.registry import REGISTRY
 
     loaded = made.overview.loaded
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
@@ -179,13 +181,15 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = f"fill in {', '.join(made.missing)} (their comments say how to measure them)"
     elif faults := made.overview.motion_faults:
         last = f"no motion to use: {faults[0].words}"
-    elif loaded is not None and loaded.drive.wheels.stands:
-        last = STANDS
+    elif loaded is not None and (why := STANDS if loaded.drive.wheels.stands else too_short(loaded.drive)):
+        last = why
     else:
         tune, compare = f"tune {words} --robot {name} -o tuned.toml", f"compare {words} --robot {name}"
         last = f"next: locfuse {tune if _tunes(made) else compare}"
     of_robot = f"{made.robot}: its figures that the log does not tell are taken from locfuse's own files"
-    return [*(f"guessed: {guess}" for guess in (*([of_robot] if made.robot else []), *made.guesses)), last]
+    guesses = (f"guessed: {guess}" for guess in (*([of_robot] if made.robot else []), *made.guesses))
+    open_ = (f for f in made.overview.findings if f.severe and not f.fixes and f.role in {"truth", *REGISTRY})
+    return [*guesses, *(f"still wrong: {f.role}: {f.sentence}" for f in open_), last]
 
 
 def _tunes(made: Draft) -> bool:

@@ -26,10 +26,10 @@ from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.checks.examine import examine
+from locfuse.fusion.checks.examine import examine, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
-from locfuse.fusion.checks.truth import POINT, START
+from locfuse.fusion.checks.truth import FEW, POINT, START
 from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -152,8 +152,13 @@ def _measure(overview: Overview, progress: Progress) -> None:
     if loaded.drive.wheels.stands:
         overview.findings.append(Finding("wheels", "standing", STANDS))
     part, holes = unbroken(loaded)
-    found = examine(part.drive, part.robot, streams)
-    overview.findings += [*holes, *(f for f in found if f.code != START or not part.how.begin)]
+    short = too_short(loaded.drive)
+    overview.findings += [*holes, *([Finding("log", "short", short)] if short else [])]
+    found, known = examine(part.drive, part.robot, streams), {f.role for f in overview.findings if f.severe}
+    if loaded.motion_faults or short:  # by these no sensor is charged
+        found = [f for f in found if f.code in {"repaired", "refused", "gap"}]
+    found = [f for f in found if f.code != START or not part.how.begin]
+    overview.findings += [f for f in found if f.code != FEW or f.role not in known]
     overview.findings += _unusable(overview, loaded)
 
 

@@ -28,6 +28,7 @@ from .sweep import of_sweep
 from .truth import SIZE, metre, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
 
+MIN_DURATION_S = 5.0  # of a drive by which sensors are judged
 MIN_READINGS = 10  # readings from which a sensor is judged
 MAX_EMPTY_SHARE = 0.9  # largest share of readings without a measurement: with more a sensor is dead or misread
 REASONS = {
@@ -89,6 +90,15 @@ def examine(
         scales += unseen(drive) if scales else []
     truth = [] if any(o.code == SIZE for o in scales) else of_truth(drive, robot)
     return [*found, *scales, *truth]
+
+
+def too_short(drive: Drive) -> str:
+    """Return why the drive cannot judge sensors, "" if it is long enough."""
+    seconds, way = float(drive.t[-1] - drive.t[0]), float(drive.wheels.driven(drive.wheels.t[-1]))
+    if seconds >= MIN_DURATION_S:
+        return ""
+    words = f"the drive lasts {seconds:.1f} s ({way:.2f} m), too short to judge a sensor"
+    return f"{words}: record at least {MIN_DURATION_S:g} s"
 
 
 def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:

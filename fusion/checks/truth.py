@@ -10,7 +10,8 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, Truth, stretches
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.streams import gap_limit, outside
+from locfuse.fusion.truth import NO_TRUTH
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
 from locfuse.fusion.wheels.motion import STANDS_M, Wheels
 from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
@@ -18,7 +19,7 @@ from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 from .finding import Finding, Least
 from .laser import OPEN_SCALE, Motion, range_fix, who_is_right
 
-UNIT, JUMP = "unit", "jump"  # codes of the findings on an unusable truth
+UNIT, JUMP, FEW = "unit", "jump", "few"  # codes of the findings on an unusable truth
 SIZE = "size"  # code of the finding on a truth with another distance scale than wheels and laser
 # by the ratio of its distances to those in m
 UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}
@@ -31,7 +32,7 @@ STEP = "step"  # code of the finding on sideways steps
 POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on sideways motion
 MIN_CREEP, CREEP_SIGMAS = 0.008, 5.0  # m per m; standard errors
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
-MIN_READINGS = 5  # of a truth that is checked
+MIN_READINGS = 5  # of a truth that is used
 WINDOW_S = 1.0  # s over which distances are compared
 STRETCHES = 8  # of the drive, for the jackknife
 MIN_WAY_M = 0.1  # m per window, by the wheels
@@ -54,8 +55,8 @@ MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of laser dis
 def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     """Return findings on the truth: jumps, gaps, noise, tracked point, start pose, sideways motion."""
     truth = drive.truth
-    if truth is None or len(truth.t) < MIN_READINGS:
-        return []
+    if truth is None or (few := of_few(drive)):
+        return [] if truth is None else few
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive, axle_path(truth, drive.wheels))
     point = of_point(truth, swings)
@@ -208,6 +209,22 @@ def _fastest(drive: Drive) -> float:
     return float(np.percentile(np.hypot(*drive.wheels.twist[:, :2].T) / np.diff(drive.wheels.t), 99.0))
 
 
+def of_few(drive: Drive) -> list[Finding]:
+    """Return a finding if fewer than MIN_READINGS poses of the truth lie within the drive."""
+    if drive.truth is None:
+        return []
+    t, wheels = drive.truth.t, drive.wheels.t
+    inside = int(((t >= wheels[0]) & (t <= wheels[-1])).sum())
+    if inside >= MIN_READINGS:
+        return []
+    if len(t) and not inside:
+        return [Finding("truth", FEW, outside(t, wheels, "truth"), (), True)]
+    number = f"{inside} pose{'' if inside == 1 else 's'}"
+    words = f"it has {number} in the {wheels[-1] - wheels[0]:.1f} s of the drive, too few to measure errors"
+    hint = f"({MIN_READINGS} are the least; to judge without it: --set {NO_TRUTH})"
+    return [Finding("truth", FEW, words, (NO_TRUTH,), True, hint=hint)]
+
+
 def of_unit(drive: Drive) -> list[Finding]:
     """Return a finding if the truth is not in metres: its distances are a power of ten times the wheels'.
 
@@ -249,8 +266,8 @@ def of_size(drive: Drive, motion: Motion | None) -> list[Finding]:
 
 
 def unusable(drive: Drive) -> Finding | None:
-    """Return a finding if no error can be computed by this truth (unit, many jumps); None if it is usable."""
-    for found in of_unit(drive):
+    """Return a finding if no error can be computed by this truth (few poses, unit, many jumps), else None."""
+    for found in (*of_few(drive), *of_unit(drive)):
         return found
     jumps = jumps_of(drive)
     if jumps is None or not jumps.unusable:

@@ -11,7 +11,7 @@ import pytest
 from commands import jobs_here, locfuse, ok
 from lock_step import simulated
 from msgspec.structs import replace
-from trap_logs import COMPASS, SCAN, TRUTH, Drive, seconds
+from trap_logs import COMPASS, SCAN, TRUTH, WHEELS, Drive, seconds
 from traps import elsewhere, late, pitched_imu, short_metre, upside_down
 
 from locfuse.cli.analysis.load import start_error
@@ -168,6 +168,55 @@ def test_info_init_and_compare_set_a_late_truth_and_measure_the_start_by_its_clo
     ok("compare", log, "--robot", file, "-o", tmp_path / "again", "--write", "json")
     again = json.loads((tmp_path / "again" / "report.json").read_text())["fixes"]
     assert not any(fix.startswith(("start.", "truth.time_offset")) for fix in again)
+
+
+def rare(topic: str, step: int) -> Drive:
+    """A drive with every so many messages of a topic only."""
+    drive = Drive()
+    kept = drive.on(topic)[::step]
+    drive.drop(topic)
+    drive.add(kept)
+    return drive
+
+
+@pytest.mark.parametrize(
+    ("topic", "step", "words"),
+    [
+        (TRUTH, 120, "truth: it has 3 poses in the 30.4 s of the drive, too few"),
+        (WHEELS, 700, "wheels: /joint_states: 2 readings in 28.0 s, one each 28.0 s"),
+    ],
+)
+def test_what_is_too_rare_judges_nothing_and_no_sensor_is_charged(
+    tmp_path: Path, topic: str, step: int, words: str
+) -> None:
+    log = rare(topic, step).record(tmp_path / "log.mcap")
+    said = locfuse("info", log).stdout.partition("would spoil an estimate\n")[2].partition("\n\n")[0]
+    assert said.splitlines()[0].startswith(f"  {words}")
+    assert all(line.startswith("    fix: --set truth.topic=none") for line in said.splitlines()[1:])
+    done = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
+    assert done.exit_code == 3
+    assert done.stdout.startswith(f"No verdict on this log: {words}")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert not report["findings"]
+    assert {v["verdict"] for v in report["verdicts"].values()} == {"no verdict"}
+
+
+def test_readings_of_another_year_are_named_with_the_offset_and_not_used(tmp_path: Path) -> None:
+    drive = Drive()
+    late(SCAN, -1e8)(drive)
+    done = locfuse("compare", drive.record(tmp_path / "log.mcap"), "-o", tmp_path / "out", "--write", "json")
+    assert "not used: lrf: none of its 183 readings lies within the 30.4 s of the drive" in done.stderr
+    assert "add 99999999.9" in done.stderr
+
+
+def test_a_drive_of_two_seconds_judges_no_sensor(tmp_path: Path) -> None:
+    drive = Drive()
+    drive.messages = [m for m in drive.messages if seconds(m) < 2.0]
+    log = drive.record(tmp_path / "log.mcap")
+    assert "too short to judge a sensor" in ok("info", log).stdout
+    assert "too short to judge a sensor" in ok("init", log, "-o", tmp_path / "robot.toml").stderr
+    done = ok("compare", log, "-o", tmp_path / "out", "--write", "json")
+    assert done.stdout.startswith("The drive lasts 2.0 s")
 
 
 def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_before(tmp_path: Path) -> None:

@@ -235,6 +235,7 @@ def _by_message(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return list(by_message.values())
 
 
+NAME_TRUTH = "--set truth.topic=/TOPIC, a topic that holds the true poses"
 SENSOR_WORDS = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
 MIN_HINT = 0.1  # of the agreeing share of points: a smaller gain is not reported
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
@@ -258,7 +259,8 @@ def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> st
     if void and not any(sets[name] for name in errors):
         return f"No verdict on this log: {void[0]}."
     if not errors:
-        return _without_truth(report, _by_places(report))
+        located = any(REGISTRY[s].locates for sensors in sets.values() for s in sensors)
+        return _without_truth(report, _by_places(report), "--reference" if located else NAME_TRUTH)
     known = _by_reference(report, errors) if report.get("reference") else _by_errors(report, sets, errors)
     return " ".join((known, *(f"Not counted is {line}." for line in void)))
 
@@ -388,8 +390,11 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
     return f"Measured against a reference, not truth: {'; '.join(parts)}.{agreement}"
 
 
-def _without_truth(report: Mapping[str, Any], places: str) -> str:
-    """Return the headline for a log without truth and reference: sensors that help to predict the others."""
+def _without_truth(report: Mapping[str, Any], places: str, instead: str) -> str:
+    """Return the headline for a log without truth and reference: sensors that help to predict the others.
+
+    `instead`: the option to try if there are none.
+    """
     verdicts = report.get("verdicts", {})
     good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
     bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]
@@ -400,7 +405,7 @@ def _without_truth(report: Mapping[str, Any], places: str) -> str:
         parts.append(f"{_names(bad)} {'contradicts' if len(bad) == 1 else 'contradict'} them")
     if not parts:
         why = "No truth and nothing else to judge the sensors: errors cannot be measured."
-        return f"{why}{places} Try: --reference"
+        return f"{why}{places} Try: {instead}"
     return f"No truth in this log, so no error is known: {', and '.join(parts)}.{places}"
 
 

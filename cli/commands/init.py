@@ -171,12 +171,15 @@ def _foot(made: Draft) -> str:
 def _notes(made: Draft, words: str, name: str) -> list[str]:
     """Return notes on guessed values and on the next command."""
     from locfuse.cli.analysis.refused_motion import STANDS
+    from locfuse.cli.inspect.values import wheels_missing
     from locfuse.fusion.checks.examine import too_short
     from locfuse.fusion.sensors.registry import REGISTRY
 
     loaded = made.overview.loaded
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
         last = f"this log cannot run: {nothing}"
+    elif loaded is None and (why := wheels_missing(made.overview)) and not made.missing:
+        last = f"this log cannot run: {why}"
     elif made.missing:
         last = f"fill in {', '.join(made.missing)} (their comments say how to measure them)"
     elif faults := made.overview.motion_faults:

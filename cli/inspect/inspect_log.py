@@ -142,6 +142,8 @@ def _measure(overview: Overview, progress: Progress) -> None:
         loaded = measured(overview.log, overview.tables, overview.choice, progress, aside=costly)
     except LocfuseError as e:
         role = e.role if e.role in {"wheels", "truth", *REGISTRY} else "log"
+        if role == "wheels":  # no clock to hold others against
+            overview.findings = [f for f in overview.findings if f.code != "other clock"]
         if not any(f.role == role and f.severe for f in overview.findings):
             overview.findings.append(of_error(e, role, "unusable"))
         return

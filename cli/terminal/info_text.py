@@ -42,6 +42,7 @@ TOPIC_COLUMNS = (
 )
 TOPICS_NOTE = "clock: how long after its stamp a message was recorded."
 GAP_NOTE = " gap: the longest time without a message."
+RECORD = "no setting helps: record the robot's wheels, odometry or laser scans, then: locfuse info LOG"
 MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 
 
@@ -226,13 +227,20 @@ def _wrapped(head: str, words: str, width: int | None, indent: str | None = None
 
 
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:
-    """Return the next command to type: `info` with fixes, `init`, or `compare`.
+    """Return the next command to type: `recover`, `init`, `info` with fixes, or `compare`; or what to record.
 
     If fixes were tried, `helped` replaces those of the findings.
     """
+    losses = overview.log.losses
+    if losses.recoverable and losses.messages < sum(f.count for f in overview.facts if not f.derived):
+        return [shlex.join(("locfuse", "recover", *map(str, overview.log.given), "-o", "recovered.mcap"))]
     if overview.choice.unused_wheels:  # wheels first: other findings depend on their size
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
     worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the user has to choose
+    sizeless = any(f.code == "geometry" for f in worst)  # init asks for it
+    unusable = overview.loaded is None or overview.motion_faults
+    if unusable and not sizeless and any(f.role in {"wheels", "log"} and not f.fixes for f in worst):
+        return [RECORD]
     fixes = by_key(fix for f in worst for fix in f.fixes)
     if fixes and helped is not None:
         fixes = by_key(helped)
@@ -241,8 +249,10 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]
         return [shlex.join(("locfuse", "info", *kept, *options))]
     if overview.loaded is not None:  # without the robot's motion nothing can be compared
-        return [] if overview.loaded.motion_faults else [shlex.join(("locfuse", "compare", *typed))]
-    return [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if overview.choice.of("wheels") else []
+        return [shlex.join(("locfuse", "compare", *typed))]
+    return (
+        [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if overview.choice.of("wheels") else [RECORD]
+    )
 
 
 def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, unwarned, void_reasons
 from locfuse.formats.report.table import Table
 from locfuse.fusion.progress import heard_by
+from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table
 from .screen import ignore_closed_stdout, put, screen
@@ -105,6 +107,9 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     for line in lost:  # reasons of exit code 3: printed with --quiet too; void figures are on the screen already
         if line not in void or outputs.as_json or not screen().is_terminal:
             say(f"{'void' if line in void else 'lost'}: {line}")
+    if found.loaded.log.losses.recoverable and not how.quiet:
+        words = shlex.join(("locfuse", "recover", *map(str, found.loaded.log.given), "-o", "recovered.mcap"))
+        say(f"copy what can be read: {words}")
     for line in () if how.quiet else notes if outputs.verbose else unusable:
         say(line)
     transfer(found.loaded.log.transfer, how.quiet)
@@ -179,7 +184,9 @@ def notes_in_words(report: Mapping[str, Any]) -> list[str]:
     if report.get("reference"):
         found.append(f"note: {report['reference']['words']}")
     elif report["truth"] is None:
-        found.append(NO_TRUTH + (OR_REFERENCE if "verdicts" in report else ""))
+        found.append(
+            NO_TRUTH + (OR_REFERENCE if any(REGISTRY[s].locates for s in report.get("verdicts", ())) else "")
+        )
     if report.get("prediction"):
         found.append(f"note: {report['prediction']['trust']}")
     return found

@@ -6,6 +6,8 @@ import msgspec
 from msgspec import field
 from msgspec.structs import replace
 
+SETTINGS = "its settings "  # begins the reason of a loss that leaves every message readable
+
 
 class Loss(msgspec.Struct, frozen=True):
     """One unreadable place of one file."""
@@ -33,6 +35,11 @@ class Losses(msgspec.Struct):
 
     def __bool__(self) -> bool:
         return bool(self.places)
+
+    @property
+    def recoverable(self) -> bool:
+        """Whether bytes or messages are lost, or an end mark, beside which the rest can be copied."""
+        return any(not loss.reason.startswith(SETTINGS) for loss in self.places.values())
 
     @property
     def bytes(self) -> int:

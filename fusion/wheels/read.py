@@ -167,7 +167,7 @@ def _from_body(
     """
     dropped = dict(stream.dropped)
     keep = usable(stream.t_ns, values, dropped)
-    require_two(stream.topic, len(keep), len(stream.t_ns))
+    require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
     if commands:
         can = odometry.possible(values[keep, 3:], settings.max_speed)

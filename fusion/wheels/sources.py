@@ -74,7 +74,7 @@ def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
     dropped = dict(stream.dropped)
     found = _found(stream, settings, dropped)
     keep = usable(found.t_ns, found.values, dropped)
-    require_two(stream.topic, len(keep), len(stream.t_ns))
+    require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     zero_ns = int(found.t_ns[keep[0]])
     t: Array = (found.t_ns[keep] - zero_ns) * np.float64(1e-9)
     values = _rolled_by(t, found.values[keep]) if found.speeds else found.values[keep]
@@ -154,10 +154,12 @@ def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
     return kept
 
 
-def require_two(topic: str, found: int, n: int) -> None:
+def require_two(topic: str, found: int, n: int, dropped: Mapping[str, int] | None = None) -> None:
     """Raise LocfuseError if fewer than two readings are usable."""
     if found < 2:
-        raise LocfuseError(f"{topic} has {found} usable readings of {n}; two are the least", role="wheels")
+        same = sum((dropped or {}).get(why, 0) for why in ("repeat", "same_stamp"))
+        why = f" ({same} share the stamp of another)" if same else ""
+        raise LocfuseError(f"{topic} has {found} usable readings of {n}{why}; two are the least", role="wheels")
 
 
 def _revolution(settings: WheelSettings) -> tuple[float, ...]:

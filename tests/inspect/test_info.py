@@ -15,12 +15,13 @@ from commands import Done, locfuse, ok
 from laser_room import circle, scans_of
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from trap_logs import COMPASS, PICTURES, WHEELS, Drive
+from trap_logs import COMPASS, PICTURES, SCAN, TRUTH, WHEELS, Drive
 from traps import ROLLED, decoded, imu, raw, short_metre
 
 import locfuse as api
 from locfuse import sample_logs
 from locfuse.cli.terminal import text_table
+from locfuse.cli.terminal.info_text import RECORD
 from locfuse.formats.report.findings import void_reasons
 from locfuse.formats.report.table import Column, of_words
 
@@ -238,6 +239,36 @@ def test_damage_is_a_finding_and_a_3_without_being_asked(tmp_path: Path) -> None
     done = locfuse("info", path, *GEOMETRY)
     assert done.exit_code == 3
     assert section(done, "would spoil an estimate")[0].startswith("  file: ")
+    (command,) = section(done, "next")
+    fixed = tmp_path / "recovered.mcap"
+    assert command.strip() == f"locfuse recover {path} -o {fixed.name}"
+    assert locfuse("recover", path, "-o", fixed).exit_code == 3
+    assert section(ok("info", fixed, *GEOMETRY), "next")[0].startswith(
+        "  locfuse compare "
+    )  # nothing is lost there
+
+
+@pytest.mark.parametrize("spoilt", ["no message", "equal stamps"])
+def test_where_no_setting_helps_the_next_step_is_to_record(tmp_path: Path, spoilt: str) -> None:
+    made = Drive()
+    stamp = made.on(WHEELS)[0].stamp_ns
+    made.each(WHEELS, lambda m: m._replace(stamp_ns=stamp))
+    if spoilt == "no message":
+        made.messages = []
+    done = ok("info", made.record(tmp_path / "x.mcap"))
+    assert section(done, "next") == [f"  {RECORD}"]
+    assert len(section(done, "would spoil an estimate")) == 1
+    assert spoilt == "no message" or "761 share the stamp of another" in done.stdout
+
+
+def test_a_log_in_which_nothing_locates_is_not_sent_to_a_reference(tmp_path: Path) -> None:
+    made = Drive()
+    for role, topic in (("truth", TRUTH), ("lrf", SCAN), ("compass", COMPASS)):
+        made.drop(topic)
+        made.tables.pop(role, None)
+    done = ok("compare", made.record(tmp_path / "x.mcap"), "-v", "-o", tmp_path / "out", "--write", "json")
+    assert "--set truth.topic=/TOPIC" in done.stdout
+    assert "--reference" not in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize(

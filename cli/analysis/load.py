@@ -32,6 +32,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged, parts_of
+from locfuse.fusion.truth import NO_TRUTH
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
@@ -191,6 +192,10 @@ def measured(
         is_lacking = tables["preset"] == "paper" and sensor not in filters.PAPER_SENSORS
         if is_lacking and choice.topics.pop(sensor, ""):
             choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
+    if both := set(choice.of("truth")) & set(choice.of("wheels")):
+        words = f"{min(both)} is also the robot's motion (wheels), so it cannot judge it"
+        hint = f"(name another topic of the two, or judge without it: --set {NO_TRUTH})"
+        raise LocfuseError(words, role="truth", fixes=(NO_TRUTH,), hint=hint)
     progress("reading")
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)

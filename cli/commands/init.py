@@ -191,8 +191,9 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = f"next: locfuse {tune if _tunes(made) else compare}"
     of_robot = f"{made.robot}: its figures that the log does not tell are taken from locfuse's own files"
     guesses = (f"guessed: {guess}" for guess in (*([of_robot] if made.robot else []), *made.guesses))
-    open_ = (f for f in made.overview.findings if f.severe and not f.fixes and f.role in {"truth", *REGISTRY})
-    return [*guesses, *(f"still wrong: {f.role}: {f.sentence}" for f in open_), last]
+    open_ = (f for f in made.overview.findings if f.severe and f.role in {"truth", *REGISTRY})
+    wrong = (f"still wrong: {f.role}: {f.brief}" + "".join(f" --set {fix}" for fix in f.fixes) for f in open_)
+    return [*guesses, *wrong, last]
 
 
 def _tunes(made: Draft) -> bool:

@@ -42,6 +42,7 @@ TOPIC_COLUMNS = (
 )
 TOPICS_NOTE = "clock: how long after its stamp a message was recorded."
 GAP_NOTE = " gap: the longest time without a message."
+CORRECT = "correct the settings that are named above, then: locfuse info LOG"
 RECORD = "no setting helps: record the robot's wheels, odometry or laser scans, then: locfuse info LOG"
 MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 
@@ -238,6 +239,9 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
     worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the user has to choose
     sizeless = any(f.code == "geometry" for f in worst)  # init asks for it
+    given = {"--set", "--robot"} & {*typed}
+    if given and any(f.code in {"choice", "unusable"} and not f.fixes for f in worst):
+        return [CORRECT]
     unusable = overview.loaded is None or overview.motion_faults
     if unusable and not sizeless and any(f.role in {"wheels", "log"} and not f.fixes for f in worst):
         return [RECORD]

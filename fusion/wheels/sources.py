@@ -237,6 +237,11 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
     if len({len(guesses) for guesses in sides.values()}) == 1:  # as many left ones as right ones
         sides = {side: [j for j in guesses if _is_rear(j)] or guesses for side, guesses in sides.items()}
     found = []
+    if settings.left is not None and settings.left == settings.right:
+        raise LocfuseError(
+            f"wheels.left and wheels.right both name {settings.left!r}: name two joints of {topic}",
+            role="wheels",
+        )
     for side, given in (("left", settings.left), ("right", settings.right)):
         if given is not None and given not in known:
             raise LocfuseError(

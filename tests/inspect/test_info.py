@@ -21,7 +21,7 @@ from traps import ROLLED, decoded, imu, raw, short_metre
 import locfuse as api
 from locfuse import sample_logs
 from locfuse.cli.terminal import text_table
-from locfuse.cli.terminal.info_text import RECORD
+from locfuse.cli.terminal.info_text import CORRECT, RECORD
 from locfuse.formats.report.findings import void_reasons
 from locfuse.formats.report.table import Column, of_words
 
@@ -261,6 +261,27 @@ def test_where_no_setting_helps_the_next_step_is_to_record(tmp_path: Path, spoil
     assert spoilt == "no message" or "761 share the stamp of another" in done.stdout
 
 
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("truth.topic=/joint_states", "accepted"),
+        ("wheels.left=right_wheel_joint", "both name 'right_wheel_joint'"),
+        ("wheels.topic=/ground_truth/pose", "is also the robot's motion"),
+        ("start.at=99", "the drive ends at 30.4 s"),
+    ],
+)
+def test_settings_that_contradict_are_named_in_one_line(tmp_path: Path, word: str, said: str) -> None:
+    log = Drive().record(tmp_path / "x.mcap")
+    words = ("--set", word)
+    done = ok("info", log, *words)
+    (line,) = (x for x in section(done, "would spoil an estimate") if not x.startswith("    fix: "))
+    assert said in line
+    by_fix = "--set truth.topic=none" in section(done, "next")[0]
+    assert by_fix or section(done, "next") == [f"  {CORRECT}"]
+    stopped = locfuse("compare", log, *words, "-o", tmp_path / "out")
+    assert (stopped.exit_code, stopped.stderr.count("\n")) == (1, 1)
+
+
 def test_a_log_in_which_nothing_locates_is_not_sent_to_a_reference(tmp_path: Path) -> None:
     made = Drive()
     for role, topic in (("truth", TRUTH), ("lrf", SCAN), ("compass", COMPASS)):
@@ -304,7 +325,7 @@ def test_a_log_without_wheels_says_what_is_missing(tmp_path: Path) -> None:
     assert done.exit_code == 3
     (words,) = section(done, "would spoil an estimate")
     assert "x has no wheels, no odometry (nor one in /tf), no laser, no poses and no speeds" in words
-    assert section(done, "next") == []
+    assert section(done, "next") == [f"  {RECORD}"]
 
 
 def test_a_reference_that_nobody_named_is_asked_for(tmp_path: Path) -> None:

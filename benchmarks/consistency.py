@@ -40,7 +40,7 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 from locfuse.sample_logs.load import load
-from locfuse.sample_logs.scenario import Lrf, Scenario
+from locfuse.sample_logs.scenario import LrfSpec, Scenario
 from locfuse.sample_logs.simulate import Outcome, Simulation
 from locfuse.sample_logs.world import Plan, cast
 
@@ -289,7 +289,7 @@ def bound(scenario: Scenario, seed: int, outcome: Outcome) -> tuple[float, float
     return first, second
 
 
-def information(lrf: Lrf, roll: Roll, plan: Plan, begin: float) -> Array:
+def information(lrf: LrfSpec, roll: Roll, plan: Plan, begin: float) -> Array:
     """Return the information matrices of the pose (PIECES, 3, 3) from parts of the scan that starts at `begin`."""
     half = math.radians(lrf.field_of_view_deg) / 2.0
     angles, times = np.linspace(-half, half, lrf.beams), begin + np.linspace(0.0, lrf.duration, lrf.beams)

@@ -21,7 +21,7 @@ from benchmarks import experiment
 from benchmarks.experiment import Row
 from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.consistency import Consistency, Run, judge
+from locfuse.fusion.judge.consistency import Consistency, RunInnovations, judge
 from locfuse.fusion.se2 import wrap_all
 
 SCENARIO = ("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]", "compass.sigma_deg=0.5")
@@ -95,7 +95,9 @@ def work(name: str, seed: int) -> Row:
     if name == SLOW_CASE:
         drive = noisy(drive, "compass", slow_noise(drive.measurements["compass"].t, rng)[:, None])
     configurations = ((), *((s,) for s in SENSORS), SENSORS)
-    found = judge([Run.of(drive, fuse(drive, robot, sensors)) for sensors in configurations], robot)["all"]
+    found = judge([RunInnovations.of(drive, fuse(drive, robot, sensors)) for sensors in configurations], robot)[
+        "all"
+    ]
     words = [c.words for c in found.values() if c.verdict not in {"consistent", "unclear"}]
     return {"right": is_right(case, found), "words": "; ".join(words) or "nothing"}
 

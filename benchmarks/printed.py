@@ -55,7 +55,7 @@ class BearingRow(paper_rows.CameraRow):
         settings = robot.settings("camera")
         self.landmark, self.lever = settings.landmark, (settings.x, settings.y)
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[paper_rows.Row]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[paper_rows.MeasurementRow]:
         """Compare the bearing of the largest candidate of picture i."""
         row = int(m.first[i])
         pose, mount = (float(x[0]), float(x[1]), float(x[2])), (*self.lever, self.yaw)

@@ -18,7 +18,7 @@ from benchmarks import experiment
 from benchmarks.experiment import Row
 from locfuse.fusion.measure import measure
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.tune.tune import Trial, tune
+from locfuse.fusion.tune.tune import TuneLog, tune
 
 WHITE = (
     *("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]", "compass.sigma_deg=0.5"),
@@ -36,7 +36,7 @@ def work(seed: int, scenario: str, sets: tuple[str, ...]) -> Row:
         wrong = [f"{sensor}.{key}={getattr(true.settings(sensor), key) * factor!r}" for sensor, key in keys]
         drive, robot = run.measured([f"wheels.noise={true.wheels.noise * factor**2!r}", *wrong])
         tuned = tune(
-            [Trial(scenario, drive, robot)],
+            [TuneLog(scenario, drive, robot)],
             list(drive.measurements),
             remeasure=lambda _, sensor, now: measure(run.streams, now).measurements[sensor],
         )

@@ -5,14 +5,14 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-SIMILAR = 0.6  # of difflib's ratio: about one letter in three may differ
+MIN_SIMILARITY = 0.6  # of difflib's ratio: about one letter in three may differ
 MIN_PART, MAX_NAMED = 3, 4  # letters of a word to search for in others; words in a suggestion
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the most similar known word; None without a similar one."""
     by_lower = {one.lower(): one for one in known}
-    found = difflib.get_close_matches(word.lower(), by_lower, 1, SIMILAR)
+    found = difflib.get_close_matches(word.lower(), by_lower, 1, MIN_SIMILARITY)
     return by_lower[found[0]] if found else None
 
 

@@ -430,6 +430,7 @@ def plausible(values: Array) -> NDArray[np.bool_]:
     return small
 
 
+PLANE_ROWS = (0, 1, 5)  # rows of x, y and yaw in a 6 x 6 covariance of x, y, z, roll, pitch, yaw
 ODOMETRY, BY_SCANS = "odometry", "scan matching"  # configurations without a sensor: by wheels, by scans alone
 BASES = (ODOMETRY, BY_SCANS)
 

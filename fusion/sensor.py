@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 import msgspec
 
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.kernels.sight import Audit
+from locfuse.fusion.kernels.sight import AuditColumns
 
 from .data import (
     VERDICTS,
@@ -89,7 +89,7 @@ class Reading:
     first: int  # where their equation begins in the state's table
     numbers: int  # of that equation
 
-    def write(self, audit: Audit, at: int, instant: int, row: int) -> None:
+    def write(self, audit: AuditColumns, at: int, instant: int, row: int) -> None:
         """Write the verdicts of all rows into the columns of an audit, starting at index `at`."""
         raise NotImplementedError
 

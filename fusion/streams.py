@@ -12,12 +12,12 @@ import numpy as np
 
 from .data import Array, Block, Column, Ints, Stream
 
-GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods
+MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # s, median periods
 
 
 def gap_limit(t: Array) -> float:
     """Return the longest step [s] between stamps t (n,) that is not a gap: 5 median periods, at least 0.5 s."""
-    return max(GAP, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else GAP
+    return max(MIN_GAP_S, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else MIN_GAP_S
 
 
 def outside(t: Array, of_drive: Array, role: str) -> str:

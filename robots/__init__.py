@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 LINE = re.compile(r"(\w+) = .*?\s# (.+)")
 
 
-class Figure(NamedTuple):
+class RobotFigure(NamedTuple):
     """One key of such a file."""
 
     value: Any
@@ -27,7 +27,7 @@ def names() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
 
 
-def figures(name: str) -> dict[str, Figure]:
+def figures(name: str) -> dict[str, RobotFigure]:
     """Return the figures of a robot by "table.key"."""
     text = resources.files(__package__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
     words, table = dict[str, str](), ""
@@ -37,4 +37,4 @@ def figures(name: str) -> dict[str, Figure]:
         elif (found := LINE.match(line)) is not None:
             words[f"{table}.{found[1]}"] = found[2]
     flat = {f"{t}.{key}": value for t, keys in tomllib.loads(text).items() for key, value in keys.items()}
-    return {key: Figure(value, words[key]) for key, value in flat.items()}
+    return {key: RobotFigure(value, words[key]) for key, value in flat.items()}

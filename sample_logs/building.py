@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from .table import Point, Positive, Segment, Share, Table
+from .table import Point, Positive, ScenarioTable, Segment, Share
 
 Side = Literal["south", "east", "north", "west"]
 
 
-class Opening(Table, frozen=True, kw_only=True):
+class Opening(ScenarioTable, frozen=True, kw_only=True):
     """Opening in one wall of a space: a door, a niche, or glass."""
 
     side: Side
@@ -23,7 +23,7 @@ class Opening(Table, frozen=True, kw_only=True):
     leaf_deg: float = 0.0  # how far the door's leaf stands open, into the space; 0: there is no leaf
 
 
-class Box(Table, frozen=True, tag_field="kind", tag="box"):
+class Box(ScenarioTable, frozen=True, tag_field="kind", tag="box"):
     """Solid box on the floor, such as a cabinet, a sofa or a pillar."""
 
     at: Point  # m, its middle
@@ -32,7 +32,7 @@ class Box(Table, frozen=True, tag_field="kind", tag="box"):
     height: Positive = 1.8  # m
 
 
-class LeggedTable(Table, frozen=True, tag_field="kind", tag="table"):
+class LeggedTable(ScenarioTable, frozen=True, tag_field="kind", tag="table"):
     """Table or chair with four thin round legs; its top is above the laser."""
 
     at: Point
@@ -42,7 +42,7 @@ class LeggedTable(Table, frozen=True, tag_field="kind", tag="table"):
     leg: Positive = 0.025  # m, radius of a leg
 
 
-class SwivelChair(Table, frozen=True, tag_field="kind", tag="chair"):
+class SwivelChair(ScenarioTable, frozen=True, tag_field="kind", tag="chair"):
     """Office chair, one thin column at the height of the laser."""
 
     at: Point
@@ -53,7 +53,7 @@ class SwivelChair(Table, frozen=True, tag_field="kind", tag="chair"):
 Furniture = Box | LeggedTable | SwivelChair
 
 
-class Space(Table, frozen=True, kw_only=True):
+class Space(ScenarioTable, frozen=True, kw_only=True):
     """Corridor or room; overlapping spaces are one space without a wall between them."""
 
     name: str
@@ -62,7 +62,7 @@ class Space(Table, frozen=True, kw_only=True):
     furniture: tuple[Furniture, ...] = ()
 
 
-class Glass(Table, frozen=True, kw_only=True):
+class Glass(ScenarioTable, frozen=True, kw_only=True):
     """Reflection of laser beams by panes: only near normal incidence, else the beam passes through."""
 
     within_deg: float = 8.0  # from the normal
@@ -71,7 +71,7 @@ class Glass(Table, frozen=True, kw_only=True):
     post: Positive = 0.06  # m, thickness of a post
 
 
-class Walker(Table, frozen=True, kw_only=True):
+class Walker(ScenarioTable, frozen=True, kw_only=True):
     """Person who walks along a path and back during the whole drive, and steps aside for the robot."""
 
     path: tuple[Point, ...]
@@ -83,7 +83,7 @@ class Walker(Table, frozen=True, kw_only=True):
             raise ValueError("a walker needs at least two points in its `path`")
 
 
-class Building(Table, frozen=True, kw_only=True):
+class Building(ScenarioTable, frozen=True, kw_only=True):
     """Building that replaces the walls and plates of a `room`."""
 
     spaces: tuple[Space, ...]

@@ -20,11 +20,11 @@ from .building import Box, Building, Furniture, Glass, LeggedTable, Opening, Spa
 from .messages import Streams
 from .table import Point, Segment
 
-GRID = 1e-6  # m: coordinates closer than this are the same
+SAME_PLACE_M = 1e-6  # m: coordinates closer than this are the same
 Mask = NDArray[np.bool_]
-PIECE = 0.6  # m, longest segment of a bent face
-WAVES = np.geomspace(4.0, 40.0, 7)  # m, wavelengths of a deviation
-REACH = 100.0  # m: length of a wall over which a deviation is limited to the bow
+MAX_PIECE_M = 0.6  # m, longest segment of a bent face
+WAVELENGTHS_M = np.geomspace(4.0, 40.0, 7)  # m, wavelengths of a deviation
+BOW_LENGTH_M = 100.0  # m: length of a wall over which a deviation is limited to the bow
 CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
 
 Deviation = Callable[[Array], Array]
@@ -41,7 +41,7 @@ def straight_walls(building: Building, size: Point) -> Array:
     """
     half = building.wall / 2
     outer: Segment = (-half, -half, size[0] + half, size[1] + half)
-    rectangles = np.round(np.array([outer, *hollows(building)], float) / GRID) * GRID
+    rectangles = np.round(np.array([outer, *hollows(building)], float) / SAME_PLACE_M) * SAME_PLACE_M
     x, y = (np.unique(rectangles[:, [i, i + 2]]) for i in (0, 1))
     solid = _inside(rectangles[:1], x, y) & ~_inside(rectangles[1:], x, y)
     return np.array([*_faces(solid, x, y), *(s[[1, 0, 3, 2]] for s in _faces(solid.T, y, x))]).reshape(-1, 4)
@@ -124,13 +124,13 @@ def bent(faces: Array, bow: float, streams: Streams) -> Array:
 
 def deviation(bow: float, rng: np.random.Generator) -> Deviation:
     """Return a random smooth function from position along a wall [m] to deviation [m], at most `bow`."""
-    amplitude = np.sqrt(WAVES) * rng.standard_normal(len(WAVES))
-    phase = rng.uniform(0, 2 * np.pi, len(WAVES))
+    amplitude = np.sqrt(WAVELENGTHS_M) * rng.standard_normal(len(WAVELENGTHS_M))
+    phase = rng.uniform(0, 2 * np.pi, len(WAVELENGTHS_M))
 
     def waves(s: Array) -> Array:
-        return np.asarray(np.sin(2 * np.pi * s[:, None] / WAVES + phase) @ amplitude)
+        return np.asarray(np.sin(2 * np.pi * s[:, None] / WAVELENGTHS_M + phase) @ amplitude)
 
-    most = np.abs(waves(np.arange(-1.0, REACH, 0.1))).max()
+    most = np.abs(waves(np.arange(-1.0, BOW_LENGTH_M, 0.1))).max()
     scale = bow * rng.uniform(0.5, 1.0) / most
     return lambda s: scale * waves(s)
 
@@ -160,7 +160,7 @@ def _chain(face: Array, lines: _Lines) -> Array:
     across = 0 if face[0] == face[2] else 1  # the coordinate that is constant
     along = 1 - across
     offset, begin, end = float(face[across]), float(face[along]), float(face[along + 2])
-    s = np.linspace(begin, end, max(1, int(np.ceil((end - begin) / PIECE))) + 1)
+    s = np.linspace(begin, end, max(1, int(np.ceil((end - begin) / MAX_PIECE_M))) + 1)
     points = np.empty((len(s), 2))
     points[:, across] = offset + lines.off(across, offset, s)
     points[:, along] = s

@@ -14,9 +14,9 @@ from .building import Building
 from .messages import streams
 from .nearby import cast_near
 from .scenario import Scenario
-from .world import Plan, Scene, cast, hit_segments
+from .world import Plan, World, cast, hit_segments
 
-SCREEN = 1.5  # m, height of a thin wall
+SCREEN_HEIGHT_M = 1.5  # m, height of a thin wall
 NO_SEGMENTS = np.zeros((0, 4))
 
 
@@ -27,14 +27,14 @@ class Solid(NamedTuple):
     panes: Array  # (g, 4) m, map frame
 
 
-def scene_of(scenario: Scenario, seed: int) -> Scene:
+def scene_of(scenario: Scenario, seed: int) -> World:
     """Return the scene of a scenario (room or building), with its random parts drawn from the seed."""
     if scenario.building is None:
-        return Scene(scenario)
+        return World(scenario)
     return BuildingScene(scenario, scenario.building, seed)
 
 
-class BuildingScene(Scene):
+class BuildingScene(World):
     """Scene with a building instead of the walls and plates of a room."""
 
     def __init__(self, scenario: Scenario, building: Building, seed: int) -> None:
@@ -85,7 +85,7 @@ class BuildingScene(Scene):
 
     def _cut(self, z: float) -> Solid:
         pieces = tuple(p for space in self.building.spaces for p in space.furniture)
-        screens = np.array(self.building.screens if z < SCREEN else (), float).reshape(-1, 4)
+        screens = np.array(self.building.screens if z < SCREEN_HEIGHT_M else (), float).reshape(-1, 4)
         still = (
             self.faces,
             building_parts.posts(self.building),

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array
 
 from .mirror import rays
-from .render import Hits, Standing, Surface, View, shade
-from .robot import Robot
-from .scenario import Camera
-from .world import Scene
+from .render import Hits, Surface, VerticalFaces, View, shade
+from .robot import SimulatedRobot
+from .scenario import CameraSpec
+from .world import World
 
 DECK = (38.0, 38.0, 40.0)  # the robot itself, in the middle of the mirror
 BLACK = (6.0, 6.0, 6.0)  # around the mirror
-FLICKER = 0.02  # relative standard deviation of the exposure from image to image
+FLICKER_SHARE = 0.02  # relative standard deviation of the exposure from image to image
 
 
 class OmniCamera:
@@ -28,7 +28,7 @@ class OmniCamera:
     frame_id = "omni_camera"
     duration = 0.0
 
-    def __init__(self, camera: Camera, scene: Scene, robot: Robot, rng: np.random.Generator) -> None:
+    def __init__(self, camera: CameraSpec, scene: World, robot: SimulatedRobot, rng: np.random.Generator) -> None:
         self.settings, self.scene, self.robot, self.rng = camera, scene, robot, rng
         self.period, self.phase, self.latency = 1 / camera.rate, camera.phase, camera.latency
         self.mount = np.array([camera.x, camera.y, np.radians(camera.yaw_deg)])
@@ -46,7 +46,7 @@ class OmniCamera:
 class Painter:
     """Renderer of pictures without lens and sensor errors."""
 
-    def __init__(self, camera: Camera, scene: Scene) -> None:
+    def __init__(self, camera: CameraSpec, scene: World) -> None:
         self.camera, self.scene = camera, scene
         self.rays = rays(camera)
         self.view = View(self.rays)
@@ -67,8 +67,8 @@ class Painter:
         """Return the first hits of the pixels' rays from `eye` = (x, y, z, heading) at t [s]."""
         room, scene = self.scene.room, self.scene
         standing = [
-            Standing(scene.walls, room.height, Surface.WALL),
-            Standing(scene.plates, room.plate_height, Surface.PLATE),
+            VerticalFaces(scene.walls, room.height, Surface.WALL),
+            VerticalFaces(scene.plates, room.plate_height, Surface.PLATE),
         ]
         return self.view.trace(eye, standing, scene.pillars(t), room.height, scene.rings)
 
@@ -80,9 +80,9 @@ class Painter:
         return np.where(inside, DECK, BLACK).astype(np.float32)
 
 
-def expose(light: NDArray[np.float32], camera: Camera, rng: np.random.Generator) -> NDArray[np.uint8]:
+def expose(light: NDArray[np.float32], camera: CameraSpec, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Return the picture (height, width, 3), BGR, with exposure error, blur and noise."""
-    gain = camera.brightness * (1 + FLICKER * rng.standard_normal())
+    gain = camera.brightness * (1 + FLICKER_SHARE * rng.standard_normal())
     image = np.multiply(cv2.cvtColor(light, cv2.COLOR_RGB2BGR), gain, dtype=np.float32)
     if camera.blur > 0:
         cv2.GaussianBlur(image, (0, 0), camera.blur, dst=image)

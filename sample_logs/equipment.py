@@ -11,21 +11,32 @@ from locfuse.fusion.data import Array
 
 from .camera import OmniCamera
 from .messages import Pose, RawMessage, Streams
-from .robot import Robot
-from .scenario import Lrf, Scenario
-from .sensors import JOINTS, Encoders, GroundTruth, Laser, Magnetometer, Ranger, SatelliteReceiver, Sensor
-from .world import Scene
+from .robot import SimulatedRobot
+from .scenario import LrfSpec, Scenario
+from .sensors import (
+    JOINTS,
+    GroundTruth,
+    Magnetometer,
+    Ranger,
+    SatelliteReceiver,
+    SimulatedEncoders,
+    SimulatedLaser,
+    SimulatedSensor,
+)
+from .world import World
 
 EXACT_MOUNT = ("sigma_x", "sigma_y", "sigma_yaw_deg")  # 0: the simulated mount is exact
 
 
-def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) -> list[Sensor]:
+def sensors(scenario: Scenario, scene: World, robot: SimulatedRobot, streams: Streams) -> list[SimulatedSensor]:
     """Return the sensors of a scenario, each with its own random stream."""
-    carried: list[Sensor] = [Encoders(scenario, robot)]
+    carried: list[SimulatedSensor] = [SimulatedEncoders(scenario, robot)]
     if scenario.compass.enabled:
         carried.append(Magnetometer(scenario.compass, scene, robot, streams("compass")))
     if scenario.lrf.enabled:
-        carried.append(Laser(scenario.lrf, scene, robot, streams("lrf"), beam_pattern(scenario.lrf, streams)))
+        carried.append(
+            SimulatedLaser(scenario.lrf, scene, robot, streams("lrf"), beam_pattern(scenario.lrf, streams))
+        )
     if scenario.camera.enabled:
         carried.append(OmniCamera(scenario.camera, scene, robot, streams("camera")))
     carried += [Ranger(s, scene, robot, streams(f"sonar {s.name}")) for s in scenario.sonar]
@@ -35,7 +46,7 @@ def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) ->
     return carried
 
 
-def beam_pattern(lrf: Lrf, streams: Streams) -> Array:
+def beam_pattern(lrf: LrfSpec, streams: Streams) -> Array:
     """Return the constant errors of the laser's beams in a drive, (beams,) [m]."""
     return np.asarray(lrf.pattern * streams("lrf pattern").standard_normal(lrf.beams))
 
@@ -85,7 +96,7 @@ def robot_tables(scenario: Scenario, start: Pose) -> dict[str, dict[str, Any]]:
     wheels = scenario.wheels
     tables: dict[str, dict[str, Any]] = {
         "wheels": {
-            "topic": Encoders.topic,
+            "topic": SimulatedEncoders.topic,
             "left": JOINTS[0],
             "right": JOINTS[1],
             "radius": wheels.radius,
@@ -112,7 +123,11 @@ def _start_table(scenario: Scenario, start: Pose) -> dict[str, Any]:
 def _lrf_table(scenario: Scenario) -> dict[str, Any]:
     lrf = scenario.lrf
     keys = ("x", "y", "yaw_deg", "sigma_range", "sigma_angle_deg")
-    return {"topic": Laser.topic, **{key: getattr(lrf, key) for key in keys}, **dict.fromkeys(EXACT_MOUNT, 0.0)}
+    return {
+        "topic": SimulatedLaser.topic,
+        **{key: getattr(lrf, key) for key in keys},
+        **dict.fromkeys(EXACT_MOUNT, 0.0),
+    }
 
 
 def _camera_table(scenario: Scenario) -> dict[str, Any]:

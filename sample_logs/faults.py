@@ -15,13 +15,13 @@ import numpy as np
 
 from locfuse.fusion.data import Array
 
-from .table import RED, Colour, NotNegative, Pillar, Point, Positive, Share, Table
+from .table import RED, Colour, NotNegative, Pillar, Point, Positive, ScenarioTable, Share
 
 SensorWord = Literal["wheels", "compass", "lrf", "camera", "sonar", "gps", "truth"]
 Side = Literal["left", "right"]
 
 
-class Interval(Table, frozen=True, tag_field="kind"):
+class Interval(ScenarioTable, frozen=True, tag_field="kind"):
     """Fault that is active from `start` to `end` [s]; by default during the whole drive."""
 
     start: float = 0.0

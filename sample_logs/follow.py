@@ -11,13 +11,13 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.se2 import wrap
 
 from .messages import Pose
-from .paths import SPACING, Sampled
+from .paths import SPACING_M, Sampled
 from .scenario import Control, Leg, Scenario
 
-LATERAL = 2.0  # 1/m^2, feedback of the distance from the path
-HEADING = 2.5  # 1/m, feedback of the heading error
-BRAKING = 0.5  # m/s^2 at the rim, towards the end of a leg
-RESOLUTION = 1e-3  # rad/s, of the set points, which are integers for a motor controller
+LATERAL_GAIN = 2.0  # 1/m^2, feedback of the distance from the path
+HEADING_GAIN = 2.5  # 1/m, feedback of the heading error
+BRAKING_M_S2 = 0.5  # m/s^2 at the rim, towards the end of a leg
+RESOLUTION_RAD_S = 1e-3  # rad/s, of the set points, which are integers for a motor controller
 
 
 class Command(NamedTuple):
@@ -58,10 +58,10 @@ class PathFollower:
         x, y, theta = self.path.pose[self.at].tolist()
         sharpest = float(np.abs(self.path.curvature[self.at : self.at + self.SLOWING]).max())
         speed = self.speed if self.speed * sharpest <= self.turning else self.turning / sharpest
-        ahead = self.at + round(0.1 * speed / SPACING)
+        ahead = self.at + round(0.1 * speed / SPACING_M)
         curvature = float(self.path.curvature[min(ahead, len(self.path.curvature) - 1)])
         lateral, error = off_line(pose, (x, y, theta))
-        omega = curvature - LATERAL * lateral - HEADING * error
+        omega = curvature - LATERAL_GAIN * lateral - HEADING_GAIN * error
         return Command(speed, speed * omega)
 
 
@@ -108,7 +108,7 @@ class LegFollower:
             return None
         v = math.copysign(_braked(leg.speed, left), leg.forward)
         lateral, error = off_line(pose, start)
-        return Command(v, -LATERAL * v * lateral - HEADING * abs(v) * error)
+        return Command(v, -LATERAL_GAIN * v * lateral - HEADING_GAIN * abs(v) * error)
 
 
 def off_line(pose: Pose, line: Pose) -> tuple[float, float]:
@@ -119,7 +119,7 @@ def off_line(pose: Pose, line: Pose) -> tuple[float, float]:
 
 
 def _braked(speed: float, left: float) -> float:
-    return max(0.02, min(speed, math.sqrt(2 * BRAKING * left)))
+    return max(0.02, min(speed, math.sqrt(2 * BRAKING_M_S2 * left)))
 
 
 class Steering:
@@ -137,7 +137,9 @@ class Steering:
         command = self._command(now, pose)
         half = command.omega * self.track / 2
         left, right = (command.v - half) / self.radius, (command.v + half) / self.radius
-        return round(left / RESOLUTION) * RESOLUTION, round(right / RESOLUTION) * RESOLUTION
+        return round(left / RESOLUTION_RAD_S) * RESOLUTION_RAD_S, round(
+            right / RESOLUTION_RAD_S
+        ) * RESOLUTION_RAD_S
 
     def _command(self, now: float, pose: Pose) -> Command:
         if now >= self.control.time_limit:

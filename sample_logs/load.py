@@ -16,7 +16,7 @@ from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import HERE
 from .scenario import Scenario
-from .table import Table
+from .table import ScenarioTable
 
 
 def names() -> list[str]:
@@ -119,9 +119,9 @@ def _explain(error: str) -> str:
     return f"{what}; {f'did you mean {near[0]}?' if near else 'known: ' + ', '.join(sorted(known))}"
 
 
-def _tables_at(path: str) -> list[type[Table]]:
+def _tables_at(path: str) -> list[type[ScenarioTable]]:
     """Return the Table types that may be at a path of a msgspec error, such as `.faults[0]`."""
-    found: list[type[Table]] = [Scenario]
+    found: list[type[ScenarioTable]] = [Scenario]
     for step in filter(None, path.replace("[...]", "").split(".")):
         name = re.sub(r"\[\d+\]", "", step)
         types = [f.type for table in found for f in msgspec.structs.fields(table) if f.name == name]
@@ -129,8 +129,8 @@ def _tables_at(path: str) -> list[type[Table]]:
     return found
 
 
-def _structs(of: Any) -> list[type[Table]]:
-    if isinstance(of, type) and issubclass(of, Table):
+def _structs(of: Any) -> list[type[ScenarioTable]]:
+    if isinstance(of, type) and issubclass(of, ScenarioTable):
         return [of]
     return [table for part in get_args(of) for table in _structs(part)]
 

@@ -14,7 +14,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.se2 import wrap_all
 
-from .scenario import Camera
+from .scenario import CameraSpec
 
 
 class Rays(NamedTuple):
@@ -25,7 +25,7 @@ class Rays(NamedTuple):
     slope: Array  # (n,) tangent of the elevation
 
 
-def slope(radius: Array, camera: Camera) -> Array:
+def slope(radius: Array, camera: CameraSpec) -> Array:
     """Return the tangent of the elevation seen at `radius` [px] from the mirror's axis in the picture."""
     a, b = camera.mirror_a, camera.mirror_b
     c = np.hypot(a, b)
@@ -34,14 +34,14 @@ def slope(radius: Array, camera: Camera) -> Array:
     return np.asarray(((b**2 + c**2) * sin - 2 * b * c) / ((b**2 - c**2) * cos))
 
 
-def azimuth(u: Array, v: Array, camera: Camera) -> Array:
+def azimuth(u: Array, v: Array, camera: CameraSpec) -> Array:
     """Return the azimuths [rad, -pi..pi, camera frame] of pixels (u, v) (paper eq. 1)."""
     right_of_down = np.arctan2(u - camera.centre[0], v - camera.centre[1])
     turn = -right_of_down if camera.clockwise else right_of_down
     return wrap_all(turn + np.radians(camera.zero_deg))
 
 
-def rays(camera: Camera) -> Rays:
+def rays(camera: CameraSpec) -> Rays:
     """Return the viewing rays of all pixels between the inner and the outer circle of the mirror."""
     width, height = camera.size
     v, u = np.mgrid[:height, :width].astype(np.float64)

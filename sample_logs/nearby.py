@@ -16,8 +16,8 @@ from locfuse.fusion.data import Array
 from .world import Plan
 
 Indices = NDArray[np.intp]
-TURN = 2 * np.pi
-SLACK = 1e-6  # rad and m, against rounding errors
+FULL_TURN_RAD = 2 * np.pi
+ROUNDING_SLACK = 1e-6  # rad and m, against rounding errors
 
 
 class Fan(NamedTuple):
@@ -51,9 +51,9 @@ def cast_near(plan: Plan, origin: Array, angle: Array, reach: float) -> Array:
 def fan(origin: Array, angle: Array) -> Fan:
     """Return the rays from origins (n, 2) [m] in directions `angle` (n,) [rad], both in the map frame."""
     low, high = origin.min(axis=0), origin.max(axis=0)
-    bearing = angle % TURN
+    bearing = angle % FULL_TURN_RAD
     order = np.argsort(bearing)
-    twice = np.concatenate((bearing[order], bearing[order] + TURN))
+    twice = np.concatenate((bearing[order], bearing[order] + FULL_TURN_RAD))
     direction = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
     return Fan(origin, angle, direction, (low + high) / 2, float(np.hypot(*(high - low))) / 2, order, twice)
 
@@ -62,7 +62,7 @@ def _segments(segments: Array, rays: Fan, reach: float) -> tuple[Indices, Array]
     """Return the rays (p,) that hit a segment, and the distances (p,) [m]."""
     a, b = segments[:, :2] - rays.middle, segments[:, 2:] - rays.middle
     gap = _gap(a, b)
-    kept = np.flatnonzero(gap <= reach + rays.spread + SLACK)
+    kept = np.flatnonzero(gap <= reach + rays.spread + ROUNDING_SLACK)
     a, b, gap = a[kept], b[kept], gap[kept]
     turn = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
     centre = np.arctan2(a[:, 1], a[:, 0]) + turn / 2
@@ -82,7 +82,7 @@ def _circles(circles: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
     """Return the rays (p,) that hit a circle, and the distances (p,) [m]."""
     to = circles[:, :2] - rays.middle
     distance = np.hypot(to[:, 0], to[:, 1])
-    kept = np.flatnonzero(distance - circles[:, 2] <= reach + rays.spread + SLACK)
+    kept = np.flatnonzero(distance - circles[:, 2] <= reach + rays.spread + ROUNDING_SLACK)
     to, distance, radius = to[kept], distance[kept], circles[kept, 2]
     width = np.arcsin(np.minimum(radius / np.maximum(distance, radius), 1.0))
     ray, thing = _pairs(rays, np.arctan2(to[:, 1], to[:, 0]), width, distance - radius)
@@ -97,7 +97,7 @@ def _circles(circles: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
 def _gap(a: Array, b: Array) -> Array:
     """Return the distances (m,) [m] of segments, from a (m, 2) to b (m, 2), from the origin."""
     along = b - a
-    share = np.clip(-(a * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), SLACK**2), 0, 1)
+    share = np.clip(-(a * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), ROUNDING_SLACK**2), 0, 1)
     nearest = a + share[:, None] * along
     return np.asarray(np.hypot(nearest[:, 0], nearest[:, 1]))
 
@@ -112,9 +112,11 @@ def _pairs(rays: Fan, centre: Array, width: Array, gap: Array) -> tuple[Indices,
         gap: (m,) m, its distance: the nearer it is, the more its bearing depends on the ray's origin.
     """
     n = len(rays.order)
-    parallax = np.where(gap > rays.spread, np.arcsin(np.minimum(rays.spread / np.maximum(gap, SLACK), 1.0)), np.pi)
-    half = width + parallax + SLACK
-    first_bearing = (centre - half) % TURN
+    parallax = np.where(
+        gap > rays.spread, np.arcsin(np.minimum(rays.spread / np.maximum(gap, ROUNDING_SLACK), 1.0)), np.pi
+    )
+    half = width + parallax + ROUNDING_SLACK
+    first_bearing = (centre - half) % FULL_TURN_RAD
     first = np.searchsorted(rays.bearing, first_bearing, side="left")
     last = np.searchsorted(rays.bearing, first_bearing + 2 * half, side="right")
     count = np.where(half >= np.pi, n, np.minimum(last - first, n))

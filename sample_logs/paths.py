@@ -14,9 +14,9 @@ from .messages import Pose
 from .scenario import Polygon, Tour, Waypoints
 from .world import Plan, clearance
 
-SPACING = 0.01  # m between the points of a sampled path
-TRIES, CANDIDATES = 30, 600  # random walks, and random corners in each
-SHARPEST = math.radians(110)  # largest turn of a random tour
+SPACING_M = 0.01  # m between the points of a sampled path
+WALK_COUNT, CORNER_COUNT = 30, 600  # random walks, and random corners in each
+MAX_TURN_RAD = math.radians(110)  # largest turn of a random tour
 
 
 class Sampled(NamedTuple):
@@ -59,12 +59,12 @@ def waypoints(path: Waypoints) -> Sampled:
 
 def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Sampled:
     """Return a random path with rounded corners in a room of `size` [m], clear of the objects in the plan."""
-    if path.legs[0] < 2 * path.radius * math.tan(SHARPEST / 2):
+    if path.legs[0] < 2 * path.radius * math.tan(MAX_TURN_RAD / 2):
         raise LocfuseError(
             f"path.legs = {list(path.legs)} m leave no room for corners of radius {path.radius} m: "
-            f"the shortest must be at least {2 * path.radius * math.tan(SHARPEST / 2):.2f} m"
+            f"the shortest must be at least {2 * path.radius * math.tan(MAX_TURN_RAD / 2):.2f} m"
         )
-    for _ in range(TRIES):
+    for _ in range(WALK_COUNT):
         corners = _walk(path, plan, size, rng)
         if corners is not None:
             return _open(corners, path.radius)
@@ -76,7 +76,7 @@ def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gener
 def _walk(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Array | None:
     corners: list[Array] = []
     length, heading = 0.0, None
-    for _ in range(CANDIDATES):
+    for _ in range(CORNER_COUNT):
         candidate = rng.uniform((0, 0), size)
         if not corners:
             if clearance(plan, candidate[None])[0] >= path.clearance:
@@ -86,7 +86,7 @@ def _walk(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gene
         way, direction = math.hypot(*step), math.atan2(step[1], step[0])
         if not path.legs[0] <= way <= path.legs[1]:
             continue
-        if heading is not None and abs(wrap(direction - heading)) > SHARPEST:
+        if heading is not None and abs(wrap(direction - heading)) > MAX_TURN_RAD:
             continue
         between = corners[-1] + np.linspace(0, 1, max(2, round(way / 0.05)))[:, None] * step
         if clearance(plan, between).min() < path.clearance:
@@ -130,7 +130,7 @@ def _lay(start: Pose, pieces: list[tuple[float, float]]) -> Sampled:
     """Return the path of consecutive pieces (length [m], curvature [1/m]) from a start pose."""
     poses, curvatures = [], []
     for length, curvature in pieces:
-        n = max(1, round(length / SPACING))
+        n = max(1, round(length / SPACING_M))
         poses.append(_along(start, np.linspace(0, length, n, endpoint=False), curvature))
         curvatures.append(np.full(n, curvature))
         x, y, theta = _along(start, np.array([length]), curvature)[0].tolist()

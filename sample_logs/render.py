@@ -21,11 +21,11 @@ from .table import Colour, Pillar
 
 Floats = NDArray[np.float32]
 
-AMBIENT = 0.6  # light without direction
-LAMP = 4.0  # m^2: brightness of one lamp, times cosine over squared distance
-NEAR = 0.01  # m: nearer objects are the camera itself
+AMBIENT_LIGHT = 0.6  # light without direction
+LAMP_LIGHT_M2 = 4.0  # m^2: brightness of one lamp, times cosine over squared distance
+MIN_DISTANCE_M = 0.01  # m: nearer objects are the camera itself
 NO_RINGS = np.zeros((0, 3))
-MARGIN = 1e-3  # rad, by which a slice is wider than its object
+SLICE_MARGIN_RAD = 1e-3  # rad, by which a slice is wider than its object
 
 
 class Surface(IntEnum):
@@ -95,12 +95,12 @@ def _light(hits: Hits, x: Floats, y: Floats, z: Floats, lamps: Array) -> Floats:
     flat = (hits.nx == 0) & (hits.ny == 0)
     up = np.where(hits.surface == Surface.CEILING, np.float32(-1), np.float32(1))
     nz = np.where(flat, up, np.float32(0))
-    light = np.full_like(x, AMBIENT)
+    light = np.full_like(x, AMBIENT_LIGHT)
     for lamp in lamps.astype(np.float32):
         lx, ly, lz = lamp[0] - x, lamp[1] - y, lamp[2] - z
         square = lx * lx + ly * ly + lz * lz + np.float32(0.3)
         facing = np.maximum(lx * hits.nx + ly * hits.ny + lz * nz, 0)
-        light += np.float32(LAMP) * facing / (square * np.sqrt(square))
+        light += np.float32(LAMP_LIGHT_M2) * facing / (square * np.sqrt(square))
     return light
 
 
@@ -132,7 +132,7 @@ def _planks(along: Floats, z: Floats) -> Floats:
     return np.asarray(np.float32(1) + tone + grain + joint)
 
 
-class Standing(NamedTuple):
+class VerticalFaces(NamedTuple):
     """Vertical rectangles with one surface."""
 
     segments: Array  # (m, 4) x1, y1, x2, y2 [m]
@@ -151,7 +151,7 @@ class View:
     def trace(
         self,
         eye: Array,
-        standing: list[Standing],
+        standing: list[VerticalFaces],
         pillars: tuple[Pillar, ...],
         ceiling: float,
         rings: Array = NO_RINGS,
@@ -188,13 +188,13 @@ class View:
             colours={},
         )
 
-    def _wall(self, hits: Hits, eye: Array, segment: Array, kind: Standing) -> None:
+    def _wall(self, hits: Hits, eye: Array, segment: Array, kind: VerticalFaces) -> None:
         ends = segment.reshape(2, 2) - eye[:2]
         along = ends[1] - ends[0]
         length = float(np.hypot(*along))
         ux, uy = (along / length).tolist()
         gap = float(ends[0] @ (uy, -ux))  # m, from the eye to the wall's line along its normal
-        if abs(gap) < NEAR:
+        if abs(gap) < MIN_DISTANCE_M:
             return  # seen edge-on
         begin, z = float(ends[0] @ (ux, uy)), float(eye[2])
         facing = -1.0 if gap > 0 else 1.0  # turns the normal towards the eye
@@ -203,7 +203,7 @@ class View:
             with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
                 way = gap / (dx * uy - dy * ux)
                 at = way * (dx * ux + dy * uy) - begin
-                seen = (way > NEAR) & (way < hits.way[part]) & (at >= 0) & (at <= length)
+                seen = (way > MIN_DISTANCE_M) & (way < hits.way[part]) & (at >= 0) & (at <= length)
                 seen &= z + way * hits.slope[part] <= kind.height
             hits.put(part, seen, way, kind.surface, at, facing * uy, -facing * ux)
 
@@ -222,7 +222,7 @@ class View:
     def _cylinder(self, hits: Hits, eye: Array, pillar: Pillar) -> None:
         x, y = pillar.x - float(eye[0]), pillar.y - float(eye[1])
         distance = float(np.hypot(x, y))
-        if distance <= pillar.radius + NEAR:
+        if distance <= pillar.radius + MIN_DISTANCE_M:
             return  # the camera is inside
         surface = Surface.PAINTED + len(hits.colours)
         hits.colours[surface] = pillar.colour
@@ -234,7 +234,7 @@ class View:
             square = pillar.radius**2 - (dx * y - dy * x) ** 2
             chord = np.sqrt(np.maximum(square, 0))
             way, lid = _side_or_lid(float(eye[2]), hits.slope[part], ahead - chord, ahead + chord, pillar)
-            seen = (square > 0) & (way > NEAR) & (way < hits.way[part])
+            seen = (square > 0) & (way > MIN_DISTANCE_M) & (way < hits.way[part])
             outward = np.where(lid, np.float32(0), np.float32(1 / pillar.radius))
             nx, ny = (way * dx - x) * outward, (way * dy - y) * outward
             hits.put(part, seen, way, surface, np.zeros_like(way), nx, ny)
@@ -243,8 +243,8 @@ class View:
         """Yield the slices of rays with azimuths between two directions `ends` (2, 2)."""
         a, b = np.arctan2(ends[:, 1], ends[:, 0]) - heading
         span = (b - a + np.pi) % (2 * np.pi) - np.pi
-        first = (min(a, a + span) - MARGIN + np.pi) % (2 * np.pi) - np.pi
-        last = first + abs(span) + 2 * MARGIN
+        first = (min(a, a + span) - SLICE_MARGIN_RAD + np.pi) % (2 * np.pi) - np.pi
+        last = first + abs(span) + 2 * SLICE_MARGIN_RAD
         i, j = np.searchsorted(self.rays.azimuth, (first, last))
         yield slice(int(i), int(j))
         if last > np.pi:

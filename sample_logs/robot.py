@@ -18,7 +18,7 @@ from locfuse.fusion.data import Array, Ints
 
 from .faults import Displaced, GroundFault, Kidnap
 from .messages import Pose, Streams
-from .scenario import Motor, Scenario, Wheels
+from .scenario import Motor, Scenario, WheelsSpec
 
 SIDES = ("left", "right")
 
@@ -128,7 +128,7 @@ class Tick(NamedTuple):
 class Wheel:
     """One motor with its PID controller and its encoder, in plain floats for speed."""
 
-    def __init__(self, wheels: Wheels, motor: Motor, side: int, rng: np.random.Generator) -> None:
+    def __init__(self, wheels: WheelsSpec, motor: Motor, side: int, rng: np.random.Generator) -> None:
         self.motor = motor
         self.gain = motor.no_load * (1 + motor.gain_error[side])
         self.radius = wheels.radius * (1 + wheels.radius_error[side])
@@ -193,7 +193,7 @@ class Wheel:
         self.measured = change * self.rad_per_count / self.dt
 
 
-class Robot:
+class SimulatedRobot:
     """Robot with two wheels on a floor that adds noise, with faults."""
 
     def __init__(self, scenario: Scenario, start: Pose, streams: Streams) -> None:

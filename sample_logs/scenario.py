@@ -9,10 +9,10 @@ import msgspec
 
 from .building import Building
 from .faults import Fault
-from .table import Count, NotNegative, Percent, Pillar, Point, Positive, Segment, Share, Table
+from .table import Count, NotNegative, Percent, Pillar, Point, Positive, ScenarioTable, Segment, Share
 
 
-class Room(Table, frozen=True, kw_only=True):
+class Room(ScenarioTable, frozen=True, kw_only=True):
     """Room with flat outer walls, from the map's origin to `size`, lower wooden plates and pillars."""
 
     size: Point = (8.0, 6.0)  # m, along x and y
@@ -33,7 +33,7 @@ class Landmark(Pillar, frozen=True, kw_only=True):
     radius: Positive = 0.08
 
 
-class Wheels(Table, frozen=True, kw_only=True):
+class WheelsSpec(ScenarioTable, frozen=True, kw_only=True):
     """Two driven wheels: geometry, encoders, and noise on the ground."""
 
     radius: Positive = 0.05  # m, what the user knows
@@ -46,7 +46,7 @@ class Wheels(Table, frozen=True, kw_only=True):
     sampling: Positive = 10_000.0  # Hz, at which the decoder looks at the phases A and B
 
 
-class Motor(Table, frozen=True, kw_only=True):
+class Motor(ScenarioTable, frozen=True, kw_only=True):
     """First-order motor with a random load, and its PID speed controller."""
 
     no_load: Positive = 16.0  # rad/s of the wheel at full voltage
@@ -60,7 +60,7 @@ class Motor(Table, frozen=True, kw_only=True):
     acceleration: Positive = 1.0  # m/s^2 at the rim: how fast the set point may change
 
 
-class Control(Table, frozen=True, kw_only=True):
+class Control(ScenarioTable, frozen=True, kw_only=True):
     """Control loop: pose estimate, period, speed and limits of path following."""
 
     estimator: str = "odometry"  # "truth", "odometry", "all", or sensors: "compass+lrf"
@@ -71,7 +71,7 @@ class Control(Table, frozen=True, kw_only=True):
     time_limit: Positive = 900.0  # s
 
 
-class Polygon(Table, frozen=True, tag_field="kind", tag="polygon"):
+class Polygon(ScenarioTable, frozen=True, tag_field="kind", tag="polygon"):
     """Closed polygon with rounded corners, driven from the start of its first straight."""
 
     vertices: tuple[Point, ...] = ((0.9, 1.5), (6.1, 1.5), (6.1, 4.7), (0.9, 4.7))
@@ -79,7 +79,7 @@ class Polygon(Table, frozen=True, tag_field="kind", tag="polygon"):
     laps: Positive = 1.0
 
 
-class Leg(Table, frozen=True, kw_only=True):
+class Leg(ScenarioTable, frozen=True, kw_only=True):
     """Straight run or turn on the spot, with its own speed."""
 
     forward: float = 0.0  # m, negative backward
@@ -88,7 +88,7 @@ class Leg(Table, frozen=True, kw_only=True):
     pause: float = 0.5  # s of standing still afterwards
 
 
-class Legs(Table, frozen=True, tag_field="kind", tag="legs"):
+class Legs(ScenarioTable, frozen=True, tag_field="kind", tag="legs"):
     """Sequence of straight runs and turns on the spot (the paper's experiments for delta)."""
 
     legs: tuple[Leg, ...]
@@ -97,7 +97,7 @@ class Legs(Table, frozen=True, tag_field="kind", tag="legs"):
     theta_deg: float = 0.0
 
 
-class Tour(Table, frozen=True, tag_field="kind", tag="tour"):
+class Tour(ScenarioTable, frozen=True, tag_field="kind", tag="tour"):
     """Random path with rounded corners around the obstacles; each seed gives another one."""
 
     length: Positive = 20.0  # m
@@ -106,7 +106,7 @@ class Tour(Table, frozen=True, tag_field="kind", tag="tour"):
     clearance: float = 0.7  # m, from the corners and the straights between them to any obstacle
 
 
-class Waypoints(Table, frozen=True, tag_field="kind", tag="waypoints"):
+class Waypoints(ScenarioTable, frozen=True, tag_field="kind", tag="waypoints"):
     """Open path through given points, with rounded corners."""
 
     points: tuple[Point, ...]
@@ -114,7 +114,7 @@ class Waypoints(Table, frozen=True, tag_field="kind", tag="waypoints"):
     turning: Positive = 0.9  # rad/s, at most: the robot slows down for its corners
 
 
-class Compass(Table, frozen=True, kw_only=True):
+class CompassSpec(ScenarioTable, frozen=True, kw_only=True):
     """Two-axis magnetometer (the paper's CMPS03)."""
 
     enabled: bool = True
@@ -128,7 +128,7 @@ class Compass(Table, frozen=True, kw_only=True):
     sigma_deg: float = 3.0  # what the data sheet says, for robot.toml
 
 
-class Lrf(Table, frozen=True, kw_only=True):
+class LrfSpec(ScenarioTable, frozen=True, kw_only=True):
     """2D laser range finder at the front of the robot."""
 
     enabled: bool = True
@@ -150,7 +150,7 @@ class Lrf(Table, frozen=True, kw_only=True):
     pattern: NotNegative = 0.0  # m, 1 sigma of an error of each beam that stays the same in the whole drive
 
 
-class Camera(Table, frozen=True, kw_only=True):
+class CameraSpec(ScenarioTable, frozen=True, kw_only=True):
     """Camera that looks up into a hyperbolic mirror Z^2/b^2 - rho^2/a^2 = 1."""
 
     enabled: bool = True
@@ -178,7 +178,7 @@ class Camera(Table, frozen=True, kw_only=True):
     calibrated: bool = True  # whether robot.toml says centre, inner, outer, zero_deg and clockwise
 
 
-class Sonar(Table, frozen=True, kw_only=True):
+class SonarSpec(ScenarioTable, frozen=True, kw_only=True):
     """Ultrasonic ranger: measures the nearest object in its cone."""
 
     name: str
@@ -194,7 +194,7 @@ class Sonar(Table, frozen=True, kw_only=True):
     sigma: float = 0.02
 
 
-class Gps(Table, frozen=True, kw_only=True):
+class GpsSpec(ScenarioTable, frozen=True, kw_only=True):
     """Satellite receiver, for a scene without a roof."""
 
     enabled: bool = False
@@ -207,7 +207,7 @@ class Gps(Table, frozen=True, kw_only=True):
     sigma: float = 1.5  # m, of each horizontal axis
 
 
-class Start(Table, frozen=True, kw_only=True):
+class StartSpec(ScenarioTable, frozen=True, kw_only=True):
     """Start pose in robot.toml: the sum of true pose, `error`, and a random error with the given sigmas."""
 
     sigma_xy: NotNegative = 0.0  # m, of x and of y
@@ -215,7 +215,7 @@ class Start(Table, frozen=True, kw_only=True):
     error: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, degrees by which the user is wrong, unknown to him
 
 
-class Truth(Table, frozen=True, kw_only=True):
+class TruthSpec(ScenarioTable, frozen=True, kw_only=True):
     """Recorded truth pose: rate and white noise."""
 
     rate: Positive = 50.0
@@ -224,24 +224,24 @@ class Truth(Table, frozen=True, kw_only=True):
     noise_deg: NotNegative = 0.0  # 1 sigma of the heading
 
 
-class Scenario(Table, frozen=True, kw_only=True):
+class Scenario(ScenarioTable, frozen=True, kw_only=True):
     """Complete description of a simulated drive."""
 
     title: str = ""
     seed: int = 1
     room: Room = Room()
     landmark: Landmark = Landmark()
-    wheels: Wheels = Wheels()
+    wheels: WheelsSpec = WheelsSpec()
     motor: Motor = Motor()
     control: Control = Control()
     path: Polygon | Legs | Tour | Waypoints = msgspec.field(default_factory=Polygon)
-    compass: Compass = Compass()
-    lrf: Lrf = Lrf()
-    camera: Camera = Camera()
-    sonar: tuple[Sonar, ...] = ()
-    gps: Gps = Gps()
-    truth: Truth = Truth()
-    start: Start = Start()
+    compass: CompassSpec = CompassSpec()
+    lrf: LrfSpec = LrfSpec()
+    camera: CameraSpec = CameraSpec()
+    sonar: tuple[SonarSpec, ...] = ()
+    gps: GpsSpec = GpsSpec()
+    truth: TruthSpec = TruthSpec()
+    start: StartSpec = StartSpec()
     faults: tuple[Fault, ...] = ()
     building: Building | None = None  # instead of the walls and plates of `room`, whose `size` it fills
 

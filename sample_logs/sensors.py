@@ -12,19 +12,19 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.se2 import compose
 
 from .faults import EncoderRollover, EncoderSpike, TruthStep
-from .robot import SIDES, Robot
-from .scenario import Compass, Gps, Lrf, Scenario, Sonar, Truth
-from .world import Scene
+from .robot import SIDES, SimulatedRobot
+from .scenario import CompassSpec, GpsSpec, LrfSpec, Scenario, SonarSpec, TruthSpec
+from .world import World
 
 JOINTS = ("left_wheel_joint", "right_wheel_joint")
 EARTH_RADIUS = 6_378_137.0  # m, WGS 84 semi-major axis
 FLATTENING = 1 / 298.257223563
-RAYS = 21  # cast within a sonar's cone
+SONAR_RAYS = 21  # cast within a sonar's cone
 ULTRASOUND = 0  # Range.radiation_type
 APPROXIMATED, FIX, GPS_SERVICE = 1, 0, 1  # NavSatFix: covariance type, status, service
 
 
-class Sensor(Protocol):
+class SimulatedSensor(Protocol):
     """Sensor with its topic, period, duration and latency."""
 
     name: str
@@ -40,13 +40,13 @@ class Sensor(Protocol):
         """Return the message fields of the reading that starts at t [s]; the trail must cover its duration."""
 
 
-class Encoders:
+class SimulatedEncoders:
     """Encoders of both wheels, which publish joint angles."""
 
     name, topic, msgtype, frame_id = "wheels", "/joint_states", "sensor_msgs/msg/JointState", ""
     phase, duration, latency = 0.0, 0.0, 0.001
 
-    def __init__(self, scenario: Scenario, robot: Robot) -> None:
+    def __init__(self, scenario: Scenario, robot: SimulatedRobot) -> None:
         self.period = 1 / scenario.wheels.rate
         self.robot = robot
         self.faults = [f for f in scenario.faults if isinstance(f, EncoderSpike | EncoderRollover)]
@@ -73,7 +73,9 @@ class Magnetometer:
     name, topic, msgtype, frame_id = "compass", "/compass", "sensor_msgs/msg/MagneticField", "compass"
     duration, latency = 0.0, 0.002
 
-    def __init__(self, compass: Compass, scene: Scene, robot: Robot, rng: np.random.Generator) -> None:
+    def __init__(
+        self, compass: CompassSpec, scene: World, robot: SimulatedRobot, rng: np.random.Generator
+    ) -> None:
         self.settings = compass
         self.period, self.phase = 1 / compass.rate, compass.phase
         north = np.radians(scene.room.north_deg)
@@ -103,14 +105,19 @@ class Magnetometer:
         }
 
 
-class Laser:
+class SimulatedLaser:
     """Laser range finder with a rotating beam: every ray starts at the robot's pose at its own time."""
 
     name, topic, msgtype, frame_id = "lrf", "/scan", "sensor_msgs/msg/LaserScan", "laser"
     latency = 0.002
 
     def __init__(
-        self, lrf: Lrf, scene: Scene, robot: Robot, rng: np.random.Generator, pattern: Array | None = None
+        self,
+        lrf: LrfSpec,
+        scene: World,
+        robot: SimulatedRobot,
+        rng: np.random.Generator,
+        pattern: Array | None = None,
     ) -> None:
         """`pattern` (beams,) [m] are constant errors of the beams; by default 0."""
         self.settings = lrf
@@ -157,7 +164,7 @@ class GroundTruth:
     name, topic, msgtype, frame_id = "truth", "/ground_truth/pose", "geometry_msgs/msg/PoseStamped", "map"
     duration, latency = 0.0, 0.001
 
-    def __init__(self, truth: Truth, robot: Robot, rng: np.random.Generator) -> None:
+    def __init__(self, truth: TruthSpec, robot: SimulatedRobot, rng: np.random.Generator) -> None:
         self.period, self.phase = 1 / truth.rate, truth.phase
         self.sigma = np.array([truth.noise, truth.noise, np.radians(truth.noise_deg)])
         self.robot, self.rng = robot, rng
@@ -186,19 +193,19 @@ class Ranger:
     name, msgtype = "sonar", "sensor_msgs/msg/Range"
     duration, latency = 0.0, 0.005
 
-    def __init__(self, sonar: Sonar, scene: Scene, robot: Robot, rng: np.random.Generator) -> None:
+    def __init__(self, sonar: SonarSpec, scene: World, robot: SimulatedRobot, rng: np.random.Generator) -> None:
         self.settings, self.scene, self.robot, self.rng = sonar, scene, robot, rng
         self.topic, self.frame_id = f"/sonar/{sonar.name}", f"sonar_{sonar.name}"
         self.period, self.phase = 1 / sonar.rate, sonar.phase
         half = math.radians(sonar.field_of_view_deg) / 2
-        self.angles = np.linspace(-half, half, RAYS)
+        self.angles = np.linspace(-half, half, SONAR_RAYS)
         self.mount = np.array([sonar.x, sonar.y, math.radians(sonar.yaw_deg)])
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the message fields with the range at t [s]."""
         s = self.settings
         x, y, theta = self.robot.sensor_pose("sonar", np.array([t]), self.mount)[0]
-        eye = np.full((RAYS, 2), (x, y))
+        eye = np.full((SONAR_RAYS, 2), (x, y))
         echoes = self.scene.see(s.z, np.array([t]), eye, theta + self.angles, s.range_max)
         distance = float(echoes.min()) + s.sigma * self.rng.standard_normal()
         return {
@@ -216,7 +223,7 @@ class SatelliteReceiver:
     name, topic, msgtype, frame_id = "gps", "/gps/fix", "sensor_msgs/msg/NavSatFix", "gps"
     duration, latency = 0.0, 0.1
 
-    def __init__(self, gps: Gps, robot: Robot, rng: np.random.Generator) -> None:
+    def __init__(self, gps: GpsSpec, robot: SimulatedRobot, rng: np.random.Generator) -> None:
         self.settings, self.robot, self.rng = gps, robot, rng
         self.period, self.phase = 1 / gps.rate, gps.phase
 

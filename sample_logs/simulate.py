@@ -17,14 +17,14 @@ from .faults import ClockOffset, Dates, Fault, MessageFault, label
 from .follow import Follower, LegFollower, PathFollower, Steering
 from .messages import Emit, Estimator, Pose, RawMessage, Streams, streams
 from .paths import polygon, tour, waypoints
-from .robot import Robot
+from .robot import SimulatedRobot
 from .scenario import Legs, Polygon, Scenario, Waypoints
-from .sensors import Sensor
-from .world import Scene, clearance
+from .sensors import SimulatedSensor
+from .world import World, clearance
 
 EPOCH_NS = 1_700_000_000_000_000_000  # start of every simulated drive, so that logs do not depend on the date
 OBSTACLE_HEIGHT = 0.25  # m: height of the plan for collisions
-SLOWEST = 1.2  # rad/s (0.06 m/s): for slower wheels one count in a window is more than 2.5 %
+MIN_WHEEL_RATE = 1.2  # rad/s (0.06 m/s): for slower wheels one count in a window is more than 2.5 %
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Simulation:
         Raises:
             LocfuseError: the robot drives into something, or takes longer than it may.
         """
-        robot = Robot(self.scenario, self.start, self.streams)
+        robot = SimulatedRobot(self.scenario, self.start, self.streams)
         carried = equipment.sensors(self.scenario, self.scene, robot, self.streams)
         recorder = Recorder(carried, self.scenario.faults, self.streams)
         steering = Steering(self.scenario, self.follower())
@@ -97,7 +97,7 @@ class Simulation:
             emit(message)
         return _outcome(robot, self.scenario.wheels.radius)
 
-    def _check(self, robot: Robot) -> None:
+    def _check(self, robot: SimulatedRobot) -> None:
         x, y, _ = _pose(robot)
         gap = float(clearance(self.obstacles, np.array([[x, y]]))[0])
         if gap < self.scenario.control.clearance:
@@ -112,7 +112,7 @@ class Simulation:
 class Recorder:
     """Reads the sensors at their times and returns messages in order of arrival."""
 
-    def __init__(self, sensors: list[Sensor], faults: tuple[Fault, ...], streams: Streams) -> None:
+    def __init__(self, sensors: list[SimulatedSensor], faults: tuple[Fault, ...], streams: Streams) -> None:
         self.sensors = sensors
         self.read = [0] * len(sensors)  # readings taken
         self.last = [0] * len(sensors)  # ns, latest arrival: messages of one sensor keep their order
@@ -166,7 +166,7 @@ def nanoseconds(t: float) -> int:
     return EPOCH_NS + round(t * 1e9)
 
 
-def plan_way(scenario: Scenario, scene: Scene, streams: Streams) -> tuple[Pose, Callable[[], Follower]]:
+def plan_way(scenario: Scenario, scene: World, streams: Streams) -> tuple[Pose, Callable[[], Follower]]:
     """Return the robot's start pose, and a function that creates its path follower."""
     path, speed = scenario.path, scenario.control.speed
     if isinstance(path, Legs):
@@ -182,12 +182,12 @@ def plan_way(scenario: Scenario, scene: Scene, streams: Streams) -> tuple[Pose, 
     return sampled.start, lambda: PathFollower(sampled, speed)
 
 
-def _pose(robot: Robot) -> Pose:
+def _pose(robot: SimulatedRobot) -> Pose:
     x, y, theta = robot.trail.knots()[-1].tolist()
     return x, y, theta
 
 
-def _outcome(robot: Robot, radius: float) -> Outcome:
+def _outcome(robot: SimulatedRobot, radius: float) -> Outcome:
     truth = robot.trail.knots().copy()
     return Outcome(
         truth_t=np.linspace(0, robot.trail.end, len(truth)),
@@ -216,7 +216,7 @@ def speed_stability(outcome: Outcome) -> Stability:
     turned = np.diff(outcome.counts[: n * per + 1 : per], axis=0) * outcome.rad_per_count
     asked = outcome.set_points[1 : n * per + 1].reshape(n, per, 2).mean(axis=1)
     seconds = outcome.ticks_t[per] - outcome.ticks_t[0]
-    moving = np.abs(asked) > SLOWEST
+    moving = np.abs(asked) > MIN_WHEEL_RATE
     deviation = np.abs(turned[moving] / seconds / asked[moving] - 1)
     if len(deviation) == 0:
         return Stability(0.0, 0.0, 1.0)

@@ -18,11 +18,11 @@ Colour = tuple[int, int, int]  # red, green, blue, 0..255
 RED: Colour = (200, 20, 30)
 
 
-class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ScenarioTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """TOML table of a scenario; unknown keys are errors."""
 
 
-class Pillar(Table, frozen=True):
+class Pillar(ScenarioTable, frozen=True):
     """Vertical cylinder, such as a landmark or a leg."""
 
     x: float  # m, map frame

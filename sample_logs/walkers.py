@@ -10,11 +10,11 @@ from locfuse.fusion.data import Array
 
 from .building import Walker
 
-STRIDE = 0.7  # m, of one step
-HIP = 0.8  # m: two legs below, a body above
-LEG, BODY, TOP = 0.07, 0.2, 1.7  # m: radii, and the height of the head
-APART = 0.1  # m, distance of a leg from the middle
-AWAY = 0.75  # m, smallest distance of a person from the robot's laser
+STRIDE_M = 0.7  # m, of one step
+HIP_HEIGHT_M = 0.8  # m: two legs below, a body above
+LEG_RADIUS_M, BODY_RADIUS_M, HEAD_HEIGHT_M = 0.07, 0.2, 1.7  # m: radii, and the height of the head
+LEG_OFFSET_M = 0.1  # m, distance of a leg from the middle
+MIN_PERSON_RANGE_M = 0.75  # m, smallest distance of a person from the robot's laser
 
 
 class Walk:
@@ -54,19 +54,19 @@ class Walk:
         """
         middle, ahead = self.place(t)
         middle = stepped_aside(middle, robot)
-        if z >= HIP:
-            return np.concatenate((middle, np.full((len(t), 1), BODY)), axis=1)[:, None]
-        swing = STRIDE / 2 * np.sin(math.pi * self.way(t) / STRIDE)[:, None]
+        if z >= HIP_HEIGHT_M:
+            return np.concatenate((middle, np.full((len(t), 1), BODY_RADIUS_M)), axis=1)[:, None]
+        swing = STRIDE_M / 2 * np.sin(math.pi * self.way(t) / STRIDE_M)[:, None]
         left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=-1)
-        foot = np.stack([middle + side * (swing * ahead + APART * left) for side in (-1, 1)], axis=1)
-        return np.concatenate((foot, np.full((len(t), 2, 1), LEG)), axis=2)
+        foot = np.stack([middle + side * (swing * ahead + LEG_OFFSET_M * left) for side in (-1, 1)], axis=1)
+        return np.concatenate((foot, np.full((len(t), 2, 1), LEG_RADIUS_M)), axis=2)
 
 
 def stepped_aside(middle: Array, robot: Array) -> Array:
     """Return a person's positions (n, 2) [m], moved away from the robot to a distance of at least AWAY."""
     gap = middle - robot
     distance = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-9)[:, None]
-    return np.where(distance < AWAY, robot + AWAY * gap / distance, middle)
+    return np.where(distance < MIN_PERSON_RANGE_M, robot + MIN_PERSON_RANGE_M * gap / distance, middle)
 
 
 def circles(walks: list[Walk], t: Array, z: float, robot: Array) -> Array:
@@ -80,7 +80,7 @@ def circles(walks: list[Walk], t: Array, z: float, robot: Array) -> Array:
         z: m.
         robot: (n, 2) m, origin of each ray.
     """
-    if not walks or z >= TOP:
+    if not walks or z >= HEAD_HEIGHT_M:
         return np.zeros((len(t), 0, 3))
     both = [0, -1]
     begin, end = np.concatenate([w.circles(t[both], z, robot[both]) for w in walks], axis=1)

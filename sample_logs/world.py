@@ -37,7 +37,7 @@ def rings(room: Room) -> Array:
     return np.array([(room.size[0] / 2, room.size[1] / 2, room.radius)])
 
 
-class Scene:
+class World:
     """Room with its landmark, plates, pillars and faults over time."""
 
     def __init__(self, scenario: Scenario) -> None:

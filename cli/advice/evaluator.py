@@ -35,7 +35,7 @@ from locfuse.fusion.checks.tried import (
     worsens_smoothed,
 )
 from locfuse.fusion.data import Estimates, Evaluation
-from locfuse.fusion.judge.consistency import Run
+from locfuse.fusion.judge.consistency import RunInnovations
 from locfuse.fusion.judge.predictive import Score, scores_of
 from locfuse.fusion.robot import Robot
 
@@ -59,7 +59,7 @@ class Evaluator:
     def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
         loaded, self._holes = unbroken(loaded)  # fixes are tried beside a hole
         self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
-        self._seen: dict[str, tuple[Estimates, Evaluation, list[Run]]] = {}
+        self._seen: dict[str, tuple[Estimates, Evaluation, list[RunInnovations]]] = {}
         self._scores: list[Score] = []
         self._odometry: Estimates | None = None
         self.may_judge = may_judge(loaded)

@@ -52,19 +52,18 @@ from locfuse.fusion.checks.truth import (
 )
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED
 from locfuse.fusion.data import BASES
-from locfuse.fusion.judge.consistency import Consistency, biased_against
-from locfuse.fusion.judge.consistency import Evidence as NoiseEvidence
+from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against
 from locfuse.fusion.judge.innovations import compare_readings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
-from .judged import LASER, UNREMARKABLE, Noise, Offer, as_fixes
+from .judged import LASER, UNREMARKABLE, NoiseFindings, Offer, as_fixes
 
 TRIED_SIGMAS = 2.5  # standard deviations of a time lag: a larger lag is tried
 MIN_AGAIN_S = 0.005  # least change of a time offset that a fix has set before
 MIN_SPREAD_S = 0.003  # sigma of a lag above which neighbouring values are tried too
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)
-SUSPICIOUS = Least(0.005, 2.5)  # least scale error that is suspicious without other findings
+SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious without other findings
 
 
 # codes of findings with a measured value: by truth, magnetic field, stamps or straight walls
@@ -75,7 +74,7 @@ KEYLESS = {OPEN_SCALE, CREEP, BUMP, SWAPPED, UNEVEN}  # findings that are named 
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 
 
-class Evidence(Noise):
+class Evidence(NoiseFindings):
     """One log compared under some settings, with its findings and candidate fixes."""
 
     def suspicious(self) -> bool:
@@ -99,7 +98,7 @@ class Evidence(Noise):
             or self._slips_unusually
             or self._ranges_scatter
             or bool(self._spins)
-            or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
+            or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS_SCALE))
             or self._walls_bend
         )
 

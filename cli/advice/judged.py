@@ -18,13 +18,13 @@ from locfuse.cli.analysis.verdicts import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import of_offset, ranges_sigma, scatter_more
-from locfuse.fusion.checks.slip import Slip, beside_path, slip
+from locfuse.fusion.checks.slip import WheelSlip, beside_path, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.checks.truth import START
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
 from locfuse.fusion.judge.evaluate import covariance_check
-from locfuse.fusion.judge.innovations import Own, own
+from locfuse.fusion.judge.innovations import OwnInnovations, own
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .trial import Trial
@@ -173,7 +173,7 @@ FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  #
 NOISE_VERDICTS = {"understated", "overstated", "correlated"}
 
 
-class Noise(Judged):
+class NoiseFindings(Judged):
     """One log compared under some settings, with findings on sensor and wheel noise."""
 
     def noise(self) -> list[Candidate]:
@@ -276,7 +276,7 @@ class Noise(Judged):
         return smaller is not None and scatter_more(self._ranges_sigma, smaller)
 
     @cached_property
-    def _slip(self) -> Slip | None:
+    def _slip(self) -> WheelSlip | None:
         """Wheel slip in turns, or in distances along the laser's path if these show more; None if unknown."""
         drive, found = self.loaded.drive, slip(self.loaded.drive)
         for e in self.runs_alone(LASER):
@@ -327,7 +327,7 @@ class Noise(Judged):
         found = self._innovations(sensor, fixes)
         return None if found is None else found.refused
 
-    def _innovations(self, sensor: str, fixes: Fixes) -> Own | None:
+    def _innovations(self, sensor: str, fixes: Fixes) -> OwnInnovations | None:
         """Return a sensor's innovation statistics with these settings added; None if fusing fails."""
         tried = self.trial.under((*self.fixes, *fixes))
         run = None if tried is None else self.trial.fused(tried, self._alone(sensor))

@@ -27,6 +27,7 @@ from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import BASES, result_name
+from locfuse.fusion.judge.credit import MAX_CONSISTENT_ANEES
 from locfuse.fusion.judge.own_scans import is_better
 from locfuse.fusion.mount import OTHER_MOUNT
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -238,8 +239,7 @@ def _by_message(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
 NAME_TRUTH = "--set truth.topic=/TOPIC, a topic that holds the true poses"
 SENSOR_WORDS = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
 MIN_HINT = 0.1  # of the agreeing share of points: a smaller gain is not reported
-TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
-MAX_CONSISTENT_ANEES = 3.0  # above: the covariance is too small
+TIE_SHARE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
@@ -350,7 +350,7 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
 def _ties(errors: Mapping[str, float]) -> list[str]:
     """Return the configurations whose errors equal the smallest within 10 % and 0.5 mm."""
     least = min(errors.values())
-    return [n for n, e in errors.items() if e <= least * (1.0 + TIE) + TIE_M]
+    return [n for n, e in errors.items() if e <= least * (1.0 + TIE_SHARE) + TIE_M]
 
 
 def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
@@ -366,7 +366,7 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
         and not t["after"].get("aligned")  # aligned errors are not comparable
     }
     name = min(after, key=lambda n: after[n], default=None)
-    if name is None or after[name] * (1.0 + TIE) + TIE_M >= least:
+    if name is None or after[name] * (1.0 + TIE_SHARE) + TIE_M >= least:
         return ""
     which = f"{_with(name, sets[name])} and" if len(sets) > 1 else "With"
     return f" {which} the fixes found it is {length(after[name])}."

@@ -12,7 +12,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.visible import writable
 from locfuse.fusion.checks.clocks import EQUAL
-from locfuse.fusion.checks.together import Look, Shown, Step, asked, shown
+from locfuse.fusion.checks.together import CommonTrial, LogEstimates, Look, asked, shown
 from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.judge.evaluate import Align, evaluate
@@ -65,7 +65,9 @@ def ask(logs: Mapping[str, Mapping[str, Any]], look: LooksOf) -> dict[str, Any]:
     """
     step = max(1.0, len(logs) / MAX_TRIED_LOGS)
     chosen = [list(logs)[int(i * step)] for i in range(min(len(logs), MAX_TRIED_LOGS))]
-    found = asked({log: msgspec.convert(values, Shown) for log, values in logs.items()}, partial(look, chosen))
+    found = asked(
+        {log: msgspec.convert(values, LogEstimates) for log, values in logs.items()}, partial(look, chosen)
+    )
     return {
         "logs": list(logs),
         "values": [{**msgspec.to_builtins(c), "off": c.off, "words": c.words} for c in found.common],
@@ -90,7 +92,7 @@ def in_this_process(logs: Mapping[str, Loaded], align: str, progress: Progress) 
     return lambda names, sets: {name: looks(logs[name], sets, align, progress) for name in names}
 
 
-def _tried(step: Step) -> dict[str, Any]:
+def _tried(step: CommonTrial) -> dict[str, Any]:
     return {
         "fixes": list(step.fixes),
         "helps": step.helps,

@@ -21,7 +21,7 @@ from locfuse.fusion.wheels.read import WHEEL_READS
 from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 
 from .adapted_topics import not_read
-from .motion_evidence import Evidence, MotionSensors
+from .motion_evidence import MotionEvidence, MotionSensors
 from .mounts import is_base, is_fixed, is_odometry, is_room
 from .topics import WHY_ONLY, Choice, checked, filled, of_sensor, one
 
@@ -94,7 +94,7 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
     if laser is None:
         body = _best_agreeing(log, robot, choice, [*_measured(log, robot, choice, speeds=True)])
         return body or (_stand_in(log, robot, choice) if stand_in else None)
-    evidence = Evidence(log, robot, laser, choice.read)
+    evidence = MotionEvidence(log, robot, laser, choice.read)
     for same in _measured(log, robot, choice, speeds=False):
         if (body := _only_motion(log, same, evidence)) is not None:
             return _with_notes(body, evidence)
@@ -118,7 +118,7 @@ def _best_agreeing(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Seque
     return None
 
 
-def _with_notes(body: Body, evidence: Evidence | MotionSensors) -> Body:
+def _with_notes(body: Body, evidence: MotionEvidence | MotionSensors) -> Body:
     """Return the chosen motion with notes: its agreement with other sensors, and the rejected motions."""
     why = ": ".join(filter(None, (body.why, share := evidence.why(body.topics))))
     if not evidence.note:
@@ -129,7 +129,7 @@ def _with_notes(body: Body, evidence: Evidence | MotionSensors) -> Body:
     return body._replace(why=evidence.agrees, note=words, fixes=(f"wheels.topic={body.topic}",))
 
 
-def _only_motion(log: Log, same: Sequence[Body], evidence: Evidence | MotionSensors | None) -> Body | None:
+def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | MotionSensors | None) -> Body | None:
     """Return the only motion of a kind that agrees with the other sensors; None without one."""
     if evidence is not None:
         same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]

@@ -16,7 +16,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Evaluation, result_name
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.against import Reference
-from locfuse.fusion.judge.consistency import Run
+from locfuse.fusion.judge.consistency import RunInnovations
 from locfuse.fusion.judge.credit import Credit, credit
 from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.judge.own_scans import judged_by_scans
@@ -60,7 +60,7 @@ class Compared(msgspec.Struct, frozen=True):
     configurations: Sequence[Configuration]
     estimates: Sequence[Estimates]  # without audits, unless `Asked.audits`
     evaluations: Sequence[Evaluation]
-    runs: Sequence[Run]  # residuals that show the sensors' noise
+    runs: Sequence[RunInnovations]  # residuals that show the sensors' noise
     credit: Credit | None = None  # with truth
     scores: Sequence[Score] = ()  # without truth
     reference: Referenced | None = None  # without truth, if asked for
@@ -93,7 +93,7 @@ class JudgedRun(NamedTuple):
     estimates: Estimates
     evaluation: Evaluation
     align: Align
-    evidence: Sequence[Run] = ()  # () for smoothed and foreign estimates
+    evidence: Sequence[RunInnovations] = ()  # () for smoothed and foreign estimates
 
 
 def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:

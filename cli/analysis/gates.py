@@ -153,10 +153,10 @@ def parse_gate(text: str) -> Gate:
 
 def known_figure(gate: Gate) -> Gate:
     """Return the gate. Raises UsageError if no report can have its figure."""
-    from locfuse.formats.report.structure import Result
+    from locfuse.formats.report.structure import ReportedResult
 
     configuration, *keys = gate.figure.removeprefix(OF_REFERENCE).split(".")
-    known = Result.__struct_fields__
+    known = ReportedResult.__struct_fields__
     if not set(keys) & set(known):
         near = did_you_mean(keys[-1], known) or "see: locfuse schema report"
         raise UsageError(f"--fail-if {gate.text!r}: no report has {keys[-1]} of {configuration}; {near}")

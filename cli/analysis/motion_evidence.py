@@ -79,7 +79,7 @@ def path_of(log: Log, topic: str, order: str, laser: Laser) -> MatchedScans:
     return known[how]
 
 
-class Evidence:
+class MotionEvidence:
     """Judges motion topics by the scans of one laser topic; scans are read when the first motion is judged."""
 
     agrees = "it agrees with the scans"

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.messages.fields import CAMERA_MATRIX
-from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
+from locfuse.formats.robot.transforms import FrameMount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
@@ -95,13 +95,13 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
     return tables
 
 
-def _placed(mount: Mount, looks: Mapping[str, Any]) -> list[float]:
+def _placed(mount: FrameMount, looks: Mapping[str, Any]) -> list[float]:
     if not looks:
         return [mount.x, mount.y, math.degrees(mount.yaw)]
     return [mount.x, mount.y, looks["yaw_deg"], looks["pitch_deg"]]
 
 
-def _view(mount: Mount) -> dict[str, Any]:
+def _view(mount: FrameMount) -> dict[str, Any]:
     """Return yaw and pitch [deg] of an optical frame's view (REP 103: z ahead); {} if its z axis is vertical."""
     ahead = rotation(*(math.degrees(angle) for angle in (mount.roll, mount.pitch, mount.yaw)))[:, 2]
     if abs(ahead[2]) > MAX_VERTICAL:
@@ -175,7 +175,7 @@ def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Strea
     return found
 
 
-def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
+def mount_of(transforms: StaticTransforms, frame: str) -> FrameMount | None:
     """Return a frame's mount on the base; None if no transform leads to the base."""
     return planar_mount(transforms, _bases_in(transforms), frame) if frame else None
 
@@ -200,7 +200,7 @@ def _bases_in(transforms: StaticTransforms) -> list[str]:
     return [*BASE_FRAMES, *named, *transforms.bases]
 
 
-def _table(mount: Mount) -> dict[str, Any]:
+def _table(mount: FrameMount) -> dict[str, Any]:
     return {
         "x": mount.x,
         "y": mount.y,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from locfuse.formats.logs.clock import MAX_DELAY_S
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Estimates, Evaluation, Event, RunningNis
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from .load import Loaded
 
 MCAP = "estimates.mcap"
-OTHER_CLOCK_S = 1.0  # stamp - recording time: more is another clock; players use the recording's
 
 
 class Drawn:
@@ -183,7 +183,7 @@ def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dic
         estimates=tuple(found.values()),
         twist=_twist(drive),
         robot_toml=robot_toml.dump(tables).encode(),
-        clock_ns=round(delay_s * 1e9) if abs(delay_s) > OTHER_CLOCK_S else 0,
+        clock_ns=round(delay_s * 1e9) if abs(delay_s) > MAX_DELAY_S else 0,
         log=loaded.log if with_log else None,
     )
     return {MCAP: export.write, **layouts(export.topics)}

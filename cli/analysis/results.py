@@ -24,7 +24,7 @@ from locfuse.fusion.wheels.odometry import BODY_READS
 
 from .errors import has_scipy
 from .load import Loaded
-from .motion_evidence import Evidence
+from .motion_evidence import MotionEvidence
 from .robot_tables import flat, make_robot
 from .settings import Asked
 from .topics import Note
@@ -206,7 +206,7 @@ def _behind_scans(loaded: Loaded) -> str:
     encoders = loaded.log.topics[topics[0]].msgtype not in BODY_READS
     if not encoders or len(lasers) != 1 or loaded.reading is None or not has_scipy():
         return ""
-    return Evidence(loaded.log, loaded.robot, lasers[0], {}).behind(topics, loaded.reading)
+    return MotionEvidence(loaded.log, loaded.robot, lasers[0], {}).behind(topics, loaded.reading)
 
 
 def _partial_motion(loaded: Loaded) -> str:

@@ -11,7 +11,7 @@ from msgspec.structs import asdict, replace
 from locfuse.formats.report.findings import change, in_one_unit, length
 from locfuse.fusion.data import ODOMETRY, Drive, Estimates, Evaluation
 from locfuse.fusion.judge.against import Reference
-from locfuse.fusion.judge.consistency import Consistency, Run, judge
+from locfuse.fusion.judge.consistency import Consistency, RunInnovations, judge
 from locfuse.fusion.judge.credit import (
     MIN_EFFECT,
     Credit,
@@ -43,16 +43,16 @@ MIN_UNPROVEN_NATS = 0.1  # nats per number: an unproven smaller gain is not repo
 MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is not reported
 
 
-def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
+def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[RunInnovations]:
     """Return a run's residuals for judging sensor noise; [] for a smoothed run and the paper's filter.
 
     The paper's filter has fixed noise, which robot.toml does not change.
     """
-    return [] if estimates.smoothed or robot.preset == "paper" else [Run.of(drive, estimates)]
+    return [] if estimates.smoothed or robot.preset == "paper" else [RunInnovations.of(drive, estimates)]
 
 
 def sensors_consistency(
-    runs: Sequence[Run], robot: Robot, by_truth: Mapping[str, CovarianceCheck | None]
+    runs: Sequence[RunInnovations], robot: Robot, by_truth: Mapping[str, CovarianceCheck | None]
 ) -> dict[str, dict[str, Consistency]]:
     """Return verdicts on the noise of each sensor by configuration and sensor; {} without runs."""
     return judge(runs, robot, overconfident_by_truth(by_truth)) if runs else {}
@@ -64,7 +64,7 @@ def overconfident_by_truth(check: Mapping[str, CovarianceCheck | None]) -> set[s
 
 
 def add_consistency(
-    report: dict[str, Any], runs: Sequence[Run], evaluations: Sequence[Evaluation], robot: Robot
+    report: dict[str, Any], runs: Sequence[RunInnovations], evaluations: Sequence[Evaluation], robot: Robot
 ) -> None:
     """Add `consistency` to the report: by sensor, by sensor and configuration, and by configuration with truth."""
     rows = report["configurations"]
@@ -103,7 +103,7 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Covari
     return replace(found, words=words, fix_values={})
 
 
-def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
+def noise_factors(runs: Sequence[RunInnovations], robot: Robot) -> dict[str, float]:
     """Return {sensor: factor >= 1} by which to multiply the sigma of each sensor whose sigma is too small."""
     found = {s: c for sensors in sensors_consistency(runs, robot, {}).values() for s, c in sensors.items()}
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}

@@ -104,7 +104,7 @@ class AgentFinding:
 
 
 @dataclass
-class Answer:
+class ToolAnswer:
     """The answer of a tool."""
 
     headline: str
@@ -120,7 +120,7 @@ class Tools:
         self._folders = [folder.resolve() for folder in folders]
         self._out = out.resolve()
 
-    def info(self, log: str = "", settings: Settings | None = None, check: bool = False) -> Answer:
+    def info(self, log: str = "", settings: Settings | None = None, check: bool = False) -> ToolAnswer:
         """Show what is in a log, which topic each sensor uses, what is missing, and what looks wrong, with fixes.
 
         Without `log`, list the logs. `check` also tries the fixes by fusing (minutes on a long log).
@@ -139,7 +139,7 @@ class Tools:
         brief = {key: found[key] for key in ("duration_s", "roles", "absent", "configurations", "severe")}
         file = self._write(f"{found['name']}.info.json", {**found, **({"tried": tried} if check else {})})
         findings = _findings([*found["findings"], *(tried.get("findings") or ())])
-        return Answer(headline, findings, {**brief, "topics": topics}, [file])
+        return ToolAnswer(headline, findings, {**brief, "topics": topics}, [file])
 
     def compare(
         self,
@@ -148,7 +148,7 @@ class Tools:
         settings: Settings | None = None,
         align: str = "none",
         smooth: bool | None = None,
-    ) -> Answer:
+    ) -> ToolAnswer:
         """Return what each sensor of a log adds: errors of all configurations, verdicts, what looks wrong, fixes.
 
         `sensors` are configurations, such as ["odometry", "compass,lrf", "all"]; none: odometry, each alone, all.
@@ -172,37 +172,39 @@ class Tools:
             "notes": notes_of(report)[:MAX_LISTED],
         }
         files = result.write(self._out / result.loaded.log.name)
-        return Answer(result.headline, _findings(result.findings), values, list(map(str, files)))
+        return ToolAnswer(result.headline, _findings(result.findings), values, list(map(str, files)))
 
-    def tune(self, logs: list[str], sensors: str = "all", settings: Settings | None = None) -> Answer:
+    def tune(self, logs: list[str], sensors: str = "all", settings: Settings | None = None) -> ToolAnswer:
         """Estimate wheel and sensor noise from logs of one robot, without truth (a long log takes minutes)."""
         paths = [[self._below(log)] for log in logs]
         found = tune.tune_logs(paths, [], tune.sensor_names(sensors), False, self._how(settings), silent)
         refused = "A log gets worse with the noise that was found: it is not used."
         return self._found(found, refused if found.refused else f"Noise from {_logs(logs)}.")
 
-    def calibrate(self, logs: list[str], settings: Settings | None = None) -> Answer:
+    def calibrate(self, logs: list[str], settings: Settings | None = None) -> ToolAnswer:
         """Estimate wheel noise, radius and track, laser mount and magnetometer iron from logs of one robot."""
         found = calibrated([[self._below(log)] for log in logs], self._how(settings), silent)
         return self._found(found, f"Calibration from {_logs(logs)}.")
 
-    def explain(self, term: str = "") -> Answer:
+    def explain(self, term: str = "") -> ToolAnswer:
         """Explain a term of an answer or a report: ANEES, lrf, drift; without `term`, all but sensors."""
-        return Answer(meaning(term)) if term else Answer("Words of reports.", values=dict(GLOSSARY))
+        return ToolAnswer(meaning(term)) if term else ToolAnswer("Words of reports.", values=dict(GLOSSARY))
 
-    def _found(self, found: Found, headline: str) -> Answer:
+    def _found(self, found: Found, headline: str) -> ToolAnswer:
         name = f"{found.loaded[0].log.name}.{found.command}"
         values = self._write(f"{name}.json", found.values())
         files = [str(found.write(self._out / f"{name}.robot.toml", overwrite=True)), values]
         rows = [dict(zip(found.titles, row, strict=True)) for row in found.rows()]
-        return Answer(headline, [], {"settings": found.tables(), "found": rows, "notes": list(found.notes)}, files)
+        return ToolAnswer(
+            headline, [], {"settings": found.tables(), "found": rows, "notes": list(found.notes)}, files
+        )
 
-    def _listed(self) -> Answer:
+    def _listed(self) -> ToolAnswer:
         there = (path for folder in self._folders for ending in ENDINGS for path in folder.rglob(ending))
         logs = sorted(path for path in there if path.is_file() and self._inside(path))
         names = {str(path): path.stat().st_size for path in logs[:MAX_LISTED]}
         more = "" if len(logs) <= MAX_LISTED else f", the first {MAX_LISTED} are listed"
-        return Answer(f"{_logs(logs)}{more}.", values={"bytes": names})
+        return ToolAnswer(f"{_logs(logs)}{more}.", values={"bytes": names})
 
     def _inside(self, path: Path) -> bool:
         place = path.resolve()
@@ -254,7 +256,7 @@ def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
 
 def _in_tool_words(part: Any) -> Any:
     """Return an answer, or part of it, with command-line options replaced by the tools' arguments."""
-    if isinstance(part, Answer):
+    if isinstance(part, ToolAnswer):
         words = {name: _in_tool_words(getattr(part, name)) for name in ("headline", "findings", "values")}
         return replace(part, **words)
     if isinstance(part, AgentFinding):

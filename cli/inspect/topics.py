@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from locfuse.cli.analysis.topics import Choice
-from locfuse.formats.logs.clock import Clock
+from locfuse.formats.logs.clock import MAX_DELAY_S, RowTimes
 from locfuse.formats.logs.log import UnreadableTopicError
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 MAX_GAPS_LISTED = 20  # in JSON
-OTHER_CLOCK_S = 1.0  # between stamp and recording: more is another clock, not a delay
 MIN_MESSAGES = 3  # for a rate
 MIN_JUDGED = 5  # messages, for a finding on the clock
 
@@ -37,7 +36,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
     rate_hz: float | None = None
     period_s: float | None = None  # median
     gaps: tuple[tuple[float, float], ...] = ()  # (start, end) [s] since the log began
-    clock: Clock | None = None  # source of the topic's times
+    clock: RowTimes | None = None  # source of the topic's times
     delay_s: float | None = None  # recording time - header stamp, median
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
@@ -47,7 +46,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
     def beside_s(self) -> float:
         """Delay of recording behind header stamps [s] if it is so long that it shows two clocks; else 0."""
         stamped = self.clock is not None and self.clock.by_stamps
-        return self.delay_s if self.delay_s and abs(self.delay_s) > OTHER_CLOCK_S and stamped else 0.0
+        return self.delay_s if self.delay_s and abs(self.delay_s) > MAX_DELAY_S and stamped else 0.0
 
     def values(self) -> dict[str, Any]:
         """Return the facts as plain values for report and JSON."""
@@ -75,7 +74,7 @@ def clock_word(f: TopicFacts) -> str:
         return "repaired"
     if not f.clock.by_stamps:
         return "recorded"
-    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < OTHER_CLOCK_S else "two clocks"
+    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < MAX_DELAY_S else "two clocks"
 
 
 def topic_facts(log: Log, order: str) -> list[TopicFacts]:
@@ -161,7 +160,7 @@ def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot)
             continue  # recording times come from the stamps' clock
         off = f.beside_s - wheels.beside_s
         settings = robot.truth if role == "truth" else robot.settings(role) if role in REGISTRY else None
-        if abs(off) > OTHER_CLOCK_S and settings and abs(off - settings.time_offset) > OTHER_CLOCK_S:
+        if abs(off) > MAX_DELAY_S and settings and abs(off - settings.time_offset) > MAX_DELAY_S:
             side = "before" if off > 0 else "after"
             words = f"{topic} is stamped {abs(off):.1f} s {side} the wheels, but was recorded with them"
             found.append(Finding(role, "other clock", words, (f"{role}.time_offset={off:.3f}",), True))

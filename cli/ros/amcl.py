@@ -29,7 +29,7 @@ from locfuse.fusion.lines.scans import limits
 from locfuse.fusion.map.beam_model import BeamModel, fit_beams
 from locfuse.fusion.mount import found_mount
 
-from .found import Found, positive
+from .found import FoundRobot, positive
 
 MIN_D_M, MIN_A_RAD = 0.25, 0.2  # nav2's update_min_d and update_min_a
 CELL_M = 0.05  # of a map by slam_toolbox or map_saver
@@ -38,12 +38,12 @@ FIELD = "likelihood_field"  # nav2's laser_model_type
 NO_RANGE_M = 1e3  # a larger range_max means no limit
 
 
-def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     """Return AMCL's parameters; `there`: parameters that the file has now, {} for a new file."""
     return [*_motion(found, there), *_laser(found, there)]
 
 
-def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
+def _motion(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
     d, a = positive(there, "update_min_d") or MIN_D_M, positive(there, "update_min_a") or MIN_A_RAD
     words = "alpha1 to alpha4 are for steps of this length"
     yield Setting("robot_model_type", "nav2_amcl::DifferentialMotionModel", "two wheels", KEPT)
@@ -60,7 +60,7 @@ def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
         yield found.setting(key, value, what, "wheels.noise")
 
 
-def _noise(found: Found) -> tuple[float, float]:
+def _noise(found: FoundRobot) -> tuple[float, float]:
     """Return wheel noise [variance per m] and track [m].
 
     For scan matching, the noise that gives the same turning variance over the drive.
@@ -72,7 +72,7 @@ def _noise(found: Found) -> tuple[float, float]:
     return float(wheels.matched[:, 2, 2].sum()) * wheels.track**2 / max(way, 1e-9), wheels.track
 
 
-def _laser(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
+def _laser(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
     if not found.has("lrf"):
         yield Setting("sigma_hit, z_hit, z_rand, laser_max_range", None, "this log has no laser")
         return
@@ -87,7 +87,7 @@ def _laser(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
     yield from _beams(model, str(there.get("laser_model_type", FIELD)), found)
 
 
-def _beams(model: BeamModel, kind: str, found: Found) -> Iterator[Setting]:
+def _beams(model: BeamModel, kind: str, found: FoundRobot) -> Iterator[Setting]:
     given = "the given map" if found.robot.lines else "the map of this drive"
     of = f"{model.beams} beams beside {given}"
     sigma = math.hypot(model.sigma, CELL_M / math.sqrt(6.0))
@@ -104,7 +104,7 @@ def _beams(model: BeamModel, kind: str, found: Found) -> Iterator[Setting]:
         yield Setting("lambda_short", model.decay, f"1/m of those that end too early{only}")
 
 
-def beams_in_map(found: Found) -> tuple[Array, Array, int, float]:
+def beams_in_map(found: FoundRobot) -> tuple[Array, Array, int, float]:
     """Return beam ends and origins (n, 2) in the map [m], number of beams without return, and range limit [m]."""
     drive = found.loaded.drive
     m = drive.measurements["lrf"]

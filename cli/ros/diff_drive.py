@@ -15,10 +15,10 @@ from locfuse.formats.robot.ros_yaml import FOUND, KEPT, Setting
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.wheels.odometry import ODOMETRY
 
-from .found import Found, positive
+from .found import FoundRobot, positive
 
-UNMEASURED = 1e6  # variance of z, roll, pitch and their rates
-SIDEWAYS = 1e-6  # (m/s)^2: the model has no sideways slip
+UNMEASURED_VARIANCE = 1e6  # variance of z, roll, pitch and their rates
+SIDEWAYS_VARIANCE = 1e-6  # (m/s)^2: the model has no sideways slip
 WAY_M, TURN_RAD = 1.0, 1.0  # path of the constant pose covariance, since the true one grows along the path
 X, Y, YAW = 0, 1, 5
 SEPARATION, *RADII = MULTIPLIERS = (
@@ -28,7 +28,7 @@ SEPARATION, *RADII = MULTIPLIERS = (
 )
 
 
-def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     """Return the controller's parameters; `there`: parameters that the file has now, {} for a new file.
 
     Raises LocfuseError unless the log shows two driven wheels.
@@ -45,7 +45,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     return [*made, *multipliers, *_covariances(found)]
 
 
-def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+def _of_wheels(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     """Return the multipliers of separation and radii: estimated values divided by those in the file."""
     was, now = found.nominal, found.robot.wheels
     assert was.radius is not None
@@ -69,7 +69,7 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     return [Setting(SEPARATION, scale * now.track / track, words, found.origin("wheels.track")), *sides]
 
 
-def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+def _of_odometry(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     """Return the multipliers for the log's odometry: those in the file (default 1) times the correction."""
     old = {key: positive(there, key) or 1.0 for key in MULTIPLIERS}
     relative = None if found.calibration is None else found.calibration.relative()
@@ -90,13 +90,13 @@ def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     return made
 
 
-def _covariances(found: Found) -> list[Setting]:
+def _covariances(found: FoundRobot) -> list[Setting]:
     velocity, wheels = found.velocity, found.loaded.drive.wheels
-    twist = [UNMEASURED] * 6
-    twist[X], twist[Y], twist[YAW] = float(velocity.reading[0]), SIDEWAYS, float(velocity.reading[1])
+    twist = [UNMEASURED_VARIANCE] * 6
+    twist[X], twist[Y], twist[YAW] = float(velocity.reading[0]), SIDEWAYS_VARIANCE, float(velocity.reading[1])
     k, track = wheels.noise, wheels.track
     turn = 2.0 * k / track**2  # rad^2 per metre straight ahead
-    pose = [UNMEASURED] * 6
+    pose = [UNMEASURED_VARIANCE] * 6
     pose[X], pose[Y], pose[YAW] = 0.5 * k * WAY_M, turn * WAY_M**3 / 3.0, turn * WAY_M + k / track * TURN_RAD
     now = f"of one reading at {1.0 / velocity.period:.3g} Hz (see docs/export.md)"
     then = f"as after {WAY_M:g} m and {TURN_RAD:g} rad"

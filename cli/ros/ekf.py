@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from locfuse.formats.robot.robot_localization import ACCELERATION, INPUT, SPEED, SWITCHES, TURN, YAW, X, Y
+from locfuse.formats.robot.robot_localization import ACCELERATION, INPUT, SPEED, SWITCH_COUNT, TURN, YAW, X, Y
 from locfuse.formats.robot.ros_yaml import ASSUMED, KEPT, Origin, Setting
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.sensors.compass import OFFSET
@@ -26,7 +26,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import ODOMETRY
 from locfuse.fusion.wheels.velocity_noise import random_walk
 
-from .found import Found
+from .found import FoundRobot
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
@@ -34,7 +34,7 @@ KINDS = {ODOMETRY: "odom", TWIST: "twist", POSE: "pose", IMU: "imu"}
 DRIVERS_TOPIC = "/odom"  # the usual name, if the log has no odometry
 STATES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az")
 SURE_SIGMAS = 3.0  # an offset larger than this counts as proven
-TINY = 1e-9  # variance per second: negligible, but keeps P positive
+TINY_VARIANCE = 1e-9  # variance per second: negligible, but keeps P positive
 OPTION_WORDS = {  # of False, of True
     "differential": (
         "it does not drift in the frame of the filter",
@@ -53,7 +53,7 @@ POSES, TWISTS = (X, Y, YAW), (SPEED, TURN)
 FRAMES = ("map", "odom", "base_link")
 
 
-class Source(NamedTuple):
+class FilterInput(NamedTuple):
     """An input of the filter: a topic, the values it fuses, and its gates."""
 
     kind: str  # odom, twist, pose or imu
@@ -66,7 +66,7 @@ class Source(NamedTuple):
     origin: Origin = KEPT
 
 
-def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     """Return the filter node's parameters; `there`: parameters that the file has now, {} for a new file."""
     rate = 1.0 / found.velocity.period
     sources = list(_sources(found))
@@ -93,7 +93,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     return [*made, *_process_noise(found, there), *found.unmapped("robot_localization", mapped, REASONS)]
 
 
-def _input_name(source: Source, there: Mapping[str, Any]) -> str | None:
+def _input_name(source: FilterInput, there: Mapping[str, Any]) -> str | None:
     """Return the name of the input ("odom0") that reads the source's topic in the file; None without one."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
@@ -102,9 +102,9 @@ def _input_name(source: Source, there: Mapping[str, Any]) -> str | None:
     return next((key for key, topic in inputs if topic == bare or bare.endswith(f"/{topic}")), None)
 
 
-def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Setting]:
+def _input(name: str, source: FilterInput, there: Mapping[str, Any]) -> Iterator[Setting]:
     yield Setting(name, source.topic, source.words, source.origin)
-    on = [place in source.switches for place in range(SWITCHES)]
+    on = [place in source.switches for place in range(SWITCH_COUNT)]
     rows = ("x y z", "roll pitch yaw", "their speeds", "their rates", "accelerations")
     yield Setting(f"{name}_config", on, rows[0], KEPT, row=3, row_words=rows)
     for option, value in source.options.items():
@@ -128,7 +128,7 @@ def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Sett
         )
 
 
-def _sources(found: Found) -> Iterator[Source]:
+def _sources(found: FoundRobot) -> Iterator[FilterInput]:
     yield _wheels(found)
     yield from _imu(found)
     if found.has("pose"):
@@ -136,22 +136,22 @@ def _sources(found: Found) -> Iterator[Source]:
     topic, kind = found.topic("twist")
     if found.has("twist") and kind in {ODOMETRY, TWIST}:
         words, gates = f"{topic} in the log", {"twist": _gate(found, "twist")}
-        yield Source(KINDS[kind], topic, TWISTS, words, gates, {})
+        yield FilterInput(KINDS[kind], topic, TWISTS, words, gates, {})
 
 
-def _wheels(found: Found) -> Source:
+def _wheels(found: FoundRobot) -> FilterInput:
     """Return the wheels' odometry, or /odom if the log has no odometry topic."""
     topic, kind = found.topic("wheels")
     speed, turn = found.velocity.reading.tolist()
     at = f"at {1.0 / found.velocity.period:.3g} Hz"
     noise = f"twist vx {speed:.4g} (m/s)^2, vyaw {turn:.4g} (rad/s)^2 {at}; {found.why('wheels.noise')}"
     if kind in {ODOMETRY, TWIST}:
-        return Source(KINDS[kind], topic, TWISTS, f"{topic} in the log", {}, {}, (noise,))
+        return FilterInput(KINDS[kind], topic, TWISTS, f"{topic} in the log", {}, {}, (noise,))
     words = f"{topic} is {kind or 'no topic of ROS'}: name the odometry that your driver makes of it"
-    return Source("odom", DRIVERS_TOPIC, TWISTS, words, {}, {}, (noise,), ASSUMED)
+    return FilterInput("odom", DRIVERS_TOPIC, TWISTS, words, {}, {}, (noise,), ASSUMED)
 
 
-def _imu(found: Found) -> Iterator[Source]:
+def _imu(found: FoundRobot) -> Iterator[FilterInput]:
     """Yield the IMU topics read as compass, gyro or both."""
     roles: dict[str, list[str]] = {}
     for role in ("compass", "gyro"):
@@ -173,10 +173,10 @@ def _imu(found: Found) -> Iterator[Source]:
             variance = f"angular_velocity, z {gyro_variance(found):.4g} (rad/s)^2"
             bias = "with the gyro's bias, which robot_localization does not estimate"
             covariances.append(f"{variance}, {bias}; {found.why('gyro.sigma_deg')}")
-        yield Source("imu", topic, tuple(switches), f"{topic} in the log", gates, options, tuple(covariances))
+        yield FilterInput("imu", topic, tuple(switches), f"{topic} in the log", gates, options, tuple(covariances))
 
 
-def _heading_options(found: Found) -> dict[str, bool]:
+def _heading_options(found: FoundRobot) -> dict[str, bool]:
     """Return the options `relative` or `differential` for a compass, whose offset the node does not estimate."""
     pose = found.robot.settings("pose")
     if not (found.has("pose") and pose.heading and pose.frame in {"map", "own"}):
@@ -187,7 +187,7 @@ def _heading_options(found: Found) -> dict[str, bool]:
     return {"differential": bool(abs(offsets[-1, 0]) > SURE_SIGMAS * sigmas[-1, 0])}
 
 
-def _pose(found: Found) -> Iterator[Source]:
+def _pose(found: FoundRobot) -> Iterator[FilterInput]:
     topic, kind = found.topic("pose")
     pose = found.robot.settings("pose")
     if kind not in {ODOMETRY, POSE}:
@@ -197,14 +197,14 @@ def _pose(found: Found) -> Iterator[Source]:
     of = f"pose x, y {pose.sigma**2:.4g} m^2, yaw {math.radians(pose.sigma_theta_deg) ** 2:.4g} rad^2"
     covariances = (of,) if pose.covariance == "sigma" else ()
     gates = {"pose": _gate(found, "pose")}
-    yield Source(KINDS[kind], topic, on, f"{topic} in the log", gates, {"differential": drifts}, covariances)
+    yield FilterInput(KINDS[kind], topic, on, f"{topic} in the log", gates, {"differential": drifts}, covariances)
 
 
-def _gate(found: Found, sensor: str) -> tuple[float, str]:
+def _gate(found: FoundRobot, sensor: str) -> tuple[float, str]:
     return found.robot.settings(sensor).gate, found.why(f"{sensor}.gate")
 
 
-def gyro_rate_hz(found: Found) -> float:
+def gyro_rate_hz(found: FoundRobot) -> float:
     """Return the mean message rate of the gyro [Hz]."""
     drive = found.loaded.drive
     name = found.topic("gyro")[0]
@@ -212,7 +212,7 @@ def gyro_rate_hz(found: Found) -> float:
     return max(count, 2) / max(float(drive.t[-1]), 1e-3)
 
 
-def gyro_variance(found: Found, with_bias: bool = True) -> float:
+def gyro_variance(found: FoundRobot, with_bias: bool = True) -> float:
     """Return the variance of one turning rate [(rad/s)^2], with the square of the gyro's bias if wanted."""
     gyro = found.robot.settings("gyro")
     white = math.radians(gyro.sigma_deg) ** 2 * gyro_rate_hz(found)
@@ -221,7 +221,7 @@ def gyro_variance(found: Found, with_bias: bool = True) -> float:
     return white + (bias**2 if with_bias else 0.0)
 
 
-def _turn_walk(found: Found) -> float:
+def _turn_walk(found: FoundRobot) -> float:
     """Return the random walk of the turning rate [(rad/s)^2 per s], by the gyro, else by the wheels."""
     if not found.has("gyro") or found.topic("gyro")[1] != IMU:
         return float(found.velocity.walk[1])
@@ -232,13 +232,13 @@ def _turn_walk(found: Found) -> float:
     return random_walk(rate[np.isfinite(rate)], white, 1.0 / gyro_rate_hz(found))
 
 
-def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
+def _process_noise(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
     """Yield the process noise Q per second as (15, 15) row by row; only its diagonal if the file has 15 values."""
     velocity = found.velocity
-    diagonal = [TINY] * SWITCHES
+    diagonal = [TINY_VARIANCE] * SWITCH_COUNT
     along, turn = velocity.pose.tolist()
-    diagonal[X] = diagonal[Y] = TINY + 0.5 * along
-    diagonal[YAW] = TINY + turn
+    diagonal[X] = diagonal[Y] = TINY_VARIANCE + 0.5 * along
+    diagonal[YAW] = TINY_VARIANCE + turn
     diagonal[SPEED], diagonal[TURN] = float(velocity.walk[0]), _turn_walk(found)
     reasons = {
         X: f"m^2/s of the wheels beyond their twist's covariance; {found.why('wheels.noise')}",
@@ -255,15 +255,15 @@ def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
     )
     named = [*reasons, *([] if fuses else [ACCELERATION])]  # an unmeasured acceleration gets almost no noise
     old = there.get("process_noise_covariance")
-    if isinstance(old, list) and len(old) == SWITCHES:
+    if isinstance(old, list) and len(old) == SWITCH_COUNT:
         value, places = diagonal, tuple(named)
     else:
-        value, places = np.diag(diagonal).ravel().tolist(), tuple(place * (SWITCHES + 1) for place in named)
+        value, places = np.diag(diagonal).ravel().tolist(), tuple(place * (SWITCH_COUNT + 1) for place in named)
     yield Setting(
         "process_noise_covariance",
         value,
         "; ".join(f"{STATES[place]} {reasons[place]}" for place in (X, SPEED, TURN)),
         places=places,
-        row=SWITCHES,
+        row=SWITCH_COUNT,
         row_words=rows,
     )

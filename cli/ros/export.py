@@ -18,9 +18,9 @@ from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 
 from . import amcl, diff_drive, ekf, fusioncore
-from .found import Found
+from .found import FoundRobot
 
-Mapped = Callable[[Found, Mapping[str, Any]], list[Setting]]
+Mapped = Callable[[FoundRobot, Mapping[str, Any]], list[Setting]]
 TARGETS: dict[str, Mapped] = {
     "diff_drive": diff_drive.settings,
     "ekf": ekf.settings,
@@ -37,7 +37,7 @@ class Made(msgspec.Struct, frozen=True):
     reasons: tuple[str, ...] = ()  # source of each value, and values that the file lacks
 
 
-def fresh(found: Found, targets: Sequence[str]) -> Made:
+def fresh(found: FoundRobot, targets: Sequence[str]) -> Made:
     """Return a new parameter file for these nodes."""
     nodes = [(NODES[target].usual, NODES[target].name, TARGETS[target](found, {})) for target in targets]
     head = (
@@ -60,7 +60,7 @@ def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: 
     return tuple(targets)
 
 
-def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | None) -> Made:
+def edited(found: FoundRobot, targets: Sequence[str], before: RosFile, node: str | None) -> Made:
     """Return a file with the values of these targets replaced by estimated ones."""
     now, reasons = before, []
     for target in targets:

@@ -33,7 +33,7 @@ MAX_FIRST = 4  # repetitions of a command after setting fixes
 F = TypeVar("F", Calibration, Tuning)
 
 
-class Found(msgspec.Struct, frozen=True, dict=True):
+class FoundRobot(msgspec.Struct, frozen=True, dict=True):
     """A log under the estimated settings, with the source of each setting."""
 
     loaded: Loaded
@@ -106,7 +106,9 @@ def positive(there: Mapping[str, Any], key: str) -> float | None:
     return value if isinstance(value, float) and value > 0.0 else None
 
 
-def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool, progress: Progress) -> Found:
+def gather(
+    log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool, progress: Progress
+) -> FoundRobot:
     """Return the estimated settings of a log's robot, or the settings of a folder of results.
 
     A log is calibrated and tuned, unless its settings are `known`. With `wheels_only` it is not tuned if
@@ -122,7 +124,7 @@ def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool
     sources = {**(by_result or by_settings), **_by_files(given)}
     nominal = loaded.robot.wheels
     if known or by_result:
-        return Found(loaded, nominal, None, sources, ())
+        return FoundRobot(loaded, nominal, None, sources, ())
     work = _Work()
     calibration = work.by("calibrate", lambda sets: calibrate_logs([_under(loaded, sets, progress)], progress))
     if calibration is not None:
@@ -138,7 +140,7 @@ def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool
     if tuning is not None:
         sources |= _tuned(tuning)
     sources |= work.sources
-    return Found(_under(loaded, work.sets, progress), nominal, calibration, sources, tuple(work.notes))
+    return FoundRobot(_under(loaded, work.sets, progress), nominal, calibration, sources, tuple(work.notes))
 
 
 def _under(loaded: Loaded, sets: Sequence[str], progress: Progress) -> Loaded:

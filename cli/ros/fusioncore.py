@@ -18,10 +18,10 @@ from locfuse.fusion.truth import FIX
 from locfuse.fusion.wheels.odometry import ODOMETRY
 
 from .ekf import gyro_rate_hz, gyro_variance
-from .found import Found
+from .found import FoundRobot
 
 
-def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     """Return the node's parameters, computed from `found`; `there`, the file's present values, is not needed."""
     parts = {sensor: of(found) for sensor, of in SENSORS.items() if found.has(sensor)}
     mapped = [sensor for sensor, part in parts.items() if part]
@@ -29,7 +29,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     return [*_wheels(found), *made, *found.unmapped("FusionCore", mapped, REASONS)]
 
 
-def _wheels(found: Found) -> list[Setting]:
+def _wheels(found: FoundRobot) -> list[Setting]:
     model = "DifferentialDrive" if found.robot.wheels.wheelbase is None else "Ackermann"
     at = f"of one reading at {1.0 / found.velocity.period:.3g} Hz"
     vel, yaw = np.sqrt(found.velocity.needed / found.velocity.period).tolist()  # FusionCore's Q is no parameter
@@ -42,13 +42,13 @@ def _wheels(found: Found) -> list[Setting]:
     ]
 
 
-def _gyro(found: Found) -> list[Setting]:
+def _gyro(found: FoundRobot) -> list[Setting]:
     noise = math.sqrt(gyro_variance(found, with_bias=False))
     words = f"rad/s of one reading at {gyro_rate_hz(found):.3g} Hz"
     return [found.setting("imu.gyro_noise", noise, words, "gyro.sigma_deg")]
 
 
-def _satellites(found: Found) -> list[Setting]:
+def _satellites(found: FoundRobot) -> list[Setting]:
     gps = found.robot.settings("gps")
     return [
         found.topic_setting("gnss.fix_topic", "gps", FIX),
@@ -58,7 +58,7 @@ def _satellites(found: Found) -> list[Setting]:
     ]
 
 
-def _compass(found: Found) -> list[Setting]:
+def _compass(found: FoundRobot) -> list[Setting]:
     topic, kind = found.topic("compass")
     if kind != FIELD:
         return []
@@ -76,7 +76,7 @@ def _compass(found: Found) -> list[Setting]:
     ]
 
 
-SENSORS: Mapping[str, Callable[[Found], list[Setting]]] = {
+SENSORS: Mapping[str, Callable[[FoundRobot], list[Setting]]] = {
     "gyro": _gyro,
     "gps": _satellites,
     "compass": _compass,

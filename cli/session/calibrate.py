@@ -23,8 +23,13 @@ from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels import calibrate_by_scans
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, Figure, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_by_gyro
-from locfuse.fusion.wheels.calibrate_by_scans import LaserCalibration, Motion
-from locfuse.fusion.wheels.calibrate_tricycle import Reference, TricycleCalibration, calibrate_tricycle, of_truth
+from locfuse.fusion.wheels.calibrate_by_scans import LaserCalibration, ScanMotions
+from locfuse.fusion.wheels.calibrate_tricycle import (
+    ReferenceMotion,
+    TricycleCalibration,
+    calibrate_tricycle,
+    of_truth,
+)
 from locfuse.fusion.wheels.motion_by_scans import match_scans
 from locfuse.fusion.wheels.odometry import ODOMETRY
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
@@ -364,16 +369,18 @@ def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progr
     return Calibration(loaded=loaded, settings=settings, notes=notes, tricycle=found)
 
 
-def _reference(one: Loaded, progress: Progress) -> Reference | None:
+def _reference(one: Loaded, progress: Progress) -> ReferenceMotion | None:
     """Return the reference path for a tricycle's encoders: truth, else laser, else gyro; None without one."""
     if one.drive.truth is not None:
         return of_truth(one.drive.truth)
     if has_both(one):
         progress("matching scans")
         motion = motion_of_both(one)
-        return Reference("lrf", motion.laser.t + motion.delay, motion.laser.pose)
+        return ReferenceMotion("lrf", motion.laser.t + motion.delay, motion.laser.pose)
     turned = _turned_by_gyro(one)
-    return turned and Reference("gyro", turned[0], np.column_stack((np.zeros((len(turned[0]), 2)), turned[1])))
+    return turned and ReferenceMotion(
+        "gyro", turned[0], np.column_stack((np.zeros((len(turned[0]), 2)), turned[1]))
+    )
 
 
 def _turned_by_gyro(one: Loaded) -> tuple[Array, Array] | None:
@@ -449,10 +456,10 @@ def has_both(one: Loaded) -> bool:
     return "lrf" in one.choice.topics and one.drive.wheels.matched is None
 
 
-def motion_of_both(one: Loaded) -> Motion:
+def motion_of_both(one: Loaded) -> ScanMotions:
     """Return two motions of one log: by the wheels (base frame), and by matching laser scans (laser frame)."""
     lrf: Any = one.robot.settings("lrf")
     laser = laser_of(lrf)._replace(mount=np.zeros(3))
     stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)
     found = match_scans(stream, laser).reading(WheelSettings(), lrf.time_offset)
-    return Motion(one.drive.wheels, found.wheels, (found.epoch_ns - one.drive.epoch_ns) * 1e-9)
+    return ScanMotions(one.drive.wheels, found.wheels, (found.epoch_ns - one.drive.epoch_ns) * 1e-9)

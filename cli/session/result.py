@@ -156,13 +156,13 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         Without matplotlib the report's figure is returned, an SVG that a notebook shows.
         """
         from locfuse.formats.figures.for_paper import on_axes
-        from locfuse.formats.report.notebook import Picture
+        from locfuse.formats.report.notebook import NotebookFigure
 
         panel, traces = self._trajectories()
         try:
             return on_axes(axes, panel, traces, colours())
         except ModuleNotFoundError:  # no matplotlib
-            return Picture(panel, traces, colours())
+            return NotebookFigure(panel, traces, colours())
 
     def _trajectories(self) -> tuple[Panel, Mapping[str, Trace]]:
         """Return the figure of all paths, and the line style of each."""
@@ -202,7 +202,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         from locfuse.formats.report import notebook
 
         panel, traces = self._trajectories()
-        return notebook.render(self.report, in_python) + notebook.Picture(panel, traces, colours()).html()
+        return notebook.render(self.report, in_python) + notebook.NotebookFigure(panel, traces, colours()).html()
 
     @speaks_python
     def write(

@@ -20,20 +20,20 @@ from locfuse.fusion.checks.tried import MAX_LOSS_NATS, Marks, worsens
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.consistency import Run, judge
+from locfuse.fusion.judge.consistency import RunInnovations, judge
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 from locfuse.fusion.tune.tape import Figures
-from locfuse.fusion.tune.tune import Row as TunedRow
-from locfuse.fusion.tune.tune import Trial, Tuned, tune
+from locfuse.fusion.tune.tune import NoiseChange as TunedRow
+from locfuse.fusion.tune.tune import Tuned, TuneLog, tune
 
 from .found import Found, Row, refuse_doubtful
 
 HELD_OUT_SHARE = 0.2  # of every log, its end, if no log is held out
 
 
-class Judged(msgspec.Struct, frozen=True):
+class BothNoises(msgspec.Struct, frozen=True):
     """One log evaluated with the configured noise and with the tuned noise."""
 
     name: str
@@ -46,7 +46,7 @@ class Tuning(Found, frozen=True, kw_only=True):
     """The tuned noise of all logs, and each log's errors before and after."""
 
     tuned: Tuned
-    judged: Sequence[Judged]
+    judged: Sequence[BothNoises]
     refused: bool = False  # a log gets worse, or is lost, with the tuned noise
 
     command: ClassVar[str] = "tune"
@@ -181,7 +181,7 @@ def tune_logs(
     for i, one in enumerate(loaded):
         last = float(one.drive.t[-1])
         until = -math.inf if i >= len(logs) else math.inf if held_out else (1.0 - HELD_OUT_SHARE) * last
-        trials.append(Trial(one.log.name, one.drive, one.robot, until))
+        trials.append(TuneLog(one.log.name, one.drive, one.robot, until))
 
     def remeasure(i: int, sensor: str, robot: Robot) -> Measurements:
         progress(f"measuring {sensor} of {trials[i].name} with another sigma")
@@ -190,12 +190,12 @@ def tune_logs(
         again = load(paths[i], replace(how, sets=(*how.sets, *sets)), only=(sensor,))
         return again.drive.measurements[sensor]
 
-    def tuned_by(names: Sequence[str]) -> tuple[Tuned, list[Judged], list[str]]:
+    def tuned_by(names: Sequence[str]) -> tuple[Tuned, list[BothNoises], list[str]]:
         tuned = tune(trials, names, drift, remeasure, progress)
         progress("judging the logs")
         sets = set_words(_tables(tuned))  # measured again: line fitting depends on the noise
         judged = [
-            Judged(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
+            BothNoises(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
             for one, check in zip(loaded, checks, strict=True)
         ]
         return tuned, judged, _worse(tuned, judged)
@@ -220,7 +220,7 @@ def tune_logs(
     return Tuning(loaded=loaded, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
 
 
-def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
+def _worse(tuned: Tuned, judged: Sequence[BothNoises]) -> list[str]:
     """Return notes on logs, or held-out data, that get worse with the tuned noise."""
     worse = [line for j in judged if (line := got_worse(j)) is not None]
     if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
@@ -233,7 +233,7 @@ def _less_likely(before: float, after: float) -> str:
     return f"what was held out is less likely with the noise that was found ({figures})"
 
 
-def got_worse(j: Judged) -> str | None:
+def got_worse(j: BothNoises) -> str | None:
     """Return a note if a log gets worse with the tuned noise (which is then not written), else None."""
     before, after = (Marks(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
     if not worsens(before, after):
@@ -253,13 +253,13 @@ def _evaluated(one: Loaded) -> Evaluation:
     return evaluate(run, one.drive, "se2" if elsewhere else "none")
 
 
-def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
+def lasting_errors(trials: Sequence[TuneLog]) -> dict[tuple[str, str], str]:
     """Return (log, sensor) -> a note, for each sensor with errors correlated in time, which no sigma describes."""
     lasting: dict[tuple[str, str], str] = {}
     for trial in trials:
         sensors = list(trial.drive.measurements)
         together = dict.fromkeys((tuple(sensors), *((*needed(s), s) for s in sensors)))
-        runs = [Run.of(trial.drive, fuse(trial.drive, trial.robot, chosen)) for chosen in together]
+        runs = [RunInnovations.of(trial.drive, fuse(trial.drive, trial.robot, chosen)) for chosen in together]
         found = judge(runs, trial.robot)
         worded = {s: verdict for verdicts in found.values() for s, verdict in verdicts.items()}
         lasting |= {(trial.name, s): v.words for s, v in worded.items() if v.verdict == "correlated"}

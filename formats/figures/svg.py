@@ -132,8 +132,8 @@ def _path_text(points: Array) -> str:
 
 # --- Panels
 
-WIDTH, HEIGHT = 460, 216  # px of a usual panel, which the page scales
-TOP, BOTTOM, RIGHT = 20, 34, 10  # px of the margins
+WIDTH_PX, HEIGHT_PX = 460, 216  # px of a usual panel, which the page scales
+TOP_PX, BOTTOM_PX, RIGHT_PX = 20, 34, 10  # px of the margins
 CHARACTER_WIDTH_PX = 6.4  # of a tick label at 11 px
 MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: minimum width of an event, height of rejected readings
 FAR_PX = 1e6  # values are clipped to this, far outside the panel
@@ -168,8 +168,8 @@ def svg(
     panel: Panel,
     ident: str,
     slugs: dict[str, str],
-    width: int = WIDTH,
-    height: int = HEIGHT,
+    width: int = WIDTH_PX,
+    height: int = HEIGHT_PX,
     looks: Mapping[str, str] | None = None,
 ) -> str:
     """Return a panel drawn as an SVG element with the unique id `ident`.
@@ -180,19 +180,20 @@ def svg(
     """
     (x0, x1), (y0, y1) = ranges(panel)
     left = _left(panel, y0, y1)
-    inner_width = width - left - RIGHT
+    inner_width = width - left - RIGHT_PX
     if panel.equal:
         x0, x1, y0, y1, height = _equal(x0, x1, y0, y1, inner_width, height)
     if panel.lanes:
-        height = TOP + BOTTOM + 30 * len(panel.lanes)
-    x = Axis(x0, x1, left, width - RIGHT, panel.x_log)
-    y = Axis(y0, y1, height - BOTTOM, TOP, panel.log)
+        height = TOP_PX + BOTTOM_PX + 30 * len(panel.lanes)
+    x = Axis(x0, x1, left, width - RIGHT_PX, panel.x_log)
+    y = Axis(y0, y1, height - BOTTOM_PX, TOP_PX, panel.log)
     parts = [
         f'<svg class="{"fig lanes" if panel.lanes else "fig"}" id="{ident}"',
         f' viewBox="0 0 {width} {height}" role="img"',
         f' aria-labelledby="{ident}-t {ident}-d" data-axes="{_axes(panel, x, y)}">',
         f'<title id="{ident}-t">{escape(panel.title)}</title><desc id="{ident}-d">{escape(panel.summary)}</desc>',
-        f'<clipPath id="{ident}-c"><path d="M{left} {TOP}H{width - RIGHT}V{height - BOTTOM}H{left}z"/></clipPath>',
+        f'<clipPath id="{ident}-c"><path d="M{left} {TOP_PX}H{width - RIGHT_PX}V{height - BOTTOM_PX}H{left}z"/>',
+        "</clipPath>",
         _frame(panel, x, y),
         f'<g clip-path="url(#{ident}-c)"><g>',
         *(_shade(event, x, y, slugs) for event in panel.events),
@@ -225,10 +226,10 @@ def _equal(
     """Return limits and height [px] for an equal scale in x and y, with a small margin; height at most `most`."""
     pad = 0.04 * max(x1 - x0, y1 - y0, 1e-6)
     x0, x1, y0, y1 = x0 - pad, x1 + pad, y0 - pad, y1 + pad
-    scale = min(inner / (x1 - x0), (most - TOP - BOTTOM) / (y1 - y0))
+    scale = min(inner / (x1 - x0), (most - TOP_PX - BOTTOM_PX) / (y1 - y0))
     spare = inner / scale - (x1 - x0)
     x0, x1 = x0 - 0.5 * spare, x1 + 0.5 * spare
-    return x0, x1, y0, y1, round(scale * (y1 - y0)) + TOP + BOTTOM
+    return x0, x1, y0, y1, round(scale * (y1 - y0)) + TOP_PX + BOTTOM_PX
 
 
 def _frame(panel: Panel, x: Axis, y: Axis) -> str:
@@ -237,7 +238,7 @@ def _frame(panel: Panel, x: Axis, y: Axis) -> str:
     rows = [] if panel.lanes else y.ticks(max(3, round((y.start - y.end) / 34)))
     columns = x.ticks(max(3, round((x.end - x.start) / 60)))
     across = "".join(f"M{x.start:g} {p:.1f}H{right}" for p, _ in rows)
-    up = "".join(f"M{p:.1f} {TOP}V{bottom}" for p, _ in columns)
+    up = "".join(f"M{p:.1f} {TOP_PX}V{bottom}" for p, _ in columns)
     beside = [f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{label}</text>' for p, label in rows]
     below = [f'<text class="m" x="{p:.1f}" y="{bottom + 14}">{label}</text>' for p, label in columns]
     middles = y.px(np.arange(0.5, len(panel.lanes))).tolist()

@@ -34,7 +34,7 @@ def summary_files(
     if "md" in kinds:
         files["summary.md"] = over.render(summary)
     if "csv" in kinds:
-        rows = Rows(entries, sweep)
+        rows = TableRows(entries, sweep)
         files["summary.csv"] = csv(rows)
         table = parquet(rows)
         files |= {} if table is None else {PARQUET: table}
@@ -53,7 +53,7 @@ TEXT = {*FIRST_COLUMNS, "key", "align"}
 NOT_FIGURES = ("configuration", "cell", "slowed", "key")  # values of a configuration
 
 
-class Rows:
+class TableRows:
     """The rows of the table in the order of the logs, and its columns."""
 
     def __init__(self, entries: Sequence[Entry], sweep: Sequence[str] = ()) -> None:
@@ -102,12 +102,12 @@ class Rows:
             }
 
 
-def csv(rows: Rows) -> str:
+def csv(rows: TableRows) -> str:
     """Return the rows as CSV in full precision, with empty missing values."""
     return csv_text(rows.columns, ([row.get(column) for column in rows.columns] for row in rows))
 
 
-def parquet(rows: Rows) -> bytes | None:
+def parquet(rows: TableRows) -> bytes | None:
     """Return the rows as Parquet; None without pyarrow, which is a dependency of rerun-sdk."""
     try:
         import pyarrow as pa

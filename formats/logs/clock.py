@@ -26,7 +26,7 @@ from . import jitter
 ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
 JUMP_NS = 10 * 10**9  # a stamp whose step differs by more from that of its recording time is on another clock
-LATENCY_NS = 10**9  # a larger difference of stamp and recording time means two clocks, not a delay
+MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 # small message types with headers that most logs have; their stamps show which clock is used
 SMALL_TYPES = (
     "nav_msgs/msg/Odometry",
@@ -41,7 +41,7 @@ Mask = NDArray[np.bool_]
 Others = Callable[[], tuple[Ints, Ints] | None]  # the result of common_clock
 
 
-class Clock(msgspec.Struct, frozen=True):
+class RowTimes(msgspec.Struct, frozen=True):
     """The chosen times of a stream's rows, and their source."""
 
     t_ns: Ints  # (n,) never decreasing
@@ -62,7 +62,7 @@ class Clock(msgspec.Struct, frozen=True):
 class MadeStream(ArrayStream, frozen=True, kw_only=True):
     """A stream derived from another topic or a file, with all rows in memory (fusion.data.Stream)."""
 
-    clock: Clock  # the choice of its times
+    clock: RowTimes  # the choice of its times
     delay_s: float | None = None  # median delay of recording after the stamps
 
 
@@ -82,7 +82,7 @@ class UnreadableStream:
         raise self.problem
 
 
-def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Others = lambda: None) -> Clock:
+def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Others = lambda: None) -> RowTimes:
     """Choose the times of a stream's messages: header stamps if they are usable, else recording times.
 
     `log_time` (n,) [ns] are the recording times, which never decrease; `stamp` (n,) [ns] are the header stamps or
@@ -94,52 +94,52 @@ def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Othe
     return on_clock(clock, known)
 
 
-def _settled(log_time: Ints, stamp: Ints | None, order: str) -> Clock:
+def _settled(log_time: Ints, stamp: Ints | None, order: str) -> RowTimes:
     if stamp is None:
-        return Clock(log_time, None, "log time (no header)")
+        return RowTimes(log_time, None, "log time (no header)")
     if not len(stamp):
-        return Clock(log_time, None, "header stamps", by_stamps=True)
+        return RowTimes(log_time, None, "header stamps", by_stamps=True)
     if order == "stamp":
         return _by_stamp(log_time, stamp)
     if not stamp.any():
-        return Clock(log_time, None, "log time (all header stamps are zero)")
-    if (stamp == stamp[0]).all() and log_time[-1] - log_time[0] > LATENCY_NS:
+        return RowTimes(log_time, None, "log time (all header stamps are zero)")
+    if (stamp == stamp[0]).all() and log_time[-1] - log_time[0] > MAX_DELAY_S * 1e9:
         words = f"log time (all {len(stamp)} header stamps are the same: let the driver stamp each message)"
-        return Clock(log_time, None, words)
+        return RowTimes(log_time, None, words)
     bad = _untrusted(log_time, stamp)
     trusted = ~np.any([*bad.values()], axis=0)
     if order == "recorded":
         return _recorded(log_time, stamp, trusted, "recording order, as asked for")
     if trusted.all():
-        return Clock(stamp, None, "header stamps", by_stamps=True, notes=_differ(log_time, stamp))
+        return RowTimes(stamp, None, "header stamps", by_stamps=True, notes=_differ(log_time, stamp))
     if 2 * trusted.sum() < len(stamp):
         return _recorded(log_time, stamp, trusted, "recording order: most header stamps contradict it")
     return _repaired(log_time, stamp, trusted, bad)
 
 
-def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
+def _by_stamp(log_time: Ints, stamp: Ints) -> RowTimes:
     usable = np.flatnonzero(stamp > 0)
     rows = usable[np.argsort(stamp[usable], kind="stable")]
     unusable = len(stamp) - len(rows)
     dropped = {"zero or negative stamp": unusable} if unusable else {}
     words = "header stamps, sorted, as asked for"
-    return Clock(stamp[rows], rows, words, True, {}, dropped, _differ(log_time, stamp))
+    return RowTimes(stamp[rows], rows, words, True, {}, dropped, _differ(log_time, stamp))
 
 
-def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
+def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> RowTimes:
     """Use the recording times minus the median delay (recording time - stamp) of the trusted stamps.
 
-    A stamp that repeats the one before is too old for its message and not counted. A delay above LATENCY_NS is not
-    subtracted: it means two clocks.
+    A stamp that repeats the one before is too old for its message and not counted. A delay above MAX_DELAY_S is
+    not subtracted: it means two clocks.
     """
     trusted = trusted & (np.diff(stamp, prepend=stamp[0] - 1) != 0)
     delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
-    if abs(delay) > LATENCY_NS:
-        return Clock(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))
-    return Clock(log_time - delay, None, f"{words}; log time less the median delay of {delay / 1e9:.3f} s")
+    if abs(delay) > MAX_DELAY_S * 1e9:
+        return RowTimes(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))
+    return RowTimes(log_time - delay, None, f"{words}; log time less the median delay of {delay / 1e9:.3f} s")
 
 
-def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) -> Clock:
+def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) -> RowTimes:
     counts = {why: int(m.sum()) for why, m in bad.items() if m.any()}
     why = ", ".join(f"{n} {reason}" for reason, n in counts.items())
     n_bad, notes = int((~trusted).sum()), _differ(log_time[trusted], stamp[trusted])
@@ -149,7 +149,7 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
         ordered = trusted | bad["backwards"] | bad["off the beat"]
         times, how = jitter.in_order(jitter.filled(stamp, ordered, log_time, 1)), "moved into their order"
     words = f"header stamps; {n_bad} of {len(stamp)} {how} ({why})"
-    return Clock(times, None, words, True, repaired=counts, notes=notes)
+    return RowTimes(times, None, words, True, repaired=counts, notes=notes)
 
 
 def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
@@ -219,7 +219,7 @@ def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
 def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
     """Return a note if stamps and recording times use different clocks, else ()."""
     delay = float(np.median(log_time - stamp)) / 1e9
-    if abs(delay) * 1e9 <= LATENCY_NS:
+    if abs(delay) <= MAX_DELAY_S:
         return ()
     return (f"header stamps and log times differ by {delay:.3f} s (median): two clocks; header stamps are used",)
 
@@ -241,14 +241,14 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
     if not pairs or any(np.diff(stamp).min(initial=0) < 0 for _, stamp in pairs):
         return None
     offsets = [int(np.median(log_time - stamp)) for log_time, stamp in pairs]
-    if min(abs(offset) for offset in offsets) < LATENCY_NS or np.ptp(offsets) > SAME_CLOCK_NS:
+    if min(abs(offset) for offset in offsets) < MAX_DELAY_S * 1e9 or np.ptp(offsets) > SAME_CLOCK_NS:
         return None
     log_time, stamp = max(pairs, key=lambda pair: len(pair[0]))
     keep = np.append(np.diff(log_time) > 0, True)
     return log_time[keep], stamp[keep]
 
 
-def on_clock(clock: Clock, known: tuple[Ints, Ints]) -> Clock:
+def on_clock(clock: RowTimes, known: tuple[Ints, Ints]) -> RowTimes:
     """Convert a stream's recording times to the clock on which other topics' stamps are.
 
     `known`: log times and stamps (n,) of another topic, the result of `common_clock`, to interpolate in.

@@ -18,9 +18,9 @@ from locfuse.formats.caps import MAX_TEXT_FILE
 from locfuse.formats.geometry import quaternions
 from locfuse.formats.inputs import csv_rows, read_small
 from locfuse.formats.visible import visible
-from locfuse.fusion.data import END_OF_TIME, Array, Column, Ints, LocfuseError
+from locfuse.fusion.data import END_OF_TIME, PLANE_ROWS, Array, Column, Ints, LocfuseError
 
-from .clock import Clock, MadeStream
+from .clock import MadeStream, RowTimes
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POINT = "geometry_msgs/msg/PointStamped"
@@ -29,7 +29,6 @@ RANGES = "locfuse/msg/Ranges"
 SUFFIXES = (".tum", ".csv", ".txt")
 TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
 HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
-PLANAR = (0, 1, 5)  # indices of x, y and yaw in a ROS pose covariance
 COVARIANCE_COLUMNS = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
 MAX_IDENT = 2**53  # integers below are exact as floats
 MIN_NS = 1e14  # larger times are nanoseconds, smaller ones seconds
@@ -45,7 +44,7 @@ def in_time_order(
     order = np.argsort(t_ns, kind="stable")
     t_ns = t_ns[order]
     columns = {name: np.asarray(column)[order] for name, column in data.items()}
-    return MadeStream(topic, msgtype, t_ns, columns, clock=Clock(t_ns, None, words, by_stamps=True))
+    return MadeStream(topic, msgtype, t_ns, columns, clock=RowTimes(t_ns, None, words, by_stamps=True))
 
 
 def is_file_topic(name: str) -> bool:
@@ -153,7 +152,9 @@ def _table_of_poses(
     if not set(COVARIANCE_COLUMNS) <= at.keys():
         return _poses(path, times, position, q, None)
     P = np.zeros((len(times), 6, 6))
-    for (i, j), name in zip(itertools.combinations_with_replacement(PLANAR, 2), COVARIANCE_COLUMNS, strict=True):
+    for (i, j), name in zip(
+        itertools.combinations_with_replacement(PLANE_ROWS, 2), COVARIANCE_COLUMNS, strict=True
+    ):
         P[:, i, j] = P[:, j, i] = column(name)
     return _poses(path, times, position, q, P)
 

@@ -281,7 +281,7 @@ class LogStream:
         return self._log.read({self._recorded: ()})[self._recorded]
 
     @cached_property
-    def clock(self) -> clocks.Clock:
+    def clock(self) -> clocks.RowTimes:
         """The times of the rows, and where they come from: header stamps or recording times."""
         table = self._table
         assert table.log_time is not None

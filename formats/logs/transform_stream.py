@@ -45,7 +45,7 @@ class FrameEdge(NamedTuple):
 
     parent: str
     child: str
-    clock: clocks.Clock
+    clock: clocks.RowTimes
     log_time: Ints  # (n,) ns
     stamp: Ints  # (n,) ns
     values: Array  # (n, 7) x, y, z [m], quaternion x, y, z, w

@@ -23,7 +23,7 @@ from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
 from locfuse.formats.columns import concat, take, view
 from locfuse.fusion.data import Column, Ints, Ragged
 
-from .fields import Part, resolve
+from .fields import FieldPart, resolve
 from .schema import Decoded, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text
 
 UINT32 = struct.Struct("<I")
@@ -261,7 +261,7 @@ NO_MESSAGES = Group(NOTHING, Layout(0, True, NOTHING, NOTHING.astype(np.uint32),
 class Request(msgspec.Struct):
     """Resolved fields of one message type, with the layouts found so far."""
 
-    fields: dict[str, tuple[Part, ...]]  # (seconds, nanoseconds) for a stamp
+    fields: dict[str, tuple[FieldPart, ...]]  # (seconds, nanoseconds) for a stamp
     wanted: dict[str, Any] = field(default_factory=dict)
     layouts: list[Layout] = field(default_factory=list)  # most recent first
 
@@ -373,7 +373,7 @@ def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) ->
     return same, tails
 
 
-def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[Part, ...]) -> Column:
+def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[FieldPart, ...]) -> Column:
     """Return one field of all messages as a column, in the order of the batch."""
     if len(parts) == 2:
         return _nanoseconds(*(_gather(data, start, groups, (part,)) for part in parts))
@@ -391,7 +391,7 @@ def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
     return total
 
 
-def _leaf(data: Bytes, start: Ints, group: Group, part: Part) -> Column:
+def _leaf(data: Bytes, start: Ints, group: Group, part: FieldPart) -> Column:
     """Return one field of a group's messages as a column."""
     # without messages only the column's type matters: take any offset
     leaf = group.layout.leaves.get(part.path, Leaf() if len(start) else Leaf([0], [0]))
@@ -421,7 +421,7 @@ def _arrays(data: Bytes, start: Ints, group: Group, leaf: Leaf, element: Scalar)
     return _rows(_numbers(data, start[:, None] + offsets, element.dtype, group.layout.little))
 
 
-def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: Part) -> Column:
+def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: FieldPart) -> Column:
     """Return an array field as a column: a matrix if its length is fixed, else ragged rows; bytes for uint8."""
     node, tail, little = cast("Many", part.node), group.layout.tail, group.layout.little
     element = cast("Scalar", node.element)

@@ -17,7 +17,7 @@ class FieldError(KeyError):
     """Error: the message type lacks the field, or it cannot be a column; the text is the reason."""
 
 
-class Part(NamedTuple):
+class FieldPart(NamedTuple):
     """A resolved field of a message; a stamp has two parts, seconds and nanoseconds."""
 
     path: str
@@ -30,7 +30,7 @@ LENGTH = "length"  # last name of a path to the lengths of arrays in an array: "
 OR = "|"  # between alternative names of a field in releases of a package: "k|K"
 
 
-def resolve(message: Structure, path: str) -> tuple[Part, ...]:
+def resolve(message: Structure, path: str) -> tuple[FieldPart, ...]:
     """Return the parts of a field path; of alternatives "a|b", those of the first that the message has.
 
     Raises FieldError with the most similar name if it has none. Arrays inside an array become one concatenated
@@ -43,13 +43,13 @@ def resolve(message: Structure, path: str) -> tuple[Part, ...]:
     return _resolve(message, last)
 
 
-def _resolve(message: Structure, path: str) -> tuple[Part, ...]:
+def _resolve(message: Structure, path: str) -> tuple[FieldPart, ...]:
     node: Node = message
     inside, depth = False, 0
     walked: list[str] = []
     for name in path.split("."):
         if name == LENGTH and inside and isinstance(node, Many) and not isinstance(node.element, Structure):
-            return (Part(".".join(walked), LengthCounts(), inside=True),)
+            return (FieldPart(".".join(walked), LengthCounts(), inside=True),)
         if isinstance(node, Many) and isinstance(node.element, Structure):
             node, inside, depth = node.element, True, depth + 1
         if not isinstance(node, Structure):
@@ -61,12 +61,12 @@ def _resolve(message: Structure, path: str) -> tuple[Part, ...]:
     if isinstance(node, Many) and isinstance(node.element, Structure) and node.element.is_time and not inside:
         node, inside = node.element, True
     if isinstance(node, Structure) and node.is_time:
-        return tuple(Part(f"{path}.{name}", part, inside) for name, part in node.fields.items())
+        return tuple(FieldPart(f"{path}.{name}", part, inside) for name, part in node.fields.items())
     if isinstance(node, Structure) or (isinstance(node, Many) and isinstance(node.element, Structure | Many)):
         raise FieldError(f"{path} is a structure: name a part of it")
     if isinstance(node, Many) and inside and not isinstance(node.element, Scalar | Text):
         raise FieldError(f"{path} is an array inside an array: it cannot be a column")
-    return (Part(path, node, inside, depth),)
+    return (FieldPart(path, node, inside, depth),)
 
 
 def _no_field(node: Structure, walked: list[str], name: str) -> str:
@@ -86,7 +86,7 @@ def frame_path(message: Structure) -> str | None:
     return next((path for path, parts in found if parts and isinstance(parts[0].node, Text)), None)
 
 
-def _resolved(message: Structure, path: str) -> tuple[Part, ...]:
+def _resolved(message: Structure, path: str) -> tuple[FieldPart, ...]:
     try:
         return resolve(message, path)
     except FieldError:
@@ -210,7 +210,7 @@ TF = "transforms."  # one value for each transform of a message
 TF_TEXTS = ("frame_id",)
 
 
-def kind_of(parts: Sequence[Part]) -> str:
+def kind_of(parts: Sequence[FieldPart]) -> str:
     """Return the kind of a resolved field, such as NUMBER, TEXTS or "9 numbers"."""
     first = parts[0]
     if len(parts) == 2:
@@ -246,7 +246,7 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
     return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path, ())
 
 
-def check_kind(msgtype: str, path: str, parts: Sequence[Part]) -> None:
+def check_kind(msgtype: str, path: str, parts: Sequence[FieldPart]) -> None:
     """Raise FieldError if a field's kind is not accepted."""
     found, accepted = kind_of(parts), expected(msgtype, path)
     if accepted and found not in accepted:

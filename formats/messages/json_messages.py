@@ -20,7 +20,7 @@ from locfuse.formats.caps import MAX_DEPTH, MAX_MESSAGE
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import Column, Ints, Ragged
 
-from .fields import Part, resolve
+from .fields import FieldPart, resolve
 from .schema import (
     TIMES,
     Decoded,
@@ -42,7 +42,7 @@ NANOSECONDS = ("nsec", "nanosec", "nsecs")
 NAN = float("nan")
 
 
-def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -> Column:
+def column(objects: list[dict[str, Any]], path: str, parts: tuple[FieldPart, ...]) -> Column:
     """Return one field of all messages as a column; `parts` is the resolved `path`."""
     inside = parts[0].inside
     if inside and isinstance(parts[0].node, Many | LengthCounts):
@@ -60,7 +60,7 @@ def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) ->
     return [_text(v) for v in values] if isinstance(node, Text) else _scalars(node, values)
 
 
-def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
+def _nested(part: FieldPart, objects: list[dict[str, Any]]) -> Column:
     """Return the arrays inside an array as a column: for each message, their numbers or strings in one row.
 
     For the field "PATH.length" return their lengths instead.

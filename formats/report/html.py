@@ -20,7 +20,7 @@ from markupsafe import Markup
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
-from locfuse.formats.figures.svg import HEIGHT, WIDTH, svg
+from locfuse.formats.figures.svg import HEIGHT_PX, WIDTH_PX, svg
 from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 VERDICT_CLASSES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
-SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
+SIZES = {1: (860, 500), 2: (WIDTH_PX, HEIGHT_PX), 3: (330, 190)}  # px of a panel by columns in its section
 FIRST_SIZE = (620, 470)  # px of the picture of the paths, beside the verdicts
 FIRST_SECTION = "trajectories"  # the section whose figure is beside the verdicts
 HEADING = re.compile(r'<section id="([\w-]+)">\s*(?:<details>\s*<summary>)?<h2>(.*?)</h2>')

@@ -20,10 +20,10 @@ from .render import Swatches, html, html_text
 from .table import of_words, texts
 from .tables import configurations
 
-WIDTH, HEIGHT = 640, 420  # px of the figure of the paths
+WIDTH_PX, HEIGHT_PX = 640, 420  # px of the figure of the paths
 
 
-class Picture(NamedTuple):
+class NotebookFigure(NamedTuple):
     """A figure of the report for display in a notebook, by `_repr_svg_`."""
 
     panel: Panel
@@ -37,8 +37,8 @@ class Picture(NamedTuple):
         css = (files(__package__) / "report.css").read_text(encoding="utf-8").splitlines()
         of_figures = [line for line in css if line.startswith((":root", "@media (prefers", ".fig"))]
         style = style_sheet("".join(of_figures), swatches).replace("<", "\\3c ")
-        drawn = svg(self.panel, "paths", swatches.slugs, WIDTH, HEIGHT, swatches.looks)
-        opening = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" width="{WIDTH}"'
+        drawn = svg(self.panel, "paths", swatches.slugs, WIDTH_PX, HEIGHT_PX, swatches.looks)
+        opening = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" width="{WIDTH_PX}"'
         return f"{opening}{drawn.removeprefix('<svg')}".replace("<title", f"<style>{style}</style><title", 1)
 
     def html(self) -> str:

@@ -80,7 +80,7 @@ class CovarianceConsistency(Struct):
     words: str
 
 
-class Reference(Struct):
+class ReportedReference(Struct):
     """The reference used instead of truth: a smoothed solution of the whole drive."""
 
     sensors: list[str]  # sensors of the solution, besides the wheels
@@ -91,7 +91,7 @@ class Reference(Struct):
     words: str = ""  # its description, as a sentence
 
 
-class Jump(Struct):
+class ReportedJump(Struct):
     """A jump of the estimate: a correction of a wheel slip, a relocalisation or a loop closure."""
 
     t_s: float
@@ -115,10 +115,10 @@ class WithoutTruth(Struct):
     revisit_agreement: Figure = None  # share of a scan's points that lie on an earlier scan of the place
     crispness_cells: Figure = None  # number of 5 cm cells with points of all scans: on one drive fewer is better
     smoothed_distance_m: SmoothedDistance | None = None  # to the smoothed path; null without one
-    events: list[Jump] = []  # jumps of the pose
+    events: list[ReportedJump] = []  # jumps of the pose
 
 
-class Result(WithoutTruth, Struct, kw_only=True):
+class ReportedResult(WithoutTruth, Struct, kw_only=True):
     """The figures of one configuration, filtered or smoothed."""
 
     configuration: str  # the set of sensors: "odometry", "compass+lrf", "all"
@@ -149,7 +149,7 @@ class Result(WithoutTruth, Struct, kw_only=True):
     distance_m: float  # length of the estimated path
     consistency: CovarianceConsistency | None = None
     jitter: dict[str, Any] | None = None  # figure -> least and most over runs on jittered drives; path_moved_m
-    reference: Reference | None = None  # reference of the errors; null: the truth, or none
+    reference: ReportedReference | None = None  # reference of the errors; null: the truth, or none
     void: Void | None = None  # why error figures are null although they could be computed
 
 
@@ -170,7 +170,7 @@ class Validity(Struct):
     void: bool = True  # false: doubtful, a wrong setting spoils them
 
 
-class Trial(Struct):
+class ReportedTrial(Struct):
     """One configuration's figures before or after a fix."""
 
     position_rmse_m: Figure
@@ -185,8 +185,8 @@ class Tried(Struct):
     """Figures of the log without and with a fix."""
 
     configuration: str
-    before: Trial
-    after: Trial
+    before: ReportedTrial
+    after: ReportedTrial
 
 
 class ReportedFinding(Struct):
@@ -201,7 +201,7 @@ class ReportedFinding(Struct):
     harmless: bool = False  # an alternative changes little; false without a fix: all make the result worse
 
 
-class Truth(Struct):
+class ReportedTruth(Struct):
     """The ground truth: topic and extent."""
 
     topic: str
@@ -230,8 +230,8 @@ class _Common(Struct):
     locfuse: str  # version that wrote the report
     made_with: MadeWith
     input: Input
-    configurations: dict[str, Result]  # name -> figures
-    truth: Truth | None
+    configurations: dict[str, ReportedResult]  # name -> figures
+    truth: ReportedTruth | None
     absent: dict[str, str]  # sensor -> why the log has none
     notes: list[str]
     settings: dict[str, Any]  # the effective robot.toml
@@ -245,7 +245,7 @@ class Report(_Common):
     findings: list[ReportedFinding] | None = None  # null: the log was not evaluated
     fixes: list[str] | None = None  # all fixes together, "table.key=value" each
     validity: list[Validity] = []  # why figures are void or doubtful
-    reference: Reference | None = None  # reference of all sensors, used instead of truth; null: not used
+    reference: ReportedReference | None = None  # reference of all sensors, used instead of truth; null: not used
     verdicts: dict[str, Verdict] = {}  # sensor -> verdict; only of a comparison
     credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
     prediction: dict[str, Any] | None = (

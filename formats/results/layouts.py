@@ -19,7 +19,7 @@ POSITION = {"Odometry": "pose.pose.position", "PoseStamped": "pose.position", "P
 CURVES = ("x", "y", "turn rate")  # [m], [m], [rad/s]
 
 
-class Shown(NamedTuple):
+class ShownTopic(NamedTuple):
     """A topic with positions, and its colour."""
 
     topic: str
@@ -34,7 +34,7 @@ def layouts(topics: Mapping[str, str]) -> dict[str, str]:
     return {FOXGLOVE: _foxglove(shown, paths), PLOTJUGGLER: _plotjuggler(shown)}
 
 
-def _shown(topics: Mapping[str, str]) -> Iterator[Shown]:
+def _shown(topics: Mapping[str, str]) -> Iterator[ShownTopic]:
     colours = cycle(COLOURS)
     for topic, msgtype in topics.items():
         kind = msgtype.rpartition("/")[2]
@@ -42,10 +42,10 @@ def _shown(topics: Mapping[str, str]) -> Iterator[Shown]:
             fields = {axis: f"{POSITION[kind]}.{axis}" for axis in ("x", "y")}
             odometry = kind == "Odometry"
             fields |= {"turn rate": "twist.twist.angular.z"} if odometry else {}
-            yield Shown(topic, fields, next(colours) if odometry else TRUTH)
+            yield ShownTopic(topic, fields, next(colours) if odometry else TRUTH)
 
 
-def _foxglove(shown: Sequence[Shown], paths: Sequence[str]) -> str:
+def _foxglove(shown: Sequence[ShownTopic], paths: Sequence[str]) -> str:
     """Return a Foxglove layout as JSON, for "Import from file"."""
     colour = {s.topic.rpartition("/")[0]: s.colour for s in shown}
     drawn: dict[str, Any] = {s.topic: {"visible": True} for s in shown}
@@ -76,7 +76,7 @@ def _foxglove(shown: Sequence[Shown], paths: Sequence[str]) -> str:
     return json.dumps(whole, indent=1) + "\n"
 
 
-def _plotjuggler(shown: Sequence[Shown]) -> str:
+def _plotjuggler(shown: Sequence[ShownTopic]) -> str:
     """Return a PlotJuggler layout as XML, for --layout."""
     root = ET.Element("root")
     tabs = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
@@ -97,7 +97,7 @@ def _tab(tabs: ET.Element, name: str, plots: int) -> ET.Element:
     return ET.SubElement(container, "DockSplitter", orientation="-", count=str(plots), sizes=sizes)
 
 
-def _area(split: ET.Element, mode: str, curves: Sequence[tuple[Shown, dict[str, str]]]) -> None:
+def _area(split: ET.Element, mode: str, curves: Sequence[tuple[ShownTopic, dict[str, str]]]) -> None:
     """Add a plot of curves: y over x for mode XYPlot, a series over time for TimeSeries."""
     area = ET.SubElement(split, "DockArea", name="...")
     plot = ET.SubElement(area, "plot", mode=mode, style="Lines", flip_x="false", flip_y="false")

@@ -30,10 +30,10 @@ from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
 from locfuse.formats.messages.fields import resolve
 from locfuse.formats.messages.schema import Many, Node, Scalar, parse
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth, matrices
+from locfuse.fusion.data import PLANE_ROWS, Array, Drive, Estimates, Ints, LocfuseError, Truth, matrices
 
 from .recovered_log import copy_messages
-from .trajectory import PLANAR, stamps, with_truth_rows
+from .trajectory import stamps, with_truth_rows
 
 MESSAGES = StandardMessages()
 Columns = Mapping[str, NDArray[Any]]  # dotted path of a field -> numbers (n,), or (n, k) for an array of k
@@ -92,7 +92,7 @@ def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str
 
     def columns(rows: slice) -> Columns:
         covariance = np.zeros((len(t_ns[rows]), 6, 6))
-        covariance[:, np.array(PLANAR)[:, None], PLANAR] = matrices(triangles[rows])
+        covariance[:, np.array(PLANE_ROWS)[:, None], PLANE_ROWS] = matrices(triangles[rows])
         return {
             **stamp_columns("header.stamp", t_ns[rows]),
             **_pose("pose.pose", pose[rows]),

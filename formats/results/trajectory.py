@@ -9,10 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Ints, Truth, matrices, upper_triangles
+from locfuse.fusion.data import (
+    PLANE_ROWS,
+    VERDICTS,
+    Array,
+    Audit,
+    Drive,
+    Estimates,
+    Ints,
+    Truth,
+    matrices,
+    upper_triangles,
+)
 
 LINES_AT_ONCE = 4096  # lines per block; as Python values they take ten times their size
-PLANAR = (0, 1, 5)  # indices of x, y, theta among x, y, z, roll, pitch, yaw
 TUM_COVARIANCE_HEADER = "# t x y z qx qy qz qw, then P by rows, upper triangle: " + " ".join(
     f"P_{i}_{j}" for i, j in itertools.combinations_with_replacement(("x", "y", "z", "roll", "pitch", "yaw"), 2)
 )
@@ -84,7 +94,7 @@ def tum_covariance_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
     yield f"{TUM_COVARIANCE_HEADER}\n"
     _, _, triangles = with_truth_rows(drive, estimates)
     P = np.zeros((len(triangles), 6, 6))
-    P[:, np.array(PLANAR)[:, None], PLANAR] = matrices(triangles)
+    P[:, np.array(PLANE_ROWS)[:, None], PLANE_ROWS] = matrices(triangles)
     rows = "".join(tum_blocks(drive, estimates)).splitlines()
     for row, upper in zip(rows, P[:, *np.triu_indices(6)].tolist(), strict=True):
         yield f"{row} {' '.join(map(repr, upper))}\n"

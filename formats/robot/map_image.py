@@ -22,7 +22,7 @@ from .ros_yaml import by_yaml
 
 SUFFIXES = (".yaml", ".yml")
 PICTURES = (".pgm", ".png")
-OCCUPIED, FREE = 0.65, 0.25  # default thresholds of map_server
+OCCUPIED_SHARE, FREE_SHARE = 0.65, 0.25  # default thresholds of map_server
 UNKNOWN_GREY = 205  # value that map_saver writes for unknown cells, independent of the thresholds
 MAX_CELL_M = 10.0
 ROWS_AT_ONCE = 256  # rows of an image: as float64 it takes eight times its bytes
@@ -44,7 +44,10 @@ def read(path: Path) -> MapImage:
     image = _text(keys, "image", path)
     file = Path(image) if Path(image).is_absolute() else path.parent / image
     pixels, negate = _pixels(file), bool(_number(keys, "negate", path, 0.0))
-    least, most = _number(keys, "occupied_thresh", path, OCCUPIED), _number(keys, "free_thresh", path, FREE)
+    least, most = (
+        _number(keys, "occupied_thresh", path, OCCUPIED_SHARE),
+        _number(keys, "free_thresh", path, FREE_SHARE),
+    )
     occupied, free = np.zeros((2, *pixels.shape[:2]), dtype=bool)
     for row in range(0, len(pixels), ROWS_AT_ONCE):
         some = slice(row, row + ROWS_AT_ONCE)
@@ -66,7 +69,9 @@ def of_message(data: Any, width: int, height: int, cell: float, origin: Array, n
         raise LocfuseError(f"{name}: a map with cells of {cell:g} m at {origin.tolist()} lies nowhere")
     grid = cells.reshape(height, width)
     known = grid != UNKNOWN_CELL
-    return checked(MapImage(known & (grid > 100 * OCCUPIED), known & (grid < 100 * FREE), cell, origin), name)
+    return checked(
+        MapImage(known & (grid > 100 * OCCUPIED_SHARE), known & (grid < 100 * FREE_SHARE), cell, origin), name
+    )
 
 
 def checked(found: MapImage, name: str) -> MapImage:

@@ -22,7 +22,7 @@ from locfuse.fusion.data import LocfuseError
 from .ros_yaml import by_yaml
 
 X, Y, YAW, SPEED, TURN, ACCELERATION = 0, 1, 5, 6, 11, 12  # indices of the switches
-SWITCHES = 15
+SWITCH_COUNT = 15
 INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
 INPUT_KEY = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
 USED_OF_INPUT = ("config", "differential", "relative")
@@ -120,10 +120,10 @@ def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | 
         return None
     if (
         not isinstance(switches, list)
-        or len(switches) != SWITCHES
+        or len(switches) != SWITCH_COUNT
         or not all(isinstance(s, bool) for s in switches)
     ):
-        raise LocfuseError(f"{path}: {name}_config is not {SWITCHES} times true or false")
+        raise LocfuseError(f"{path}: {name}_config is not {SWITCH_COUNT} times true or false")
     differential, relative = (parameters.get(f"{name}_{key}") is True for key in ("differential", "relative"))
     return EkfInput(name, name.rstrip("0123456789"), topic, tuple(switches), differential, relative)
 
@@ -189,8 +189,8 @@ def _start(path: Path, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any
     state = parameters.get("initial_state")
     if state is None:
         return {}
-    if not isinstance(state, list) or len(state) != SWITCHES or not all(_finite(value) for value in state):
-        raise LocfuseError(f"{path}: initial_state is not {SWITCHES} numbers")
+    if not isinstance(state, list) or len(state) != SWITCH_COUNT or not all(_finite(value) for value in state):
+        raise LocfuseError(f"{path}: initial_state is not {SWITCH_COUNT} numbers")
     if not any(state[place] for place in (X, Y, YAW)):
         return {}
     start = {"x": float(state[X]), "y": float(state[Y]), "theta_deg": math.degrees(state[YAW])}

@@ -14,7 +14,7 @@ from locfuse.formats.visible import visible
 from locfuse.fusion.data import LocfuseError
 
 from . import robot_localization as ekf
-from .ros_yaml import RosFile, Section
+from .ros_yaml import NodeSection, RosFile
 
 OF_EVERY_NODE = ("use_sim_time", r"qos_overrides\..+", "<<")
 
@@ -102,12 +102,12 @@ NODES = {
 }
 
 
-def sections_of(file: RosFile, target: str) -> list[Section]:
+def sections_of(file: RosFile, target: str) -> list[NodeSection]:
     """Return the sections of a file that belong to a kind of node (a key of NODES)."""
     return [s for s in file.sections if any(re.fullmatch(NODES[target].distinctive, key) for key in s.at)]
 
 
-def section_of(file: RosFile, target: str, name: str | None = None) -> Section:
+def section_of(file: RosFile, target: str, name: str | None = None) -> NodeSection:
     """Return the only section of a kind of node in a file; `name` selects one node of several.
 
     Raises LocfuseError for no or several sections, another controller type or unknown keys.

@@ -78,7 +78,7 @@ class Setting(msgspec.Struct, frozen=True):
         return self.words if place is None or not rows else self.row_words[place // self.row]
 
 
-class Section(NamedTuple):
+class NodeSection(NamedTuple):
     """The parameters of one node in a file; keys of nested parameters are joined by dots ("encoder.noise")."""
 
     name: str
@@ -98,7 +98,7 @@ class RosFile(NamedTuple):
 
     path: Path
     text: str
-    sections: tuple[Section, ...]
+    sections: tuple[NodeSection, ...]
 
 
 # --- a new file
@@ -186,7 +186,7 @@ def _is_mapping(node: Any) -> bool:
     return getattr(node, "id", "") == "mapping"
 
 
-def _sections(root: Any, path: Path) -> Iterator[Section]:
+def _sections(root: Any, path: Path) -> Iterator[NodeSection]:
     """Yield the sections of a file: one per mapping `ros__parameters`.
 
     A file without these (ROS 1) has one section for its top level, and one for each mapping directly in it.
@@ -203,7 +203,7 @@ def _sections(root: Any, path: Path) -> Iterator[Section]:
                 raise LocfuseError(names_its_cap(f"{path}: too many keys", len(at), MAX_KEYS))
             at[key] = None if key in at else node
             shared |= {key} if under else set()
-        yield Section(name, at, mapping.start_mark.index, mapping.end_mark.index, frozenset(shared))
+        yield NodeSection(name, at, mapping.start_mark.index, mapping.end_mark.index, frozenset(shared))
 
 
 def _below(mapping: Any, name: str, anchored: bool, seen: set[int]) -> Iterator[tuple[str, Any, bool]]:
@@ -250,7 +250,7 @@ def _plain(node: Any) -> Any:
     return node.value.lower() == "true" if kind == "bool" else None if kind == "null" else node.value
 
 
-def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tuple[str, list[Setting]]:
+def changed(file: RosFile, section: NodeSection, settings: Sequence[Setting]) -> tuple[str, list[Setting]]:
     """Return the file's text with the new values, and the settings whose key the section lacks.
 
     Raises LocfuseError for a value that cannot be replaced.
@@ -299,7 +299,7 @@ def _update_comment(
 
 
 def _update_notes(
-    file: RosFile, section: Section, settings: Sequence[Setting], spans: dict[tuple[int, int], str]
+    file: RosFile, section: NodeSection, settings: Sequence[Setting], spans: dict[tuple[int, int], str]
 ) -> None:
     """Add the new comments of settings without a value to `spans`, {(begin, end): new text}.
 
@@ -314,7 +314,7 @@ def _update_notes(
 
 
 def _changed_values(
-    file: RosFile, section: Section, setting: Setting
+    file: RosFile, section: NodeSection, setting: Setting
 ) -> Iterator[tuple[int | None, Any, float | bool | str]]:
     """Yield (list index or None, YAML node, new value) of every scalar that a setting changes."""
     node, value = section.at[setting.key], setting.value

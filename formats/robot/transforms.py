@@ -62,7 +62,7 @@ class StaticTransforms(msgspec.Struct, frozen=True):
     ] = ()  # first value of frames that move on the robot; sensors on them have no mount
 
 
-class Mount(msgspec.Struct, frozen=True):
+class FrameMount(msgspec.Struct, frozen=True):
     """Pose of a sensor on the base: metres, radians, base frame (x forward, y left, z up)."""
 
     base: str  # base frame
@@ -181,7 +181,7 @@ def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
     return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
 
 
-def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame: str) -> Mount | None:
+def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame: str) -> FrameMount | None:
     """Return the pose of `frame` in the first connected frame of `base_frames`; None without one."""
     wanted = frame.lstrip("/")
     at = neighbours((edge.parent, edge.child, edge.T_parent_child) for edge in transforms.edges)
@@ -192,7 +192,7 @@ def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame
                 T = T @ (inverse_of(edge) if backward else edge)
             roll, pitch, yaw = roll_pitch_yaw(T[:3, :3])
             x, y, z = (float(value) for value in T[:3, 3])
-            return Mount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < MAX_FLIPPED_COSINE))
+            return FrameMount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < MAX_FLIPPED_COSINE))
     return None
 
 

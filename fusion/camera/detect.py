@@ -22,7 +22,7 @@ from locfuse.fusion.data import Stream
 from . import panorama, radial
 from .images import coarse_size, decode, messages
 from .optics import Optics
-from .panorama import Candidate, Picture, Red
+from .panorama import Picture, Red, RedCandidate
 
 Chain = Literal["fast", "paper", "printed"]
 MAX_THREADS = 4  # more threads only wait for the interpreter lock
@@ -34,7 +34,7 @@ class Detection(NamedTuple):
 
     shape: tuple[int, int]  # px, height and width
     optics: Optics
-    candidates: list[Candidate]
+    candidates: list[RedCandidate]
 
 
 class Detector(msgspec.Struct, frozen=True):

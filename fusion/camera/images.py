@@ -19,7 +19,7 @@ MIN_TAIL_BYTES = 8  # bytes, less than follow a frame header
 FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF markers: the frame's size follows
 BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
 END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the frame header comes before
-COLOURS = 3  # components of a colour picture: Y, Cb, Cr
+COLOUR_COMPONENTS = 3  # components of a colour picture: Y, Cb, Cr
 Picture = NDArray[np.uint8]
 PICTURES_AT_ONCE = 16  # pictures held undecoded at a time
 # reasons why a message has no picture
@@ -49,9 +49,9 @@ def image_size(data: memoryview) -> tuple[int, int] | None:
 
 def _is_coarse(data: memoryview, at: int | None) -> bool:
     """Return whether a JPEG, frame header at index `at`, has colour at half resolution (4:2:0, 4:2:2)."""
-    if at is None or len(data) < at + 10 + 3 * COLOURS or data[at + 9] != COLOURS:
+    if at is None or len(data) < at + 10 + 3 * COLOUR_COMPONENTS or data[at + 9] != COLOUR_COMPONENTS:
         return False
-    sampling = [data[at + 11 + 3 * k] for k in range(COLOURS)]  # horizontal in the high half of the byte
+    sampling = [data[at + 11 + 3 * k] for k in range(COLOUR_COMPONENTS)]  # horizontal in the high half of the byte
     return all(sampling[0] >> 4 >= 2 * (other >> 4) > 0 for other in sampling[1:])
 
 

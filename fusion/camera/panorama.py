@@ -44,7 +44,7 @@ class Red(NamedTuple):
         return self._replace(length=self.length / 2.0)
 
 
-class Candidate(NamedTuple):
+class RedCandidate(NamedTuple):
     """Vertical red object in a picture."""
 
     theta: float  # rad, picture angle of its middle, [0, 2 pi)
@@ -54,14 +54,14 @@ class Candidate(NamedTuple):
     width: float  # rad
     radius: float  # px, middle of its length
 
-    def doubled(self) -> Candidate:
+    def doubled(self) -> RedCandidate:
         """Return a candidate found in a half-size picture, in pixels of the full picture.
 
         The resolution of its edge is EDGE_PX in the full picture, since the colour had half resolution anyway.
         """
         length, radius = 2.0 * self.length, 2.0 * self.radius
         known = variance(self.theta, radius, length, self.width)
-        return Candidate(self.theta, known, 4.0 * self.pixels, length, self.width, radius)
+        return RedCandidate(self.theta, known, 4.0 * self.pixels, length, self.width, radius)
 
 
 def red_grey(picture: Picture, red: Red) -> Picture:
@@ -139,12 +139,12 @@ def _lines(found: Any) -> NDArray[np.int64]:
     return np.empty((0, 4), np.int64) if found is None else np.asarray(found, np.int64).reshape(-1, 4)
 
 
-def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False) -> list[Candidate]:
+def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False) -> list[RedCandidate]:
     """Return the vertical red objects in a BGR picture by the paper's method, largest first."""
     grey = red_grey(np.asarray(cv2.medianBlur(picture, 3), np.uint8), red)  # the paper's digital filter
     panorama = unwrap(grey, optics, printed)
     inner = 0.0 if printed else optics.inner
-    found: list[Candidate] = []
+    found: list[RedCandidate] = []
     taken = np.zeros(panorama.shape[1], bool)
     lines = vertical_lines(panorama, red)
     for x_p, top, bottom in lines[np.argsort(lines[:, 1] - lines[:, 2], kind="stable")].tolist():
@@ -171,7 +171,7 @@ def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
     return np.arange(left, right) + x_p - width // 2, profile[left:right]
 
 
-def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inner: float) -> Candidate:
+def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inner: float) -> RedCandidate:
     """Return the candidate in these columns of the panorama, with its weighted mean column."""
     width = panorama.shape[1]
     area = panorama[:, columns % width] > 0
@@ -182,7 +182,7 @@ def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inne
     pixels = float((area.sum(axis=1)[rows] * r).sum() * TAU / width)
     theta = float(picture_angle(np.asarray(x_p), width)) % TAU
     radius = float(r.mean())
-    return Candidate(theta, variance(theta, radius, len(rows), across), pixels, len(rows), across, radius)
+    return RedCandidate(theta, variance(theta, radius, len(rows), across), pixels, len(rows), across, radius)
 
 
 def cap(grey: NDArray[Any]) -> float:
@@ -201,7 +201,7 @@ def variance(theta: float, radius: float, length: float, width: float) -> float:
     return EDGE_PX**2 / (24.0 * max(radius, 1.0) ** 2 * crossed) + (SHADE_SHARE * width) ** 2
 
 
-def largest(found: list[Candidate], red: Red) -> list[Candidate]:
+def largest(found: list[RedCandidate], red: Red) -> list[RedCandidate]:
     """Return the candidates that are radial lines, largest first, at most MAX_CANDIDATES."""
     lines = [c for c in found if c.length >= max(red.length, red.slender * c.width * c.radius)]
     return sorted(lines, key=lambda c: (-c.pixels, c.theta))[:MAX_CANDIDATES]

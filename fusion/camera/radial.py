@@ -16,7 +16,7 @@ from locfuse.fusion.se2 import TAU
 
 from .opencv import cv2
 from .optics import Optics
-from .panorama import Candidate, Picture, Red, cap, largest, red_excess, red_share, room_for_planes, variance
+from .panorama import Picture, Red, RedCandidate, cap, largest, red_excess, red_share, room_for_planes, variance
 
 MIN_RED_NEIGHBOURS = 5  # of a pixel and its eight neighbours, so that their median is red
 MAX_GAP_PX = 2.0  # larger gaps along the circle separate two objects
@@ -45,7 +45,7 @@ def _planes(shape: tuple[int, ...]) -> list[Picture]:
     return planes
 
 
-def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
+def candidates(picture: Picture, optics: Optics, red: Red) -> list[RedCandidate]:
     """Return the vertical red objects in a BGR picture, largest first."""
     rows, columns, mirror = _window(*picture.shape[:2], optics)
     if mirror.size == 0:
@@ -90,7 +90,7 @@ def _without_edge(thing: Array) -> Array:
     return thing[:3, thing[1] < thing[1, edge].min() - 1.0] if edge.any() else thing[:3]
 
 
-def _measured(theta: Array, radius: Array, level: Array) -> Candidate | None:
+def _measured(theta: Array, radius: Array, level: Array) -> RedCandidate | None:
     """Return the candidate of an object's k pixels; None without pixels or if all are on the mirror's axis.
 
     Its middle is the weighted mean angle; a pixel's weight is its level, at most `cap`.
@@ -103,4 +103,4 @@ def _measured(theta: Array, radius: Array, level: Array) -> Candidate | None:
     length = float(len(np.unique((radius - near).astype(np.intp))))
     centre = 0.5 * float(near + radius.max())
     width = len(theta) / (length * centre)
-    return Candidate(middle, variance(middle, centre, length, width), len(theta), length, width, centre)
+    return RedCandidate(middle, variance(middle, centre, length, width), len(theta), length, width, centre)

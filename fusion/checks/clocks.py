@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD
+from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Stream, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -27,7 +27,7 @@ from locfuse.fusion.truth import body_poses
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
-from .lag import SAID_SIGMAS, Lag, Reference, by_parts, by_wheels, find_lag
+from .lag import SAID_SIGMAS, HeadingReference, Lag, by_parts, by_wheels, find_lag
 from .truth import MIN_START_ERROR_M, MIN_START_ERROR_RAD
 
 WINDOW_S = 1.0  # s over which distances are compared
@@ -40,7 +40,7 @@ SPEED_SIGMA_S = 0.03  # s, 1 sigma of a lag by speeds or positions
 MODEL_SIGMA_S = 0.002  # s, 1 sigma of a lag beyond the one by its readings
 # of chi-square: added for these clocks, so that others are preferred
 PREFERENCE_COST = {"truth": 0.1, "wheels": 0.2}
-NEAR = 4.0  # of chi-square: explanations that differ by less are equally good
+NEAR_CHI2 = 4.0  # of chi-square: explanations that differ by less are equally good
 CLOCK = "lag"  # code of the finding on a wrong clock
 LASER = "lrf"
 MAX_WRONG = 3  # clocks of one log
@@ -95,7 +95,9 @@ def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
         return []
     dt = np.diff(t)
     period = float(np.median(dt))
-    sigma = float(np.median(np.abs(dt - period))) / MAD / math.sqrt(2.0)  # it has the errors of two stamps
+    sigma = (
+        float(np.median(np.abs(dt - period))) / MAD_OF_NORMAL / math.sqrt(2.0)
+    )  # it has the errors of two stamps
     if sigma < max(MIN_SCATTER_S, MIN_SCATTER_SHARE * period):
         return []
     off = np.clip(dt, 0.0, 2.0 * period)  # of dropped readings, a part
@@ -225,8 +227,8 @@ def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: W
     Each sensor is the reference for the other once; the lag with the smaller sigma counts.
     """
     spans = [(float(t[0]), float(t[-1])) for t, _ in (one, other)]
-    there = find_lag(*one, Reference(partial(_interpolated, *other), spans[1], wheels.heading))
-    back = find_lag(*other, Reference(partial(_interpolated, *one), spans[0], wheels.heading))
+    there = find_lag(*one, HeadingReference(partial(_interpolated, *other), spans[1], wheels.heading))
+    back = find_lag(*other, HeadingReference(partial(_interpolated, *one), spans[0], wheels.heading))
     found = [there, None if back is None else back._replace(offset=-back.offset)]
     return min((lag for lag in found if lag is not None), key=lambda lag: lag.sigma, default=None)
 
@@ -249,7 +251,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
             cost = chi + sigmas**2 * count + sum(PREFERENCE_COST.get(name, 0.0) for name in off)
             found.append((cost, clocks))
     found.sort(key=lambda one: one[0])
-    best = [clocks for cost, clocks in found if cost < found[0][0] + NEAR]
+    best = [clocks for cost, clocks in found if cost < found[0][0] + NEAR_CHI2]
     if not best or not best[0]:
         return []
     named = (tuple(c for c in clocks if abs(c.offset) >= least) for clocks in best)
@@ -331,12 +333,12 @@ def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
     return None if found is None else found._replace(against="truth")
 
 
-def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
+def _by_headings(drive: Drive, truth: Truth | None) -> HeadingReference | None:
     """Return the truth's headings as the reference for a lag; None without headings."""
     if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
         return None
     span = (float(truth.t[0]), float(truth.t[-1]))
-    return Reference(
+    return HeadingReference(
         partial(_interpolated, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading, wanders=False
     )
 

@@ -37,7 +37,7 @@ MIN_SAID_LAG_S, SAID_SIGMAS = 0.01, 4.0  # s, sigmas: a smaller lag is not repor
 MIN_RMS_TURN_RAD = math.radians(3.0)  # smallest rms turn per window
 MIN_CORRELATION = 0.8
 MIN_WINDOWS = 20  # windows
-STRETCHES = 16  # of the drive, over which residuals are summed, for errors that are correlated
+STRETCH_COUNT = 16  # of the drive, over which residuals are summed, for errors that are correlated
 MIN_SIGMA_S = 5e-4  # s, as turning rates are differences over 0.1 s
 MAX_RESIDUAL_CORRELATION = 0.5  # of neighbouring residuals: with more they show no lag
 PARTS = 8  # of the drive: one at a time is left out
@@ -46,7 +46,7 @@ COARSE_OVERLAP = 4.0  # number of windows at any time, for the coarse search
 Heading = Callable[[Array], Array]  # [rad, not wrapped, up to a constant] at any time [s]
 
 
-class Reference(NamedTuple):
+class HeadingReference(NamedTuple):
     """Headings over time (of the wheels, the truth or a run) that a sensor's turns are compared with."""
 
     heading: Heading
@@ -93,12 +93,12 @@ class _Fit(NamedTuple):
     sigma: float  # s, its standard deviation
 
 
-def by_wheels(wheels: Wheels) -> Reference:
+def by_wheels(wheels: Wheels) -> HeadingReference:
     """Return the wheels' headings as the reference for a lag."""
-    return Reference(wheels.heading, (float(wheels.t[0]), float(wheels.t[-1])), wheels.heading)
+    return HeadingReference(wheels.heading, (float(wheels.t[0]), float(wheels.t[-1])), wheels.heading)
 
 
-def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
+def find_lag(t: Array, heading: Array, reference: HeadingReference) -> Lag | None:
     """Return the lag of headings (n,) [rad, unwrapped] at t (n,) [s] relative to a reference, or None.
 
     None if the robot hardly turned, or if the two agree at no lag.
@@ -166,7 +166,7 @@ def _best(turns: _Turns, heading: Heading) -> float | None:
     return float(lags[best]) + FINE_STEP_S * _vertex(*score[best - 1 : best + 2].tolist())
 
 
-def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | None:
+def _least_squares(start: float, turns: _Turns, reference: HeadingReference) -> _Fit | None:
     """Return the lag near `start` [s] by least squares of turns; None if the turns hardly agree.
 
     Gauss-Newton: a turn is the reference's turn times a scale, plus the lag times the change of the turning rate.
@@ -195,7 +195,7 @@ def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | 
     return _Fit(lag, sigma)
 
 
-def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) -> _Fit | None:
+def _by_residuals(start: float, t: Array, heading: Array, reference: HeadingReference) -> _Fit | None:
     """Return the lag near `start` [s] for which headings differ least from the reference; None if this shows none.
 
     None too if successive differences are correlated. The sigma is by sums over stretches of the drive, to allow
@@ -203,7 +203,7 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) 
     """
     inside = (t >= reference.span[0] + MAX_LAG_S) & (t <= reference.span[1] - MAX_LAG_S)
     t, heading = t[inside], heading[inside]
-    if len(t) < MIN_WINDOWS * STRETCHES:
+    if len(t) < MIN_WINDOWS * STRETCH_COUNT:
         return None
     lag, sigma = start, math.inf
     for _ in range(MAX_ITERATIONS):
@@ -223,7 +223,7 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) 
         lag += shift
         if abs(lag - start) > COARSE_STEP_S:
             return None
-        sums = np.array([part.sum() for part in np.array_split(rate * left, STRETCHES)])
+        sums = np.array([part.sum() for part in np.array_split(rate * left, STRETCH_COUNT)])
         sigma = math.sqrt(float(sums @ sums)) / squares
     return _Fit(lag, math.hypot(sigma, MIN_SIGMA_S))
 
@@ -235,7 +235,7 @@ def _without(column: Array, others: Array) -> Array:
     return rest
 
 
-def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
+def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the turns whose rate changes most (above the rms); `lag` [s] is added to times."""
     middle = 0.5 * (turns.start + turns.end) + lag
     before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
@@ -248,7 +248,7 @@ def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.boo
     return kept
 
 
-def _rate(reference: Reference, t: Array) -> Array:
+def _rate(reference: HeadingReference, t: Array) -> Array:
     """Return the turning rate [rad/s] of the wheels at times t (n,) [s]."""
     return (reference.wheels(t + RATE_SPAN_S / 2) - reference.wheels(t - RATE_SPAN_S / 2)) / RATE_SPAN_S
 

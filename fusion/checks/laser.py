@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split
-from locfuse.fusion.chi_square import MAD
+from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
@@ -37,7 +37,7 @@ OTHER_YAWS_RAD = (math.pi, 0.5 * math.pi, -0.5 * math.pi)
 # unexplained share of the walls' distance changes: for a good fit, for a usable one
 MAX_REST, MAX_TELLING_REST = 0.5, 1.0
 MIN_APPROACH_M = 0.01  # m
-STRETCHES = 8  # stretches of the drive whose estimates must agree
+STRETCH_COUNT = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
 WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
 SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
@@ -52,7 +52,7 @@ MIN_CORRELATION = 0.9  # of turns by walls and by wheels: with less, turns by wh
 MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, smallest sum of squared turns: on a straight path they are noise
 
 
-class Walls(NamedTuple):
+class WallPairs(NamedTuple):
     """k pairs of measurements of one wall from two positions of the laser, in time order."""
 
     y: Array  # (k,) decrease of the wall's distance [m]
@@ -64,7 +64,7 @@ class Walls(NamedTuple):
     since: Array  # (k,) time at the first position [s]
 
 
-class Motion(NamedTuple):
+class WallMotion(NamedTuple):
     """Distance scale and yaw error of the laser, and turn ratio of the wheels, by walls seen in two scans."""
 
     scale: float  # wheel distance per laser distance
@@ -78,7 +78,7 @@ class Motion(NamedTuple):
     bump: tuple[float, float] | None = None  # s, rad: time and size of a step of its yaw
 
 
-def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motion | None:
+def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> WallMotion | None:
     """Return laser scale, laser yaw error and turn ratio from walls seen in two scans; None with too few walls.
 
     `t` (n,) [s] are the times of the readings on the wheels' clock.
@@ -99,10 +99,10 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
     turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
     by_slips = slip_sigma(drive.wheels, t)
     bump = bumped(walls, scale)
-    return Motion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y), by_slips, bump)
+    return WallMotion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y), by_slips, bump)
 
 
-def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
+def bumped(walls: WallPairs, scale: float) -> tuple[float, float] | None:
     """Return the time [s] and size [rad] of a step of the laser's yaw during the drive; None without a step.
 
     By least squares, with one yaw before a time and one after it; the time is that of the best fit.
@@ -112,7 +112,7 @@ def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
         return None
     along, across = _along_across(walls)
     rest = walls.y - along / scale
-    limit = 3.0 / MAD * max(float(np.median(np.abs(rest))), 1e-4)
+    limit = 3.0 / MAD_OF_NORMAL * max(float(np.median(np.abs(rest))), 1e-4)
     rest, across = np.clip(rest, -limit, limit), across / scale
     split = best_split(across, rest, edge)
     left = rest - across * np.where(np.arange(n) <= split.at, split.before, split.after)
@@ -141,13 +141,13 @@ def _slope_sigma(across: Array, left: Array, stretches: int) -> float:
     return math.sqrt(stretches / (stretches - 3) * float(scores @ scores)) / squares
 
 
-def _by_mount(walls: Walls) -> Array:
+def _by_mount(walls: WallPairs) -> Array:
     """Return by how much each wall comes nearer (k, 2) per metre of an error of the mount, in x and in y."""
     (c, s), (x, y) = (np.cos(walls.by_wheels) - 1.0, np.sin(walls.by_wheels)), walls.n.T
     return np.stack((c * x + s * y, c * y - s * x), axis=-1)
 
 
-def _along_across(walls: Walls) -> tuple[Array, Array]:
+def _along_across(walls: WallPairs) -> tuple[Array, Array]:
     """Return the laser's motion along each wall's normal, and to the left of it, (k,) [m] each."""
     n, d = walls.n, walls.d
     return (n * d).sum(axis=1), n[:, 1] * d[:, 0] - n[:, 0] * d[:, 1]
@@ -156,7 +156,7 @@ def _along_across(walls: Walls) -> tuple[Array, Array]:
 class Looking(NamedTuple):
     """Fit of the laser's distance scale and yaw error to walls, from one initial guess of the yaw."""
 
-    walls: Walls
+    walls: WallPairs
     scale: float  # wheel distance per laser distance
     yaw: float  # rad, configured minus true yaw
     rest: float  # unexplained distance change of walls over the whole one: medians
@@ -184,7 +184,7 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
     return replace(m, z=np.stack((own + np.cos(psi) * mount[0] + np.sin(psi) * mount[1], psi), axis=-1))
 
 
-def of_radius(motion: Motion | None, robot: Robot, least: Least = WORTH_SAYING) -> list[Finding]:
+def of_radius(motion: WallMotion | None, robot: Robot, least: Least = WORTH_SAYING) -> list[Finding]:
     """Return a finding on the wheel radius if distances and turns of the wheels are wrong by the same factor.
 
     A wrong range scale does not change turns, a wrong track does not change distances: a wrong radius changes
@@ -220,7 +220,7 @@ def of_radius(motion: Motion | None, robot: Robot, least: Least = WORTH_SAYING) 
 
 
 def of_laser(
-    motion: Motion | None,
+    motion: WallMotion | None,
     robot: Robot,
     metre: float = 1.0,
     least: Least = WORTH_SAYING,
@@ -277,7 +277,7 @@ def range_fix(robot: Robot, factor: float) -> tuple[str, ...]:
     return (f"lrf.range_scale={float(robot.settings('lrf').range_scale) * factor:.4g}",)
 
 
-def fitted(walls: Walls) -> tuple[float, float] | None:
+def fitted(walls: WallPairs) -> tuple[float, float] | None:
     """Return the laser's scale (wheel distance per laser distance) and yaw error [rad]; None for few walls."""
     along, across = _along_across(walls)
     A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
@@ -286,19 +286,19 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
             return None
         x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
         rest = np.abs(walls.y - A @ x)
-        keep = rest <= 3.0 / MAD * max(float(np.median(rest[keep])), 1e-4)
+        keep = rest <= 3.0 / MAD_OF_NORMAL * max(float(np.median(rest[keep])), 1e-4)
     length = float(np.hypot(*x))
     return (1.0 / length, math.atan2(float(x[1]), float(x[0]))) if length > 0.2 else None
 
 
-def turned(walls: Walls) -> float | None:
+def turned(walls: WallPairs) -> float | None:
     """Return the ratio robot turn / wheel turn by walls; None for small turns or if the walls disagree."""
     rest = np.abs(walls.turn - walls.by_wheels)
     near = rest < MAX_WALL_TURN_RAD
     c = _slope(walls, near)
     if c is None:
         return None
-    scatter = float(np.median(rest[near])) / MAD + 1e-3
+    scatter = float(np.median(rest[near])) / MAD_OF_NORMAL + 1e-3
     return _slope(walls, near & (np.abs(walls.turn - c * walls.by_wheels) < 3.0 * scatter))
 
 
@@ -313,7 +313,7 @@ def slip_sigma(wheels: Wheels, t: Array) -> float:
     return math.sqrt(float(turn**2 @ variance)) / squares if squares > 0.0 else 0.0
 
 
-def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
+def _slope(walls: WallPairs, rows: NDArray[np.bool_]) -> float | None:
     turn, by_wheels = walls.turn[rows], walls.by_wheels[rows]
     squares = float((by_wheels**2).sum())
     if squares < MIN_TURN_SQUARES_RAD2 or float(np.corrcoef(turn, by_wheels)[0, 1]) < MIN_CORRELATION:
@@ -321,15 +321,17 @@ def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
     return float((turn * by_wheels).sum()) / squares
 
 
-def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
+def _spread(
+    estimate: Callable[[WallPairs], tuple[float, ...] | None], walls: WallPairs, numbers: int
+) -> list[float]:
     """Return the standard errors of `estimate(walls)`: one stretch of the drive is left out at a time (jackknife).
 
     Pairs of scans overlap, so they are not independent. In turns a mount that is off by SIGMA_M looks like another
     scale and yaw: that is added. Infinite if an estimate is None.
     """
-    parts = np.array_split(np.arange(len(walls.y)), STRETCHES)
+    parts = np.array_split(np.arange(len(walls.y)), STRETCH_COUNT)
     moved = [walls._replace(y=walls.y + SIGMA_M * nearer) for nearer in _by_mount(walls).T]
-    others = [Walls(*(np.delete(column, part, axis=0) for column in walls)) for part in parts]
+    others = [WallPairs(*(np.delete(column, part, axis=0) for column in walls)) for part in parts]
     found = [estimate(some) for some in (walls, *moved, *others)]
     if any(f is None for f in found):
         return [math.inf] * numbers
@@ -339,20 +341,20 @@ def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls,
     return spread
 
 
-def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
+def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> WallPairs:
     """Return walls seen in two scans, paired by the motion of the wheels."""
     first, second = _places(t, drive)
     moved = drive.wheels.relative(t[first], t[second])
     c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
     swing = np.stack((c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]), axis=-1) - mount
-    rows: list[Walls] = []
+    rows: list[WallPairs] = []
     for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
         a, b = m.z[m.first[i] : m.first[i + 1]], m.z[m.first[j] : m.first[j + 1]]
         if len(a) and len(b):
             rows.append(_paired(a, b, moved[k], moved[k, :2] + swing[k], mount, (float(t[i]), float(t[j]))))
     if not rows:
-        return Walls(*(np.zeros((0, 2) if name in "nd" else 0) for name in Walls._fields))
-    return Walls(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+        return WallPairs(*(np.zeros((0, 2) if name in "nd" else 0) for name in WallPairs._fields))
+    return WallPairs(*(np.concatenate(column) for column in zip(*rows, strict=True)))
 
 
 def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
@@ -368,7 +370,7 @@ def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
     return first[::every], second[first[::every]]
 
 
-def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[float, float]) -> Walls:
+def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[float, float]) -> WallPairs:
     """Return the pairs of lines a (k, 2) and b (l, 2), of scans at two times t [s], that are the same wall."""
     n = np.stack((np.cos(a[:, 1]), np.sin(a[:, 1])), axis=-1)
     r, psi = a[:, 0] - n @ moved[:2], a[:, 1] - moved[2]
@@ -388,7 +390,7 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[f
     y = (a[good, 0] - n[good] @ mount) - (b_near[:, 0] - n_b @ mount)
     k = int(good.sum())
     own = moved[2] + se2.wrap_all(a[good, 1] - b_near[:, 1] - moved[2])
-    return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]), np.full(k, t[1]), np.full(k, t[0]))
+    return WallPairs(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]), np.full(k, t[1]), np.full(k, t[0]))
 
 
 def who_is_right(robot: Robot, scale: float, fix: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from locfuse.fusion.chi_square import MAD
+from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
@@ -29,7 +29,7 @@ FIRST_SCANS = 3000  # first scans, of which SAMPLE_SCANS are taken evenly
 HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
 CHECKED_BEAMS = 16  # on either side of the middle one
 MAX_OFF_WALL_M = 0.1  # m: largest distance of the beams in between from a straight wall
-MIN_STRETCH_TRIPLES, STRETCHES = 200, 8  # in each stretch; stretches for the jackknife
+MIN_STRETCH_TRIPLES, STRETCH_COUNT = 200, 8  # in each stretch; stretches for the jackknife
 MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: limits of a finding; sigmas
 SPAN_FIELDS = ("angle_min", "angle_max", "angle_increment", "ranges")
 MAX_OFF_STEPS = 3.0  # increments: smaller differences are wrong counts of beams
@@ -126,17 +126,19 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
             for scans in sampled
             for bends in _bends(*returns(scans, laser._replace(offset=laser.offset + add)))
         ]
-        if len(parts) < STRETCHES:
+        if len(parts) < STRETCH_COUNT:
             return None
-        some = [np.concatenate([parts[i] for i in k]) for k in np.array_split(np.arange(len(parts)), STRETCHES)]
+        some = [
+            np.concatenate([parts[i] for i in k]) for k in np.array_split(np.arange(len(parts)), STRETCH_COUNT)
+        ]
         if min(map(len, some)) < MIN_STRETCH_TRIPLES:
             return None
-        others = [_added(np.concatenate(some[:k] + some[k + 1 :])) for k in range(STRETCHES)]
+        others = [_added(np.concatenate(some[:k] + some[k + 1 :])) for k in range(STRETCH_COUNT)]
         more = _added(np.concatenate(some))
         add += more
         if abs(more) < MIN_OFFSET_M:
             break
-    return add, float(np.std(others)) * math.sqrt(STRETCHES - 1)  # jackknife
+    return add, float(np.std(others)) * math.sqrt(STRETCH_COUNT - 1)  # jackknife
 
 
 def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
@@ -175,7 +177,7 @@ def _added(bends: Array) -> float:
     add = 0.0
     for _ in range(4):
         rest = bend + add * slope
-        near = np.abs(rest) <= 3.0 / MAD * max(float(np.median(np.abs(rest))), 1e-4)
+        near = np.abs(rest) <= 3.0 / MAD_OF_NORMAL * max(float(np.median(np.abs(rest))), 1e-4)
         squares = float(slope[near] @ slope[near])
         add = -float(slope[near] @ bend[near]) / squares if squares > 0.0 else 0.0
     return add

@@ -153,7 +153,7 @@ def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
 
 
 RIMS = "rims"  # code of the finding
-RAYS = 240
+RAY_COUNT = 240
 MIN_PICTURES = 4
 MIN_STEP_SHARE = 0.15  # of the brightest grey level: step in brightness at a rim
 MIN_ON_CIRCLE_SHARE = 0.7  # of the rays, for a circle
@@ -200,7 +200,7 @@ def _circle(grey: Array, within: Circle, inward: bool) -> Circle | None:
 
     One step is taken on each ray: the first one from the rim if `inward`, else the first one from the centre.
     """
-    angle = np.arange(RAYS) * (2.0 * np.pi / RAYS)
+    angle = np.arange(RAY_COUNT) * (2.0 * np.pi / RAY_COUNT)
     r = np.arange(2.0, within.radius)
     x, y = (c + np.outer(w, r) for c, w in ((within.x, np.cos(angle)), (within.y, np.sin(angle))))
     column, row = np.rint(x).astype(int), np.rint(y).astype(int)
@@ -220,7 +220,7 @@ def _circle(grey: Array, within: Circle, inward: bool) -> Circle | None:
     )
     keep = np.ones(len(rays), dtype=bool)
     for _ in range(5):
-        if keep.sum() < MIN_ON_CIRCLE_SHARE * RAYS:
+        if keep.sum() < MIN_ON_CIRCLE_SHARE * RAY_COUNT:
             return None
         px, py = points[:, keep]
         (a, b, c), *_ = np.linalg.lstsq(np.stack((px, py, np.ones_like(px)), axis=-1), px**2 + py**2, rcond=None)

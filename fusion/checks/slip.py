@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD
+from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Drive, stretches
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
@@ -38,7 +38,7 @@ MAX_SPINNING_SHARE = 0.1  # of the windows with motion: more is another error
 SPIN = "spin"  # code of the finding
 
 
-class Slip(NamedTuple):
+class WheelSlip(NamedTuple):
     """Observed and configured slip of the wheels."""
 
     factor: float  # by which `wheels.noise` should be multiplied
@@ -74,7 +74,7 @@ class _Spread(NamedTuple):
     number: int  # of windows, one for each reading
 
 
-def slip(drive: Drive) -> Slip | None:
+def slip(drive: Drive) -> WheelSlip | None:
     """Return the smallest wheel slip that any sensor shows; None if no sensor shows slip.
 
     Drift of a sensor counts as slip too, so the smallest value is that of the wheels. If all sensors show
@@ -94,7 +94,7 @@ def slip(drive: Drive) -> Slip | None:
     return min(found, key=lambda s: s.factor, default=None)
 
 
-def beside_path(found: Slip, drive: Drive, t: Array, pose: Array) -> Slip:
+def beside_path(found: WheelSlip, drive: Drive, t: Array, pose: Array) -> WheelSlip:
     """Return the larger slip: `found`, or that of wheel distances against a path `pose` (n, 3) at t (n,) [s].
 
     `wheels.noise` is for distances and turns. A driver that takes turns from a gyro has accurate turns, but its
@@ -111,7 +111,7 @@ def beside_path(found: Slip, drive: Drive, t: Array, pose: Array) -> Slip:
     )
 
 
-def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
+def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> WheelSlip | None:
     known = np.isfinite(heading)
     if len(np.unique(heading[known])) < 2:
         return None  # scans without lines
@@ -120,7 +120,7 @@ def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
     if found is None or long is None:
         return None
     factor, sigma = found
-    return Slip(factor, math.sqrt(factor * long.expected), math.sqrt(long.expected), name, sigma=sigma)
+    return WheelSlip(factor, math.sqrt(factor * long.expected), math.sqrt(long.expected), name, sigma=sigma)
 
 
 def _growth(short: _Spread, long: _Spread, least: float) -> tuple[float, float] | None:
@@ -185,7 +185,7 @@ def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:
 
 def _robust_sigma(rest: Array) -> float:
     """Return the standard deviation of errors (n,) by their median absolute deviation."""
-    return float(np.median(np.abs(rest - np.median(rest)))) / MAD
+    return float(np.median(np.abs(rest - np.median(rest)))) / MAD_OF_NORMAL
 
 
 def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[float] = ()) -> list[Finding]:

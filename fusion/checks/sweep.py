@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.chi_square import MAD
+from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
@@ -68,7 +68,7 @@ def _misfit(stream: Stream, drive: Drive, settings: LrfSettings) -> float | None
         late = float(rate[use] @ off[use]) / float(rate[use] @ rate[use])
         rest = np.abs(off - late * rate)
         misfit = float(np.median(rest[use]))
-        use &= rest < 3.0 / MAD * misfit
+        use &= rest < 3.0 / MAD_OF_NORMAL * misfit
     return misfit
 
 

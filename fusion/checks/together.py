@@ -17,6 +17,7 @@ from msgspec import field
 
 from locfuse.fusion.data import BASES, Drive, Estimates
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.wheels.states import MAX_PRIOR_SHARE
 
 from .clocks import MIN_LAG_S, SPEED_SIGMA_S, Pair, differences, explained, wrong_clocks
 from .lag import SAID_SIGMAS, Lag
@@ -40,7 +41,7 @@ from .turning import aligned, observed_track, turnings, turns_by_truth
 
 LASER, CLOCK = "lrf", "time_offset"
 AFFECT_ALL = {"wheels", "truth"}  # roles whose settings affect every configuration
-SIGMAS = 4.0  # of their difference, beyond which two logs disagree
+APART_SIGMAS = 4.0  # of their difference, beyond which two logs disagree
 MAX_APART_SHARE = 0.25  # of the logs (one of three) that may disagree about a common value
 # by the end of a key: format, unit, difference at which two logs always agree, smallest reported error
 SCALES = {
@@ -56,7 +57,6 @@ RELATIVE = {  # the same, the last two relative to the configured value
 }
 # ends of keys; an error of an earlier class looks like one of a later class
 CLASSES = ("radius range_scale", "track", "x y yaw_deg")
-MAX_PRIOR_SHARE = 0.7  # of the prior's sigma: with more, a state is hardly determined by the drive
 MAX_MEAN_LOSS = 0.02  # ln, of the mean over the logs of any configuration with sensors
 MAX_STEPS = 6  # fixes of one robot
 
@@ -69,7 +69,7 @@ class Number(msgspec.Struct, frozen=True):
     now: float = 0.0  # as configured
 
 
-class Shown(msgspec.Struct, frozen=True):
+class LogEstimates(msgspec.Struct, frozen=True):
     """Estimates of settings and clock lags by one log."""
 
     settings: dict[str, Number] = field(default_factory=dict)  # "wheels.track" -> its value
@@ -91,7 +91,7 @@ class Common(msgspec.Struct, frozen=True):
     def off(self) -> bool:
         """Whether the common value differs significantly from the configured one."""
         return self.value is not None and abs(self.value - self.now) > max(
-            SIGMAS * self.sigma, _scale(self.key, self.now)[3]
+            APART_SIGMAS * self.sigma, _scale(self.key, self.now)[3]
         )
 
     @property
@@ -118,12 +118,12 @@ class Common(msgspec.Struct, frozen=True):
 class Look(msgspec.Struct, frozen=True):
     """One log, fused under given settings: estimates of settings, and error figures of each configuration."""
 
-    shown: Shown
+    shown: LogEstimates
     sensors: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of every configuration
     marks: dict[str, Marks] = field(default_factory=dict)  # of those that could be fused
 
 
-class Step(msgspec.Struct, frozen=True):
+class CommonTrial(msgspec.Struct, frozen=True):
     """Result of one common setting that was tried on all logs."""
 
     fixes: Fixes
@@ -138,14 +138,14 @@ class Together(msgspec.Struct, frozen=True):
     """Common estimates by several logs of one robot, and the settings that were tried on all of them."""
 
     common: tuple[Common, ...] = ()
-    fix: Step | None = None  # all settings that help, together
-    refused: tuple[Step, ...] = ()
+    fix: CommonTrial | None = None  # all settings that help, together
+    refused: tuple[CommonTrial, ...] = ()
 
 
 Looks = Callable[[Sequence[Fixes]], Mapping[str, Mapping[Fixes, Look]]]  # settings -> by log, then by settings
 
 
-def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
+def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> LogEstimates:
     """Return the estimates of settings and clock lags by one drive and its filter `runs`."""
     wheels, found = robot.wheels, dict[str, Number]()
     by_sensor, lrf = turnings(drive), drive.measurements.get(LASER)
@@ -182,7 +182,7 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
         or lag.sigma < SPEED_SIGMA_S  # without a lag of 0 by speeds, which only means that none was found
     }
     known = {k: Number(*map(float, (n.value, n.sigma, n.now))) for k, n in found.items() if math.isfinite(n.sigma)}
-    return Shown(known, lags, clocks)
+    return LogEstimates(known, lags, clocks)
 
 
 def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
@@ -232,7 +232,7 @@ def common(key: str, numbers: Mapping[str, Number]) -> Common:
     close = _scale(key, now)[2]
 
     def near(one: Number, other: Number) -> bool:
-        return abs(one.value - other.value) <= max(close, SIGMAS * math.hypot(one.sigma, other.sigma))
+        return abs(one.value - other.value) <= max(close, APART_SIGMAS * math.hypot(one.sigma, other.sigma))
 
     sets = [[log for log in logs if near(numbers[log], numbers[middle])] for middle in logs]
     agreeing = max(sets, key=len)
@@ -261,7 +261,7 @@ def _pooled(numbers: Sequence[Number]) -> tuple[float, float, float]:
     return mean, sum(w) ** -0.5, math.sqrt(scatter)
 
 
-def clocks_of(logs: Mapping[str, Shown]) -> list[list[Common]]:
+def clocks_of(logs: Mapping[str, LogEstimates]) -> list[list[Common]]:
     """Return sets of wrong clocks that explain the lags in all logs, the best set first; [] if no clock is wrong.
 
     Lags on which the logs do not agree are left out: a truth may have another lag in every log.
@@ -282,7 +282,7 @@ def clocks_of(logs: Mapping[str, Shown]) -> list[list[Common]]:
     return found
 
 
-def lags_of(logs: Mapping[str, Shown]) -> list[Common]:
+def lags_of(logs: Mapping[str, LogEstimates]) -> list[Common]:
     """Return the common lags of all pairs of clocks."""
     return commons({log: one.lags for log, one in logs.items()})
 
@@ -293,12 +293,12 @@ def pair_of(key: str) -> Pair:
     return first, second
 
 
-def settings_of(logs: Mapping[str, Shown]) -> list[Common]:
+def settings_of(logs: Mapping[str, LogEstimates]) -> list[Common]:
     """Return the common estimates of all settings except clock offsets."""
     return commons({log: one.settings for log, one in logs.items()})
 
 
-def asked(first: Mapping[str, Shown], look: Looks) -> Together:
+def asked(first: Mapping[str, LogEstimates], look: Looks) -> Together:
     """Return the common estimates of several logs of one robot, and the settings that help in all of them.
 
     The best setting of the first class with a helpful one is kept; then all logs are measured again.
@@ -308,12 +308,12 @@ def asked(first: Mapping[str, Shown], look: Looks) -> Together:
     for _ in range(MAX_STEPS):
         offers = [{f: of for f, of in group.items() if together(kept, f) != kept} for group in _offers(logs)]
         sets = [kept, *(together(kept, fixes) for group in offers for fixes in group)]
-        refused: list[Step] = []
+        refused: list[CommonTrial] = []
         if len(sets) == 1:
             break
         for log, looks in look(list(dict.fromkeys(sets))).items():
             seen.setdefault(log, {}).update(looks)
-        best: Step | None = None
+        best: CommonTrial | None = None
         for group in offers:
             steps = [judged(fixes, kept, seen, of) for fixes, of in group.items()]
             refused += (step for step in steps if not keys(step.fixes) <= keys(kept))
@@ -333,7 +333,7 @@ def asked(first: Mapping[str, Shown], look: Looks) -> Together:
     return Together(every, fix, tuple(step for step in refused if step.pairs))
 
 
-def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
+def _offers(logs: Mapping[str, LogEstimates]) -> list[dict[Fixes, set[str]]]:
     """Return groups of settings to try, in order of evidence; settings -> logs that disagree about their values.
 
     The last group is all of them together, since several faults may hide the effect of each fix.
@@ -353,7 +353,7 @@ def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
     ]
 
 
-def _with_track(one: Sequence[Common], logs: Mapping[str, Shown]) -> list[Fixes]:
+def _with_track(one: Sequence[Common], logs: Mapping[str, LogEstimates]) -> list[Fixes]:
     """Return settings for common values; a new wheel radius also scales the track, so that turns stay equal."""
     fixes, given = tuple(c.setting for c in one), {c.key: c for c in one}
     track = next((n for s in logs.values() if (n := s.settings.get("wheels.track")) is not None), None)
@@ -366,7 +366,9 @@ def _with_track(one: Sequence[Common], logs: Mapping[str, Shown]) -> list[Fixes]
     return [scaled] if "wheels.track" in given else [scaled, fixes]
 
 
-def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]], apart: Iterable[str]) -> Step:
+def judged(
+    fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]], apart: Iterable[str]
+) -> CommonTrial:
     """Return the effect of adding `fixes` to `kept` on all logs; logs in `apart` may get worse."""
     of: dict[str, dict[str, tuple[Marks, Marks]]] = {}  # log -> configuration -> before and after
     losers, gained = list[str](), 0
@@ -392,7 +394,7 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
     judges = [log for log in of if log not in apart]
     everywhere = [n for n in of[judges[0]] if all(n in of[log] for log in judges)] if judges else []
     if not everywhere:
-        return Step(fixes)
+        return CommonTrial(fixes)
     gains = {name: fmean(gain(*of[log][name]) for log in judges) for name in everywhere}
     most = max(everywhere, key=lambda name: gains[name])
     least = MIN_GAIN if of[judges[0]][most][0].position is not None else MIN_GAIN_NATS
@@ -400,7 +402,7 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
     helps = not losers and 2 * gained >= len(judges) > 1 and gains[most] > least > -min(gains.values())
     helps = helps and min(kept_gains) > -MAX_MEAN_LOSS
     shown_by = {log: pairs[most] for log, pairs in of.items() if most in pairs}
-    return Step(fixes, most, shown_by, tuple(losers), helps, gains[most])
+    return CommonTrial(fixes, most, shown_by, tuple(losers), helps, gains[most])
 
 
 def _best(names: Sequence[str], marks: Mapping[str, Marks]) -> str:

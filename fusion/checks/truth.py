@@ -17,7 +17,7 @@ from locfuse.fusion.wheels.motion import STANDS_M, Wheels
 from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 
 from .finding import Finding, Least
-from .laser import OPEN_SCALE, Motion, range_fix, who_is_right
+from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right
 
 UNIT, JUMP, FEW = "unit", "jump", "few"  # codes of the findings on an unusable truth
 SIZE = "size"  # code of the finding on a truth with another distance scale than wheels and laser
@@ -34,7 +34,7 @@ MIN_CREEP, CREEP_SIGMAS = 0.008, 5.0  # m per m; standard errors
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
 MIN_READINGS = 5  # of a truth that is used
 WINDOW_S = 1.0  # s over which distances are compared
-STRETCHES = 8  # of the drive, for the jackknife
+STRETCH_COUNT = 8  # of the drive, for the jackknife
 MIN_WAY_M = 0.1  # m per window, by the wheels
 MIN_SEEN_M = 1e-6  # m per window, by the truth: at rest it measures no wheels
 MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' distances
@@ -44,7 +44,7 @@ JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a jump is longer than this factor times th
 MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
 # m; times the median difference from the wheels; number of steps
 MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5
-MIN_STEPS, AROUND = 100, 5  # steps for an estimate of the noise; readings before and after a step
+MIN_STEPS, READINGS_AROUND = 100, 5  # steps for an estimate of the noise; readings before and after a step
 CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # steps are clipped at; standard errors of a significant noise
 MIN_NOISE_FACTOR = 2.0  # times the configured noise: more is reported
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # smaller noise is not reported
@@ -101,7 +101,7 @@ def _steps(truth: Truth, drive: Drive) -> list[Finding]:
     limit = max(MIN_STEP_M, STEP_SIGMAS * float(np.median(size[inside])))
     found = []
     for k in np.flatnonzero(inside & (size > limit)).tolist():
-        before, after = body[max(0, k - AROUND) : k + 1], body[k + 1 : k + 2 + AROUND]
+        before, after = body[max(0, k - READINGS_AROUND) : k + 1], body[k + 1 : k + 2 + READINGS_AROUND]
         stays = float(np.hypot(*(np.median(after, axis=0) - np.median(before, axis=0))))
         if stays > 0.7 * float(size[k]):
             found.append((float(truth.t[k + 1]), stays))
@@ -242,7 +242,7 @@ def of_unit(drive: Drive) -> list[Finding]:
     return [Finding("truth", UNIT, words, (), True)]
 
 
-def of_size(drive: Drive, motion: Motion | None) -> list[Finding]:
+def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     """Return a finding if wheels and laser agree on distances, and the truth differs from both.
 
     `motion`: the laser beside the wheels, by walls. Two that agree are hardly wrong by the same factor.
@@ -301,8 +301,8 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     ratio = seen[moving] / own[moving]
     if moving.sum() < 20:
         return None
-    parts = [float(np.median(part)) for part in np.array_split(ratio, STRETCHES)]
-    return float(np.median(ratio)), 1.25 * float(np.std(parts, ddof=1)) / math.sqrt(STRETCHES)
+    parts = [float(np.median(part)) for part in np.array_split(ratio, STRETCH_COUNT)]
+    return float(np.median(ratio)), 1.25 * float(np.std(parts, ddof=1)) / math.sqrt(STRETCH_COUNT)
 
 
 def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
@@ -369,9 +369,9 @@ def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
     alone = way - lever @ np.linalg.lstsq(lever, way, rcond=None)[0]
     if alone @ alone <= MIN_SCALE_SHARE * (way @ way):
         return None  # on a circle a point beside the axle moves as a path of another scale
-    parts = np.array_split(np.arange(len(y)), STRETCHES)
+    parts = np.array_split(np.arange(len(y)), STRETCH_COUNT)
     others = np.array([_robust(np.delete(A, part, axis=0), np.delete(y, part, axis=0)) for part in parts])
-    return Swing(_robust(A, y), others.std(axis=0) * math.sqrt(STRETCHES - 1))
+    return Swing(_robust(A, y), others.std(axis=0) * math.sqrt(STRETCH_COUNT - 1))
 
 
 def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
@@ -439,7 +439,7 @@ START = "start"  # code of the finding
 SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD = 0.1, math.radians(5.0)
 MIN_START_ERROR_M, MIN_START_ERROR_RAD = 0.02, math.radians(1.0)  # limits for a truth with headings
 DRIVES_S = 0.5  # s after the first reading, in which a robot that drives rolls more than STANDS_M
-SIGMAS = 3.0  # of the combined sigma of configured and true start
+START_SIGMAS = 3.0  # of the combined sigma of configured and true start
 SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is found: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
@@ -465,8 +465,8 @@ def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> li
         least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
     # the path is aligned about its middle: an error of the turn moves the start by half the path
     spread = robot.start.sigma_xy, 0.5 * fitted.way * heading_sigma, fitted.spread, truth.sigma
-    place = least[0] + SIGMAS * math.hypot(*spread)
-    if away < place and turn < least[1] + SIGMAS * math.hypot(
+    place = least[0] + START_SIGMAS * math.hypot(*spread)
+    if away < place and turn < least[1] + START_SIGMAS * math.hypot(
         math.radians(robot.start.sigma_theta_deg), heading_sigma
     ):
         return []
@@ -484,7 +484,7 @@ def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> li
     return [Finding("truth", START, words, fixes, severe)]
 
 
-class Start(NamedTuple):
+class TruthStart(NamedTuple):
     """Start pose of the drive by the truth."""
 
     pose: Array  # (3,) of the base at the first wheel reading
@@ -494,7 +494,7 @@ class Start(NamedTuple):
     t: float  # s: start of the truth if the robot moved before it, else the first wheel reading
 
 
-def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> Start | None:
+def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> TruthStart | None:
     """Return the start pose by the truth; None if the first metres of the drive do not show it.
 
     By the first poses of a truth with headings, else by the shape of its first metres.
@@ -527,6 +527,6 @@ def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> Start | No
         heading_sigma = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))
     spread = float(np.hypot(*(places - place).std(axis=0))) / math.sqrt(len(points))
     moved = float(wheels.driven(first) - wheels.driven(wheels.t[0])) > POSE_WAY_M
-    return Start(
+    return TruthStart(
         np.array([*place, se2.wrap(turn)]), way, heading_sigma, spread, first if moved else float(wheels.t[0])
     )

@@ -24,7 +24,7 @@ from locfuse.fusion.wheels.odometry import BODY_READS
 from locfuse.fusion.wheels.sources import joint_names
 
 from .finding import Finding, Least
-from .laser import Motion, laser_motion
+from .laser import WallMotion, laser_motion
 
 MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth, on wheels
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -229,7 +229,7 @@ def of_track(
     drive: Drive,
     settings: WheelSettings,
     by_sensor: Mapping[str, Turning],
-    motion: Motion | None,
+    motion: WallMotion | None,
     metre: float = 1.0,
     least: Least = WORTH_SAYING,
 ) -> list[Finding]:
@@ -266,7 +266,7 @@ def of_track(
 
 
 def observed_track(
-    configured: float, drive: Drive, by_sensor: Mapping[str, Turning], motion: Motion | None
+    configured: float, drive: Drive, by_sensor: Mapping[str, Turning], motion: WallMotion | None
 ) -> tuple[float, float, str] | None:
     """Return the track by turns of other sensors, its sigma, and its source; None without a source."""
     turns = turns_by_truth(drive)

@@ -19,7 +19,7 @@ from locfuse.fusion.data import Array, Ints
 from .equations import eq6_noise, eq7_A
 from .map_frame import Pose
 
-RIDGE = 1e-12  # added to a covariance with unit diagonal; much smaller eigenvalues count as zero
+RIDGE_VARIANCE = 1e-12  # added to a covariance with unit diagonal; much smaller eigenvalues count as zero
 RIDGE_ROUNDS = 3  # iterations that correct the effect of the ridge: by 97 % at an eigenvalue of twice the ridge
 MAX_REST = 1e-13  # largest residual of a solution, relative to the largest number on the right side
 Source = tuple[str, int, int]  # sensor, row in its measurements, number of components; ("", -1, number): no sensor
@@ -198,7 +198,7 @@ def _solved(P: Array, B: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diagonal(P), 0.0))
     scale = np.divide(1.0, scale, out=np.ones_like(scale), where=scale > 0.0)
     unit, right = scale[:, None] * P * scale, scale[:, None] * B
-    ridged = unit + RIDGE * np.eye(len(unit))
+    ridged = unit + RIDGE_VARIANCE * np.eye(len(unit))
     solved = rest = np.linalg.solve(ridged, right)
     for _ in range(RIDGE_ROUNDS):
         rest = right - unit @ solved

@@ -43,7 +43,7 @@ class Record:
         self._instants: list[int] = []
         self._waiting: list[Innovation] = []  # not yet written to columns
         self._columns: dict[str, NDArray[Any]] = {}
-        self._kernel: sight.Audit | None = None
+        self._kernel: sight.AuditColumns | None = None
         self.joint = array("d")  # flat: joint NIS of all accepted rows of a reading, degrees of freedom
 
     def add(self, k: int, seen: Sequence[Innovation] | Reading) -> None:
@@ -62,7 +62,7 @@ class Record:
         end = self._rows + seen.lines
         if self._kernel is None or end > self._room:
             self._make_room(end, 2)
-            self._kernel = sight.Audit(*[self._columns[name] for name in COLUMNS][:4])
+            self._kernel = sight.AuditColumns(*[self._columns[name] for name in COLUMNS][:4])
             self._kernel.judged(*[self._columns[name] for name in COLUMNS][4:])
         seen.write(self._kernel, self._rows, k, seen.row)
         self._rows = end
@@ -121,7 +121,7 @@ class Track:
             new[: self._n] = old[: self._n]
         self._columns, self._room = more, instants
         pose, triangle, values = more
-        self._kernel = ekf.Track(pose, triangle, values, self._states)
+        self._kernel = ekf.TrackColumns(pose, triangle, values, self._states)
 
     def note(self, belief: JointBelief) -> None:
         """Record the state at one update, with the pose in the map."""

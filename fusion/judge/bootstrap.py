@@ -14,10 +14,10 @@ from functools import cache
 import msgspec
 import numpy as np
 
+from locfuse.fusion.chi_square import CONFIDENCE
 from locfuse.fusion.data import Array
 
-CONFIDENCE = 0.95
-RESAMPLES = 2000
+RESAMPLE_COUNT = 2000
 STARTS_AT_ONCE = 1 << 20  # block starts in memory at a time
 CHANCE_DRAWS = 20_000  # random effects, for the quantiles of their distribution
 MIN_REPLICATES = 4  # drives or robots: with fewer, Student's interval is too wide to be given
@@ -32,7 +32,7 @@ class Errors(msgspec.Struct, frozen=True):
     ln_rmse: Array  # (k,)
     samples: Array  # (k,) effective number of independent stamps
     correlation: Array  # (k, k) of the deviations, no larger than so few samples support
-    resampled: Array  # (RESAMPLES, k) ln_rmse of the bootstrap's drives
+    resampled: Array  # (RESAMPLE_COUNT, k) ln_rmse of the bootstrap's drives
     block: int  # stamps per block
 
     @classmethod
@@ -90,7 +90,7 @@ def effective_samples(deviation: Array) -> float:
 
 
 def block_means(values: Array, block: int) -> Array:
-    """Return the means of `values` (k, q) over RESAMPLES block-bootstrap samples, (RESAMPLES, k).
+    """Return the means of `values` (k, q) over RESAMPLE_COUNT block-bootstrap samples, (RESAMPLE_COUNT, k).
 
     Blocks start anywhere and wrap around the end; all k rows use the same blocks, so that they stay paired.
     """
@@ -100,8 +100,8 @@ def block_means(values: Array, block: int) -> Array:
     sums = np.cumsum(twice, axis=1)
     rng = np.random.default_rng(1)
     at_once = max(1, STARTS_AT_ONCE // count)
-    totals = np.empty((RESAMPLES, k))
-    for first in range(0, RESAMPLES, at_once):
+    totals = np.empty((RESAMPLE_COUNT, k))
+    for first in range(0, RESAMPLE_COUNT, at_once):
         some = totals[first : first + at_once]
         starts = rng.integers(0, q, size=(len(some), count))
         for j, row in enumerate(sums):

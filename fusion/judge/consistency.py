@@ -23,7 +23,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.truth import body_poses
 
-from .innovations import ComparedReadings, Own, compare_readings, own, usual_period
+from .innovations import ComparedReadings, OwnInnovations, compare_readings, own, usual_period
 
 Verdict = Literal[
     "consistent", "understated", "overstated", "biased", "contradicts", "correlated", "outliers", "unclear"
@@ -80,7 +80,7 @@ def by_reference_run(sensor: str, settings: Any, h: ComparedReadings) -> Consist
     return by_share(sensor, h.wild, by_scale(sensor, settings, math.sqrt(noise / h.R)))
 
 
-def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> Consistency:
+def by_itself(sensor: str, settings: Any, o: OwnInnovations, floor: Sequence[float], period: float) -> Consistency:
     """Return the verdict on a sensor by the innovations of a run that uses it."""
     several = len(o.R) > 1  # numbers of one reading
     if not several and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
@@ -125,7 +125,7 @@ def by_memory(sensor: str, settings: Any, variance: float, repeats: float, perio
     return by_scale(sensor, settings, min(1.0, math.sqrt(variance * repeats / R)))
 
 
-def _on_sigma(o: Own, floor: Sequence[float]) -> float:
+def _on_sigma(o: OwnInnovations, floor: Sequence[float]) -> float:
     """Return the factor by which to change sigma so that R = sigma^2 R_unit + floor changes by `o.scale`."""
     parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
     return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
@@ -278,43 +278,43 @@ def _turned(degrees: float) -> float:
     return round((degrees + 180.0) % 360.0 - 180.0, 2)
 
 
-class Run(NamedTuple):
+class RunInnovations(NamedTuple):
     """Estimates of one configuration on its drive, with innovation figures of each sensor."""
 
     drive: Drive
     estimates: Estimates  # without audits
-    own: Mapping[str, Own | None]
+    own: Mapping[str, OwnInnovations | None]
 
     @classmethod
-    def of(cls, drive: Drive, estimates: Estimates) -> Run:
+    def of(cls, drive: Drive, estimates: Estimates) -> RunInnovations:
         """Return a run with the figures of its innovations, without audits."""
         found = {s: own(estimates.audits[s], drive.measurements[s]) for s in estimates.sensors}
         return cls(drive, replace(estimates, audits={}), found)
 
 
 def judge(
-    runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()
+    runs: Sequence[RunInnovations], robot: Robot, overconfident: Collection[str] = ()
 ) -> dict[str, dict[str, Consistency]]:
     """Return the consistency of each sensor in each configuration, as configuration -> sensor -> Consistency.
 
     `overconfident` are configurations that truth shows to be so: their covariance is not used.
     """
-    evidence = Evidence([r for r in runs if not r.estimates.smoothed], robot, overconfident)
+    evidence = NoiseEvidence([r for r in runs if not r.estimates.smoothed], robot, overconfident)
     findings = {s: evidence.finding(s) for s in evidence.sensors}
     return {r.estimates.name: {s: _of_run(o, findings[s]) for s, o in r.own.items()} for r in evidence.runs}
 
 
-def _of_run(o: Own | None, found: Consistency) -> Consistency:
+def _of_run(o: OwnInnovations | None, found: Consistency) -> Consistency:
     """Return a sensor's verdict by all runs, with the innovation figures `o` of one run."""
     if o is None:
         return found
     return replace(found, nis_bounds=o.bounds, bias_sigma=o.bias, whiteness=o.whiteness, refused=o.refused)
 
 
-class Evidence:
+class NoiseEvidence:
     """Innovations of all sensors in all runs, from which the verdict on each sensor follows."""
 
-    def __init__(self, runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()) -> None:
+    def __init__(self, runs: Sequence[RunInnovations], robot: Robot, overconfident: Collection[str] = ()) -> None:
         self.robot, self.runs, self.overconfident = robot, runs, overconfident
         self.sensors = sorted({s for r in runs for s in r.estimates.sensors})
         self._compared: dict[tuple[str, str], ComparedReadings | None] = {}
@@ -357,7 +357,7 @@ class Evidence:
         why = f"the noise of {' and '.join(sorted(found))} must be set first" if found else "too few measurements"
         return Consistency("unclear", f"noise cannot be judged: {why}")
 
-    def reference_runs(self, sensor: str) -> list[tuple[Run, ComparedReadings]]:
+    def reference_runs(self, sensor: str) -> list[tuple[RunInnovations, ComparedReadings]]:
         """Return consistent runs that use neither `sensor` nor a flagged sensor, smallest variance first."""
         found = []
         for run in self.runs:
@@ -381,13 +381,13 @@ class Evidence:
         found = None if self._truth is None else self._compare(self._truth, sensor)
         return found if found is not None and found.readings >= MIN_READINGS else None
 
-    def _compare(self, run: Run, sensor: str) -> ComparedReadings | None:
+    def _compare(self, run: RunInnovations, sensor: str) -> ComparedReadings | None:
         key = run.estimates.name, sensor
         if key not in self._compared:
             self._compared[key] = compare_readings(run.drive, self.robot, run.estimates, sensor)
         return self._compared[key]
 
-    def _healthy(self, run: Run, but: str = "") -> bool:
+    def _healthy(self, run: RunInnovations, but: str = "") -> bool:
         """Return whether every sensor of a run, except `but`, has plausible noise and few rejections."""
         found = [run.own[s] for s in run.estimates.sensors if s != but]
         return all(
@@ -395,13 +395,13 @@ class Evidence:
             for o in found
         )
 
-    def _purest(self, sensor: str) -> Run | None:
+    def _purest(self, sensor: str) -> RunInnovations | None:
         """Return the run with `sensor` and fewest others, all of them healthy or less wrong; None without one."""
         using = [r for r in self.runs if sensor in r.estimates.sensors]
         pure = [r for r in using if self._healthy(r, sensor) or self._worst(r) == sensor]
         return min(pure, key=lambda r: len(r.estimates.sensors)) if pure else None
 
-    def _worst(self, run: Run) -> str:
+    def _worst(self, run: RunInnovations) -> str:
         """Return the sensor of a run whose R is understated most; "" if there is none."""
         scales = {s: o.scale for s in run.estimates.sensors if (o := run.own[s])}
         return max(scales, key=lambda s: scales[s]) if scales else ""
@@ -428,7 +428,7 @@ class Evidence:
         self.contradict -= self.flagged.keys()
 
 
-def as_run(drive: Drive, estimates: Estimates) -> Run | None:
+def as_run(drive: Drive, estimates: Estimates) -> RunInnovations | None:
     """Return the truth as a run without sensors; None without headings, or if it is in another frame.
 
     Its poses are NaN in gaps of the truth.
@@ -449,4 +449,4 @@ def as_run(drive: Drive, estimates: Estimates) -> Run | None:
     triangles = np.zeros((len(drive.t), 6))
     triangles[:, [0, 3]], triangles[:, 5] = truth.sigma**2, truth.sigma_theta**2
     pose[~known] = np.nan
-    return Run(drive, Estimates("truth", (), drive.t, pose, triangles, {}), {})
+    return RunInnovations(drive, Estimates("truth", (), drive.t, pose, triangles, {}), {})

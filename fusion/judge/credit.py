@@ -161,7 +161,7 @@ def subsets(sensors: Sequence[str]) -> list[tuple[str, ...]]:
     return [c for k in range(len(sensors) + 1) for c in combinations(sensors, k)]
 
 
-class Step(NamedTuple):
+class AddedSensor(NamedTuple):
     """Adding one sensor to a subset of sensors: weight of this step, subset before, subset after."""
 
     weight: float
@@ -169,12 +169,12 @@ class Step(NamedTuple):
     after: Subset
 
 
-def shapley_steps(sensor: str, sensors: Sequence[str]) -> list[Step]:
+def shapley_steps(sensor: str, sensors: Sequence[str]) -> list[AddedSensor]:
     """Return the 2^(n-1) subsets to which a sensor can be added, with their Shapley weights."""
     n = len(sensors)
     sets = subsets([s for s in sensors if s != sensor])
     return [
-        Step(
+        AddedSensor(
             math.factorial(len(s)) * math.factorial(n - len(s) - 1) / math.factorial(n),
             frozenset(s),
             frozenset((*s, sensor)),
@@ -195,10 +195,10 @@ class _Book(msgspec.Struct, frozen=True):
         return all(frozenset(s) in self.sets for s in subsets(sensors))
 
     def total(self, sensors: Sequence[str]) -> float | None:
-        effect = self.effect([Step(1.0, frozenset(), frozenset(sensors))])
+        effect = self.effect([AddedSensor(1.0, frozenset(), frozenset(sensors))])
         return None if effect is None else effect.value
 
-    def effect(self, steps: Sequence[Step]) -> Effect | None:
+    def effect(self, steps: Sequence[AddedSensor]) -> Effect | None:
         """Return the weighted sum of ln(RMSE before / RMSE after) over steps; None if a subset was not run."""
         if any(s not in self.sets for step in steps for s in (step.before, step.after)):
             return None
@@ -232,8 +232,8 @@ class _Book(msgspec.Struct, frozen=True):
         every = frozenset(sensors)
         shapley = self.effect(shapley_steps(sensor, sensors)) if self.complete(sensors) else None
         beside = self._beside(sensor, sensors)
-        alone = self.effect([Step(1.0, frozenset(beside), frozenset((*beside, sensor)))])
-        last = self.effect([Step(1.0, every - {sensor}, every)])
+        alone = self.effect([AddedSensor(1.0, frozenset(beside), frozenset((*beside, sensor)))])
+        last = self.effect([AddedSensor(1.0, every - {sensor}, every)])
         total = self.total(sensors)
         share = shapley.value / total if shapley and total is not None and total > MIN_EFFECT else None
         anees = self._worst_anees(sensor)

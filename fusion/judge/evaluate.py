@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD, mean_bounds
+from locfuse.fusion.chi_square import MAD_OF_NORMAL, mean_bounds
 from locfuse.fusion.data import (
     VERDICTS,
     Array,
@@ -126,7 +126,7 @@ def noise_of(t: Array, xy: Array, segments: Ints) -> float:
         apart = (t[at][:, :, None] - t[at][:, None, :]) / (lag * period) + np.eye(NOISE_ORDER + 1)
         weights = 1.0 / apart.prod(axis=2)
         weights /= np.linalg.norm(weights, axis=1)[:, None]
-        found = max(found, float(np.median(np.abs(np.einsum("nk,nkd->nd", weights, xy[at])))) / MAD)
+        found = max(found, float(np.median(np.abs(np.einsum("nk,nkd->nd", weights, xy[at])))) / MAD_OF_NORMAL)
         lag *= 2
     return found
 
@@ -142,7 +142,7 @@ def _marks(xy: Array, segments: Ints, least: float) -> NDArray[np.bool_]:
     return marks
 
 
-class _Pairs(NamedTuple):
+class _PosePairs(NamedTuple):
     """Estimated and true poses at the truth stamps within the drive."""
 
     t: Array  # (q,)
@@ -218,18 +218,18 @@ def shape_error(estimates: Estimates, drive: Drive) -> float | None:
     return float(np.sqrt(np.square(se2.transform(pairs.pose, point) - pairs.xy).sum(axis=1).mean()))
 
 
-def _pairs(estimates: Estimates, truth: Truth) -> _Pairs:
+def _pairs(estimates: Estimates, truth: Truth) -> _PosePairs:
     if estimates.truth_pose is None or estimates.truth_P is None:
         raise ValueError("estimates hold no prediction at the truth stamps")
     found = np.isfinite(estimates.truth_pose[:, 0])
     inside = slice(None) if found.all() else found  # a slice does not copy
     theta = None if truth.theta is None else truth.theta[inside]
-    return _Pairs(
+    return _PosePairs(
         truth.t[inside], estimates.truth_pose[inside], estimates.truth_P[inside], truth.xy[inside], theta
     )
 
 
-def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> _Pairs:
+def aligned(pairs: _PosePairs, point: tuple[float, float], align: Align) -> _PosePairs:
     """Return the pairs with the estimated poses and covariances moved rigidly onto the truth.
 
     "origin": the first pose onto the truth's first pose (only the position, where the truth has no heading).
@@ -250,7 +250,7 @@ def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> _Pairs:
     return pairs._replace(pose=pose, P=turned @ pairs.P @ turned.T)
 
 
-def _expected(pairs: _Pairs, deviation: Array, heading: Array | None, truth: Truth) -> tuple[Array, Array]:
+def _expected(pairs: _PosePairs, deviation: Array, heading: Array | None, truth: Truth) -> tuple[Array, Array]:
     """Return predicted standard deviations (q, 3) of the tracked point and heading [m, m, rad], and NEES (q,).
 
     The lever arm of the point turns heading error into position error. NEES is per degree of freedom (Bar-Shalom
@@ -301,7 +301,7 @@ def _position_figures(deviation: Array, along_cross: Array) -> dict[str, float |
 
 
 def _drift_figures(
-    pairs: _Pairs, deviation: Array, distance: Array, segments: NDArray[np.int64]
+    pairs: _PosePairs, deviation: Array, distance: Array, segments: NDArray[np.int64]
 ) -> dict[str, float | None]:
     """Return the mean relative position error per metre [m/m] over fixed lengths of the truth's path.
 

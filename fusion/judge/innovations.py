@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.change import best_split
-from locfuse.fusion.chi_square import MAD, chi_square, mean_bounds
+from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square, mean_bounds
 from locfuse.fusion.data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
@@ -31,7 +31,7 @@ MIN_SIDE_SHARE = 0.1  # of the readings, before a step and after it
 OUTLIER_SIGMAS = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
 
 
-class Own(NamedTuple):
+class OwnInnovations(NamedTuple):
     """Innovation figures of one sensor, in a run that uses the sensor."""
 
     compared: int
@@ -74,7 +74,7 @@ class ComparedReadings(NamedTuple):
     change: Change | None = None  # step or drift, if it explains most of the slow errors
 
 
-def own(audit: Audit, m: Measurements) -> Own | None:
+def own(audit: Audit, m: Measurements) -> OwnInnovations | None:
     """Return innovation figures of one sensor in a run that uses it; None if too few were compared."""
     d = audit.y.shape[1]
     far = np.isin(audit.verdict, (GATE, UNMATCHED)) & (audit.nis > audit.threshold)
@@ -87,7 +87,7 @@ def own(audit: Audit, m: Measurements) -> Own | None:
     ratio, R = _prediction_ratio(audit, m, compared)
     middle, deviation, bias, whiteness = _shape(audit, compared)
     lasts = math.sqrt(_memory(np.append(1.0, whiteness)) / len(compared))
-    return Own(
+    return OwnInnovations(
         compared=len(compared),
         refused=refused / (accepted + refused),
         nis=nis,
@@ -128,7 +128,9 @@ def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
     """
     y = audit.y.take(compared, axis=0)  # whole rows: ten times faster than audit.y[compared]
     middle = _medians(y)
-    deviation = np.array([np.median(np.abs(c - centre)) for c, centre in zip(y.T, middle, strict=True)]) / MAD
+    deviation = (
+        np.array([np.median(np.abs(c - centre)) for c, centre in zip(y.T, middle, strict=True)]) / MAD_OF_NORMAL
+    )
     y /= audit.sigma.take(compared, axis=0)
     bias = y.mean(axis=0)
     y -= _medians(y)
@@ -228,7 +230,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
         mean = float(rows[:, 1].mean())
         y = rows[:, 1] - mean
     middle = float(np.median(y))
-    deviation = float(np.median(np.abs(y - middle))) / MAD
+    deviation = float(np.median(np.abs(y - middle))) / MAD_OF_NORMAL
     inlier = np.abs(y - middle) <= OUTLIER_SIGMAS * max(deviation, 1e-12)
     t, _, h, R, theta = rows[inlier].T
     y = y[inlier]

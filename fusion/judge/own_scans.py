@@ -130,7 +130,7 @@ def is_better(before: float | None, after: float | None) -> bool:
     return after >= before + MIN_AGREEMENT_RISE or (after >= GOOD_AGREEMENT and after >= before)
 
 
-class Own(msgspec.Struct, frozen=True):
+class OwnScanFigures(msgspec.Struct, frozen=True):
     """Path quality figures of one estimate by the laser scans of its drive."""
 
     revisit_agreement: float | None
@@ -149,7 +149,7 @@ class Own(msgspec.Struct, frozen=True):
 
 def judged_by_scans(
     drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
-) -> dict[str, Own]:
+) -> dict[str, OwnScanFigures]:
     """Return the path quality figures of estimates, by name of the estimate.
 
     `smoothed` are smoothed estimates, by the name of the filter's estimate with the same sensors.
@@ -166,11 +166,11 @@ def judged_by_scans(
         cells = hit if enough else None
         whole = smoothed.get(e.name) if LASER in e.sensors else None
         if whole is None:
-            found[e.name] = Own(agreement, cells)
+            found[e.name] = OwnScanFigures(agreement, cells)
             continue
         apart = Distance.between(e.t, e.pose[:, :2], whole.pose[:, :2])
         better, claimed = is_better(agreement, judged[whole.name][0]), _claimed(e)
-        found[e.name] = Own(
+        found[e.name] = OwnScanFigures(
             agreement, cells, apart, better, claimed, contradicted=apart.contradicts(claimed, _claimed(whole))
         )
     return found

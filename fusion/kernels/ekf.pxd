@@ -12,7 +12,7 @@ cdef class Steps:
     cpdef noise_of(self, Py_ssize_t k)
     cpdef double dt_of(self, Py_ssize_t k)
 
-cdef class Track:
+cdef class TrackColumns:
     cdef double[:, ::1] pose, triangle, values
     cdef Py_ssize_t[::1] states
 
@@ -78,6 +78,6 @@ cdef class State:
     cpdef pose_in_map(self)
     cpdef located(self, bint in_map=*)
     cdef void locate(self, bint in_map)
-    cpdef void note(self, Py_ssize_t k, Track track)
+    cpdef void note(self, Py_ssize_t k, TrackColumns track)
 
 cpdef double bent(double tt)

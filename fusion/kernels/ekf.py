@@ -53,7 +53,7 @@ class Steps:
         return self.dt[k - self.first]
 
 
-class Track:
+class TrackColumns:
     """Record of the pose, its covariance and some states, one row per update."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
@@ -605,7 +605,7 @@ class State:
         small[o, 7] = s * P[0, 2] + c * P[1, 2] + bt + ty + gyt + rx * gtt
         small[o, 8] = P[2, 2] + 2.0 * tt + gtt
 
-    def note(self, k: int, track: Track) -> None:
+    def note(self, k: int, track: TrackColumns) -> None:
         """Write row k of a track: the pose in the map with its covariance, and the recorded states."""
         self.locate(True)
         o = MAX_NUMBERS + 2

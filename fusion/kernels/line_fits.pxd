@@ -2,7 +2,7 @@ cimport cython
 from libc.math cimport cos, sin, sqrt
 
 from .angles cimport wrapped
-from .segments cimport Limits, Returns, Scans, Segments, distance, find_walls, head_of, tail_of
+from .segments cimport Limits, Returns, ScanColumns, Segments, distance, find_walls, head_of, tail_of
 
 cdef double FAR_FOOT_M, MAX_PSI_RAD, MIN_BEND_RAD, MAX_JOINT_TURN_RAD, MAX_SHADOW_M
 cdef double MIN_CURVE_GAIN_CHI2, SPARED_PIECE_CHI2, MIN_PIECE_GAIN_CHI2
@@ -24,7 +24,7 @@ cdef class Sweep:
     cdef Py_ssize_t pieces
     cdef double lever_x, lever_y, ahead_x, ahead_y
 
-cdef class Found:
+cdef class FoundLines:
     cdef readonly Py_ssize_t[::1] counts, curved, points
     cdef readonly Py_ssize_t[:, ::1] span
     cdef readonly double[:, ::1] z, R, ends
@@ -32,11 +32,11 @@ cdef class Found:
     cdef readonly double[:, :, ::1] sweep
     cdef readonly Py_ssize_t count
 
-cpdef Found find_lines(Scans scans, Limits limits, Sweep sweep)
-cdef bint fit_wall(Returns returns, Limits limits, Segments segments, Py_ssize_t wall, Fit fit, Found found)
-cdef bint finish(Returns returns, Limits limits, Fit fit, Found found)
+cpdef FoundLines find_lines(ScanColumns scans, Limits limits, Sweep sweep)
+cdef bint fit_wall(Returns returns, Limits limits, Segments segments, Py_ssize_t wall, Fit fit, FoundLines found)
+cdef bint finish(Returns returns, Limits limits, Fit fit, FoundLines found)
 @cython.locals(s=double, sq=double, sqq=double)
-cdef void loadings(Returns returns, Fit fit, Sweep sweep, Found found)
+cdef void loadings(Returns returns, Fit fit, Sweep sweep, FoundLines found)
 cdef void rows_of(Segments segments, Py_ssize_t wall, Fit fit)
 cdef void residuals(Returns returns, Limits limits, Fit fit)
 cdef void keep(Fit fit, Py_ssize_t k, Py_ssize_t kept)

@@ -24,7 +24,7 @@ except ImportError:  # Cython is only needed to compile
     from . import uncompiled as cython
 if not cython.compiled:
     from .angles import wrapped
-    from .segments import Limits, Returns, Scans, Segments, distance, find_walls, head_of, tail_of
+    from .segments import Limits, Returns, ScanColumns, Segments, distance, find_walls, head_of, tail_of
     from .uncompiled import cos, sin, sqrt
 
 FAR_FOOT_M = 1e150  # where a beam that runs along the wall would meet it
@@ -73,7 +73,7 @@ class Sweep:
         self.ahead_x, self.ahead_y = ahead
 
 
-class Found:
+class FoundLines:
     """Lines of n scans, as columns of `lines.extract.Lines`: `count` lines so far, at most `most`.
 
     R is over sigma_range^2, as rr, rp, pp; sweep (most, 4, pieces) is what r owes to a turn and a move, then psi.
@@ -85,10 +85,10 @@ class Found:
         self.points, self.span, self.sweep = wholes(most), wholes(most, 2), floats(most, 4, pieces)
 
 
-def find_lines(scans: Scans, limits: Limits, sweep: Sweep) -> Found:
+def find_lines(scans: ScanColumns, limits: Limits, sweep: Sweep) -> FoundLines:
     """Return the lines of all scans; the scans are independent."""
     number, beams = scans.ranges.shape[0], scans.ranges.shape[1]
-    found = Found(number, number * (beams // 3), sweep.pieces)  # no line of fewer beams
+    found = FoundLines(number, number * (beams // 3), sweep.pieces)  # no line of fewer beams
     returns, segments, fit, curves = Returns(beams), Segments(beams), Fit(beams), Curves(beams)
     for scan in range(number):
         before = found.count
@@ -106,7 +106,7 @@ def find_lines(scans: Scans, limits: Limits, sweep: Sweep) -> Found:
     return found
 
 
-def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, found: Found) -> bool:
+def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, found: FoundLines) -> bool:
     """Fit a line to the returns of a wall and write the line; return whether it is valid.
 
     Two Gauss-Newton steps. What lies outside the wall's own feet, or is seen too flat, leaves before the first,
@@ -137,7 +137,7 @@ def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fi
     return finish(returns, limits, fit, found)
 
 
-def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
+def finish(returns: Returns, limits: Limits, fit: Fit, found: FoundLines) -> bool:
     """Take the last Gauss-Newton step and write the line; return False for a bent wall or an uncertain line.
 
     A wall is bent where a parabola, as high as that share of its chord, explains much of the misfit. A line is too
@@ -168,7 +168,7 @@ def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
     return True
 
 
-def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: Found) -> None:
+def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: FoundLines) -> None:
     """Write the derivatives of a line's (r, psi) by turn [rad] and move [m] in each piece of the sweep.
 
     A beam's end moves across its line by lever - q per radian and by n.ahead per metre; the fit passes that on.

@@ -33,7 +33,7 @@ if not cython.compiled:
     R, PSI, BEGIN, END = 0, 1, 5, 6
     # columns of a map line: rho [m] and beta [rad] about its anchor x, y [m], both ends, and which way it faces
     RHO, BETA, X, Y, LOW, HIGH, NX, NY = range(8)
-COLUMNS = 8  # of a map line; the last two are written here
+LINE_COLUMNS = 8  # of a map line; the last two are written here
 
 
 # ---- from one mount to another ----

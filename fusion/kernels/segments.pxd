@@ -4,7 +4,7 @@ from libc.math cimport atan2, cos, pi, sin, sqrt, tan
 cdef double JOINS_NEVER_CHI2, GAP_SCORE_M, MAX_CORNER_SHARE, MIN_CORNER_SINE, FAR_M, MIN_DIVISOR
 cdef Py_ssize_t MAX_STRAY_BEAMS, MAX_CORNER_BEAMS
 
-cdef class Scans:
+cdef class ScanColumns:
     cdef double[:, ::1] ranges, cosine, sine, x, y
     cdef double[::1] growth
     cdef Py_ssize_t[::1] ring
@@ -29,8 +29,8 @@ cdef class Segments:
     cdef double[::1] own, cost, r, psi, low, high
     cdef Py_ssize_t runs, pieces, groups, parts, walls
 
-cdef void find_walls(Scans scans, Py_ssize_t scan, Limits limits, Returns returns, Segments segments)
-cdef void gather(Scans scans, Py_ssize_t scan, Py_ssize_t begin, Returns returns)
+cdef void find_walls(ScanColumns scans, Py_ssize_t scan, Limits limits, Returns returns, Segments segments)
+cdef void gather(ScanColumns scans, Py_ssize_t scan, Py_ssize_t begin, Returns returns)
 cdef double gap(Returns returns, Py_ssize_t before, Py_ssize_t i, double growth, double max_gap)
 cdef Py_ssize_t ring_start(Returns returns, double growth, double max_gap)
 cdef void cut_at_gaps(Returns returns, double growth, double max_gap, Segments segments)

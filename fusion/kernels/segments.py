@@ -33,7 +33,7 @@ FAR_M = 1e300
 MIN_DIVISOR = 1e-100
 
 
-class Scans:
+class ScanColumns:
     """Scans of one laser: `ranges` (n, b) [m]; ranges within [low, high) are returns.
 
     `rays`: every beam's direction cos, sin and origin x, y [m], (n, b) each, or (b,) where all scans agree.
@@ -105,7 +105,7 @@ class Segments:
         self.runs, self.pieces, self.groups, self.parts, self.walls = 0, 0, 0, 0, 0
 
 
-def find_walls(scans: Scans, scan: int, limits: Limits, returns: Returns, segments: Segments) -> None:
+def find_walls(scans: ScanColumns, scan: int, limits: Limits, returns: Returns, segments: Segments) -> None:
     """Find the walls of a scan and the returns of each wall."""
     growth = scans.growth[scan]
     gather(scans, scan, 0, returns)
@@ -130,7 +130,7 @@ def find_walls(scans: Scans, scan: int, limits: Limits, returns: Returns, segmen
 # ---- returns, runs and straight pieces ----
 
 
-def gather(scans: Scans, scan: int, begin: int, returns: Returns) -> None:
+def gather(scans: ScanColumns, scan: int, begin: int, returns: Returns) -> None:
     """Collect the returns of a scan, beginning at beam `begin`."""
     beams, count, row = scans.ranges.shape[1], 0, scan if scans.moving else 0
     for i in range(beams):

@@ -17,7 +17,7 @@ cdef enum:
     LINE_OF, WALL_OF, OFFSET, TURN, R00, R01, R11, S00, S01, S11
     D2, SCORE, BEGIN, END, OVERLAP, COS, SIN, LEVER, PSI, PAIR
 
-cdef class Walls:
+cdef class WallColumns:
     cdef Py_ssize_t[::1] columns, hits, seen, born, ids
     cdef double[:, ::1] anchors, fixed
     cdef double[::1] low, high
@@ -38,17 +38,17 @@ cdef class Doubles:
     cdef Py_ssize_t hits, trial
     cdef double turn, offset, apart
 
-cdef class Audit:
+cdef class AuditColumns:
     cdef int[::1] instant, row
     cdef long long[::1] landmark
     cdef signed char[::1] verdict
     cdef double[::1] nis, threshold
     cdef double[:, ::1] y, sigma
 
-cdef class Sight:
+cdef class SightLines:
     cdef readonly Rules rules
     cdef readonly Seat seat
-    cdef readonly Walls walls
+    cdef readonly WallColumns walls
     cdef double[:, ::1] rows, pairs, wall_rows, seen, mount, G
     cdef double[:, :, ::1] shared
     cdef double[::1] place, offset
@@ -56,7 +56,7 @@ cdef class Sight:
     cdef Loosening bent
     cdef readonly Py_ssize_t lines, accepted, numbers, found, first, parts
 
-    cpdef double look(self, State state, Walls walls, double[:, ::1] rows, double[:, :, ::1] shared)
+    cpdef double look(self, State state, WallColumns walls, double[:, ::1] rows, double[:, :, ::1] shared)
     cdef void put_in_base(self, State state, double[:, ::1] rows, double[:, :, ::1] shared)
     cdef void gather(self, State state)
     cdef void predict(self, double x, double y, double theta)
@@ -83,16 +83,16 @@ cdef class Sight:
     cdef void state_line(self, State state, Py_ssize_t i, Py_ssize_t p)
     cdef void share_noise(self, State state, Py_ssize_t i, Py_ssize_t p, Py_ssize_t a)
     @cython.locals(rules=Rules, nan=double, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, p=Py_ssize_t)
-    cpdef void write(self, Audit out, Py_ssize_t at, Py_ssize_t instant, Py_ssize_t row)
-    @cython.locals(walls=Walls, i=Py_ssize_t, j=Py_ssize_t, p=Py_ssize_t)
+    cpdef void write(self, AuditColumns out, Py_ssize_t at, Py_ssize_t instant, Py_ssize_t row)
+    @cython.locals(walls=WallColumns, i=Py_ssize_t, j=Py_ssize_t, p=Py_ssize_t)
     cpdef void extend(self, Py_ssize_t scan)
     cpdef Py_ssize_t new_lines(self)
     @cython.locals(bent=Loosening, i=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, known=Py_ssize_t)
     cpdef void bends(self, State state, double uneven, double uneven_angle, double most, double most_angle)
 
-cpdef void lacks(State state, Walls walls, double floor, double floor_angle, Loosening missing)
+cpdef void lacks(State state, WallColumns walls, double floor, double floor_angle, Loosening missing)
 cpdef bint untidy(
-    State state, Walls walls, Doubles doubles, Py_ssize_t scan, double[:, ::1] rows, Py_ssize_t[::1] found)
-cpdef bint worthless(Walls walls, Py_ssize_t j, Py_ssize_t scan, Doubles doubles)
-cpdef bint one_wall(double[:, ::1] rows, Walls walls, Py_ssize_t i, Py_ssize_t j, Doubles doubles)
-cpdef Py_ssize_t neighbours(double[:, ::1] rows, Walls walls, Py_ssize_t i, Doubles doubles, Py_ssize_t[::1] found)
+    State state, WallColumns walls, Doubles doubles, Py_ssize_t scan, double[:, ::1] rows, Py_ssize_t[::1] found)
+cpdef bint worthless(WallColumns walls, Py_ssize_t j, Py_ssize_t scan, Doubles doubles)
+cpdef bint one_wall(double[:, ::1] rows, WallColumns walls, Py_ssize_t i, Py_ssize_t j, Doubles doubles)
+cpdef Py_ssize_t neighbours(double[:, ::1] rows, WallColumns walls, Py_ssize_t i, Doubles doubles, Py_ssize_t[::1] found)

@@ -56,7 +56,7 @@ COMMON_M = 0.05  # of one map line that two measured lines may both claim
 LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M = 5.0, 3.0 * (pi / 180.0), 0.15
 
 
-class Walls:
+class WallColumns:
     """Line map as arrays (J,), shared with fusion.map.LineMap."""
 
     def __init__(self, columns: Any, anchors: Any, low: Any, high: Any, fixed: Any, states: bool) -> None:
@@ -96,7 +96,7 @@ class Doubles:
         self.hits, self.trial, self.turn, self.offset, self.apart = hits, trial, turn, offset, apart
 
 
-class Audit:
+class AuditColumns:
     """Record of all measurements as columns (rows,) (fusion.ekf.record)."""
 
     def __init__(self, instant: Any, row: Any, verdict: Any, landmark: Any) -> None:
@@ -109,7 +109,7 @@ class Audit:
         self.y, self.sigma = memory(y), memory(sigma)
 
 
-class Sight:
+class SightLines:
     """Lines of one scan, associated with the map; the arrays belong to fusion.map.line_map."""
 
     def __init__(self, rules: Rules, seat: Seat) -> None:
@@ -139,7 +139,7 @@ class Sight:
 
     # ---- a scan ----
 
-    def look(self, state: State, walls: Walls, rows: Any, shared: Any) -> float:
+    def look(self, state: State, walls: WallColumns, rows: Any, shared: Any) -> float:
         """Associate measured lines (n, 7), in the base frame by the configured mount, with the map.
 
         shared (n, 2, parts) are unit errors that they share. Returns the share of their length that matches.
@@ -473,7 +473,7 @@ class Sight:
                 for k in range(self.parts):
                     state.row_R[first + m, first + j] += self.G[m, k] * self.G[j, k]
 
-    def write(self, out: Audit, at: int, instant: int, row: int) -> None:
+    def write(self, out: AuditColumns, at: int, instant: int, row: int) -> None:
         """Write the verdicts on all lines to the audit from row `at` on; `row`: row of the first line in z."""
         rules, nan = self.rules, float("nan")
         for i in range(self.lines):
@@ -532,7 +532,7 @@ class Sight:
             bent.add(rho + 1, min(max(uneven_angle - state.P[rho + 1, rho + 1], 0.0), most_angle))
 
 
-def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing: Loosening) -> None:
+def lacks(state: State, walls: WallColumns, floor: float, floor_angle: float, missing: Loosening) -> None:
     """List in `missing` the map states with a variance below the floor [m^2, rad^2], each with the difference.
 
     First all offsets, then all angles: room for (2 J,).
@@ -546,7 +546,7 @@ def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing:
                 missing.add(j, lacking)
 
 
-def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, found: Any) -> bool:
+def untidy(state: State, walls: WallColumns, doubles: Doubles, scan: int, rows: Any, found: Any) -> bool:
     """Return whether the map may have a rarely seen line or a duplicate of a recently seen line.
 
     rows (J, 4) and found (J,) are room to work in.
@@ -562,12 +562,12 @@ def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, f
     return False
 
 
-def worthless(walls: Walls, j: int, scan: int, doubles: Doubles) -> bool:
+def worthless(walls: WallColumns, j: int, scan: int, doubles: Doubles) -> bool:
     """Return whether line j was seen too rarely in its first `trial` scans."""
     return walls.hits[j] < doubles.hits and scan - walls.born[j] > doubles.trial and walls.born[j] > 0
 
 
-def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
+def one_wall(rows: Any, walls: WallColumns, i: int, j: int, doubles: Doubles) -> bool:
     """Return whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be duplicates, by position."""
     turn = rows[j, BETA] - rows[i, BETA]
     if i == j or turn - turn != 0.0 or not abs(wrapped(turn)) < doubles.turn:  # Inf or NaN: there is no such line
@@ -581,7 +581,7 @@ def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
     return apart <= doubles.apart
 
 
-def neighbours(rows: Any, walls: Walls, i: int, doubles: Doubles, found: Any) -> int:
+def neighbours(rows: Any, walls: WallColumns, i: int, doubles: Doubles, found: Any) -> int:
     """List the lines that may be duplicates of line i in `found` (J,); return their number."""
     n = 0
     for j in range(walls.places):

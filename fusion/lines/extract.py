@@ -24,24 +24,26 @@ from locfuse.fusion.sensor import WheelMotion
 SWEEP_PIECES = 6
 PIECE_EDGES = np.linspace(-0.5, 0.5, SWEEP_PIECES + 1)  # of the pieces, in sweeps from its middle
 MAX_RANGE_M = 1e6  # larger ranges count as no return
-_BATCH = 256  # scans processed at once,
-_BEAMS = 100_000  # unless they have more beams than this in total: working memory is some 300 bytes per beam
+_SCANS_AT_ONCE = 256  # scans processed at once,
+_BEAMS_AT_ONCE = (
+    100_000  # unless they have more beams than this in total: working memory is some 300 bytes per beam
+)
 _OF_R = np.array((2, 3, 3, 4))
 LINE_COLUMNS = 7  # columns of a line in a table, by kernels.places and kernels.sight
 
 
-class Motion(NamedTuple):
+class BeamMotion(NamedTuple):
     """Mount of the laser, in the form needed for the motion of beams with the base."""
 
     lever: tuple[float, float]  # m, from the base to the laser, in the laser frame
     ahead: tuple[float, float]  # forward direction of the base in the laser frame
 
 
-def motion_of(mount: Array) -> Motion:
-    """Convert a laser mount x [m], y [m], yaw [rad] to a `Motion`."""
+def motion_of(mount: Array) -> BeamMotion:
+    """Convert a laser mount x [m], y [m], yaw [rad] to a `BeamMotion`."""
     x, y, yaw = mount.tolist()
     c, s = np.cos(yaw), np.sin(yaw)
-    return Motion((c * x + s * y, c * y - s * x), (c, -s))
+    return BeamMotion((c * x + s * y, c * y - s * x), (c, -s))
 
 
 def shares(beams: int) -> Array:
@@ -129,14 +131,14 @@ class Lines(msgspec.Struct, frozen=True):
     curved: Ints  # (n,) number of walls left out as curved
 
 
-class Scans(NamedTuple):
+class RawScans(NamedTuple):
     """Ranges and angles of several scans of one laser."""
 
     ranges: Array  # (n, b) m; NaN, Inf and 0 are no return
     angles: Array  # (b,) or (n, b) rad, increasing or decreasing
     offsets: Array | None  # (n, b, 3) laser pose of each beam in the scan's frame; None: at its origin
 
-    def take(self, rows: slice) -> Scans:
+    def take(self, rows: slice) -> RawScans:
         """Return the scans in a slice."""
         angles = self.angles if self.angles.ndim == 1 else self.angles[rows]
         offsets = None if self.offsets is None else self.offsets[rows]
@@ -166,7 +168,7 @@ def extract_lines(
     angles: Array,
     settings: LineSettings = PAPER_LASER,
     offsets: Array | None = None,
-    motion: Motion | None = None,
+    motion: BeamMotion | None = None,
 ) -> Lines:
     """Extract straight walls from `ranges` (n, b) [m] at `angles` (b,) or (n, b) [rad].
 
@@ -175,8 +177,8 @@ def extract_lines(
     returns. Angles increase or decrease; full-circle scans may have walls across beam 0. The result of a scan does
     not depend on other scans.
     """
-    scans = Scans(ranges, angles, offsets)
-    batch = min(_BATCH, max(_BEAMS // max(ranges.shape[1], 1), 1))
+    scans = RawScans(ranges, angles, offsets)
+    batch = min(_SCANS_AT_ONCE, max(_BEAMS_AT_ONCE // max(ranges.shape[1], 1), 1))
     parts = [
         lines_of(scans.take(slice(i, i + batch)), settings, motion) for i in range(0, max(len(ranges), 1), batch)
     ]
@@ -214,14 +216,14 @@ def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float
     return of_rows(rows_in_base(rows_of(z, R_unit, ends), x, y, yaw))
 
 
-def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lines:
+def lines_of(scans: RawScans, settings: LineSettings, motion: BeamMotion | None) -> Lines:
     """Extract the lines of one batch of scans."""
     spacing, beams = scans.spacing(), scans.ranges.shape[1]
     limits = float(np.finfo(float).tiny), MAX_RANGE_M
     ring = spacing * (beams + 0.5) > 2.0 * math.pi
-    given = segments.Scans(scans.ranges, scans.rays(), settings.gap_spacings * spacing, ring, limits)
+    given = segments.ScanColumns(scans.ranges, scans.rays(), settings.gap_spacings * spacing, ring, limits)
     share = np.zeros((0, beams)) if motion is None else shares(beams)
-    sweep = line_fits.Sweep(share, *(motion or Motion((0.0, 0.0), (0.0, 0.0))))
+    sweep = line_fits.Sweep(share, *(motion or BeamMotion((0.0, 0.0), (0.0, 0.0))))
     found = line_fits.find_lines(given, segments.Limits(settings), sweep)
     n = found.count
     R, points, span = np.asarray(found.R)[:n], np.asarray(found.points)[:n], np.asarray(found.span)[:n]

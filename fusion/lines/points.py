@@ -17,9 +17,9 @@ from .scans import Laser, equal_scans, limited, limits, points_in_base
 
 T = TypeVar("T")
 
-# the longest range of a log means "no return" if it was read MIN_REPEATS times, and more than CROWD times as often
-# as ranges from NEAR times the longest range on: a wall gives different ranges
-MIN_REPEATS, NEAR, CROWD = 20, 0.99, 3
+# the longest range of a log means "no return" if it was read MIN_REPEATS times, and more than CROWD_FACTOR times
+# as often as ranges from NEAR_SHARE times the longest range on: a wall gives different ranges
+MIN_REPEATS, NEAR_SHARE, CROWD_FACTOR = 20, 0.99, 3
 SCANS_PER_BLOCK = 256  # scans processed at once (benchmarks: "lines per scan")
 
 
@@ -29,7 +29,7 @@ class Longest:
     def __init__(self) -> None:
         self.value = 0.0  # m
         self.count = 0  # number of ranges equal to `value`
-        self._near = 0  # number of other ranges from NEAR * value on
+        self._near = 0  # number of other ranges from NEAR_SHARE * value on
         self._read = 0
         self._scans = self._unlimited = 0  # number of scans; of scans without valid limits
         self._limits = (0.0, 0.0)  # m: invalid range_min and range_max of one scan
@@ -48,19 +48,19 @@ class Longest:
         if not longest <= far.min():  # NaN, Inf, or ranges beyond range_max: no wall is there
             ranges = np.where(ranges <= far[:, None], ranges, 0.0)
             longest = float(ranges.max())
-        if longest < NEAR * self.value or longest <= 0.0:
+        if longest < NEAR_SHARE * self.value or longest <= 0.0:
             return
         if longest > self.value:
-            self._near = self._near + self.count if self.value >= NEAR * longest else 0
+            self._near = self._near + self.count if self.value >= NEAR_SHARE * longest else 0
             self.value, self.count = longest, 0
         equal = int(np.count_nonzero(ranges == self.value))
         self.count += equal
-        self._near += int(np.count_nonzero(ranges >= NEAR * self.value)) - equal
+        self._near += int(np.count_nonzero(ranges >= NEAR_SHARE * self.value)) - equal
 
     @property
     def no_return(self) -> float | None:
         """Return the range [m] that means "no return"; None if the longest range is that of a wall."""
-        repeated = self.count >= MIN_REPEATS and self.count > CROWD * self._near
+        repeated = self.count >= MIN_REPEATS and self.count > CROWD_FACTOR * self._near
         return self.value if repeated else None
 
     @property

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD
+from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Ints, Ragged
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensor import WheelMotion
@@ -21,7 +21,10 @@ from .extract import Lines, LineSettings, extract_lines, in_base, motion_of, noi
 # of a LaserScan
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 CELLS_AT_ONCE = 1 << 18  # pairs of lines compared at once, to save memory
-LEAST, MOST = np.nextafter(0.0, 1.0), np.finfo(np.float64).max  # m: limits of a valid range, without 0 and Inf
+LEAST_RANGE_M, LARGEST_RANGE_M = (
+    np.nextafter(0.0, 1.0),
+    np.finfo(np.float64).max,
+)  # m: limits of a valid range, without 0 and Inf
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 MAX_LINES = 500  # of one scan: an update with n lines takes 32 n^2 bytes and n^3 time
 BEAMS_AT_ONCE = 1 << 19  # beams processed at once, to save memory
@@ -184,7 +187,9 @@ def limits(scans: Mapping[str, Any]) -> tuple[Array, Array]:
     """Return least and greatest range (k,) [m] of a return; all positive finite ranges without valid limits."""
     near, far = (np.asarray(scans[name], np.float64) for name in ("range_min", "range_max"))
     known = limited(scans)
-    return np.where(known, np.maximum(near, LEAST), LEAST), np.where(known, np.minimum(far, MOST), MOST)
+    return np.where(known, np.maximum(near, LEAST_RANGE_M), LEAST_RANGE_M), np.where(
+        known, np.minimum(far, LARGEST_RANGE_M), LARGEST_RANGE_M
+    )
 
 
 def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
@@ -362,7 +367,10 @@ def wall_floor(
     wheel slip within a scan on psi, common to its lines (lines.extract).
     """
     change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
-    if len(change) < MIN_PAIRS or float(np.median(np.abs(change) / np.sqrt(noise))) < MAD * MIN_MISFIT_RATIO:
+    if (
+        len(change) < MIN_PAIRS
+        or float(np.median(np.abs(change) / np.sqrt(noise))) < MAD_OF_NORMAL * MIN_MISFIT_RATIO
+    ):
         return 0.0, 0.0
     low, high = 0.0, math.radians(2.0)
     for _ in range(30):  # bisection: median of change^2 / variance = CHI_SQUARE_MEDIAN

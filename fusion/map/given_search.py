@@ -46,7 +46,7 @@ SAY_START = "say where the drive begins: " + " ".join(
 )
 
 
-class Start(NamedTuple):
+class StartPose(NamedTuple):
     """Pose of the robot at its first scan, and the share of beams that match the map there."""
 
     pose: Array  # (3,) at time `t`, map frame
@@ -55,7 +55,7 @@ class Start(NamedTuple):
     share: float  # of the beams that end at walls
 
 
-def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
+def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> StartPose:
     """Return the pose at the first scan, from the scans at times t (n,) in the first DRIVING_S s of driving.
 
     Raises LocfuseError if no pose matches, if several match, or if there are more than MAX_TRIED poses to try.
@@ -68,11 +68,11 @@ def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
         places.look(scan, wheels.relative(t[[seen[-1]]], t[[row]])[0] if seen else None)
         seen.append(row)
     if places.decided():
-        return Start(places.pose(), float(t[seen[0]]), float(t[seen[-1]]), places.best)
+        return StartPose(places.pose(), float(t[seen[0]]), float(t[seen[-1]]), places.best)
     raise LocfuseError(_no_place(places, float(t[rows[-1]]) if len(rows) else 0.0), role="map")
 
 
-def at_start(found: Start, wheels: Wheels) -> Array:
+def at_start(found: StartPose, wheels: Wheels) -> Array:
     """Convert a pose at the first scan to the pose (3,) at the first wheel reading."""
     back = wheels.relative(np.array([found.t]), wheels.t[:1])[0]
     return np.asarray(se2.compose(found.pose, back))

@@ -29,11 +29,11 @@ from .slips import (
     SLIP_SIGMA_M,
     SLIP_SIGMA_RAD,
     SMALL_RAD,
+    RecentScans,
     Seen,
     Series,
     Slide,
     Suspicion,
-    Trail,
     agree,
     continues,
     slip_turn,
@@ -93,7 +93,7 @@ class Guard:
         self._suspicion: Suspicion | None = None
         self._series = Series()
         self._slide = Slide()
-        self._trail = Trail()  # scans since the robot is lost
+        self._trail = RecentScans()  # scans since the robot is lost
         self._good = (0.0, 0)  # s, time of the last good scan, and id of the first line added after it
         self._before: deque[Seen] = deque(maxlen=SCANS_BEFORE_JUMP)  # last scans
         self._before_jump: Sequence[Seen] = ()  # last scans before the walls jumped

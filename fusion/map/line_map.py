@@ -73,7 +73,7 @@ class LineMap(msgspec.Struct):
     seen: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the last matched scan
     born: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the first scan
     next_id: int = 0
-    _table: sight.Walls | None = None  # kernel's view of the arrays
+    _table: sight.WallColumns | None = None  # kernel's view of the arrays
     _shown: tuple[Any, ...] = ()  # arrays from which `_table` was built
     _room: int = 0  # capacity of `_lacking` in states
     _lacking: Loosening | None = None  # states below the least variance
@@ -96,7 +96,7 @@ class LineMap(msgspec.Struct):
         P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
         return P
 
-    def table(self) -> sight.Walls:
+    def table(self) -> sight.WallColumns:
         """Return the table of the lines for the kernel; it shares the map's arrays, so it shows their changes.
 
         It is built anew after an array was replaced.
@@ -109,7 +109,7 @@ class LineMap(msgspec.Struct):
         if not states:
             fixed[:, :2], fixed[:, 2:4] = self.value, self.anchor
             fixed[:, 4:7] = self.P.reshape(-1, 4)[:, (0, 1, 3)]
-        table = sight.Walls(self.column, self.anchor, self.lo, self.hi, fixed, states)
+        table = sight.WallColumns(self.column, self.anchor, self.lo, self.hi, fixed, states)
         table.count(self.hits, self.seen, self.born, self.ids)
         self._shown, self._table = (self.column, self.hits, self.seen), table
         return table
@@ -235,7 +235,7 @@ def about_middle(line: MapLine) -> tuple[Array, float, Array]:
     return np.array([line.rho * c - along * s, line.rho * s + along * c]), half, G @ line.P @ G.T
 
 
-class Association(sight.Sight, Reading):
+class Association(sight.SightLines, Reading):
     """Data association of one scan with the map: the map line of each measured line, or why there is none.
 
     As a `Reading` of the filter, it has all accepted lines of the scan, as rows of the state's table.

@@ -7,7 +7,7 @@ match, so none is accepted.
 
 For a lost robot, one scan is searched (`find_pose`), and earlier scans since it was lost exclude poses. For a
 robot that may have returned to a known place, its submap is searched (`find_closure`): the best pose is refined by
-the walls, and several candidates (`Looks`) must agree.
+the walls, and several candidates (`CandidateRuns`) must agree.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from locfuse.fusion.scan_matching.solve import chi2_of
 from .anchors import Anchors
 from .line_map import MIN_HITS, LineMap
 from .scan import Scan
-from .slips import Trail
+from .slips import RecentScans
 from .small_maps import as_scan
 from .way import Way
 
@@ -174,14 +174,16 @@ def walls_of(lines: LineMap, values: Array, known: Ints | None = None) -> Array:
     seen at least MIN_HITS times.
     """
     known = np.flatnonzero(lines.hits >= MIN_HITS) if known is None else known
-    walls = np.empty((len(known), places.COLUMNS))
+    walls = np.empty((len(known), places.LINE_COLUMNS))
     walls[:, :2], walls[:, 2:4] = values[known], lines.anchor[known]
     walls[:, 4], walls[:, 5] = lines.lo[known], lines.hi[known]
     viewed: Array = view(walls)
     return viewed
 
 
-def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> tuple[float, float, float] | None:
+def find_pose(
+    scan: Scan, lines: LineMap, belief: JointBelief, trail: RecentScans
+) -> tuple[float, float, float] | None:
     """Return the pose (x, y, theta) of a scan in the map; None if no pose or several match.
 
     Other matching poses are excluded if earlier scans of the trail contradict them.
@@ -391,7 +393,7 @@ def _same_walls(
     return J, e, W, length
 
 
-class Looks:
+class CandidateRuns:
     """Latest loop-closure candidate in each frozen submap, and how many consecutive candidates there agree.
 
     A candidate is the last pose of the present submap in the frozen one.

@@ -50,7 +50,7 @@ class Scan(msgspec.Struct, frozen=True, eq=False):
         return self.rows[:, 5:]
 
 
-class Scans:
+class LineReader:
     """Reader of lines from laser measurements, for scans in order of time: converts many lines at a time."""
 
     def __init__(self) -> None:

@@ -6,7 +6,7 @@ waits for the next scans. Then the current scan is matched with the last used sc
 turned more than the wheels report and the map fits better. If the two scans cannot be matched, all scans since
 then must fit the map much better. Until the decision no scan corrects pose or map.
 
-A candidate pose of a lost robot must agree with all scans of its `Trail`. In a symmetric room a single scan fits
+A candidate pose of a lost robot must agree with all of its `RecentScans`. In a symmetric room a single scan fits
 at two poses; later scans contradict one of them.
 """
 
@@ -50,7 +50,7 @@ CARRIED_SCANS = 6  # consecutive scans that suggest a slip: the robot is being c
 CONTINUING_SHARE = 0.4  # share of line length at the position predicted by earlier scans: no jump
 
 
-class Trail:
+class RecentScans:
     """Recent scans along the path, with poses by wheel odometry."""
 
     def __init__(self) -> None:

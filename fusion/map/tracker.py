@@ -57,8 +57,8 @@ from .line_map import (
     seat_of,
     untidy,
 )
-from .place_search import INSISTING_LOOKS, Closure, Looks, MapWithPath, find_closure, is_unknown
-from .scan import Scan, Scans, Standing
+from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, MapWithPath, find_closure, is_unknown
+from .scan import LineReader, Scan, Standing
 from .small_maps import (
     FrozenMap,
     begin_submap,
@@ -110,7 +110,7 @@ class LineTracker(Model):
         new = NEW if mode == "grow" else UNMATCHED
         self.rules = Rules(self.gate, self.joint, mode == "grow", UNMATCHED, AMBIGUOUS, new)
         self._scan = 0
-        self._scans = Scans()
+        self._scans = LineReader()
         self._standing = Standing()
         self._sight: Association | None = None  # association at the predicted pose, reused from scan to scan
         self._found: Association | None = None  # association of the present scan; None: the map begins with it
@@ -329,7 +329,7 @@ class AtlasTracker(LineTracker):
         self._left: tuple[Array, Array] | None = None  # pose at which the last submap was left, and its covariance
         self._full = False
         self._searched_at = 0.0  # m of path
-        self._looks = Looks()  # candidate closures of the present submap
+        self._looks = CandidateRuns()  # candidate closures of the present submap
         self._loops: list[Edge] = []
         # anchor of a frozen submap with a closure -> m of path until the next search there
         self._search_again_at: dict[int, float] = {}
@@ -454,7 +454,7 @@ class AtlasTracker(LineTracker):
         self._frozen = [one for one in self._frozen if one is not old]
         self._at, self._way, self._origin, self._along = old.anchor, old.way, old.origin, None
         self._way.resume()
-        self._searched_at, self._looks, self._search_again_at = self._way.length, Looks(), {}
+        self._searched_at, self._looks, self._search_again_at = self._way.length, CandidateRuns(), {}
         if self.guard is not None:
             self.guard.enter_map()
 
@@ -471,7 +471,7 @@ class AtlasTracker(LineTracker):
             self._at = self._anchors.append(self._at, z, P)
             if frame is not None:
                 self._anchors.pose[-1] = frame
-        self._way, self._origin, self._searched_at, self._looks = Way(), pose, 0.0, Looks()
+        self._way, self._origin, self._searched_at, self._looks = Way(), pose, 0.0, CandidateRuns()
         if self._now is not None:
             m, i = self._now
             self._along = WayByScans(m, i, (pose[0], pose[1], pose[2]))

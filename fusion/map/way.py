@@ -44,7 +44,7 @@ DRIFT_RAD_PER_M = np.radians(0.05)
 DERIVATIVE_STEP = 1e-6  # m, rad: step of a numerical derivative
 
 
-class Sight(NamedTuple):
+class PlacedScan(NamedTuple):
     """A scan with its time and the pose of the robot in the submap."""
 
     t: float  # s
@@ -56,7 +56,7 @@ class Way:
     """Path through a submap, with scans from poses along the path."""
 
     def __init__(self) -> None:
-        self.sights: list[Sight] = []
+        self.sights: list[PlacedScan] = []
         self.length = 0.0  # m
         self._last: Pose | None = None
         self._kept: Pose = (0.0, 0.0, 0.0)  # pose of the last kept scan
@@ -80,10 +80,10 @@ class Way:
 
     def keep(self, t: float, pose: Pose, scan: Scan) -> None:
         """Keep a scan taken at a pose."""
-        self.sights.append(Sight(t, np.array(pose), scan))
+        self.sights.append(PlacedScan(t, np.array(pose), scan))
         self._kept = pose
 
-    def nearest(self, place: Array) -> Sight:
+    def nearest(self, place: Array) -> PlacedScan:
         """Return the scan taken nearest to a position (2,) [m] in the submap."""
         return min(self.sights, key=lambda sight: math.hypot(*(sight.pose[:2] - place)))
 

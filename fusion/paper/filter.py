@@ -20,7 +20,7 @@ from locfuse.fusion.wheels.motion import Wheels
 
 from . import equations
 from .equations import PRINTED
-from .rows import PARTS, LineRows, Row, Rows
+from .rows import PARTS, LineRows, MeasurementEquation, MeasurementRow
 
 MAX_STAMP_ROUNDING_S = 1e-9  # s: largest rounding error of a stamp on the grid
 MAX_STEPS = 2_000_000  # of 100 bytes each: more than two days
@@ -106,7 +106,9 @@ class PrintedFilter:
         self.x = np.array(robot.start.pose)
         self.P = np.diag(robot.start.variances)
         self.used = tuple(s for s in drive.measurements if s in sensors)
-        self.parts: dict[str, Rows] = {s: PARTS[s](robot) for s in PARTS if s in sensors or s in listen}
+        self.parts: dict[str, MeasurementEquation] = {
+            s: PARTS[s](robot) for s in PARTS if s in sensors or s in listen
+        }
         self._newest = {s: newest(self.grid, drive.measurements[s].t) for s in self.parts}
         self._records = {s: Record() for s in self.parts}
         self._poses = np.empty((len(self.grid), 3))
@@ -115,7 +117,7 @@ class PrintedFilter:
     def step(self, k: int) -> None:
         """Run one sampling period: predict by the wheels, correct by the newest readings."""
         self.x, self.P = self.predict(self.x, self.P, self.rolled[k])
-        seen: dict[str, list[Row]] = {}
+        seen: dict[str, list[MeasurementRow]] = {}
         for sensor, part in self.parts.items():
             i = int(self._newest[sensor][k])
             if i >= 0:
@@ -138,7 +140,7 @@ class PrintedFilter:
         Q = equations.eq9_Q(PRINTED.delta, omega[..., 1], omega[..., 0])
         return equations.eq3_motion(x, ds, dtheta), equations.eq6_P(P, A, W, Q)
 
-    def correct(self, seen: dict[str, list[Row]]) -> None:
+    def correct(self, seen: dict[str, list[MeasurementRow]]) -> None:
         """Correct by eq. 10-12 with all measurements stacked as in eq. 16."""
         stacked = [row for sensor in PARTS for row in seen.get(sensor, [])]
         if not stacked:

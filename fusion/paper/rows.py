@@ -19,17 +19,17 @@ UNMATCHED, NEW = VERDICTS.index("unmatched"), VERDICTS.index("new")
 TO_RIGHT = math.pi / 2  # the scan's 0 degrees point to the robot's right, the base frame's ahead
 
 
-class Row(NamedTuple):
+class MeasurementRow(NamedTuple):
     """One measurement in eq. 16."""
 
     seen: Innovation
     H: Array  # (d, 3) by the pose
 
 
-class Rows(Protocol):
+class MeasurementEquation(Protocol):
     """Measurement equation of one sensor in eq. 16."""
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[MeasurementRow]:
         """Return the rows of reading i at the predicted pose x (3,) with covariance P (3, 3)."""
 
 
@@ -42,7 +42,7 @@ class LineRows:
         self.ends: list[tuple[float, float]] = []
         self.hits: list[int] = []
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[MeasurementRow]:
         """Return the rows for the lines of scan i by the nearest map lines; the first scan becomes the map."""
         lines = range(int(m.first[i]), int(m.first[i + 1]))
         if not self.map:
@@ -59,7 +59,7 @@ class LineRows:
             self.ends.append((low, high))
             self.hits.append(1)
 
-    def _row(self, row: int, r: float, psi: float, x: Array, P: Array) -> Row:
+    def _row(self, row: int, r: float, psi: float, x: Array, P: Array) -> MeasurementRow:
         j, dr, dpsi = self._nearest(r, psi, x)
         if j < 0:
             return unmatched(row, UNMATCHED)
@@ -94,7 +94,7 @@ class CompassRow:
         self.offset = None if offset is None else math.radians(offset)
         self.R = equations.eq19_R(0, compass=True, camera=False)
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[MeasurementRow]:
         """Return the row for heading i."""
         z, theta = float(m.z[i, 0]), float(x[2])
         if self.offset is None:
@@ -114,7 +114,7 @@ class CameraRow:
         self.yaw = math.radians(settings.yaw_deg)
         self.R = equations.eq19_R(0, compass=False, camera=True)
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[MeasurementRow]:
         """Return the row for the largest candidate of picture i."""
         row = int(m.first[i])
         if row == int(m.first[i + 1]):
@@ -124,17 +124,17 @@ class CameraRow:
         return [innovation(row, 0, np.array([y]), equations.eq13_H_heading(), self.R, P)]
 
 
-def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) -> Row:
+def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) -> MeasurementRow:
     """Return an accepted row with y (d,), H (d, 3), R (d, d); the paper has no gate."""
     S = H @ P @ H.T + R
     nis = float(y @ np.linalg.solve(S, y))
     sigma = np.sqrt(np.maximum(np.diag(S), 0.0))
-    return Row(Innovation(row, 0, landmark, nis, math.inf, tuple(y.tolist()), tuple(sigma.tolist())), H)
+    return MeasurementRow(Innovation(row, 0, landmark, nis, math.inf, tuple(y.tolist()), tuple(sigma.tolist())), H)
 
 
-def unmatched(row: int, verdict: int) -> Row:
+def unmatched(row: int, verdict: int) -> MeasurementRow:
     """Return the row of a line without a match."""
-    return Row(Innovation.unpredicted(row, verdict, 2, math.inf), np.zeros((0, 3)))
+    return MeasurementRow(Innovation.unpredicted(row, verdict, 2, math.inf), np.zeros((0, 3)))
 
 
 PARTS: dict[str, type[LineRows] | type[CompassRow] | type[CameraRow]] = {

@@ -97,7 +97,7 @@ def match(
 
 def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:
     """Return the share (p,) of the points of clouds j at poses (p, 3) that have a nearest point in clouds i."""
-    return _Pairs.made(targets, i, sources, j, pose, reach).quality(np.diff(sources.first)[j])[1]
+    return _PointPairs.made(targets, i, sources, j, pose, reach).quality(np.diff(sources.first)[j])[1]
 
 
 def _match(
@@ -106,7 +106,9 @@ def _match(
     pose, moving = guess.copy(), np.arange(len(i))
     scale = reach / RADII_M[0]
     for radius in RADII_M:
-        pairs = _Pairs.made(targets, i[moving], sources, j[moving], pose[moving], max(radius * scale, RADII_M[-1]))
+        pairs = _PointPairs.made(
+            targets, i[moving], sources, j[moving], pose[moving], max(radius * scale, RADII_M[-1])
+        )
         H, g = pairs.normal_equations()
         off = se2.difference(guess[moving], pose[moving])
         Lambda = prior[moving]
@@ -118,7 +120,7 @@ def _match(
             moving = moving[np.abs(step).max(axis=1) > SETTLED_M]
         if not len(moving):
             break
-    last = _Pairs.made(targets, i, sources, j, pose, RADII_M[0])
+    last = _PointPairs.made(targets, i, sources, j, pose, RADII_M[0])
     H, _ = last.normal_equations()
     pulled = np.einsum("nij,nj->ni", prior, se2.difference(pose, guess))
     alone = pose + np.linalg.solve(H + np.diag(1.0 / np.square(MAX_ALONE_SIGMAS)), pulled[..., None])[..., 0]
@@ -135,7 +137,7 @@ def floored(information: Array) -> Array:
     return 0.5 * (out + out.transpose(0, 2, 1))
 
 
-class _Pairs(msgspec.Struct, frozen=True):
+class _PointPairs(msgspec.Struct, frozen=True):
     """Matched points of all pairs of clouds; points without a nearest point within reach are left out."""
 
     n: int  # number of pairs of clouds
@@ -144,7 +146,7 @@ class _Pairs(msgspec.Struct, frozen=True):
     row: Array  # (k, 3) derivative of e by the pose
 
     @classmethod
-    def made(cls, targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> _Pairs:
+    def made(cls, targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> _PointPairs:
         rows, of = sources.rows(j)
         turn = pose[of, 2]
         arm = se2.rotated(turn, sources.xy[rows])

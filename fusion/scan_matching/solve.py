@@ -92,7 +92,7 @@ def chi2_of(poses: Array, expected: Array, P: Array) -> Array:
     return found
 
 
-class Rows(msgspec.Struct, frozen=True):
+class Summands(msgspec.Struct, frozen=True):
     """Summands of the normal equations H dx = g from terms other than edges, linearised at the present poses."""
 
     at: Ints  # (k, d) state columns of each block; blocks at equal columns are added
@@ -106,7 +106,9 @@ class Normal:
     The state has the poses (3 n), the systematic errors (2), and the states of other sensors.
     """
 
-    def __init__(self, x: Array, s: Array, edges: Edges, weights: Array, rows: list[Rows], states: int) -> None:
+    def __init__(
+        self, x: Array, s: Array, edges: Edges, weights: Array, rows: list[Summands], states: int
+    ) -> None:
         from scipy.sparse import coo_matrix
         from scipy.sparse.linalg import splu
 
@@ -118,8 +120,8 @@ class Normal:
         JO = J.transpose(0, 2, 1) @ Omega
         prior = np.diag(1.0 / np.square(SYSTEMATIC_SIGMAS))
         rows = [
-            Rows(np.hstack(at), JO @ J, -np.einsum("nij,nj->ni", JO, e)),
-            Rows(3 * len(x) + np.arange(len(s))[None], prior[None], -(prior @ s)[None]),
+            Summands(np.hstack(at), JO @ J, -np.einsum("nij,nj->ni", JO, e)),
+            Summands(3 * len(x) + np.arange(len(s))[None], prior[None], -(prior @ s)[None]),
             *rows,
         ]
         self.g, self.n = np.zeros(n), n
@@ -191,7 +193,7 @@ class OtherTerms(Protocol):
 
     states: int
 
-    def rows(self, x: Array) -> list[Rows]:
+    def rows(self, x: Array) -> list[Summands]:
         """Return the terms' blocks of the normal equations at key poses x (n, 3) and the terms' present states."""
 
     def move(self, step: Array) -> None:

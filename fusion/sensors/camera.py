@@ -134,7 +134,11 @@ class Camera(Sensor):
         Without a new detection only clock, direction and sigma may change.
         """
         seen = before.seen
-        if self.missing(settings) or not isinstance(seen, Seen) or not seen.by.looks_like(detector(settings)):
+        if (
+            self.missing(settings)
+            or not isinstance(seen, SeenLandmarks)
+            or not seen.by.looks_like(detector(settings))
+        ):
             return None
         return _collect(seen, settings, epoch_ns)
 
@@ -166,7 +170,7 @@ def detector(settings: CameraSettings) -> Any:
     )
 
 
-class Seen(NamedTuple):
+class SeenLandmarks(NamedTuple):
     """Landmark candidates in the pictures of a log, before time offset and mount are applied."""
 
     by: Any  # the Detector that looked
@@ -177,7 +181,7 @@ class Seen(NamedTuple):
     dropped: dict[str, int]
 
 
-def look(stream: Stream, by: Any) -> Seen:
+def look(stream: Stream, by: Any) -> SeenLandmarks:
     """Detect landmark candidates in all pictures of a stream that have the most frequent size."""
     from locfuse.fusion.camera.detect import Detection, detections
 
@@ -193,7 +197,7 @@ def look(stream: Stream, by: Any) -> Seen:
     if len(sizes) > 1:
         dropped["other_size"] += len(found) - sizes[usual]
         found = [(row, seen) for row, seen in found if seen.shape == usual]
-    return Seen(
+    return SeenLandmarks(
         by,
         usual,
         stream.t_ns[np.array([row for row, _ in found], np.int64)],
@@ -203,7 +207,7 @@ def look(stream: Stream, by: Any) -> Seen:
     )
 
 
-def _collect(seen: Seen, settings: CameraSettings, epoch_ns: int) -> Measurements:
+def _collect(seen: SeenLandmarks, settings: CameraSettings, epoch_ns: int) -> Measurements:
     from locfuse.fusion.camera.optics import bearing
 
     theta, explained, pixels, length, width, _ = seen.candidates.T.copy()

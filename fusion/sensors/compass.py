@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, cast
 
 import numpy as np
 
-from locfuse.fusion.chi_square import MAD, chi_square
+from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, LocfuseError, Measurements, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotated, rotation
@@ -137,7 +137,9 @@ class Compass(Sensor):
         usual = float(np.median(strength)) if n else 0.0  # steel and motors change it, the earth does not
         strength = strength / usual if usual > 0 else np.ones_like(strength)
         steps = np.abs(np.diff(strength))
-        white = float(np.median(steps)) / (MAD * math.sqrt(2.0)) if len(steps) else 0.0  # without the slow part
+        white = (
+            float(np.median(steps)) / (MAD_OF_NORMAL * math.sqrt(2.0)) if len(steps) else 0.0
+        )  # without the slow part
         explained = FIELD_SIGMAS * max(sigma, white)
         rest = np.square(np.maximum(np.abs(strength - 1.0) - explained, 0.0))
         return Measurements(

@@ -12,7 +12,7 @@ import math
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import MAD
+from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.se2 import wrap_all
 
@@ -21,7 +21,7 @@ MAX_MISSING_ARC_RAD = math.radians(60.0)  # largest part of the circle that may 
 MAX_FIT_ROUNDS = 100
 MAX_STRENGTH_RATIO = 10.0  # times the usual strength: no field of iron or earth
 NO_ELLIPSE = "the field readings lie on no ellipse: turn the robot once on the spot while recording"
-TUKEY = 4.685  # of the scatter: readings further off do not count (95 % efficient for Gaussian noise)
+TUKEY_SIGMAS = 4.685  # of the scatter: readings further off do not count (95 % efficient for Gaussian noise)
 MAX_ELLIPSE_SCATTER = 0.2  # relative scatter above which the readings lie on no ellipse
 
 
@@ -52,8 +52,8 @@ def fit_iron(field: Array) -> Iron:
         c, A = c + step[:2], A + np.array([[step[2], step[3]], [step[3], step[4]]])
         if not float(np.linalg.det(A)) > 0.0:  # NaN too: a short arc has been fitted with a line
             raise LocfuseError(NO_ELLIPSE, role="compass")
-        scatter = float(np.median(np.abs(e))) / MAD
-        weights = np.clip(1.0 - (e / (TUKEY * max(scatter, 1e-9))) ** 2, 0.0, None) ** 2
+        scatter = float(np.median(np.abs(e))) / MAD_OF_NORMAL
+        weights = np.clip(1.0 - (e / (TUKEY_SIGMAS * max(scatter, 1e-9))) ** 2, 0.0, None) ** 2
         if np.abs(step).max() < 1e-12:
             break
     return _judged(field, unit, c, A, scatter, spread * scatter**2)

@@ -30,7 +30,7 @@ from typing import Any, ClassVar, NamedTuple, cast
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import MAD, chi_square
+from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
 from locfuse.fusion.data import (
     Array,
     Colour,
@@ -73,7 +73,7 @@ DETECTIONS = "locfuse/msg/Detections"  # a file beside the log
 TAGS = "locfuse/msg/TagFrames"  # frames of /tf: a row for each tag, in the camera's optical axes
 LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 NO_ID = -1
-BUNDLE = -(2**62)  # of several tags that are one detection: left out
+BUNDLE_ID = -(2**62)  # of several tags that are one detection: left out
 
 
 class Fields(NamedTuple):
@@ -124,7 +124,7 @@ READS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-class Looks(NamedTuple):
+class CameraView(NamedTuple):
     """View of a camera: focal length and image centre, both horizontal [px], and downward tilt [rad]."""
 
     fx: float | None
@@ -141,7 +141,7 @@ class Sighted(NamedTuple):
     bearings: Array  # (m,) rad, counter-clockwise
 
 
-def sighted(stream: Stream, looks: Looks) -> Sighted:
+def sighted(stream: Stream, looks: CameraView) -> Sighted:
     """Return the landmark detections of a stream. Raises LocfuseError for pixels without a focal length."""
     if stream.msgtype == DETECTIONS:
         columns = cast("dict[str, Array]", stream.columns(*READS[DETECTIONS]))
@@ -158,7 +158,7 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
     if fields.classes and len(ids) and (ids == NO_ID).all():
         with suppress(LocfuseError):  # of releases without hypotheses: the ids are none
             row, ids = _ids(stream.columns(fields.classes)[fields.classes])
-    alone = ids != BUNDLE
+    alone = ids != BUNDLE_ID
     t_ns = stream.t_ns[row[alone]]
     x = _values(raw[fields.x], row, stream.topic)[alone]
     if stream.msgtype in PIXELS:
@@ -173,7 +173,7 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
     return _placed(t_ns, ids[alone], (x, y, z), looks)
 
 
-def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], looks: Looks) -> Sighted:
+def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], looks: CameraView) -> Sighted:
     """Return detections with range and bearing, from positions x, y, z (m,) [m] in optical axes."""
     x, y, z = place
     ahead = z * np.cos(looks.down) - y * np.sin(looks.down)
@@ -192,10 +192,10 @@ def _ids(column: Any) -> tuple[Ints, Ints]:
 
 
 def _first_ids(ids: Any, counts: Any) -> tuple[Ints, Ints]:
-    """Return the message index and the id of each detection, (m,) each; the id of a tag bundle is BUNDLE."""
+    """Return the message index and the id of each detection, (m,) each; the id of a tag bundle is BUNDLE_ID."""
     n = counts.values[counts.first[0] : counts.first[-1]].astype(np.int64)
     values = ids.values[ids.first[0] : ids.first[-1]].astype(np.int64)
-    out = np.where(n == 0, NO_ID, BUNDLE)
+    out = np.where(n == 0, NO_ID, BUNDLE_ID)
     out[n == 1] = values[(np.cumsum(n) - n)[n == 1]]
     return np.repeat(np.arange(len(counts)), counts.lengths), out
 
@@ -349,7 +349,7 @@ class Landmarks(Sensor):
         turned = theta + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # of one camera: a constant, which counts for nothing
         off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + turned)
         off = wrap_all(off - np.median(off))
-        return float(np.median(np.abs(off))) / MAD if len(off) >= MIN_FIT else None
+        return float(np.median(np.abs(off))) / MAD_OF_NORMAL if len(off) >= MIN_FIT else None
 
     def model(self, settings: LandmarksSettings) -> Model:
         """Return the filter model of the landmarks for a new run."""
@@ -362,7 +362,7 @@ def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
     for part in parts_of(stream):
         _, _, _, *down = (*settings.mounts.get(part.topic, (0.0, 0.0, 0.0)), settings.pitch_deg)
         fx, cx = settings.optics.get(part.topic, (settings.fx, settings.cx))
-        found.append(sighted(part, Looks(fx, cx, math.radians(down[0]))))
+        found.append(sighted(part, CameraView(fx, cx, math.radians(down[0]))))
     if len(found) == 1:
         return found[0], np.zeros(len(found[0].ids), np.int64)
     if any(seen.ranges is None for seen in found) and any(seen.ranges is not None for seen in found):
@@ -591,4 +591,4 @@ def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> l
 
 def _scatter(rows: Array) -> float:
     """Return the robust standard deviation per axis of places (n, 3) [m]."""
-    return float(np.median(np.abs(rows[:, :2] - np.median(rows[:, :2], axis=0)), axis=0).max()) / MAD
+    return float(np.median(np.abs(rows[:, :2] - np.median(rows[:, :2], axis=0)), axis=0).max()) / MAD_OF_NORMAL

@@ -28,7 +28,17 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
+from locfuse.fusion.data import (
+    PLANE_ROWS,
+    Array,
+    Colour,
+    Component,
+    Ints,
+    LocfuseError,
+    Measurements,
+    Stream,
+    plausible,
+)
 from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
@@ -56,7 +66,6 @@ STUCK_M = 0.5  # m driven by the wheels, beyond which a constant pose is an erro
 MIN_QUATERNION_SQUARE = 0.25  # a shorter quaternion is no orientation: drivers leave it zero
 MIN_READINGS = 20  # before a source is called stuck, or far from the start
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
-PLANE = (0, 1, 5)  # where x, y and yaw stand in a covariance of ROS
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 DRIFTING = (ODOMETRY, "geometry_msgs/msg/TransformStamped")  # types of frames that drift
 DRIFT_SIGMAS = ("sigma_drift", "sigma_drift_deg")
@@ -181,7 +190,7 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
 
 
 def plane_covariance(
-    column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE
+    column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE_ROWS
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return planar covariances (n, d, d), and whether each is that of its message (n,).
 

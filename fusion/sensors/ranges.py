@@ -23,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD, chi_square
+from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
@@ -51,7 +51,7 @@ CAUCHY_SIGMAS = 2.0  # residuals from which a range counts for less
 CLEARLY_BETTER = 8.0  # cost (half a chi-square) of another solution above the best one's
 APART_M, APART_RAD = 0.3, math.radians(20.0)  # solutions further apart are different ones
 MAX_SIGMA_M, MAX_SIGMA_RAD = 0.5, math.radians(15.0)  # largest sigmas of an accepted solution
-GRID, DIRECTIONS = 5, 12  # places along each side of the anchors' box; directions of the first guess
+GRID_PLACES, GRID_DIRECTIONS = 5, 12  # places along each side of the anchors' box; directions of the first guess
 HEADING_ENTRY = slice(2, -1)  # of a guess: the heading between position and offset, or nothing
 Predict = Callable[[Array], tuple[Array, Array]]  # guesses (s, k) -> ranges (s, n), derivatives (s, n, k)
 RANGES = "locfuse/msg/Ranges"  # a file beside the log, or two fields of a topic
@@ -66,7 +66,7 @@ NO_MAP_NOTE = (
 )
 
 
-class Answer(NamedTuple):
+class RangeFit(NamedTuple):
     """Least-squares fit of positions (and perhaps a heading) to ranges."""
 
     values: Array  # (k,) x, y [m], perhaps theta [rad]; last the offset of the ranges [m]
@@ -75,7 +75,7 @@ class Answer(NamedTuple):
 
 def start_among(
     anchors: Array, seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
-) -> Answer | None:
+) -> RangeFit | None:
     """Return the robot's pose (x, y, theta) at the first range and the range offset; None if ambiguous.
 
     anchors (n, 2) [m, map frame] of each range, `seen` (n, 2) [m] the places of the detector by the wheels, in the
@@ -83,21 +83,21 @@ def start_among(
     """
     low, high = anchors.min(axis=0), anchors.max(axis=0)
     margin = 0.25 * float(np.hypot(*(high - low)))
-    x, y = (np.linspace(a - margin, b + margin, GRID) for a, b in zip(low, high, strict=True))
-    turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    x, y = (np.linspace(a - margin, b + margin, GRID_PLACES) for a, b in zip(low, high, strict=True))
+    turns = np.arange(GRID_DIRECTIONS) * (2.0 * np.pi / GRID_DIRECTIONS)
     guesses = np.stack([g.ravel() for g in np.meshgrid(x, y, turns, [0.0], indexing="ij")], axis=-1)
     return _shortest_fit(anchors, seen, guesses, t, ranges, sigmas)
 
 
-def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
+def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> RangeFit | None:
     """Fit an anchor's position and the range offset to ranges (n,) [m]; None if the fit is ambiguous.
 
     The position is in the frame of the antenna positions `seen` (n, 2) [m] at times t (n,) [s]; `sigmas` [m] are
     those of a range and of the offset.
     """
-    turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    turns = np.arange(GRID_DIRECTIONS) * (2.0 * np.pi / GRID_DIRECTIONS)
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
-    guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
+    guesses = np.column_stack((around, np.zeros(GRID_DIRECTIONS)))
     return _shortest_fit(np.zeros_like(seen), -seen, guesses, t, ranges, sigmas)
 
 
@@ -114,7 +114,7 @@ def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
 
 def _shortest_fit(
     anchors: Array, seen: Array, guesses: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
-) -> Answer | None:
+) -> RangeFit | None:
     """Fit longer and longer initial parts of the drive; return the first unambiguous fit, else None."""
     tried = 0
     for seconds in STRETCHES_S:
@@ -129,7 +129,7 @@ def _shortest_fit(
     return None
 
 
-def _unambiguous(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
+def _unambiguous(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float, float]) -> RangeFit | None:
     """Return the best fit if its sigmas are small and every distant solution costs clearly more; else None."""
     values, costs, scatter = _refined(predict, guesses, ranges, sigmas)
     best = values[np.argmin(costs)]
@@ -145,7 +145,7 @@ def _unambiguous(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[
     elsewhere = np.hypot(*(values[:, :2] - best[:2]).T) > APART_M
     elsewhere |= (np.abs(se2.wrap_all(values[:, HEADING_ENTRY] - best[HEADING_ENTRY])) > APART_RAD).any(axis=1)
     rival = costs[elsewhere].min(initial=np.inf)
-    return Answer(best, covariance) if rival - costs.min() > CLEARLY_BETTER else None
+    return RangeFit(best, covariance) if rival - costs.min() > CLEARLY_BETTER else None
 
 
 def _refined(
@@ -159,7 +159,7 @@ def _refined(
     for _ in range(2):  # with the ranges' sigma, then with the scatter that was found
         x, costs = _descended(predict, x, ranges, (sigma, sigmas[1]))
         h, _ = predict(x[np.argmin(costs)][None])
-        scatter = float(np.median(np.abs(ranges - h[0]))) / MAD
+        scatter = float(np.median(np.abs(ranges - h[0]))) / MAD_OF_NORMAL
         sigma = max(sigmas[0], scatter)
         x[:, HEADING_ENTRY] = se2.wrap_all(x[:, HEADING_ENTRY])
         _, first = np.unique(np.round(x, SAME_DIGITS), axis=0, return_index=True)

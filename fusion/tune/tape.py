@@ -104,7 +104,7 @@ def _of_sigma(R: Array, m: Measurements, row: int) -> Array:
     return part
 
 
-class Noise(NamedTuple):
+class NoiseFactors(NamedTuple):
     """B sets of noise to replay a run with; each number is a factor on a recorded variance."""
 
     wheels: Array  # (B,)
@@ -121,7 +121,7 @@ class Likelihoods(NamedTuple):
     numbers: Ints  # (c,) measured numbers with a likelihood
 
 
-def play(tape: Tape, noise: Noise, until: float = math.inf) -> Likelihoods:
+def play(tape: Tape, noise: NoiseFactors, until: float = math.inf) -> Likelihoods:
     """Replay a recorded run under B sets of noise up to the time `until` [s]; return the log likelihoods."""
     replay = Replay(tape, noise)
     end = int(np.searchsorted(tape.t, until))
@@ -152,7 +152,7 @@ def play(tape: Tape, noise: Noise, until: float = math.inf) -> Likelihoods:
 class Replay:
     """B Kalman filters for the deviation from the recorded run."""
 
-    def __init__(self, tape: Tape, noise: Noise) -> None:
+    def __init__(self, tape: Tape, noise: NoiseFactors) -> None:
         B = len(noise.wheels)
         self.tape, self.noise = tape, noise
         # a last column for corrections without a sensor
@@ -323,7 +323,7 @@ def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
     return None
 
 
-class Problem(msgspec.Struct):
+class Likelihood(msgspec.Struct):
     """Log likelihood of recorded runs as a function of theta = ln(noise / recorded noise)."""
 
     tapes: Sequence[Tape]
@@ -358,7 +358,7 @@ class Problem(msgspec.Struct):
         found = [tuple((s / n).tolist()) if n else None for s, n in zip(sums, counts.tolist(), strict=True)]
         return found, (int(counts[0]), int(counts[1]))
 
-    def _noise(self, tape: Tape, theta: Array, turns: Array | None = None) -> Noise:
+    def _noise(self, tape: Tape, theta: Array, turns: Array | None = None) -> NoiseFactors:
         """Return the noise of a recorded run for logarithms theta (B, p)."""
         sensors = [np.exp(2.0 * theta[:, self.names.index(s)]) for s in tape.sensors]
         drifts = {}
@@ -366,10 +366,10 @@ class Problem(msgspec.Struct):
             drifts = dict.fromkeys(tape.drifts, np.exp(2.0 * theta[:, -1]))
         columns = np.stack(sensors, axis=1) if sensors else np.ones((len(theta), 0))
         wheels = theta[:, self.names.index(WHEELS)]
-        return Noise(np.exp(wheels), columns, drifts, None if turns is None else np.exp(turns))
+        return NoiseFactors(np.exp(wheels), columns, drifts, None if turns is None else np.exp(turns))
 
 
-def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | None = None) -> Array:
+def best(problem: Likelihood, starts: Sequence[float], least: Sequence[float] | None = None) -> Array:
     """Return the logarithms (p,) of maximum likelihood, from searches that begin at each of `starts`.
 
     Each start value holds for all variables. `least` is an earlier end of each run [s], to save time.
@@ -391,7 +391,7 @@ def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | Non
     return np.asarray(min(found, key=lambda f: float(f.fun)).x, np.float64)
 
 
-def identify(problem: Problem) -> tuple[Array, list[str]]:
+def identify(problem: Likelihood) -> tuple[Array, list[str]]:
     """Return standard errors (p,) of the log noise at the maximum, and notes on unidentifiable wheel noise.
 
     By the likelihood's curvature with separate wheel noise for straight motions and for turns.
@@ -408,7 +408,7 @@ def identify(problem: Problem) -> tuple[Array, list[str]]:
     return standard_errors(whole.T @ H @ whole), flags
 
 
-def at_most(problem: Problem, which: int, upper: float) -> float:
+def at_most(problem: Likelihood, which: int, upper: float) -> float:
     """Return the largest log noise that is nearly as likely as the maximum at 0; inf if all searched ones are.
 
     `which` is the index of the search variable; the other ones stay at 0. Searched up to `upper`, or to
@@ -423,7 +423,7 @@ def at_most(problem: Problem, which: int, upper: float) -> float:
     return float(grid[worse[0] - 1]) if len(worse) else math.inf
 
 
-def _moves(problem: Problem, turn: bool) -> list[Moved]:
+def _moves(problem: Likelihood, turn: bool) -> list[Moved]:
     """Return the recorded motions used for training: those that turn, or with `turn` false the straight ones."""
     return [
         op

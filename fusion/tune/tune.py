@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion.data import Drive, LocfuseError, Measurements, Motions
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.innovations import Own, own
+from locfuse.fusion.judge.innovations import OwnInnovations, own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -27,7 +27,7 @@ from .tape import (
     MAX_SIGMA_LOG,
     WHEELS,
     Figures,
-    Problem,
+    Likelihood,
     at_most,
     best,
     drift_key,
@@ -51,7 +51,7 @@ Remeasure = Callable[[int, str, Robot], Measurements]
 Progress = Callable[[str], None]
 
 
-class Trial(NamedTuple):
+class TuneLog(NamedTuple):
     """One log that the noise is tuned on."""
 
     name: str
@@ -60,7 +60,7 @@ class Trial(NamedTuple):
     until: float = math.inf  # s: later measurements are held out
 
 
-class Row(NamedTuple):
+class NoiseChange(NamedTuple):
     """One noise setting before and after tuning."""
 
     key: str  # of robot.toml
@@ -73,17 +73,17 @@ class Row(NamedTuple):
 class Tuned(msgspec.Struct, frozen=True):
     """Tuned noise settings, with their likelihoods."""
 
-    rows: Sequence[Row]
+    rows: Sequence[NoiseChange]
     train: tuple[float, ...] | None  # mean log likelihood per number before and after [nats]
     held_out: tuple[float, ...] | None
     numbers: tuple[int, int]  # in training, and held out
     flags: Sequence[str]  # notes on noise that is not identifiable
     measured_again: Sequence[str]  # sensors
-    trials: Sequence[Trial]  # with the tuned noise and the other settings as given
+    trials: Sequence[TuneLog]  # with the tuned noise and the other settings as given
 
 
 def tune(
-    trials: Sequence[Trial],
+    trials: Sequence[TuneLog],
     sensors: Sequence[str],
     drift: bool = False,
     remeasure: Remeasure | None = None,
@@ -113,7 +113,7 @@ class Bench:
     """The logs and the present noise settings during tuning."""
 
     def __init__(
-        self, trials: Sequence[Trial], sensors: Sequence[str], drift: bool, remeasure: Remeasure | None
+        self, trials: Sequence[TuneLog], sensors: Sequence[str], drift: bool, remeasure: Remeasure | None
     ) -> None:
         present = {s for t in trials for s in t.drive.measurements}
         used = tuple(s for s in REGISTRY if s in sensors and s in present and not brings_covariance(s, trials))
@@ -132,7 +132,7 @@ class Bench:
         self._measured_at = dict.fromkeys(used, 0.0)
         self._again: list[str] = []
 
-    def trial(self, trial: Trial, figures: Figures) -> Trial:
+    def trial(self, trial: TuneLog, figures: Figures) -> TuneLog:
         """Return a log with these noise settings."""
         d = trial.drive
         scaled = {
@@ -145,7 +145,7 @@ class Bench:
         drive = replace(d, motions=_with_more_noise(d.motions, more), truth_motions=to_truth, measurements=scaled)
         return trial._replace(drive=drive, robot=figures.robot(trial.robot))
 
-    def now(self) -> list[Trial]:
+    def now(self) -> list[TuneLog]:
         """Return the logs with the present noise settings."""
         return [self.trial(t, self.figures) for t in self.trials]
 
@@ -193,10 +193,10 @@ class Bench:
                 self._measured_at[s] = now
                 self._again.append(s)
 
-    def problem(self) -> Problem:
+    def problem(self) -> Likelihood:
         """Run the filter on all logs with the present noise; return the likelihood of these runs to maximise."""
         tapes = [record(t.drive, t.robot, list(t.drive.measurements)) for t in self.now()]
-        return Problem(tapes, [t.until for t in self.trials], self.figures.names)
+        return Likelihood(tapes, [t.until for t in self.trials], self.figures.names)
 
     def result(self) -> Tuned:
         """Return the tuned settings, compared with the configured ones on the same measurements."""
@@ -212,7 +212,7 @@ class Bench:
         before = Figures(figures.configured, figures.sensors, figures.drift)
         error_of = dict(zip(figures.names, errors.tolist(), strict=True))
         rows = [
-            Row(key, before.values()[key], after, error_of[name], error_of[name] <= MAX_SIGMA_LOG)
+            NoiseChange(key, before.values()[key], after, error_of[name], error_of[name] <= MAX_SIGMA_LOG)
             for key, after in figures.values().items()
             for name in (figures.name_of(key),)
         ]
@@ -222,7 +222,7 @@ class Bench:
         as_used = [t._replace(robot=figures.robot(robot)) for t, robot in given]
         return Tuned(rows, train, held_out, numbers, flags, again, as_used)
 
-    def _reset(self, problem: Problem, name: str) -> str:
+    def _reset(self, problem: Likelihood, name: str) -> str:
         """Reset a value that the likelihood does not determine; return a note on it."""
         figures = self.figures
         if name.endswith(DRIFT):
@@ -239,13 +239,13 @@ class Bench:
         return f"{key} is not identifiable from these logs: left as it was"
 
 
-def brings_covariance(sensor: str, trials: Sequence[Trial]) -> bool:
+def brings_covariance(sensor: str, trials: Sequence[TuneLog]) -> bool:
     """Return whether a sensor's readings contain their own covariance, so that its sigma has no effect."""
     found = [t.drive.measurements[sensor] for t in trials if sensor in t.drive.measurements]
     return any(map(REGISTRY[sensor].brings_covariance, found))
 
 
-def check_same_noise(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
+def check_same_noise(trials: Sequence[TuneLog], sensors: Sequence[str]) -> None:
     """Raise LocfuseError if two logs are configured with different noise: the search needs one start."""
     first = trials[0]
     for t in trials[1:]:
@@ -293,7 +293,7 @@ def _with_more_noise(motions: Motions, factor: float) -> Motions:
     return Motions(motions.u, factor * motions.Q, motions.J)
 
 
-def _sigma_factor(o: Own | None) -> float:
+def _sigma_factor(o: OwnInnovations | None) -> float:
     """Return the factor on a sensor's sigma that brings its NIS near 1; 1 if it is near already."""
     if o is None or o.refused > MAX_REFUSED_SHARE or math.isinf(o.raw):
         return WIDENING_FACTOR

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.chi_square import CONFIDENCE, chi_square
 from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, stretches
 
 from .motion import Wheels
@@ -30,7 +30,6 @@ from .motion import Wheels
 # Thompson 1971). With T = 0 and a vague prior, s is the sum of squares over its degrees of freedom, and the
 # interval is the chi-square interval.
 
-CONFIDENCE = 0.95
 S_BOUNDS = (1e-10, 10.0)  # search interval of s
 LN_S_TOLERANCE = 1e-6  # of ln s
 

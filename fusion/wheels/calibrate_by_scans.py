@@ -47,12 +47,12 @@ MIN_TURN_RATIO = 0.2  # least ratio of the laser's turns to the wheels' with whi
 MATCH_SCALES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors tried on the covariance of the matches
 # least standard deviations: matches have correlated errors of about 1 cm per radian of turn, and 0.4 % of the path
 CORRELATED_SIGMAS = np.array([0.004, 0.002, 0.004, 0.015, 0.015, 0.005, 0.005])
-FLOOR = np.diag([0.001**2, 0.001**2, np.radians(0.02) ** 2])  # m^2, rad^2: least covariance of a match
-ROUNDS, MIN_STEP_SIGMAS = 10, 1e-2  # Gauss-Newton: largest number of steps; it stops after a smaller step
+FLOOR_COVARIANCE = np.diag([0.001**2, 0.001**2, np.radians(0.02) ** 2])  # m^2, rad^2: least covariance of a match
+MAX_STEPS, MIN_STEP_SIGMAS = 10, 1e-2  # Gauss-Newton: largest number of steps; it stops after a smaller step
 MAX_SCALE = 0.6  # largest relative change of a wheel's scale: a larger one is another unit
 
 
-class Motion(NamedTuple):
+class ScanMotions(NamedTuple):
     """Motions of wheels and laser in one drive, on one clock."""
 
     wheels: Wheels  # the robot, as configured
@@ -79,14 +79,14 @@ class LaserCalibration(msgspec.Struct, frozen=True):
 class Intervals(msgspec.Struct, frozen=True):
     """Intervals (n,) in which wheels and laser are compared, with the laser's motion in each."""
 
-    motion: Motion
+    motion: ScanMotions
     t_from: Array
     t_to: Array
     s: Array  # (n, 3) motion of the laser in its frame at the begin
     T: Array  # (n, 3, 3) covariance of s
 
     @classmethod
-    def of(cls, motion: Motion) -> Intervals:
+    def of(cls, motion: ScanMotions) -> Intervals:
         """Cut a drive into intervals of WAY_M or TURN_RAD; leave out intervals at rest."""
         t, pose = motion.laser.t, motion.laser.pose
         a, b = _cut(t, pose)
@@ -134,7 +134,7 @@ class Intervals(msgspec.Struct, frozen=True):
         return Intervals(self.motion, self.t_from[keep], self.t_to[keep], self.s[keep], self.T[keep])
 
 
-def calibrate(motions: Sequence[Motion]) -> LaserCalibration:
+def calibrate(motions: Sequence[ScanMotions]) -> LaserCalibration:
     """Calibrate wheels, laser mount and laser delay from the drives of one robot.
 
     Raises LocfuseError if the drives are too short, or the motions of wheels and laser differ too much.
@@ -270,7 +270,7 @@ def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
 
 def _scaled(residuals: Residuals, match: float) -> Residuals:
     """Return the problem with the covariance of the scan matches multiplied by `match`, plus FLOOR."""
-    return replace(residuals, T=match * residuals.T + FLOOR)
+    return replace(residuals, T=match * residuals.T + FLOOR_COVARIANCE)
 
 
 def _noise(residuals: Residuals) -> tuple[float, float]:
@@ -287,7 +287,7 @@ def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, 
     """
     for _ in range(2):  # the noise estimate needs good parameters
         match, noise = _noise(_residuals(every, p))
-        for _ in range(ROUNDS):
+        for _ in range(MAX_STEPS):
             step, spread = _scaled(_residuals(every, p), match).parameters(noise)
             step = step - spread @ ((p - guess) / PRIOR**2)
             p = p + step

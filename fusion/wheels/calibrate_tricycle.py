@@ -21,6 +21,7 @@ from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 
 from .calibrate import Figure
+from .geometry import ASSUMED_RADIUS_M
 from .motion import dead_reckoning
 from .steered import Encoders, read_encoders, rolled_by
 
@@ -40,11 +41,10 @@ OUTLIER_M = 0.05  # m, rad: larger residuals are down-weighted (jumps of a track
 MIN_ROWS, MAX_ROWS = 50, 3000  # readings of the reference; number of windows
 MIN_TURN_RAD = math.radians(180.0)  # least total turn
 ASSUMED_TICKS = 1000.0  # per revolution, if not configured: only radius over ticks is observable
-ASSUMED_RADIUS_M = 0.05  # m
 MAX_SPEED_RATIO = 3.0  # of a wheel and of the tracked point
 
 
-class Reference(NamedTuple):
+class ReferenceMotion(NamedTuple):
     """Reference motion with which the encoders are compared, on its own clock.
 
     Poses of a tracked point or of the laser; only headings if it is from a gyro.
@@ -64,15 +64,15 @@ class TricycleCalibration(msgspec.Struct, frozen=True):
     rms: float  # residual of the whole path [m], of a laser's windows [m], or of a gyro's turns [rad]
 
 
-def of_truth(truth: Truth) -> Reference:
+def of_truth(truth: Truth) -> ReferenceMotion:
     """Return a ground truth as reference. Raises LocfuseError if the truth has no heading."""
     if truth.theta is None:
         raise LocfuseError("a steered tricycle needs a truth with heading", role="calibrate")
-    return Reference("truth", truth.t, np.column_stack((truth.xy, truth.theta)))
+    return ReferenceMotion("truth", truth.t, np.column_stack((truth.xy, truth.theta)))
 
 
 def calibrate_tricycle(
-    found: Encoders, settings: WheelSettings, reference: Reference, shift: float
+    found: Encoders, settings: WheelSettings, reference: ReferenceMotion, shift: float
 ) -> TricycleCalibration:
     """Fit size and steering to the reference; `shift` [s] converts the encoders' times to its clock.
 
@@ -140,7 +140,9 @@ def calibrate_tricycle(
     )
 
 
-def nominal(stream: MergedStream, settings: WheelSettings, reference: Reference, shift: float) -> WheelSettings:
+def nominal(
+    stream: MergedStream, settings: WheelSettings, reference: ReferenceMotion, shift: float
+) -> WheelSettings:
     """Return initial settings from which `calibrate_tricycle` converges; only missing values are guessed.
 
     The path length of the reference gives the radius. The middle of the steering values is the zero, and their

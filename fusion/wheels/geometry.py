@@ -16,7 +16,7 @@ from .repairs import repaired
 from .sources import Counters, read_counters
 
 WINDOW_S = 0.5  # s, window in which both are compared
-ASSUMED_RADIUS_M = 0.05  # m: radius assumed while jumps of the counters are repaired
+ASSUMED_RADIUS_M = 0.05  # m: radius assumed until it is known
 MIN_WINDOWS, MIN_CORRELATION = 40, 0.95  # windows; correlation
 EQUAL_CORRELATION = 1e-3  # correlations that differ by less are equal: on a circle all combinations of signs fit
 MIN_TURN_RAD = 0.5  # rad, root of the sum of squared turns, from which the track is estimated

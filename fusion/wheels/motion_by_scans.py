@@ -127,7 +127,7 @@ def _wheels(way: _Way, settings: WheelSettings, begin: float = 0.0) -> Wheels:
     )
 
 
-def _matched(scans: Scans) -> _Way:
+def _matched(scans: ThinnedScans) -> _Way:
     """Match all scans, in blocks of SCANS_AT_ONCE; each block begins with the last key of the block before."""
     n = len(scans.t)
     way = _Way(scans.t, np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool))
@@ -139,7 +139,7 @@ def _matched(scans: Scans) -> _Way:
     return way
 
 
-def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Velocity, int]:
+def _block(scans: ThinnedScans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Velocity, int]:
     """Match the scans `rows` (m,); return the velocity at the last key, and the index of this key in `rows`."""
     clouds = scans.clouds(rows)
     if not np.isfinite(clouds.normal[:, 0]).any():
@@ -353,7 +353,7 @@ def initial_velocity() -> Velocity:
 # ---- the scans of a whole log as thinned points in the base frame, and the surfaces of some at a time ----
 
 
-class Scans(msgspec.Struct, frozen=True):
+class ThinnedScans(msgspec.Struct, frozen=True):
     """All scans of a log in time order, as thinned points in the base frame."""
 
     t: Array  # (n,) s since the stream's first stamp: the times to which the scans are deskewed
@@ -366,7 +366,7 @@ class Scans(msgspec.Struct, frozen=True):
         return Clouds.of_scans([self.points[row].astype(np.float64) for row in rows.tolist()], self.origin)
 
 
-def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
+def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> ThinnedScans:
     """Read the scans of a stream; `wheels` gives the robot's motion during each scan.
 
     A range that stands for "no return" is found and left out, unless `laser` has a configured longest range.
@@ -374,7 +374,7 @@ def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
     return left_out(laser, lambda understood, longest: _read(stream, understood, wheels, longest))[0]
 
 
-def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -> Scans:
+def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -> ThinnedScans:
     """Read the scans of a stream; `longest` collects the ranges of all scans."""
     stamps: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9)
     t = stamps.copy()
@@ -388,7 +388,9 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -
             xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
             for row, p in zip(at.tolist(), xy, strict=True):
                 points[row] = _thinned(p, laser.mount[:2]).astype(np.float32)
-    return Scans(np.maximum.accumulate(t), points, laser.mount[:2], skewed)  # scans of different durations overlap
+    return ThinnedScans(
+        np.maximum.accumulate(t), points, laser.mount[:2], skewed
+    )  # scans of different durations overlap
 
 
 def _thinned(points: Array, origin: Array) -> Array:

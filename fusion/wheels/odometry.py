@@ -89,7 +89,7 @@ MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and largest share o
 MAX_REVERSE_SHARE = 0.1  # largest share of reverse steps in the pose, relative to missing ones
 
 
-class Way(NamedTuple):
+class OdometryMotion(NamedTuple):
     """Motion given by an odometry topic."""
 
     keep: Mask  # (n,) readings used
@@ -185,7 +185,9 @@ def wheelbase_of(stream: Stream, settings: WheelSettings) -> float:
     return settings.wheelbase
 
 
-def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, posed: bool = True) -> Way:
+def travelled(
+    t: Array, values: Array, by_twist: bool, max_speed: float | None, posed: bool = True
+) -> OdometryMotion:
     """Return the motion by an odometry's values (n, 5): x, y [m], yaw [rad], speed [m/s], turning rate [rad/s].
 
     The steps are those of the poses; with `by_twist`, a negative speed marks a step as backwards. If the position
@@ -197,7 +199,7 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
     elif not placed:
         notes = ("its pose never changes: its twist is used",) if posed else ()
         keep = possible(values[:, 3:], max_speed)
-        return Way(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
+        return OdometryMotion(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
     t, values = t[~bad], values[~bad]
     twist = _steps(values)
@@ -212,7 +214,7 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
     words = [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
     words += _words(int(bad.sum()), int(far.sum()), int(backing.sum()))
-    return Way(~bad, steps, int(bad.sum()), tuple(words), doubt)
+    return OdometryMotion(~bad, steps, int(bad.sum()), tuple(words), doubt)
 
 
 def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:

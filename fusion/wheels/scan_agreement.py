@@ -29,11 +29,11 @@ from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, source
 from .motion_by_scans import STANDING
 from .read import WheelReading
 
-PAIRS, MIN_MOVING = 60, 20  # number of pairs; with so many moving pairs, pairs at rest are not used
+PAIR_COUNT, MIN_MOVING = 60, 20  # number of pairs; with so many moving pairs, pairs at rest are not used
 PAIR_S, MAX_PAIR_S = 1.0, 3.0  # s, wanted and largest time between the scans of a pair
 MOVES_M, MOVES_RAD = 0.05, np.radians(3.0)  # least motion of a moving pair
 NEAR_M = 0.1  # largest distance of an agreeing point from a point of the earlier scan
-POINTS, SURFACE_POINTS = 90, 360  # of the later and of the earlier scan
+LATER_POINTS, SURFACE_POINTS = 90, 360  # of the later and of the earlier scan
 MATCHED_POINTS = 40  # of a scan between both
 SEARCH_STRIDE = 4  # every fourth point is used while clock and mount are searched
 # laser parameters of the search: turn [rad] and mirroring relative to the mount, lag [s] of the clock, x offset
@@ -124,7 +124,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         """Return the laser's motion over each pair (p, 3) by scan matching: in short steps, then directly."""
         chains = [self._rows_between(i, j) for i, j in zip(self.first.tolist(), self.later.tolist(), strict=True)]
         rows, at = np.unique(np.concatenate(chains), return_inverse=True)
-        clouds = Clouds.of_scans(_points(self.stream, self.laser, rows, POINTS * 2), np.zeros(2))
+        clouds = Clouds.of_scans(_points(self.stream, self.laser, rows, LATER_POINTS * 2), np.zeros(2))
         targets, sources = Targets(clouds), sources_of(clouds, MATCHED_POINTS)
         ends = np.cumsum([len(chain) for chain in chains])
         step = np.setdiff1d(np.arange(len(at) - 1), ends - 1)
@@ -178,7 +178,7 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
         u = motion.wheels.relative(*_times(stream, motion, t[first], t[later]))
         moves |= (np.hypot(u[:, 0], u[:, 1]) > MOVES_M) | (np.abs(u[:, 2]) > MOVES_RAD)
     of = np.flatnonzero(moves) if moves.sum() >= MIN_MOVING else np.arange(len(first))
-    chosen = of[np.unique(np.linspace(0, len(of) - 1, min(PAIRS, len(of))).astype(np.int64))]
+    chosen = of[np.unique(np.linspace(0, len(of) - 1, min(PAIR_COUNT, len(of))).astype(np.int64))]
     first, later = first[chosen], later[chosen]
     both = np.concatenate((first, later))
     rows, at = np.unique(np.concatenate((both, np.maximum(both - 1, 0))), return_inverse=True)
@@ -190,7 +190,10 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
     used = np.flatnonzero(new.reshape(2, -1).all(axis=0)).tolist()
     if not used:
         return None
-    surface, points = [surface[k] for k in used], [points[k][:: max(1, len(points[k]) // POINTS)] for k in used]
+    surface, points = (
+        [surface[k] for k in used],
+        [points[k][:: max(1, len(points[k]) // LATER_POINTS)] for k in used],
+    )
     return ScanPairs(stream, laser, t, first[used], later[used], surface, points)
 
 

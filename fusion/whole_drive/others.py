@@ -15,7 +15,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.scan_matching.solve import SYSTEMATIC_SIGMAS, Rows
+from locfuse.fusion.scan_matching.solve import SYSTEMATIC_SIGMAS, Summands
 from locfuse.fusion.sensor import Model, Reading
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -26,7 +26,7 @@ WIDTH_SIGMAS = 3.0  # sigmas at which a reading loses weight (Cauchy)
 DISTURBED = VERDICTS.index("disturbed")
 
 
-class Seen(NamedTuple):
+class SeenReading(NamedTuple):
     """One sensor reading, with the pose of the base relative to the key pose before it."""
 
     sensor: str
@@ -74,7 +74,7 @@ class Others:
         """Add a step (states,) to the sensor states."""
         self.values = self.values + step
 
-    def rows(self, x: Array) -> list[Rows]:
+    def rows(self, x: Array) -> list[Summands]:
         """Return the normal equations of all readings at key poses x (n, 3)."""
         belief, n = self._belief, 3 * len(x) + len(SYSTEMATIC_SIGMAS)
         belief.state[3:] = self.values
@@ -98,11 +98,11 @@ class Others:
                 W /= 1.0 + float(y @ W @ y) / (WIDTH_SIGMAS**2 * len(y))
                 columns: Any = np.concatenate((3 * seen.key + np.arange(3), n + states[3:] - 3))
                 blocks.setdefault(J.shape[1], []).append((columns, J.T @ W @ J, J.T @ W @ y))
-        rows = [Rows(*(np.array(part) for part in zip(*block, strict=True))) for block in blocks.values()]
+        rows = [Summands(*(np.array(part) for part in zip(*block, strict=True))) for block in blocks.values()]
         if self.states:
             H = np.diag(self._prior)[None]
             rows.append(
-                Rows((n + np.arange(self.states))[None], H, (self._prior * (self.start - self.values))[None])
+                Summands((n + np.arange(self.states))[None], H, (self._prior * (self.start - self.values))[None])
             )
         return rows
 
@@ -117,7 +117,7 @@ def _used(instants: Ints, audit: Audit | None) -> Ints:
     return kept if 2 * len(kept) > len(instants) else kept[:0]
 
 
-def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Ints) -> list[Seen]:
+def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Ints) -> list[SeenReading]:
     """Choose at most READINGS_PER_KEY of the `used` readings after each key, evenly spaced."""
     instants = drive.instant[sensor]
     key = np.searchsorted(keys, instants[used], side="right") - 1
@@ -130,5 +130,5 @@ def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Int
         at = instants[picked]
         u, C = odometry.between(np.full(len(at), keys[k]), at)
         C = by_lever(C, -u[:, 1], u[:, 0])
-        found += [Seen(sensor, int(r), k, u[n], C[n]) for n, r in enumerate(picked.tolist())]
+        found += [SeenReading(sensor, int(r), k, u[n], C[n]) for n, r in enumerate(picked.tolist())]
     return found

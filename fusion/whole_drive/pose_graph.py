@@ -54,7 +54,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
     drive: Drive
     configured_mount: Array  # (3,) laser on the base: x, y [m], yaw [rad]
     mount: Array  # (3,) laser mount used here: the filter's estimate if it has one
-    start: Start
+    start: GraphStart
     odometry: Odometry  # with added variance for slips and uneven floors
     readings: Ints  # (m,) indices of the key scans among the laser's readings
     x: Array  # (m, 3) key poses in the map
@@ -194,24 +194,24 @@ def whole_drive(
     if len(readings) < MIN_KEYS:
         return None
     keys = drive.instant[LASER][readings]
-    scans = Scans(m, readings, mount)
+    scans = KeyClouds(m, readings, mount)
     if not np.isfinite(scans.clouds.normal[:, 0]).any():
         return None
     # the audits of a lost filter reject correct readings
     audits = None if filtered is None or filtered.lost else filtered.audits
     others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys, audits)
-    start = Start.of(robot, odometry, int(keys[0]))
+    start = GraphStart.of(robot, odometry, int(keys[0]))
     problem = Problem(start.at_first_key, others if others.sensors else None)
     way = driven[readings]
     wheels_only = wheel_edges(odometry, keys)
     x, edges = sequential(scans.targets, scans.sources, wheels_only, way, problem)
     straighter = straight_mount(mount, configured, x, wheels_only.z)
     if not np.array_equal(straighter, mount):
-        mount, scans = straighter, Scans(m, readings, straighter)
+        mount, scans = straighter, KeyClouds(m, readings, straighter)
         x, edges = sequential(scans.targets, scans.sources, wheels_only, way, problem)
     drive = replace(drive, measurements={**drive.measurements, LASER: scans.m})
     scaled = replace(odometry, C=wheels_share(odometry, keys, x) * odometry.C)
-    start = Start.of(robot, scaled, int(keys[0]))
+    start = GraphStart.of(robot, scaled, int(keys[0]))
     problem.start = start.at_first_key
     maps = submaps_of(scans.clouds, mount[:2], x, way)
     hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
@@ -237,7 +237,7 @@ def whole_drive(
     )
 
 
-class Scans:
+class KeyClouds:
     """Point clouds of the key scans `readings` (m,) in the base frame, for a laser `mount` (3,)."""
 
     def __init__(self, m: Measurements, readings: Ints, mount: Array) -> None:
@@ -304,7 +304,7 @@ def clock_lag(drive: Drive) -> float:
     return lag.offset if lag is not None and worth_saying(lag) else 0.0
 
 
-class Start(msgspec.Struct, frozen=True):
+class GraphStart(msgspec.Struct, frozen=True):
     """Start pose of the drive, and its prediction by wheel odometry at the first key pose."""
 
     pose: Array  # (3,) start pose
@@ -314,7 +314,7 @@ class Start(msgspec.Struct, frozen=True):
     cross: Array  # (3, 3) covariance of the start pose with the predicted first key pose
 
     @classmethod
-    def of(cls, robot: Robot, odometry: Odometry, key: int) -> Start:
+    def of(cls, robot: Robot, odometry: Odometry, key: int) -> GraphStart:
         """Return the configured start pose, predicted to the first key at update time `key`."""
         pose, P = np.array(robot.start.pose), np.diag(robot.start.variances) + START_FLOOR_P
         u, C = odometry.between(np.array([0]), np.array([key]))

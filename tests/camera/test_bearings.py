@@ -21,9 +21,9 @@ from locfuse.fusion.camera import panorama, radial
 from locfuse.fusion.camera.detect import MIN_HALF_RADIUS_PX, Detection, Detector, detect
 from locfuse.fusion.camera.images import coarse_size, decode, image_size
 from locfuse.fusion.camera.optics import Optics, angle_of_bearing, bearing, omni_1, paper_omni_1
-from locfuse.fusion.camera.panorama import Candidate, Red, cap, largest, red_grey, variance
+from locfuse.fusion.camera.panorama import Red, RedCandidate, cap, largest, red_grey, variance
 
-Chain = Callable[[Picture, Optics, Red], list[Candidate]]
+Chain = Callable[[Picture, Optics, Red], list[RedCandidate]]
 CHAINS: dict[str, Chain] = {"fast": radial.candidates, "paper": panorama.candidates}
 both_chains = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS.keys())
 LENS = Lens()
@@ -35,7 +35,7 @@ def optics_of(lens: Lens) -> Optics:
     return Optics(lens.x_c, lens.y_c, lens.inner, lens.outer, 720, zero, lens.clockwise)
 
 
-def bearings_deg(found: list[Candidate], lens: Lens = LENS) -> list[float]:
+def bearings_deg(found: list[RedCandidate], lens: Lens = LENS) -> list[float]:
     return [math.degrees(float(bearing(np.asarray(c.theta), optics_of(lens)))) for c in found]
 
 
@@ -281,7 +281,7 @@ def bars(seed: int, things: int, noise: float, shape: tuple[int, int], optics: O
     return shot
 
 
-def by_arrays(shot: NDArray[np.uint8], optics: Optics, red: Red) -> list[Candidate]:
+def by_arrays(shot: NDArray[np.uint8], optics: Optics, red: Red) -> list[RedCandidate]:
     """The same with OpenCV's median and NumPy's sorting, of the whole picture."""
     y, x = np.mgrid[: shot.shape[0], : shot.shape[1]]
     square = (x - optics.x_c) ** 2 + (y - optics.y_c) ** 2
@@ -311,7 +311,7 @@ def by_arrays(shot: NDArray[np.uint8], optics: Optics, red: Red) -> list[Candida
         length = float(len(np.unique((r[p] - r[p].min()).astype(int))))
         radius = 0.5 * float(r[p].min() + r[p].max())
         width = len(p) / (length * radius)
-        found.append(Candidate(middle, variance(middle, radius, length, width), len(p), length, width, radius))
+        found.append(RedCandidate(middle, variance(middle, radius, length, width), len(p), length, width, radius))
     return largest(found, red)
 
 

@@ -22,7 +22,7 @@ from locfuse.fusion.checks.clocks import CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import _scales, gaps, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
-from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius, range_fix
+from locfuse.fusion.checks.laser import WallMotion, WallPairs, bumped, laser_motion, of_laser, of_radius, range_fix
 from locfuse.fusion.checks.probes import path_scale
 from locfuse.fusion.checks.truth import (
     SIZE,
@@ -59,7 +59,7 @@ def rolled(drive: Drive, ways: Array, track: float = TRACK) -> Drive:
     return replace(drive, wheels=Wheels.from_wheels(drive.wheels.t, left, right, track, NOISE))
 
 
-def seen(drive: Drive, m: Measurements | None = None) -> Motion | None:
+def seen(drive: Drive, m: Measurements | None = None) -> WallMotion | None:
     """What the laser's walls say of a drive, or readings `m` instead of its own."""
     m = m or drive.measurements["lrf"]
     return laser_motion(m, m.t, drive, robot())
@@ -141,7 +141,7 @@ def test_a_track_is_severe_only_beyond_the_sigmas_by_which_it_is_said_without_a_
     sigma: float, severe: bool
 ) -> None:
     one, tried = drive(4, robot(), truth=False), Least(0.005, 2.0)
-    motion = Motion(1.0, 0.01, 0.0, 0.01, 0.84, sigma, 500)
+    motion = WallMotion(1.0, 0.01, 0.0, 0.01, 0.84, sigma, 500)
     (found,) = of_track(one, robot().wheels, {}, motion, least=tried)
     assert found.severe == severe
     assert bool(of_track(one, robot().wheels, {}, motion)) == severe
@@ -507,7 +507,7 @@ def test_an_error_survives_the_way_between_processes() -> None:
 WALLS, BUMP_S = 600, 41.0
 
 
-def walls(degrees: float, seed: int, scale: float = 1.0, noise: float = 0.01) -> Walls:
+def walls(degrees: float, seed: int, scale: float = 1.0, noise: float = 0.01) -> WallPairs:
     """Return walls of a drive of 100 s whose laser turns by so much on the robot at BUMP_S."""
     rng = np.random.default_rng(seed)
     t, normal = np.linspace(0.0, 100.0, WALLS), rng.uniform(-math.pi, math.pi, WALLS)
@@ -516,7 +516,7 @@ def walls(degrees: float, seed: int, scale: float = 1.0, noise: float = 0.01) ->
     # a wall whose normal is thought to lie at `normal` lies further to the left by the laser's real yaw
     nearer = 0.3 * np.cos(normal + yaw - heading) / scale + rng.normal(0.0, noise, WALLS)
     n, d = (np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (normal, heading))
-    return Walls(nearer, n, 0.3 * d, np.zeros(WALLS), np.zeros(WALLS), t, t)
+    return WallPairs(nearer, n, 0.3 * d, np.zeros(WALLS), np.zeros(WALLS), t, t)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.1])
@@ -567,5 +567,5 @@ def test_a_mount_3_cm_off_is_no_bump_where_the_robot_drives_a_curve(begin: int) 
 
 
 def test_few_walls_tell_nothing() -> None:
-    few = Walls(*(column[::20] for column in walls(8.0, 1)))
+    few = WallPairs(*(column[::20] for column in walls(8.0, 1)))
     assert bumped(few, 1.0) is None

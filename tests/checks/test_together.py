@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from locfuse.fusion.checks.together import Look, Number, Shown, asked, clocks_of, common, commons, judged
+from locfuse.fusion.checks.together import LogEstimates, Look, Number, asked, clocks_of, common, commons, judged
 from locfuse.fusion.checks.tried import Fixes, Marks
 
 LOGS = ("a", "b", "c", "d", "e", "f")
@@ -61,10 +61,12 @@ def test_logs_that_are_configured_differently_are_not_of_one_robot() -> None:
 
 def test_a_small_lag_that_no_log_shows_alone_is_shown_by_nine_together() -> None:
     logs = {
-        str(i): Shown(lags={"lrf wheels.time_offset": Number(0.03, 0.01)}, clocks={"lrf": 0.0, "wheels": 0.0})
+        str(i): LogEstimates(
+            lags={"lrf wheels.time_offset": Number(0.03, 0.01)}, clocks={"lrf": 0.0, "wheels": 0.0}
+        )
         for i in range(9)
     }
-    assert not clocks_of({"0": logs["0"], "1": Shown()})
+    assert not clocks_of({"0": logs["0"], "1": LogEstimates()})
     ((clock,), (rival,)) = clocks_of(logs)
     assert (clock.key, rival.key) == ("lrf.time_offset", "wheels.time_offset")
     assert clock.value == pytest.approx(0.03)
@@ -80,7 +82,7 @@ def test_a_truth_that_is_late_by_another_time_in_each_log_does_not_hide_the_lag_
             "gyro truth.time_offset": Number(truth, 0.01),
             "truth wheels.time_offset": Number(0.18 - truth, 0.01),
         }
-        logs[log] = Shown(lags=lags, clocks=dict.fromkeys(("gyro", "wheels", "truth"), 0.0))
+        logs[log] = LogEstimates(lags=lags, clocks=dict.fromkeys(("gyro", "wheels", "truth"), 0.0))
     (first, second) = clocks_of(logs)
     assert [c.key for c in first] == ["gyro.time_offset"]
     assert first[0].value == pytest.approx(0.18)
@@ -92,7 +94,7 @@ def test_a_truth_that_is_late_by_another_time_in_each_log_does_not_hide_the_lag_
 
 def robot(tracks: dict[str, float], now: float = 0.6, broken: str = "") -> dict[str, object]:
     """Return first numbers of logs whose error [m] is 0.01 + |track - true| / 10, and how to look at them."""
-    first = {log: Shown({"wheels.track": Number(track, 0.001, now)}) for log, track in tracks.items()}
+    first = {log: LogEstimates({"wheels.track": Number(track, 0.001, now)}) for log, track in tracks.items()}
 
     def look(sets: object) -> dict[str, dict[Fixes, Look]]:
         found: dict[str, dict[Fixes, Look]] = {}
@@ -101,7 +103,7 @@ def robot(tracks: dict[str, float], now: float = 0.6, broken: str = "") -> dict[
                 at = float(dict(f.split("=") for f in fixes).get("wheels.track", now))
                 error = 0.01 + abs(at - track) / 10 + (0.02 if log == broken and fixes else 0.0)
                 marks = {"odometry": Marks(5.0 * error, 1.0, (0.5, 2.0)), "all": Marks(error, 1.0, (0.5, 2.0))}
-                shown = Shown({"wheels.track": Number(track, 0.001, at)})
+                shown = LogEstimates({"wheels.track": Number(track, 0.001, at)})
                 found.setdefault(log, {})[fixes] = Look(shown, {"odometry": (), "all": ("lrf",)}, marks)
         return found
 
@@ -139,13 +141,13 @@ def test_two_robots_get_no_common_setting() -> None:
 
 
 def test_without_any_number_there_is_nothing_to_say() -> None:
-    found = asked({"a": Shown(), "b": Shown()}, lambda sets: pytest.fail("nothing to try"))
+    found = asked({"a": LogEstimates(), "b": LogEstimates()}, lambda sets: pytest.fail("nothing to try"))
     assert found.common == ()
     assert found.fix is None
 
 
 def test_nothing_is_judged_where_no_configuration_uses_the_sensor() -> None:
-    look = Look(Shown(), {"odometry": ()}, {"odometry": Marks(1.0)})
+    look = Look(LogEstimates(), {"odometry": ()}, {"odometry": Marks(1.0)})
     step = judged(("lrf.x=0.1",), (), {"a": {(): look, ("lrf.x=0.1",): look}}, ())
     assert not step.helps
     assert not step.pairs

@@ -305,7 +305,7 @@ def without(one: Drive, start: float, end: float, wheels_only: bool = False) -> 
     """The drive whose readings between two times are lost."""
     kept = (one.wheels.t < start) | (one.wheels.t >= end)
     way = np.vstack(([0.0, 0.0], np.cumsum(one.wheels.rolled, axis=0)))[kept]
-    wheels = Wheels.from_wheels(one.wheels.t[kept], *way.T, one.wheels.track, NOISE)
+    wheels = Wheels.from_wheels(one.wheels.t[kept], way[:, 0], way[:, 1], one.wheels.track, NOISE)
     lost = {n: m.take(np.flatnonzero((m.t < start) | (m.t >= end))) for n, m in one.measurements.items()}
     return replace(one, wheels=wheels, measurements=one.measurements if wheels_only else lost)
 

@@ -11,7 +11,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation, Steps
-from locfuse.fusion.kernels.sight import Audit
+from locfuse.fusion.kernels.sight import AuditColumns
 from locfuse.fusion.sensor import Reading
 
 
@@ -119,7 +119,7 @@ def written(found: Reading, row: int = 0) -> Written:
     instant, rows, landmark = (np.full(n, -9, kind) for kind in (np.int32, np.int32, np.int64))
     verdict, nis, threshold = np.full(n, -9, np.int8), np.zeros(n), np.zeros(n)
     y, sigma = np.zeros((n, 2)), np.zeros((n, 2))
-    audit = Audit(instant, rows, verdict, landmark)
+    audit = AuditColumns(instant, rows, verdict, landmark)
     audit.judged(nis, threshold, y, sigma)
     found.write(audit, 0, 5, row)
     assert (instant == 5).all()

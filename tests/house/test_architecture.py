@@ -300,12 +300,12 @@ MAX_FILE_LINES = 600
 ARGUMENTS: dict[str, int] = {}
 RECORD_FIELDS: dict[str, int] = {
     "formats/figures/panels.py:Panel": 16,
-    "formats/report/structure.py:Result": 30,
+    "formats/report/structure.py:ReportedResult": 30,
     "formats/rerun/scene.py:RerunScene": 15,
     "fusion/data.py:Drive": 14,
     "fusion/data.py:Estimates": 20,
     "fusion/data.py:Evaluation": 17,
-    "fusion/judge/innovations.py:Own": 13,
+    "fusion/judge/innovations.py:OwnInnovations": 13,
     "fusion/lines/extract.py:LineSettings": 19,
     "fusion/map/line_map.py:LineMap": 15,
     "fusion/robot.py:WheelSettings": 24,
@@ -313,7 +313,7 @@ RECORD_FIELDS: dict[str, int] = {
 CHANGING_FIELDS: dict[str, int] = {
     "fusion/ekf/belief_arrays.py:JointBelief": 15,
     "fusion/kernels/ekf.py:State": 20,
-    "fusion/kernels/sight.py:Sight": 22,
+    "fusion/kernels/sight.py:SightLines": 22,
     "fusion/map/guard.py:Guard": 13,
     "fusion/map/line_map.py:LineMap": 15,
     "fusion/map/tracker.py:AtlasTracker": 12,
@@ -430,6 +430,22 @@ def test_nothing_is_over_its_cap_but_what_was_so_when_the_caps_were_set(what: st
     assert not more, f"more than {cap} {what}, or more than before: {more}"
     less = {name: today.get(name, 0) for name, n in known.items() if today.get(name, 0) < n}
     assert not less, f"mended: write the smaller number, or take it off the list where it is 0: {less}"
+
+
+def same_names(files: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return the files of every class name that stands twice."""
+    places: dict[str, list[str]] = {}
+    for file, text in files.items():
+        for name, _ in defined(text, ast.ClassDef):
+            places.setdefault(name.rpartition(".")[2], []).append(file)
+    return {name: where for name, where in places.items() if len(where) > 1}
+
+
+def test_a_class_name_stands_once() -> None:
+    assert same_names(FILES) == {}
+    assert same_names({"a.py": "class A:\n    class B: ...\n", "b.py": "class B: ...\n"}) == {
+        "B": ["a.py", "b.py"]
+    }
 
 
 def test_the_caps_see_what_is_over_them() -> None:

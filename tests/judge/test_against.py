@@ -41,7 +41,7 @@ from locfuse.fusion.judge.against import Reference, interpolated
 from locfuse.fusion.judge.credit import Effect
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
-from locfuse.fusion.judge.own_scans import Distance, Own, OwnScans, is_better
+from locfuse.fusion.judge.own_scans import Distance, OwnScanFigures, OwnScans, is_better
 from locfuse.fusion.judge.predictive import OUTLIER_SHARE, contradictions, listeners, log_density, ranking, scores
 from locfuse.fusion.robot import Robot
 
@@ -195,10 +195,12 @@ def test_a_path_is_better_only_where_agreement_proves_it() -> None:
 
 def test_a_covariance_is_too_small_where_the_smoothed_path_is_further_away_than_it_allows() -> None:
     apart = Distance(0.2, 0.4, 10.0)
-    assert Own(0.5, None, apart, claimed_m=0.1).is_overconfident
-    assert not Own(0.5, None, apart, claimed_m=0.15).is_overconfident
-    assert not Own(0.5, None, Distance(0.04, 0.1, 10.0), claimed_m=0.01).is_overconfident  # it could be chance
-    assert not Own(0.5, None, claimed_m=0.0).is_overconfident
+    assert OwnScanFigures(0.5, None, apart, claimed_m=0.1).is_overconfident
+    assert not OwnScanFigures(0.5, None, apart, claimed_m=0.15).is_overconfident
+    assert not OwnScanFigures(
+        0.5, None, Distance(0.04, 0.1, 10.0), claimed_m=0.01
+    ).is_overconfident  # it could be chance
+    assert not OwnScanFigures(0.5, None, claimed_m=0.0).is_overconfident
 
 
 # --- listening, scoring and ranking without truth, and thinning a sensor

@@ -22,7 +22,14 @@ import locfuse
 from locfuse.cli.analysis.verdicts import unless_overconfident
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
+from locfuse.fusion.judge.consistency import (
+    Consistency,
+    NoiseEvidence,
+    RunInnovations,
+    as_run,
+    biased_against,
+    judge,
+)
 from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
 from locfuse.fusion.judge.innovations import (
     MAX_COMPARED_READINGS,
@@ -88,7 +95,9 @@ def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
 
 
 def complaints(robot: Robot, drive: Drive) -> dict[str, Consistency]:
-    runs = [Run.of(drive, fuse(drive, robot, s)) for s in ((), ("compass",), ("lrf",), ("compass", "lrf"))]
+    runs = [
+        RunInnovations.of(drive, fuse(drive, robot, s)) for s in ((), ("compass",), ("lrf",), ("compass", "lrf"))
+    ]
     found = judge(runs, robot)
     assert set(found) == {"odometry", "compass", "lrf", "all"}
     assert found["odometry"] == {}
@@ -293,12 +302,12 @@ def right() -> tuple[Drive, Robot]:
     return replace(drive, measurements={**drive.measurements, "compass": exact}), robot
 
 
-def runs(drive: Drive, robot: Robot, turned_deg: float) -> list[Run]:
+def runs(drive: Drive, robot: Robot, turned_deg: float) -> list[RunInnovations]:
     """Runs of compass and laser; that of the laser is turned, and claims to be sure of it."""
     found = [fuse(drive, robot, sensors) for sensors in ((), ("compass",), ("lrf",))]
     pose = found[2].pose + np.array([0.0, 0.0, math.radians(turned_deg)])
     found[2] = replace(found[2], pose=pose, triangles=1e-3 * found[2].triangles)
-    return [Run.of(drive, e) for e in found]
+    return [RunInnovations.of(drive, e) for e in found]
 
 
 def test_a_wrong_run_accuses_no_sensor_that_truth_finds_right(right: tuple[Drive, Robot]) -> None:
@@ -336,7 +345,7 @@ def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(righ
 
 def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
-    heard = Evidence(runs(drive, robot, 0.0), robot).reference_runs("compass")[0][1]
+    heard = NoiseEvidence(runs(drive, robot, 0.0), robot).reference_runs("compass")[0][1]
     off = heard._replace(bias=math.radians(5.0), sure=math.radians(0.4))
     camera: Any = REGISTRY["camera"].Settings
     assert set(biased_against("camera", camera(), off).fix_values) == {"camera.zero_deg", "camera.sigma_yaw_deg"}
@@ -345,9 +354,9 @@ def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive
 
 def test_an_offset_that_is_too_small_to_be_sure_of_is_still_known(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
-    found = present(Evidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass"))
+    found = present(NoiseEvidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass"))
     assert found.fix_values["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
-    assert Evidence(runs(drive, robot, 0.0), robot).bias("compass") is None
+    assert NoiseEvidence(runs(drive, robot, 0.0), robot).bias("compass") is None
 
 
 def test_a_truth_is_no_reference_where_it_has_a_gap_or_another_frame(right: tuple[Drive, Robot]) -> None:

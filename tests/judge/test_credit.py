@@ -17,7 +17,7 @@ from locfuse.cli.analysis.verdicts import _by_itself, credit_values, verdicts
 from locfuse.fusion.data import Array
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.bootstrap import (
-    RESAMPLES,
+    RESAMPLE_COUNT,
     Errors,
     _correlation,
     block_means,
@@ -268,7 +268,7 @@ def test_errors_that_are_zero_are_independent() -> None:
 def test_block_means_are_of_blocks_that_wrap_around_the_end(block: int) -> None:
     values = np.random.default_rng(1).normal(size=(2, 60))
     count = math.ceil(60 / block)
-    starts = np.random.default_rng(1).integers(0, 60, size=(RESAMPLES, count))
+    starts = np.random.default_rng(1).integers(0, 60, size=(RESAMPLE_COUNT, count))
     at = (starts[:, :, None] + np.arange(block)) % 60
     np.testing.assert_allclose(block_means(values, block), values[:, at].mean(axis=(2, 3)).T, atol=1e-12)
 
@@ -331,8 +331,8 @@ def errors(resampled: Array, samples: tuple[float, ...] = (1e6, 1e6), r: float =
 
 
 def test_the_interval_is_that_of_the_bootstrap_where_it_is_wider() -> None:
-    drawn = np.linspace(-3.0, 5.0, RESAMPLES)
-    found = errors(np.column_stack((drawn, np.zeros(RESAMPLES)))).interval(np.array([1.0, -1.0]))
+    drawn = np.linspace(-3.0, 5.0, RESAMPLE_COUNT)
+    found = errors(np.column_stack((drawn, np.zeros(RESAMPLE_COUNT)))).interval(np.array([1.0, -1.0]))
     assert found == pytest.approx((-3.0 + 0.2, 5.0 - 0.2))
 
 
@@ -344,14 +344,14 @@ def test_no_interval_is_narrower_than_of_gaussian_pairs(samples: tuple[float, fl
     variance = 0.5 * (1 / n[0] + 1 / n[1] - 2.0 * r**2 / math.sqrt(n[0] * n[1]))
     freedom = (1 / n).sum() ** 2 / (1 / n**3).sum()
     half = math.asinh(stats.t.ppf(0.975, freedom - 1.0) * math.sqrt(variance))
-    found = errors(np.zeros((RESAMPLES, 2)), samples, r).interval(np.array([1.0, -1.0]))
+    found = errors(np.zeros((RESAMPLE_COUNT, 2)), samples, r).interval(np.array([1.0, -1.0]))
     assert found == pytest.approx((-half, half), rel=1e-4)
-    assert errors(np.zeros((RESAMPLES, 2)), samples, r).interval(np.zeros(2)) == (0.0, 0.0)
+    assert errors(np.zeros((RESAMPLE_COUNT, 2)), samples, r).interval(np.zeros(2)) == (0.0, 0.0)
 
 
 def test_of_one_sample_students_freedom_is_one() -> None:
     half = math.asinh(stats.t.ppf(0.975, 1.0) * math.sqrt(0.25))
-    found = errors(np.zeros((RESAMPLES, 1)), (1.0,)).interval(np.array([1.0]))
+    found = errors(np.zeros((RESAMPLE_COUNT, 1)), (1.0,)).interval(np.array([1.0]))
     assert found == pytest.approx((-half, half), rel=1e-3)
 
 

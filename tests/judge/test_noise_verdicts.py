@@ -16,8 +16,8 @@ from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.judge import consistency
 from locfuse.fusion.judge.consistency import (
     Consistency,
-    Evidence,
-    Run,
+    NoiseEvidence,
+    RunInnovations,
     biased_against,
     by_itself,
     by_memory,
@@ -25,7 +25,7 @@ from locfuse.fusion.judge.consistency import (
     judge,
     of_messages,
 )
-from locfuse.fusion.judge.innovations import ComparedReadings, Own
+from locfuse.fusion.judge.innovations import ComparedReadings, OwnInnovations
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -35,7 +35,7 @@ HEARD = ComparedReadings(
     readings=400, wild=0.0, bias=0.0, sure=0.1 * DEG, white=(3 * DEG) ** 2, slow=0.0, spread=(3 * DEG) ** 2,
     memory=1.0, period=0.1, reference=(0.1 * DEG) ** 2, R=(3 * DEG) ** 2,
 )  # fmt: skip
-OWN = Own(
+OWN = OwnInnovations(
     compared=400, refused=0.0, nis=1.0, bounds=(0.9, 1.1), bias=(0.0,), middle=(0.0,), sure=(0.1 * DEG,),
     whiteness=(0.0,) * 5, raw=1.0, scale=1.0, white=0.9, share=0.9, R=((3 * DEG) ** 2,),
 )  # fmt: skip
@@ -166,12 +166,14 @@ def drive(truth: Truth | None = None) -> Drive:
     return Drive(0, T[:N], motions, {s: readings() for s in SENSORS}, {}, {}, truth)
 
 
-def run(name: str, own: Mapping[str, Own | None] | None = None, truth: Truth | None = None) -> Run:
+def run(
+    name: str, own: Mapping[str, OwnInnovations | None] | None = None, truth: Truth | None = None
+) -> RunInnovations:
     """The run of the sensors in its name: "compass+lrf"."""
     sensors = tuple(s for s in name.split("+") if s != "odometry")
     found = drive(truth)
     e = Estimates(name, sensors, found.t, np.zeros((N, 3)), np.zeros((N, 6)), {})
-    return Run(found, e, dict.fromkeys(sensors, OWN_RUN) | dict(own or {}))
+    return RunInnovations(found, e, dict.fromkeys(sensors, OWN_RUN) | dict(own or {}))
 
 
 class Told:
@@ -189,7 +191,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Told:
     return Told(monkeypatch)
 
 
-def names(evidence: Evidence, sensor: str) -> list[str]:
+def names(evidence: NoiseEvidence, sensor: str) -> list[str]:
     return [r.estimates.name for r, _ in evidence.reference_runs(sensor)]
 
 
@@ -203,8 +205,8 @@ def test_a_reference_is_a_run_of_other_sensors_the_most_certain_first(told: Told
         "gyro+lrf: compass": FINE._replace(reference=0.001),
     }
     runs = [run(n) for n in ("odometry", "compass", "gyro", "lrf", "compass+lrf", "gyro+lrf")]
-    assert names(Evidence(runs, ROBOT), "compass") == ["gyro+lrf", "lrf", "gyro"]
-    assert names(Evidence(runs, ROBOT, {"lrf"}), "compass") == ["gyro+lrf", "gyro"]
+    assert names(NoiseEvidence(runs, ROBOT), "compass") == ["gyro+lrf", "lrf", "gyro"]
+    assert names(NoiseEvidence(runs, ROBOT, {"lrf"}), "compass") == ["gyro+lrf", "gyro"]
 
 
 @pytest.mark.parametrize(
@@ -217,16 +219,18 @@ def test_a_reference_is_a_run_of_other_sensors_the_most_certain_first(told: Told
         (None, False),
     ],
 )
-def test_a_run_that_understates_noise_is_no_reference(told: Told, own: Own | None, healthy: bool) -> None:
+def test_a_run_that_understates_noise_is_no_reference(
+    told: Told, own: OwnInnovations | None, healthy: bool
+) -> None:
     told.said = {"gyro+lrf: compass": FINE}
-    evidence = Evidence([run("compass"), run("gyro+lrf", {"lrf": own})], ROBOT)
+    evidence = NoiseEvidence([run("compass"), run("gyro+lrf", {"lrf": own})], ROBOT)
     assert names(evidence, "compass") == (["gyro+lrf"] if healthy else [])
 
 
 def flagged(told: Told, said: dict[str, ComparedReadings], *runs: str) -> tuple[set[str], set[str]]:
     """The sensors whose mean is off, and those that contradict each other."""
     told.said = said
-    evidence = Evidence([run(n) for n in ("odometry", *runs)], ROBOT)
+    evidence = NoiseEvidence([run(n) for n in ("odometry", *runs)], ROBOT)
     return set(evidence.flagged), evidence.contradict
 
 
@@ -249,7 +253,7 @@ def test_a_sensor_that_is_off_is_no_reference_any_more(told: Told) -> None:
     said = {"gyro+lrf: compass": OFF._replace(reference=0.001), "compass: lrf": OFF, "gyro: lrf": FINE}
     told.said = said
     runs = [run(n) for n in ("compass", "gyro", "lrf", "gyro+lrf")]
-    evidence = Evidence(runs, ROBOT)
+    evidence = NoiseEvidence(runs, ROBOT)
     assert (set(evidence.flagged), evidence.contradict) == ({"compass"}, set())
     assert names(evidence, "lrf") == ["gyro"]
 
@@ -261,9 +265,9 @@ def test_contradicting_sensors_name_each_other(told: Told) -> None:
     assert found["lrf"]["lrf"].words.startswith("lrf and compass contradict")
 
 
-def verdict_of(told: Told, sensor: str, *runs: Run) -> tuple[str, str]:
+def verdict_of(told: Told, sensor: str, *runs: RunInnovations) -> tuple[str, str]:
     told.said = {}
-    found = Evidence(list(runs), ROBOT).finding(sensor)
+    found = NoiseEvidence(list(runs), ROBOT).finding(sensor)
     return found.verdict, found.words
 
 

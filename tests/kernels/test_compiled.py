@@ -23,7 +23,7 @@ import locfuse
 from locfuse.fusion.data import Array
 from locfuse.fusion.kernels.built import INTERPRETED, how
 from locfuse.fusion.lines import extract
-from locfuse.fusion.lines.extract import LineSettings, Scans, motion_of
+from locfuse.fusion.lines.extract import LineSettings, RawScans, motion_of
 
 NAMES = sorted(path.stem for path in KERNELS.glob("*.pxd"))
 OBJECTS = re.compile(r"PyFloat_(From|As)Double|PyLong_From|PyNumber_|PyObject_RichCompare")
@@ -140,7 +140,7 @@ NUMBERS = st.one_of(
 )
 
 
-def agree(scans: Scans, how: LineSettings | None = None, moving: bool = False) -> extract.Lines:
+def agree(scans: RawScans, how: LineSettings | None = None, moving: bool = False) -> extract.Lines:
     """Return the lines, after the interpreted kernels gave the same."""
     asked = scans, how or LineSettings(), MOUNT if moving else None
     found = extract.lines_of(*asked)
@@ -170,7 +170,7 @@ def test_scans_of_a_room_have_the_same_lines_interpreted(beams: int, moving: boo
     angles = np.linspace(-math.pi, math.pi, beams, endpoint=False) * turn
     d = seen(angles, 20)
     offsets = np.random.default_rng(1).normal(0.0, 0.01, (*d.shape, 3)) if moving else None
-    lines = agree(Scans(d, angles, offsets), moving=moving)
+    lines = agree(RawScans(d, angles, offsets), moving=moving)
     assert len(lines.z) > 60
     assert (np.abs(lines.sweep).sum() > 0.0) == moving
 
@@ -186,7 +186,7 @@ def test_no_scan_makes_either_differ(data: st.DataObject, beams: int, n: int, ri
         few = st.sampled_from([0.0, 0.0, 0.01, -0.02, 1e30, math.nan])
         offsets = np.resize(data.draw(st.lists(few, min_size=7, max_size=7)), (n, beams, 3))
     with np.errstate(all="ignore"):
-        agree(Scans(np.array(numbers, np.float64).reshape(n, beams), angles, offsets), moving=moving)
+        agree(RawScans(np.array(numbers, np.float64).reshape(n, beams), angles, offsets), moving=moving)
 
 
 @settings(deadline=None, max_examples=80)
@@ -201,10 +201,10 @@ def test_no_setting_makes_either_fail_or_differ(seed: int, name: str, value: flo
     angles = np.linspace(-math.pi, math.pi, 90, endpoint=False)
     d: Array = np.round(seen(angles, 1, seed), 1)  # to 10 cm: many points lie alike
     how = replace(LineSettings(flatness=0.0), **{name: cast("Any", value)})
-    agree(Scans(d, angles, None), how)
+    agree(RawScans(d, angles, None), how)
 
 
 @pytest.mark.parametrize("shape", [(0, 361), (3, 0), (3, 1), (3, 2), (0, 0)])
 def test_nothing_to_see_is_no_line(shape: tuple[int, int]) -> None:
-    lines = agree(Scans(np.full(shape, 2.0), np.linspace(-1.0, 1.0, shape[1]), np.zeros((*shape, 3))))
+    lines = agree(RawScans(np.full(shape, 2.0), np.linspace(-1.0, 1.0, shape[1]), np.zeros((*shape, 3))))
     assert len(lines.z) == 0

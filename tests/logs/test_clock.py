@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from present import present
 
 from locfuse.formats.logs import jitter
-from locfuse.formats.logs.clock import Clock, common_clock, on_clock, settle
+from locfuse.formats.logs.clock import RowTimes, common_clock, on_clock, settle
 from locfuse.formats.logs.jitter import in_order, never_decreasing
 from locfuse.fusion.data import Ints
 
@@ -27,7 +27,7 @@ def recording(n: int = 200, period: int = 50 * MS, delay: int = 30 * MS) -> tupl
     return stamp + delay + jitter, stamp
 
 
-def error(clock: Clock, truth: Ints) -> float:
+def error(clock: RowTimes, truth: Ints) -> float:
     """Largest error of the times, seconds."""
     return float(np.abs(clock.t_ns - truth).max()) / S
 
@@ -285,11 +285,11 @@ def test_what_has_no_header_is_dated_on_the_clock_of_the_others_stamps() -> None
     true = np.arange(0, 100 * S, S // 10)
     wall = T0 + (true * 5) // 4
     known = present(common_clock([(wall, true + 12 * S), (wall + 10**6, true + 12 * S)]))
-    some = Clock(wall[55:900:7] + 2, None, "log time (no header)")
+    some = RowTimes(wall[55:900:7] + 2, None, "log time (no header)")
     dated = on_clock(some, known)
     np.testing.assert_allclose(dated.t_ns, true[55:900:7] + 12 * S, atol=1000)
     assert dated.on_stamps
-    outside = on_clock(Clock(wall[[0, -1]] + np.array([-S, S]), None, ""), known)
+    outside = on_clock(RowTimes(wall[[0, -1]] + np.array([-S, S]), None, ""), known)
     np.testing.assert_allclose(outside.t_ns, true[[0, -1]] + 12 * S + np.array([-S, S]), atol=1000)
 
 

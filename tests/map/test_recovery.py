@@ -24,9 +24,9 @@ from locfuse.fusion.map.slips import (
     DECIDING_SCANS,
     MIN_GAIN,
     SURE_GAIN,
+    RecentScans,
     Slide,
     Suspicion,
-    Trail,
     agree,
     continues,
     expected_share,
@@ -129,7 +129,7 @@ def test_scans_of_two_thousand_walls_need_no_terabytes_to_be_compared() -> None:
 def test_a_trail_forgets_what_was_seen_while_the_robot_was_carried() -> None:
     """The walls moved by 0.5 m from one scan to the next while the wheels say 0.3 m."""
     R, ends = np.tile(np.eye(2) * 1e-4, (2, 1, 1)), np.array([(0.0, 2.0), (0.0, 2.0)])
-    trail = Trail()
+    trail = RecentScans()
     for k, wall in enumerate((3.0, 2.7, 2.2, 1.9)):
         trail.note(np.array([0.3 * k, 0.0, 0.0]), Scan.of(np.array([(wall, 0.0), (1.0, 1.57)]), R, ends))
     seen = [step[0] for step, _ in trail.back_from(np.array([0.9, 0.0, 0.0]))]

@@ -16,7 +16,7 @@ from locfuse.formats.caps import MAX_TEXT
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.robot.transforms import (
     FIELDS,
-    Mount,
+    FrameMount,
     StaticTransforms,
     planar_mount,
     roll_pitch_yaw,
@@ -49,7 +49,7 @@ def published(tmp_path: Path, *messages: list[dict[str, Any]], topic: str = "/tf
     return open_log([write(tmp_path / "tf.mcap", said)]).static_transforms()
 
 
-def mount(transforms: StaticTransforms, frame: str) -> Mount:
+def mount(transforms: StaticTransforms, frame: str) -> FrameMount:
     return present(planar_mount(transforms, BASES, frame))
 
 
@@ -144,7 +144,7 @@ def test_an_unconnected_frame_and_a_log_without_tf_have_no_mount(tmp_path: Path)
 
 
 def test_the_base_frame_itself_is_mounted_at_zero() -> None:
-    assert mount(StaticTransforms(), "base_link") == Mount("base_link", "base_link", 0, 0, 0, 0, 0, 0, False)
+    assert mount(StaticTransforms(), "base_link") == FrameMount("base_link", "base_link", 0, 0, 0, 0, 0, 0, False)
 
 
 @pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])

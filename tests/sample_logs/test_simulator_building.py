@@ -31,9 +31,9 @@ from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.nearby import cast_near
 from locfuse.sample_logs.paths import waypoints
 from locfuse.sample_logs.record import in_memory
-from locfuse.sample_logs.scenario import Camera, Room, Scenario, Waypoints
+from locfuse.sample_logs.scenario import CameraSpec, Room, Scenario, Waypoints
 from locfuse.sample_logs.simulate import OBSTACLE_HEIGHT
-from locfuse.sample_logs.walkers import AWAY, LEG, Walk, stepped_aside
+from locfuse.sample_logs.walkers import LEG_RADIUS_M, MIN_PERSON_RANGE_M, Walk, stepped_aside
 from locfuse.sample_logs.world import Plan, cast, clearance
 
 NAMES = ("office", "hall")
@@ -43,7 +43,7 @@ HALL = Space(name="hall", area=(0.0, 0.0, 10.0, 8.0))
 
 def scene(building: Building, seed: int = 1, size: tuple[float, float] = (10.0, 8.0)) -> BuildingScene:
     """A building without the landmark of the default room."""
-    scenario = Scenario(building=building, room=Room(size=size), camera=Camera(enabled=False))
+    scenario = Scenario(building=building, room=Room(size=size), camera=CameraSpec(enabled=False))
     scenario = msgspec.structs.replace(scenario, landmark=msgspec.structs.replace(scenario.landmark, x=-50.0))
     found = scene_of(scenario, seed)
     assert isinstance(found, BuildingScene)
@@ -256,7 +256,7 @@ def test_a_person_in_the_way_hides_the_wall_by_two_legs() -> None:
         assert middle[1] == pytest.approx(2.0 + of.walks[0].way(np.array([t]))[0])
         hidden = np.zeros(len(angle), bool)
         for x, y, r in legs:
-            assert r == LEG
+            assert r == LEG_RADIUS_M
             off = angle - math.atan2(y - 4.0, x - 3.0)
             hidden |= np.abs(off) < math.asin(r / math.hypot(x - 3.0, y - 4.0))
         assert hidden.any()
@@ -266,8 +266,8 @@ def test_a_person_in_the_way_hides_the_wall_by_two_legs() -> None:
 def test_people_step_aside_for_the_robot() -> None:
     middle = np.array([[1.0, 0.2], [3.0, 0.0], [0.0, 0.5]])
     found = stepped_aside(middle, np.zeros((3, 2)))
-    assert np.hypot(*found.T) == pytest.approx([math.hypot(1.0, 0.2), 3.0, AWAY])
-    np.testing.assert_allclose(found[2], (0.0, AWAY))
+    assert np.hypot(*found.T) == pytest.approx([math.hypot(1.0, 0.2), 3.0, MIN_PERSON_RANGE_M])
+    np.testing.assert_allclose(found[2], (0.0, MIN_PERSON_RANGE_M))
 
 
 # --- ray casting -----------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.scenario import Leg, Legs, Scenario
 from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation
-from locfuse.sample_logs.world import Scene
+from locfuse.sample_logs.world import World
 
 Drive = tuple[dict[str, ArrayStream], Outcome]
 # two metres of the default room's first straight, steered on the truth
@@ -371,7 +371,7 @@ def test_people_shorten_rays_while_they_are_there_and_only_towards_them(clean: D
 
 def red_pixels(t: float, *wrong: Any) -> int:
     scenario = Scenario(faults=wrong)
-    image = Painter(scenario.camera, Scene(scenario)).paint(np.array([4.0, 3.0, 0.0]), t)
+    image = Painter(scenario.camera, World(scenario)).paint(np.array([4.0, 3.0, 0.0]), t)
     return int(((image[..., 0] > 40) & (image[..., 0] > 3 * image[..., 1])).sum())
 
 

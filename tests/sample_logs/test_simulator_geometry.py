@@ -14,11 +14,11 @@ from locfuse.sample_logs.camera import Painter, expose
 from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.mirror import rays, slope
 from locfuse.sample_logs.render import Surface
-from locfuse.sample_logs.robot import Robot
-from locfuse.sample_logs.scenario import Camera, Landmark, Lrf, Room, Scenario
-from locfuse.sample_logs.sensors import Laser
+from locfuse.sample_logs.robot import SimulatedRobot
+from locfuse.sample_logs.scenario import CameraSpec, Landmark, LrfSpec, Room, Scenario
+from locfuse.sample_logs.sensors import SimulatedLaser
 from locfuse.sample_logs.table import Pillar
-from locfuse.sample_logs.world import Plan, Scene, cast, clearance, rings
+from locfuse.sample_logs.world import Plan, World, cast, clearance, rings
 
 NOTHING = np.zeros((0, 3))
 PLACES = [(1.5, 1.5, 0.0), (5.0, 3.0, 1.2), (2.0, 4.5, -2.9), (6.1, 2.1, math.pi / 2), (7.0, 5.0, 3.1)]
@@ -28,7 +28,7 @@ def test_rays_in_an_empty_room_end_where_the_rectangle_does() -> None:
     rng = np.random.default_rng(1)
     origin = rng.uniform((0.1, 0.1), (7.9, 5.9), (5000, 2))
     angle = rng.uniform(-np.pi, np.pi, 5000)
-    plan = Plan(Scene(Scenario(room=Room(plates=()))).walls, NOTHING)
+    plan = Plan(World(Scenario(room=Room(plates=()))).walls, NOTHING)
     np.testing.assert_allclose(
         cast(plan, origin, angle), rooms.ranges(rooms.box(0, 0, 8, 6), origin, angle), atol=1e-9
     )
@@ -51,7 +51,7 @@ def test_a_ray_between_two_walls_or_behind_a_circle_hits_nothing() -> None:
 
 def test_a_door_left_open_lets_rays_out() -> None:
     room = Room(walls=((0, 0, 8, 0), (8, 0, 8, 6), (8, 6, 0, 6), (0, 6, 0, 4)), plates=())
-    plan = Plan(Scene(Scenario(room=room)).walls, NOTHING)
+    plan = Plan(World(Scenario(room=room)).walls, NOTHING)
     seen = cast(plan, np.full((2, 2), (4.0, 3.0)), np.array([math.pi, 0.0]))
     assert np.isinf(seen[0])
     assert seen[1] == pytest.approx(4.0)
@@ -65,7 +65,7 @@ def test_clearance_is_the_distance_from_the_nearest_wall_end_or_circle() -> None
 
 def test_the_mirror_obeys_the_law_of_reflection() -> None:
     """Follow a camera ray to the hyperboloid, reflect it on the normal: it must look as eq. tan alpha says."""
-    camera = Camera()
+    camera = CameraSpec()
     a, b = camera.mirror_a, camera.mirror_b
     c = math.hypot(a, b)
     for radius in np.linspace(camera.inner, camera.outer, 50):
@@ -94,7 +94,7 @@ def painted(scenario: Scenario, place: tuple[float, float, float]) -> tuple[Arra
     eye = np.array(
         [x + c * camera.x - s * camera.y, y + s * camera.x + c * camera.y, theta + math.radians(camera.yaw_deg)]
     )
-    image = Painter(camera, Scene(scenario)).paint(eye, 0.0)
+    image = Painter(camera, World(scenario)).paint(eye, 0.0)
     red, green, blue = np.moveaxis(image, -1, 0)
     v, u = np.nonzero((red > 40) & (red > 3 * green) & (red > 3 * blue))
     du, dv = u - camera.centre[0], v - camera.centre[1]
@@ -122,14 +122,14 @@ def turn_deg(a: float, b: float) -> float:
 @pytest.mark.parametrize(
     "camera",
     [
-        Camera(),
-        Camera(x=-0.2, y=0.15, yaw_deg=30.0),
-        Camera(zero_deg=90.0),
-        Camera(zero_deg=-40.0, clockwise=True),
+        CameraSpec(),
+        CameraSpec(x=-0.2, y=0.15, yaw_deg=30.0),
+        CameraSpec(zero_deg=90.0),
+        CameraSpec(zero_deg=-40.0, clockwise=True),
     ],
     ids=["as shipped", "off the axle", "turned in the image", "unmirrored"],
 )
-def test_the_landmark_stands_where_its_bearing_says(place: tuple[float, float, float], camera: Camera) -> None:
+def test_the_landmark_stands_where_its_bearing_says(place: tuple[float, float, float], camera: CameraSpec) -> None:
     scenario = Scenario(camera=camera, room=Room(plates=()))
     angle, radius = painted(scenario, place)
     column = mean_angle(angle, 1 / radius)  # a degree holds pixels in proportion to the radius
@@ -155,8 +155,8 @@ def test_a_higher_landmark_reaches_further_out_in_the_image() -> None:
 def test_camera_and_laser_see_the_same_room() -> None:
     """Two ray casters, written apart: along a level ray both find the same distance."""
     scenario = Scenario(room=Room(pillars=(Pillar(x=4.0, y=2.5, radius=0.3, top=2.0),)))
-    scene = Scene(scenario)
-    level = Camera(z=0.6)
+    scene = World(scenario)
+    level = CameraSpec(z=0.6)
     bundle = rays(level)
     near_level = np.abs(bundle.slope) < 0.01
     for x, y, theta in PLACES:
@@ -168,9 +168,9 @@ def test_camera_and_laser_see_the_same_room() -> None:
 
 
 def test_floor_and_ceiling_lie_at_their_heights() -> None:
-    camera = Camera()
+    camera = CameraSpec()
     bundle = rays(camera)
-    hits = Painter(camera, Scene(Scenario())).trace(np.array([4.0, 3.0, camera.z, 0.3]), 0.0)
+    hits = Painter(camera, World(Scenario())).trace(np.array([4.0, 3.0, camera.z, 0.3]), 0.0)
     z = camera.z + hits.way * bundle.slope
     np.testing.assert_allclose(z[hits.surface == Surface.FLOOR], 0.0, atol=1e-5)
     np.testing.assert_allclose(z[hits.surface == Surface.CEILING], 2.6, atol=1e-5)
@@ -185,7 +185,7 @@ def test_a_person_in_front_of_the_landmark_hides_it() -> None:
 
 
 def test_image_noise_has_the_deviation_that_was_asked_for() -> None:
-    camera = Camera(noise=4.0, blur=0.0, brightness=1.0)
+    camera = CameraSpec(noise=4.0, blur=0.0, brightness=1.0)
     grey = np.full((480, 480, 3), 128.0, np.float32)
     image = expose(grey, camera, np.random.default_rng(3)).astype(float)
     # truncation to whole grey levels adds 1/12 of variance
@@ -207,12 +207,12 @@ def to_round_wall(origin: Array, angle: Array) -> Array:
 
 
 def test_ranges_in_a_round_room_equal_the_closed_form() -> None:
-    lrf = Lrf(sigma_range=0.0, sigma_angle_deg=0.0, lost=0.0, x=0.2, y=-0.1, yaw_deg=10.0)
+    lrf = LrfSpec(sigma_range=0.0, sigma_angle_deg=0.0, lost=0.0, x=0.2, y=-0.1, yaw_deg=10.0)
     scenario = Scenario(lrf=lrf, room=ROUND, landmark=Landmark(bottom=1.0))
-    robot = Robot(scenario, (2.5, 3.0, 0.5), streams(1))
+    robot = SimulatedRobot(scenario, (2.5, 3.0, 0.5), streams(1))
     for _ in range(3):
         robot.drive((3.0, 4.0))  # every ray leaves from a place of its own
-    laser = Laser(lrf, Scene(scenario), robot, np.random.default_rng(7))
+    laser = SimulatedLaser(lrf, World(scenario), robot, np.random.default_rng(7))
     measured = laser.read(0.01)["ranges"]
     pose = robot.trail.pose(0.01 + laser.times)
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
@@ -232,12 +232,12 @@ def test_a_round_wall_is_seen_from_inside_only_and_hides_nothing_before_it() -> 
 def test_clearance_in_a_round_room_is_the_distance_to_the_circle() -> None:
     points = np.array([[4.0, 4.0], [6.0, 4.0], [4.0, 7.9], [8.5, 4.0]])
     assert clearance(
-        Scene(Scenario(room=ROUND, landmark=Landmark(bottom=1.0))).plan(0.25), points
+        World(Scenario(room=ROUND, landmark=Landmark(bottom=1.0))).plan(0.25), points
     ) == pytest.approx([4.0, 2.0, 0.1, -0.5])
 
 
 def test_the_camera_sees_the_round_wall_where_it_is() -> None:
-    painter = Painter(Camera(), Scene(Scenario(room=ROUND, landmark=Landmark(x=4.0, y=7.8, radius=0.01))))
+    painter = Painter(CameraSpec(), World(Scenario(room=ROUND, landmark=Landmark(x=4.0, y=7.8, radius=0.01))))
     eye = np.array([5.0, 3.0, 0.9, 0.7])
     hits = painter.trace(eye, 0.0)
     wall = hits.surface == 2

@@ -16,11 +16,29 @@ from locfuse.sample_logs import load
 from locfuse.sample_logs.equipment import beam_pattern, stated_start
 from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.record import in_memory
-from locfuse.sample_logs.robot import Robot
-from locfuse.sample_logs.scenario import Compass, Gps, Landmark, Lrf, Motor, Room, Scenario, Sonar, Start, Wheels
-from locfuse.sample_logs.sensors import Encoders, GroundTruth, Laser, Magnetometer, Ranger, SatelliteReceiver
+from locfuse.sample_logs.robot import SimulatedRobot
+from locfuse.sample_logs.scenario import (
+    CompassSpec,
+    GpsSpec,
+    Landmark,
+    LrfSpec,
+    Motor,
+    Room,
+    Scenario,
+    SonarSpec,
+    StartSpec,
+    WheelsSpec,
+)
+from locfuse.sample_logs.sensors import (
+    GroundTruth,
+    Magnetometer,
+    Ranger,
+    SatelliteReceiver,
+    SimulatedEncoders,
+    SimulatedLaser,
+)
 from locfuse.sample_logs.simulate import Simulation
-from locfuse.sample_logs.world import Scene
+from locfuse.sample_logs.world import World
 
 HIGH = Landmark(bottom=1.0)  # a landmark above the laser's plane
 EMPTY = Room(plates=())
@@ -39,21 +57,21 @@ def white(normalised: Array) -> bool:
     return all(abs((a * b).mean()) < 4 / math.sqrt(a.size) for a, b in pairs if a.size)
 
 
-def standing(scenario: Scenario, pose: tuple[float, float, float]) -> Robot:
-    robot = Robot(scenario, pose, streams(1))
+def standing(scenario: Scenario, pose: tuple[float, float, float]) -> SimulatedRobot:
+    robot = SimulatedRobot(scenario, pose, streams(1))
     for _ in range(5):
         robot.drive((0.0, 0.0))
     return robot
 
 
-def ranges(lrf: Lrf, pose: tuple[float, float, float], scans: int) -> Array:
+def ranges(lrf: LrfSpec, pose: tuple[float, float, float], scans: int) -> Array:
     scenario = Scenario(lrf=lrf, room=EMPTY, landmark=HIGH)
-    laser = Laser(lrf, Scene(scenario), standing(scenario, pose), np.random.default_rng(7))
+    laser = SimulatedLaser(lrf, World(scenario), standing(scenario, pose), np.random.default_rng(7))
     return np.array([laser.read(0.01)["ranges"] for _ in range(scans)], float)
 
 
 def test_laser_ranges_err_by_their_sigma_about_the_rectangle() -> None:
-    lrf = Lrf(sigma_angle_deg=0.0, lost=0.0, x=0.2, y=-0.1, yaw_deg=10.0)
+    lrf = LrfSpec(sigma_angle_deg=0.0, lost=0.0, x=0.2, y=-0.1, yaw_deg=10.0)
     measured = ranges(lrf, (3.0, 2.0, 0.5), 100)
     heading = 0.5 + math.radians(10)
     x = 3.0 + 0.2 * math.cos(0.5) + 0.1 * math.sin(0.5)
@@ -66,7 +84,7 @@ def test_laser_ranges_err_by_their_sigma_about_the_rectangle() -> None:
 
 def test_laser_rays_err_by_their_sigma_in_angle() -> None:
     """On the wall x = 8, seen 60 degrees off, a range without noise gives the ray's true angle."""
-    lrf = Lrf(sigma_range=0.0, lost=0.0, x=0.0)
+    lrf = LrfSpec(sigma_range=0.0, lost=0.0, x=0.0)
     measured = ranges(lrf, (5.0, 0.5, math.radians(60)), 200)
     wall = measured[:, 20:60]  # rays at -10 to +30 degrees in the map
     nominal = np.radians(60 + np.arange(20, 60) - 90.0)
@@ -77,27 +95,27 @@ def test_laser_rays_err_by_their_sigma_in_angle() -> None:
 
 
 def test_rays_are_lost_as_often_as_asked() -> None:
-    measured = ranges(Lrf(lost=0.02), (3.0, 2.0, 0.5), 100)
+    measured = ranges(LrfSpec(lost=0.02), (3.0, 2.0, 0.5), 100)
     lost = int(np.isinf(measured).sum())
     assert binom.ppf(1e-4, measured.size, 0.02) < lost < binom.ppf(1 - 1e-4, measured.size, 0.02)
 
 
 def test_ranges_outside_the_reach_are_infinite_never_a_number() -> None:
-    measured = ranges(Lrf(range_max=4.0, lost=0.0), (3.0, 2.0, 0.5), 20)
+    measured = ranges(LrfSpec(range_max=4.0, lost=0.0), (3.0, 2.0, 0.5), 20)
     assert np.isinf(measured).any()
     assert measured[np.isfinite(measured)].max() <= 4.0
 
 
-def field(compass: Compass, theta: float, n: int) -> Array:
+def field(compass: CompassSpec, theta: float, n: int) -> Array:
     scenario = Scenario(compass=compass)
     robot = standing(scenario, (2.0, 2.0, theta))
-    sensor = Magnetometer(compass, Scene(scenario), robot, np.random.default_rng(8))
+    sensor = Magnetometer(compass, World(scenario), robot, np.random.default_rng(8))
     readings = [sensor.read(0.05) for _ in range(n)]
     return np.array([(r["magnetic_field.x"], r["magnetic_field.y"]) for r in readings])
 
 
 def test_both_axes_of_the_compass_err_by_their_sigma() -> None:
-    compass = Compass(resolution_deg=0.0, hard_iron=(0.0, 0.0), soft_iron=(1.0, 1.0, 0.0))
+    compass = CompassSpec(resolution_deg=0.0, hard_iron=(0.0, 0.0), soft_iron=(1.0, 1.0, 0.0))
     measured = field(compass, 0.8, 3000)
     north = math.radians(65.0) - 0.8
     residual = (measured - 20e-6 * np.array([math.cos(north), math.sin(north)])) / (20e-6 * math.radians(0.5))
@@ -108,7 +126,7 @@ def test_both_axes_of_the_compass_err_by_their_sigma() -> None:
 
 
 def test_iron_on_the_robot_moves_and_bends_the_circle_of_the_field() -> None:
-    compass = Compass(resolution_deg=0.0, noise_deg=0.0, hard_iron=(3e-6, -2e-6), soft_iron=(1.2, 0.9, 0.1))
+    compass = CompassSpec(resolution_deg=0.0, noise_deg=0.0, hard_iron=(3e-6, -2e-6), soft_iron=(1.2, 0.9, 0.1))
     for theta in np.linspace(-3, 3, 7):
         north = math.radians(65.0) - theta
         x, y = 20e-6 * math.cos(north), 20e-6 * math.sin(north)
@@ -118,12 +136,12 @@ def test_iron_on_the_robot_moves_and_bends_the_circle_of_the_field() -> None:
 
 def test_a_compass_axis_counts_in_steps_of_its_resolution() -> None:
     step = 20e-6 * math.radians(0.1)
-    counts = field(Compass(resolution_deg=0.1), 0.8, 200) / step
+    counts = field(CompassSpec(resolution_deg=0.1), 0.8, 200) / step
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
     assert len(np.unique(np.round(counts))) > 10
 
 
-def rolled_and_moved(robot: Robot) -> tuple[Array, Array]:
+def rolled_and_moved(robot: SimulatedRobot) -> tuple[Array, Array]:
     """Return per tick what each wheel rolled by its encoder and what it moved over ground, (n, 2) m."""
     twist = robot.trail.steps().reshape(-1, 4, 3).sum(axis=1)
     moved = np.stack((twist[:, 0] - 0.3 * twist[:, 2], twist[:, 0] + 0.3 * twist[:, 2]), axis=-1)
@@ -133,7 +151,7 @@ def rolled_and_moved(robot: Robot) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("speeds", [(6.0, 6.0), (-6.0, 6.0), (3.0, 9.0), (-4.0, -4.0)])
 def test_the_ground_adds_k_per_metre_to_each_wheel_whatever_the_sampling(speeds: tuple[float, float]) -> None:
-    robot = Robot(Scenario(), (0.0, 0.0, 0.0), streams(11))
+    robot = SimulatedRobot(Scenario(), (0.0, 0.0, 0.0), streams(11))
     for _ in range(2000):
         robot.drive(speeds)
     rolled, moved = rolled_and_moved(robot)
@@ -148,7 +166,7 @@ def test_straight_runs_drift_as_the_closed_form_of_the_delta_experiment_says() -
     """Open loop, D = 1 m: var(yaw) = 2 k D / L^2, var(across) = 2 k D^3 / (3 L^2), against dead reckoning."""
     yaw, across, way = [], [], []
     for seed in range(80):
-        robot = Robot(Scenario(motor=Motor(load=0.0, acceleration=100.0)), (0.0, 0.0, 0.0), streams(seed))
+        robot = SimulatedRobot(Scenario(motor=Motor(load=0.0, acceleration=100.0)), (0.0, 0.0, 0.0), streams(seed))
         for _ in range(84):
             robot.drive((12.0, 12.0))
         rolled, _ = rolled_and_moved(robot)
@@ -165,8 +183,8 @@ def test_straight_runs_drift_as_the_closed_form_of_the_delta_experiment_says() -
 
 
 def test_without_ground_noise_the_robot_moves_as_its_wheels_roll() -> None:
-    scenario = Scenario(wheels=Wheels(noise=0.0, radius_error=(0.01, -0.01), track_error=0.02))
-    robot = Robot(scenario, (0.0, 0.0, 0.0), streams(1))
+    scenario = Scenario(wheels=WheelsSpec(noise=0.0, radius_error=(0.01, -0.01), track_error=0.02))
+    robot = SimulatedRobot(scenario, (0.0, 0.0, 0.0), streams(1))
     before = [wheel.angle for wheel in robot.wheels]
     for _ in range(100):
         robot.drive((5.0, 7.0))
@@ -177,7 +195,7 @@ def test_without_ground_noise_the_robot_moves_as_its_wheels_roll() -> None:
 
 def test_truth_has_no_noise_and_encoders_only_their_counts() -> None:
     scenario = Scenario()
-    robot = Robot(scenario, (1.0, 2.0, 0.3), streams(5))
+    robot = SimulatedRobot(scenario, (1.0, 2.0, 0.3), streams(5))
     for _ in range(100):
         robot.drive((5.0, 7.0))
     truth: dict[str, Any] = GroundTruth(scenario.truth, robot, streams(1)("truth")).read(1.234)
@@ -185,16 +203,16 @@ def test_truth_has_no_noise_and_encoders_only_their_counts() -> None:
     assert truth["pose.position.x"] == pytest.approx(expected[0], abs=1e-12)
     heading = 2 * math.atan2(truth["pose.orientation.z"], truth["pose.orientation.w"])
     assert heading == pytest.approx(expected[2], abs=1e-12)
-    turned = Encoders(scenario, robot).read(2.0)["position"]
+    turned = SimulatedEncoders(scenario, robot).read(2.0)["position"]
     true = np.array([w.angle for w in robot.wheels])
     assert np.abs(turned - true).max() <= 2 * math.pi / 2000
 
 
 def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_in_its_cone() -> None:
     scenario = Scenario(room=EMPTY, landmark=HIGH)
-    sonar = Sonar(name="front", x=0.25, yaw_deg=0.0)
+    sonar = SonarSpec(name="front", x=0.25, yaw_deg=0.0)
     robot = standing(scenario, (5.0, 3.0, math.radians(6)))  # the wall's normal lies within the cone
-    ranger = Ranger(sonar, Scene(scenario), robot, np.random.default_rng(9))
+    ranger = Ranger(sonar, World(scenario), robot, np.random.default_rng(9))
     measured = np.array([ranger.read(0.05)["range"] for _ in range(3000)])
     residual = (measured - (3.0 - 0.25 * math.cos(math.radians(6)))) / 0.02
     assert agrees(residual)
@@ -202,14 +220,14 @@ def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_in_its_cone() -> None:
 
 def test_a_sonar_without_an_echo_says_infinity() -> None:
     scenario = Scenario(room=EMPTY, landmark=HIGH)
-    ranger = Ranger(Sonar(name="front", x=0.2), Scene(scenario), standing(scenario, (2.0, 3.0, 0.0)),
+    ranger = Ranger(SonarSpec(name="front", x=0.2), World(scenario), standing(scenario, (2.0, 3.0, 0.0)),
                     np.random.default_rng(9))  # fmt: skip
     assert ranger.read(0.05)["range"] == math.inf
 
 
 def test_gps_errs_by_its_sigma_in_metres_on_the_ellipsoid() -> None:
     """Back from degrees with the series for the length of a degree (Snyder 1987), not with our radii."""
-    gps = Gps(enabled=True, sigma=1.5, east_deg=30.0)
+    gps = GpsSpec(enabled=True, sigma=1.5, east_deg=30.0)
     scenario = Scenario(gps=gps)
     receiver = SatelliteReceiver(gps, standing(scenario, (2.0, 3.0, 0.0)), np.random.default_rng(10))
     fixes = [receiver.read(0.05) for _ in range(3000)]
@@ -247,7 +265,7 @@ def test_a_pattern_is_one_error_per_beam_for_the_whole_drive() -> None:
     seen = np.isfinite(plain)
     assert np.array_equal(seen, np.isfinite(with_pattern))
     error = np.where(seen, with_pattern, 0.0) - np.where(seen, plain, 0.0)
-    expected = beam_pattern(Lrf(pattern=0.006), streams(5))
+    expected = beam_pattern(LrfSpec(pattern=0.006), streams(5))
     assert np.abs(error - np.where(seen, expected, 0.0)).max() < 2e-6  # ranges are 32-bit floats
 
 
@@ -264,14 +282,14 @@ def test_nothing_else_of_the_drive_changes(sets: tuple[str, ...], changed: set[s
 
 
 def test_patterns_have_their_sigma_and_beams_know_nothing_of_each_other() -> None:
-    drawn = np.array([beam_pattern(Lrf(pattern=0.006, beams=181), streams(s)) for s in range(40)]) / 0.006
+    drawn = np.array([beam_pattern(LrfSpec(pattern=0.006, beams=181), streams(s)) for s in range(40)]) / 0.006
     assert agrees(drawn)
     assert kstest(drawn.ravel(), "norm").pvalue > 1e-4
     assert white(drawn)  # neighbour beams, neighbour seeds
 
 
 def test_the_stated_start_errs_by_its_sigmas_and_says_them() -> None:
-    scenario = Scenario(start=Start(sigma_xy=0.1, sigma_theta_deg=5.0))
+    scenario = Scenario(start=StartSpec(sigma_xy=0.1, sigma_theta_deg=5.0))
     true = (1.5, 1.5, 0.3)
     off = np.array([stated_start(scenario, true, streams(s)) for s in range(400)]) - true
     assert agrees(off / (0.1, 0.1, math.radians(5.0)))

@@ -16,13 +16,13 @@ from locfuse.sample_logs.follow import LegFollower, PathFollower
 from locfuse.sample_logs.messages import Pose, RawMessage, streams
 from locfuse.sample_logs.paths import polygon, tour
 from locfuse.sample_logs.record import in_memory
-from locfuse.sample_logs.robot import Robot, Trail, decode, phases
-from locfuse.sample_logs.scenario import Leg, Motor, Polygon, Room, Scenario, Tour, Wheels
+from locfuse.sample_logs.robot import SimulatedRobot, Trail, decode, phases
+from locfuse.sample_logs.scenario import Leg, Motor, Polygon, Room, Scenario, Tour, WheelsSpec
 from locfuse.sample_logs.simulate import EPOCH_NS, OBSTACLE_HEIGHT, Simulation, speed_stability
-from locfuse.sample_logs.world import Scene, clearance
+from locfuse.sample_logs.world import World, clearance
 
 BLIND = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")
-NO_CHANCE = Scenario(wheels=Wheels(noise=0.0), motor=Motor(load=0.0, gain_error=(0.0, 0.0)))
+NO_CHANCE = Scenario(wheels=WheelsSpec(noise=0.0), motor=Motor(load=0.0, gain_error=(0.0, 0.0)))
 
 
 def counts_of(angle: Array, slots: int = 500) -> tuple[int, int]:
@@ -52,7 +52,7 @@ def test_a_decoder_that_looks_too_seldom_reports_what_it_missed() -> None:
 
 
 def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
-    robot = Robot(Scenario(), (0.0, 0.0, 0.0), streams(3))
+    robot = SimulatedRobot(Scenario(), (0.0, 0.0, 0.0), streams(3))
     rng = np.random.default_rng(3)
     for _ in range(300):
         robot.drive((float(rng.uniform(-10, 10)), float(rng.uniform(-10, 10))))
@@ -63,7 +63,7 @@ def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
 
 def test_an_encoder_that_is_read_too_seldom_loses_counts_and_says_so() -> None:
     """At 10 rad/s a disc of 500 slots gives 3183 counts/s; 2000 looks a second see two or none at once."""
-    robot = Robot(Scenario(wheels=Wheels(sampling=2000.0)), (0.0, 0.0, 0.0), streams(3))
+    robot = SimulatedRobot(Scenario(wheels=WheelsSpec(sampling=2000.0)), (0.0, 0.0, 0.0), streams(3))
     for _ in range(300):
         robot.drive((10.0, -10.0))
     for wheel in robot.wheels:
@@ -114,7 +114,7 @@ def test_corners_that_do_not_fit_are_refused_with_the_edge() -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_random_tours_stay_clear_of_everything(seed: int) -> None:
     scenario = Scenario(path=Tour())
-    plan = Scene(scenario).plan(OBSTACLE_HEIGHT)
+    plan = World(scenario).plan(OBSTACLE_HEIGHT)
     path = tour(Tour(), plan, (8.0, 6.0), np.random.default_rng(seed))
     assert clearance(plan, path.pose[:, :2]).min() > scenario.control.clearance
     assert 15 < len(path.pose) * 0.01 < 25
@@ -124,7 +124,7 @@ def test_random_tours_stay_clear_of_everything(seed: int) -> None:
 
 def test_a_room_too_small_for_a_tour_is_an_error_not_an_endless_search() -> None:
     room = Room(size=(1.0, 1.0), plates=())
-    plan = Scene(Scenario(room=room)).plan(OBSTACLE_HEIGHT)
+    plan = World(Scenario(room=room)).plan(OBSTACLE_HEIGHT)
     with pytest.raises(LocfuseError, match="no tour"):
         tour(Tour(), plan, room.size, np.random.default_rng(1))
 
@@ -140,7 +140,7 @@ def test_a_room_too_small_for_a_tour_is_an_error_not_an_endless_search() -> None
     ids=["straight", "backward", "full turn", "right turn"],
 )
 def test_a_leg_ends_where_it_was_asked_to(leg: Leg, expected: Pose) -> None:
-    robot = Robot(NO_CHANCE, (0.0, 0.0, 0.0), streams(1))
+    robot = SimulatedRobot(NO_CHANCE, (0.0, 0.0, 0.0), streams(1))
     follower = LegFollower((leg,), 0.6)
     while True:
         x, y, theta = robot.trail.knots()[-1].tolist()

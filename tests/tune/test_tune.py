@@ -25,8 +25,8 @@ from locfuse.cli.session.tune import lasting_errors, tune_logs
 from locfuse.fusion.data import Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.tune.tape import Noise, play, record
-from locfuse.fusion.tune.tune import Trial, Tuned, tune
+from locfuse.fusion.tune.tape import NoiseFactors, play, record
+from locfuse.fusion.tune.tune import Tuned, TuneLog, tune
 
 
 def told(factor: float = 1.0, **compass: float) -> Robot:
@@ -52,8 +52,8 @@ def drawn(seed: int, robot: Robot, laps: float = 1.0, sensors: tuple[str, ...] =
     )
 
 
-def nothing_but(theta: float) -> Noise:
-    return Noise(np.array([math.exp(theta)]), np.array([[math.exp(theta)]]), {})
+def nothing_but(theta: float) -> NoiseFactors:
+    return NoiseFactors(np.array([math.exp(theta)]), np.array([[math.exp(theta)]]), {})
 
 
 def innovations_likelihood(drive: Drive, robot: Robot) -> float:
@@ -78,7 +78,7 @@ def test_a_tape_played_with_other_noise_says_what_the_filter_would_say_with_it()
     drive = drawn(2, robot, sensors=("compass",))
     tape = record(drive, robot, ["compass"])
     for wheels, compass in ((4.0, 1.0), (1.0, 4.0), (0.3, 2.0)):
-        noise = Noise(np.array([1.0, wheels]), np.array([[1.0], [compass]]), {})
+        noise = NoiseFactors(np.array([1.0, wheels]), np.array([[1.0], [compass]]), {})
         m = drive.measurements["compass"]
         other = replace(
             drive,
@@ -96,8 +96,10 @@ def test_a_tape_with_a_map_says_nearly_what_the_filter_would_say_with_other_nois
     drive = drawn(3, robot)
     tape = record(drive, robot, ["compass", "lrf"])
     louder = replace(drive, motions=replace(drive.motions, Q=2.0 * drive.motions.Q))
-    as_told, more = play(tape, Noise(np.array([1.0, 2.0]), np.ones((2, 2)), {})).scores.sum(axis=1)
-    again = play(record(louder, robot, ["compass", "lrf"]), Noise(np.ones(1), np.ones((1, 2)), {})).scores.sum()
+    as_told, more = play(tape, NoiseFactors(np.array([1.0, 2.0]), np.ones((2, 2)), {})).scores.sum(axis=1)
+    again = play(
+        record(louder, robot, ["compass", "lrf"]), NoiseFactors(np.ones(1), np.ones((1, 2)), {})
+    ).scores.sum()
     assert more - as_told == pytest.approx(again - as_told, abs=0.2)
     assert abs(more - as_told) > 5.0
 
@@ -111,7 +113,8 @@ def tuned() -> Callable[[float], Tuned]:
         if factor not in found:
             robot = told(factor)
             trials = [
-                Trial(f"drive {s}", drawn(s, robot), robot, until) for s, until in ((5, math.inf), (6, -math.inf))
+                TuneLog(f"drive {s}", drawn(s, robot), robot, until)
+                for s, until in ((5, math.inf), (6, -math.inf))
             ]
             found[factor] = tune(trials, ["compass", "lrf"])
         return found[factor]
@@ -139,9 +142,9 @@ def test_tuning_arrives_at_the_same_noise_from_either_side(tuned: Callable[[floa
 
 def test_a_straight_drive_says_that_rotation_noise_is_not_identifiable() -> None:
     robot = told()
-    found = tune([Trial("straight", drawn(7, robot, laps=0.25), robot)], ["compass", "lrf"])
+    found = tune([TuneLog("straight", drawn(7, robot, laps=0.25), robot)], ["compass", "lrf"])
     assert any("rotation noise is not identifiable" in flag for flag in found.flags)
-    both = tune([Trial("round", drawn(7, robot), robot)], ["compass", "lrf"])
+    both = tune([TuneLog("round", drawn(7, robot), robot)], ["compass", "lrf"])
     assert not any("rotation noise" in flag for flag in both.flags)
 
 
@@ -156,7 +159,7 @@ def test_noise_that_nothing_depends_on_is_left_as_it_was() -> None:
     rng = np.random.default_rng(9)
     z = np.radians(rng.normal(size=(len(at), 1)))
     compass = replace(drive.measurements["compass"], z=z)
-    found = tune([Trial("rest", replace(still, measurements={"compass": compass}), robot)], ["compass"])
+    found = tune([TuneLog("rest", replace(still, measurements={"compass": compass}), robot)], ["compass"])
     wheels, sigma = found.rows
     assert not wheels.identifiable
     assert wheels.after == wheels.before == pytest.approx(9.0 * small_drive.NOISE)
@@ -185,7 +188,7 @@ def test_the_command_writes_a_robot_that_the_next_command_takes(tmp_path: Path) 
 
 def test_errors_that_last_are_named_because_no_sigma_describes_them() -> None:
     loaded = load(find_log(["rounded_rectangle"]), LogOptions(quiet=True), only=("compass", "lrf"))
-    trial = Trial("drive", loaded.drive, loaded.robot)
+    trial = TuneLog("drive", loaded.drive, loaded.robot)
     found = lasting_errors([trial])
     assert list(found) == [("drive", "compass")]  # iron
     assert found["drive", "compass"].startswith("errors of")

@@ -13,7 +13,7 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.fusion.wheels.calibrate_by_scans import NAMES, LaserCalibration, Motion, calibrate, first_guess
+from locfuse.fusion.wheels.calibrate_by_scans import NAMES, LaserCalibration, ScanMotions, calibrate, first_guess
 from locfuse.fusion.wheels.calibrate_by_scans import Intervals as Pieces
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -24,7 +24,7 @@ WRONG = (0.04, -0.03, 0.08)  # of the left radius, the right one, the track: wha
 LATE = 0.12  # s that the laser's stamps are late
 
 
-def drive(seed: int, turns: bool = True, straight: bool = True, seconds: float = 90.0) -> Motion:
+def drive(seed: int, turns: bool = True, straight: bool = True, seconds: float = 90.0) -> ScanMotions:
     """A drive that speeds up, slows down and turns both ways, as wrong wheels and a late laser tell it."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, DT)
@@ -39,7 +39,7 @@ def drive(seed: int, turns: bool = True, straight: bool = True, seconds: float =
     seen = se2.compose(pose[::4], np.broadcast_to(MOUNT, pose[::4].shape))
     steps = se2.between(seen[:-1], seen[1:]) + MATCH * rng.normal(size=(len(seen) - 1, 3))
     P = np.broadcast_to(np.diag(MATCH**2), (len(steps), 3, 3))
-    return Motion(wheels, Wheels.from_matches(t[::4] + LATE, se2.log(steps), P, TRACK, K), 0.0)
+    return ScanMotions(wheels, Wheels.from_matches(t[::4] + LATE, se2.log(steps), P, TRACK, K), 0.0)
 
 
 def true() -> Array:

@@ -26,7 +26,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.motion_by_scans import (
     DECAY_S,
     USUAL_VARIANCES,
-    Scans,
+    ThinnedScans,
     Velocity,
     constrained,
     initial_velocity,
@@ -267,7 +267,7 @@ def test_scans_are_matched_again_only_where_the_laser_moves(
     anew = locfuse_api.load(log, sets=[words])
     matched: list[Laser] = []
 
-    def counted(stream: Stream, laser: Laser, wheels: Wheels) -> Scans:
+    def counted(stream: Stream, laser: Laser, wheels: Wheels) -> ThinnedScans:
         matched.append(laser)
         return read_scans(stream, laser, wheels)
 

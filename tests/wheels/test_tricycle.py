@@ -17,7 +17,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
-from locfuse.fusion.wheels.calibrate_tricycle import Reference, calibrate_tricycle, nominal, of_truth
+from locfuse.fusion.wheels.calibrate_tricycle import ReferenceMotion, calibrate_tricycle, nominal, of_truth
 from locfuse.fusion.wheels.read import read_wheels
 from locfuse.fusion.wheels.steered import read_encoders
 
@@ -107,7 +107,7 @@ def test_a_laser_that_drifts_and_is_late_tells_the_same_and_where_it_sits() -> N
     body = se2.chain(step)
     seen = se2.between(np.broadcast_to(mount, body.shape), se2.compose(body, np.broadcast_to(mount, body.shape)))
     nominal = replace(settings(servo_gain=3.0 * GAIN, servo_offset=0.0, wheelbase=1.0), radius=1.2 * RADIUS)
-    reference = Reference("lrf", T[::5][: len(seen)] + late, seen)
+    reference = ReferenceMotion("lrf", T[::5][: len(seen)] + late, seen)
     found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, reference, 0.0)
     assert found.wheels["radius"].value == pytest.approx(RADIUS, rel=0.01)
     assert found.wheels["servo_gain"].value == pytest.approx(GAIN, rel=0.02)
@@ -120,7 +120,7 @@ def test_a_laser_that_drifts_and_is_late_tells_the_same_and_where_it_sits() -> N
 def test_a_gyro_tells_steering_and_wheelbase_and_leaves_the_radius() -> None:
     late, bias = 0.1, 0.01
     heading = true_path()[:, 2] + bias * T + np.random.default_rng(2).normal(0.0, 0.001, len(T))
-    reference = Reference("gyro", T + late, np.column_stack((np.zeros((len(T), 2)), heading)))
+    reference = ReferenceMotion("gyro", T + late, np.column_stack((np.zeros((len(T), 2)), heading)))
     nominal = settings(servo_gain=2.5 * GAIN, servo_offset=0.0, wheelbase=0.9)
     found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, reference, 0.0)
     assert set(found.wheels) == {"servo_gain", "servo_offset", "wheelbase"}
@@ -131,7 +131,7 @@ def test_a_gyro_tells_steering_and_wheelbase_and_leaves_the_radius() -> None:
 
 
 def test_a_reference_that_hardly_turns_calibrates_nothing() -> None:
-    reference = Reference("gyro", T, np.zeros((len(T), 3)))
+    reference = ReferenceMotion("gyro", T, np.zeros((len(T), 3)))
     with pytest.raises(LocfuseError, match="hardly a turn"):
         calibrate_tricycle(read_encoders(encoders(), settings()), settings(), reference, 0.0)
 

@@ -23,6 +23,7 @@ from locfuse.fusion.checks.clocks import (
     clock_words,
     differences,
     offset_of,
+    rival_of,
     rival_words,
     start_kept,
     wrong_clocks,
@@ -161,7 +162,7 @@ class Evidence(NoiseFindings):
             if clock.name in found or not self.judges(clock.name):
                 continue  # no run uses this sensor
             sure = abs(clock.offset) > SAID_SIGMAS * clock.sigma
-            rival = rival_words(self.wrong, self.loaded.robot) if clock in self.wrong[0] else ""
+            rival = rival_words(rival_of(self.wrong), self.loaded.robot) if clock in self.wrong[0] else ""
             words = f"{clock_words(clock)}{rival}"
             finding = Finding(clock.name, CLOCK, words, (), sure and abs(clock.offset) > SEVERE_LAG_S)
             if self._bumped and not by_truth and not finding.severe:

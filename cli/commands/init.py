@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from locfuse.cli.inspect.template import Draft
+    from locfuse.fusion.checks.finding import Finding
 
 SCHEMA = "robot.schema.json"  # next to robot.toml, so that the path is valid on every machine
 LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
@@ -173,7 +174,6 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
     from locfuse.cli.analysis.refused_motion import STANDS
     from locfuse.cli.inspect.values import wheels_missing
     from locfuse.fusion.checks.examine import too_short
-    from locfuse.fusion.sensors.registry import REGISTRY
 
     loaded = made.overview.loaded
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
@@ -191,12 +191,20 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = f"next: locfuse {tune if _tunes(made) else compare}"
     of_robot = f"{made.robot}: its figures that the log does not tell are taken from locfuse's own files"
     guesses = (f"guessed: {guess}" for guess in (*([of_robot] if made.robot else []), *made.guesses))
-    open_ = (f for f in made.overview.findings if f.severe and f.role in {"truth", *REGISTRY})
-    wrong = (f"still wrong: {f.role}: {f.brief}" + "".join(f" --set {fix}" for fix in f.fixes) for f in open_)
+    wrong = (f"still wrong: {f.role}: {f.brief}" + "".join(f" --set {x}" for x in f.fixes) for f in _wrong(made))
     return [*guesses, *wrong, last]
 
 
+def _wrong(made: Draft) -> list[Finding]:
+    """Return the severe findings on truth and sensors that the new settings leave."""
+    from locfuse.fusion.sensors.registry import REGISTRY
+
+    return [f for f in made.overview.findings if f.severe and f.role in {"truth", *REGISTRY}]
+
+
 def _tunes(made: Draft) -> bool:
-    """Return whether `tune` can be used: the log has a sensor and the robot's motion."""
+    """Return whether `tune` can be used: the log has a sensor and a motion, and nothing is surely wrong."""
     loaded = made.overview.loaded
-    return loaded is not None and bool(loaded.drive.measurements) and not loaded.motion_faults
+    if loaded is None or loaded.motion_faults or _wrong(made):
+        return False
+    return bool(loaded.drive.measurements)

@@ -66,21 +66,30 @@ class Clock(NamedTuple):
 
 
 def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
-    """Return findings on wrong clocks, with the time offset that corrects each."""
+    """Return findings on wrong clocks, with the time offset that corrects each.
+
+    If one of two clocks is wrong, and neither is the laser's, the laser's run in `compare` shows which: no fix.
+    """
     explanations = wrong_clocks(differences(drive, robot), SAID_SIGMAS)
+    rival = rival_of(explanations)
     found = []
     for clock in explanations[0] if explanations else ():
-        words = f"{clock_words(clock)}{rival_words(explanations, robot)}"
-        severe = abs(clock.offset) > SEVERE_LAG_S
-        digits = 2 if clock.sigma > MIN_LAG_S else 3
-        found.append(Finding(clock.name, CLOCK, words, (offset_of(clock, robot, digits),), severe))
+        offset = offset_of(clock, robot, 2 if clock.sigma > MIN_LAG_S else 3)
+        words, fixes = f"{clock_words(clock)}{rival_words(rival, robot)}", [offset]
+        if rival is not None and LASER in drive.measurements and LASER not in {clock.name, rival.name}:
+            words, fixes = f"{words} to {offset}. The laser shows it: locfuse compare", []
+        found.append(Finding(clock.name, CLOCK, words, tuple(fixes), abs(clock.offset) > SEVERE_LAG_S))
     return found
 
 
-def rival_words(explanations: Sequence[Sequence[Clock]], robot: Robot) -> str:
-    """Return a clause if another clock alone explains the lags as well as the first explanation, else ""."""
-    first, *others = explanations
-    rival = next((e[0] for e in others if len(first) == len(e) == 1), None)
+def rival_of(explanations: Sequence[Sequence[Clock]]) -> Clock | None:
+    """Return another clock that alone explains the lags as well as the only one of the first explanation."""
+    first, *others = explanations or ((),)
+    return next((e[0] for e in others if len(first) == len(e) == 1), None)
+
+
+def rival_words(rival: Clock | None, robot: Robot) -> str:
+    """Return a clause on the clock that may be wrong instead, "" without one."""
     if rival is None:
         return ""
     return f"; no third clock shows which of the two is wrong: {offset_of(rival, robot, 2)} is equivalent"
@@ -95,9 +104,8 @@ def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
         return []
     dt = np.diff(t)
     period = float(np.median(dt))
-    sigma = (
-        float(np.median(np.abs(dt - period))) / MAD_OF_NORMAL / math.sqrt(2.0)
-    )  # it has the errors of two stamps
+    # a period has the errors of two stamps
+    sigma = float(np.median(np.abs(dt - period))) / MAD_OF_NORMAL / math.sqrt(2.0)
     if sigma < max(MIN_SCATTER_S, MIN_SCATTER_SHARE * period):
         return []
     off = np.clip(dt, 0.0, 2.0 * period)  # of dropped readings, a part

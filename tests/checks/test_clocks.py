@@ -18,6 +18,7 @@ from locfuse.fusion.checks.clocks import (
     differences,
     lag_of_run,
     lags_by_truth,
+    of_clocks,
     of_uneven_stamps,
     start_kept,
     way_lag,
@@ -26,6 +27,7 @@ from locfuse.fusion.checks.clocks import (
 from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag, worth_saying
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.robot import Robot, StartSettings
+from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
 T = np.arange(0.0, 90.0, 0.02)
@@ -138,6 +140,19 @@ def test_a_lag_is_said_from_four_of_its_own_sigmas_on() -> None:
     assert not worth_saying(said._replace(without=0.9989))
     assert not worth_saying(Lag(0.13, 0.99, 0.9))
     assert not worth_saying(Lag(0.005, 0.999, 0.98, sigma=0.0001))
+
+
+def test_a_clock_that_only_a_run_of_the_laser_can_judge_gets_no_fix() -> None:
+    wheels, true = turned(0)
+    truth = Truth("/truth", T + 0.3, np.zeros((len(T), 2)), se2.wrap_all(true))
+    alone = replace(drive_of(wheels), truth=truth)
+    beside = replace(drive_of(wheels, lrf=readings(T[:3], np.zeros((3, 2)), 0.01)), truth=truth)
+    robot = replace(Robot(), sensors={"lrf": REGISTRY["lrf"].Settings()})
+    (found,), (open_,) = of_clocks(alone, robot), of_clocks(beside, robot)
+    assert (found.role, found.severe, open_.role, open_.severe) == ("truth", True, "truth", True)
+    assert float(found.fixes[0].removeprefix("truth.time_offset=")) == pytest.approx(-0.3, abs=0.03)
+    assert open_.fixes == ()
+    assert open_.message.endswith("The laser shows it: locfuse compare")
 
 
 def a_run(wheels: Wheels, true: Array, seed: int, late: float) -> tuple[Drive, Truth, Estimates]:

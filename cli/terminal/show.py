@@ -184,9 +184,8 @@ def notes_in_words(report: Mapping[str, Any]) -> list[str]:
     if report.get("reference"):
         found.append(f"note: {report['reference']['words']}")
     elif report["truth"] is None:
-        found.append(
-            NO_TRUTH + (OR_REFERENCE if any(REGISTRY[s].locates for s in report.get("verdicts", ())) else "")
-        )
+        locates = any(sensor.locates for name, sensor in REGISTRY.items() if name not in report["absent"])
+        found.append(NO_TRUTH + (OR_REFERENCE if locates else ""))
     if report.get("prediction"):
         found.append(f"note: {report['prediction']['trust']}")
     return found

@@ -183,7 +183,7 @@ MIN_HOLE_M, MIN_HOLE_RAD = 0.3, math.radians(20.0)  # m, rad: a smaller motion t
 def holes(drive: Drive) -> list[tuple[float, float]]:
     """Return the times (start, end) [s] in which no stream has a reading and the robot drove on."""
     wheels, others = drive.wheels, [m.t for m in drive.measurements.values()]
-    t = np.concatenate([*others, *([] if drive.truth is None else [drive.truth.t])])
+    t = np.concatenate([np.zeros(0), *others, *([] if drive.truth is None else [drive.truth.t])])
     found = []
     for start, end in gaps(wheels.t):
         edges = np.array([start, *np.sort(t[(t > start) & (t < end)]), end])

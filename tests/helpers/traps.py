@@ -500,7 +500,7 @@ LASER_TRAPS = (
          True, "lrf", blur=0.02),
     Trap("a laser late by 0.4 s", late(SCAN, 0.4), "stamps look 0.4", True, "lrf"),
     Trap("a laser whose stamps scatter by 0.03 s", scattered(SCAN, 0.03), "stamps scatter by 0.027", False, "lrf"),
-    Trap("a laser on another clock", late(SCAN, 3600.0), "stamped 3600.0 s after the wheels", True, "lrf"),
+    Trap("a laser on another clock", late(SCAN, 3600.0), "stamped 3600.0 s after the wheels", True, "lrf", True),
     Trap("a laser whose ranges are short", short_metre, "it measures 9.", True, "lrf"),
     Trap("a laser whose ranges are all 8 cm long", LONG_RANGES, "as if every range were", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", False, "lrf"),

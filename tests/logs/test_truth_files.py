@@ -251,7 +251,7 @@ def test_a_place_beyond_the_solar_system_was_never_measured(tmp_path: Path) -> N
     rows = [f"{(begin + i * 10**8) / 1e9:.3f},{x},1,0" for i, x in enumerate(where)]
     truth = tmp_path / "t.csv"
     truth.write_text("\n".join(("t,x,y,theta", *rows)))
-    ok("compare", log, "--no-advice", "-o", tmp_path / "o", "--truth", truth)
+    ok("compare", log, "--no-advice", "--align", "origin", "-o", tmp_path / "o", "--truth", truth)
     report = json.loads((tmp_path / "o" / "report.json").read_text())
     assert report["input"]["dropped"]["truth"] == {"not_finite": 8}
     assert report["configurations"]["odometry"]["position_rmse_m"] < 1e3

@@ -344,7 +344,7 @@ def test_the_conclusion_names_the_smallest_error(found: paper.Repeated, folder: 
     better = {
         "table": [{"configuration": "lrf", **row}, {"configuration": "all", **{k: v / 2 for k, v in row.items()}}]
     }
-    assert "with our filter all (0.10 m) and by the equations as printed all (0.15 m)" in paper_page.conclusion(
+    assert "with our filter all (100 mm) and by the equations as printed all (150 mm)" in paper_page.conclusion(
         better
     )
 

@@ -73,7 +73,7 @@ def measure(
                 continue
             t = found.t[np.isfinite(found.t)]
             if len(t) and not ((t >= wheels.t[0]) & (t <= wheels.t[-1])).any():
-                missing[name] = outside(t, wheels.t, name)
+                missing[name] = outside(t, wheels.t, name, float(robot.settings(name).time_offset))
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)

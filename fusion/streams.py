@@ -20,14 +20,18 @@ def gap_limit(t: Array) -> float:
     return max(MIN_GAP_S, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else MIN_GAP_S
 
 
-def outside(t: Array, of_drive: Array, role: str) -> str:
-    """Return words on the times t (n,) [s] of a role that all lie outside the drive, and the offset to try."""
+def outside(t: Array, of_drive: Array, role: str, offset: float | None = None) -> str:
+    """Return words on the times t (n,) [s] of a role that all lie outside the drive, and the offset to try.
+
+    `offset` [s] is the present time_offset; without it, the words say what to add to it.
+    """
     begin, end = float(of_drive[0]), float(of_drive[-1])
     off = begin - float(t.min())
     words = f"none of its {len(t)} readings lies within the {end - begin:.1f} s of the drive"
     where = f"they begin {abs(off):.1f} s {'before' if off > 0.0 else 'after'} it"
-    fix = f"If both began together, add {off:.3f} to {role}.time_offset; else it is another drive"
-    return f"{words}: {where}. {fix}"
+    key = f"{role}.time_offset"
+    fix = f"add {off:.3f} to {key}" if offset is None else f"set {key}={offset + off:z.3f}"
+    return f"{words}: {where}. If both began together, {fix}; else it is another drive"
 
 
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:

@@ -170,8 +170,8 @@ class Evidence(NoiseFindings):
             steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
             drive, robot = self.loaded.drive, self.loaded.robot
             ways = tuple(self._with_start((offset_of(clock, robot, 3, n),)) for n in steps)
-            start = start_kept(clock.offset, drive, robot) if clock.name == "wheels" and len(ways[0]) == 1 else ()
-            if start:
+            measured = ways[0][1:]  # the start by the truth
+            if clock.name == "wheels" and not measured and (start := start_kept(clock.offset, drive, robot)):
                 ways = ((*ways[0], *start), *ways)
             one = self._candidate(finding, ways, not finding.severe)
             proven = finding.severe and len(clock.against) > 1

@@ -20,7 +20,7 @@ from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import of_offset, ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import WheelSlip, beside_path, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
-from locfuse.fusion.checks.truth import START
+from locfuse.fusion.checks.truth import FEW, START
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
 from locfuse.fusion.judge.evaluate import covariance_check
@@ -68,7 +68,7 @@ class Judged:
         streams = {role: loaded.stream(role) for role in loaded.choice.topics}
         found = examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
         known = self.trial.align == "none" and not loaded.how.begin
-        return [f for f in found if f.code != START or known]
+        return [f for f in found if f.code != FEW and (f.code != START or known)]
 
     def _looks_wrong(self, sensor: str) -> bool:
         """Return whether a sensor's residuals are unusual, or its run is inconsistent."""

@@ -278,11 +278,11 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     if doubts := [v.get("code") for v in report.get("validity") or () if not v["void"]]:
         first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
         first += (
-            " Set the fixes first."
+            ""
+            if {*doubts} == {HOLE}
+            else " Set the fixes first."
             if report.get("fixes")
             else " Something is wrong that no setting explains."
-            if {*doubts} != {HOLE}
-            else ""
         )
         return f"{first}{_with_fixes(report, sets, least)}"
     first = f"Keep {_names(sets[best])}: {length(errors[best])}{smoothed}."
@@ -438,14 +438,14 @@ def complete(
     advised: Advised | None,
     start_error_m: float | None = None,
     foreign: Collection[str] = (),
-    unmoved: str = "",
+    unjudged: str = "",
     truth: Finding | None = None,
 ) -> None:
     """Add findings, validity and headline to a finished report.
 
     `advised` is None if the log was not evaluated. `start_error_m` is the distance between the starts of truth and
-    drive, None if [start] is set. `truth` is the fault that makes errors to the truth void. Rows of `foreign`
-    estimates are ignored. `unmoved`: why the drive judges no sensor (the robot stands, or the drive is short).
+    drive, None if unknown. `truth` is the fault that makes errors to the truth void. Rows of `foreign`
+    estimates are ignored. `unjudged`: why the drive judges no sensor (the robot stands, or the drive is short).
     """
     add_findings(report, advised)
     _remove_mount_notes(report)
@@ -457,8 +457,8 @@ def complete(
         if not values.get("smoothed") and not values.get("rates_hz") and name not in foreign
     }
     words = f"{headline(report, sets)}{covariance(report, sets)}"
-    if unmoved:
-        words = f"{unmoved[0].upper()}{unmoved[1:]}."
+    if unjudged:
+        words = f"{unjudged[0].upper()}{unjudged[1:]}."
         withdraw_verdicts(report, "This drive cannot judge a sensor.")
     report["headline"] = words
     report.update(json_report.plain(report))

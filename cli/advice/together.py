@@ -12,6 +12,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.visible import writable
 from locfuse.fusion.checks.clocks import EQUAL
+from locfuse.fusion.checks.examine import holes
 from locfuse.fusion.checks.together import CommonTrial, LogEstimates, Look, asked, shown
 from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Estimates
@@ -52,7 +53,7 @@ def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any]
     """Return a log's estimates of settings as plain values; None if the log cannot be evaluated."""
     if loaded.motion_faults or loaded.drive.wheels.stands or not may_judge(loaded):
         return None
-    if any(f.code == EQUAL for f in data_findings(loaded)):
+    if holes(loaded.drive) or any(f.code == EQUAL for f in data_findings(loaded)):
         return None
     found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
     return found

@@ -21,10 +21,10 @@ from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion import se2
-from locfuse.fusion.checks.examine import longest_part, of_holes
+from locfuse.fusion.checks.examine import holes, longest_part, of_holes
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser_ranges import of_angles
-from locfuse.fusion.checks.truth import start_pose
+from locfuse.fusion.checks.truth import START_SIGMAS, start_pose
 from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.measure import begun, led_back, measure, windowed
 from locfuse.fusion.paper import preset as filters
@@ -154,13 +154,15 @@ def _in_window(loaded: Loaded) -> Loaded:
 
 def unbroken(loaded: Loaded) -> tuple[Loaded, list[Finding]]:
     """Return the log cut to its longest part without a hole, and the finding on its holes; whole without one."""
-    found = of_holes(loaded.drive)
+    found = holes(loaded.drive)
     if not found:
         return loaded, []
-    begin, end = longest_part(loaded.drive)
+    begin, end = longest_part(loaded.drive, found)
     ours = loaded.window == (None, None)
     begin, end = begin or loaded.how.begin, end or loaded.how.end
-    return _in_window(replace(loaded, how=replace(loaded.how, begin=begin, end=end, beside_hole=ours))), found
+    return _in_window(replace(loaded, how=replace(loaded.how, begin=begin, end=end, beside_hole=ours))), of_holes(
+        loaded.drive, found
+    )
 
 
 def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool) -> Loaded:
@@ -194,7 +196,7 @@ def measured(
             choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
     if both := set(choice.of("truth")) & set(choice.of("wheels")):
         words = f"{min(both)} is also the robot's motion (wheels), so it cannot judge it"
-        hint = f"(name another topic of the two, or judge without it: --set {NO_TRUTH})"
+        hint = f"(name another topic for truth or for wheels, or judge without it: --set {NO_TRUTH})"
         raise LocfuseError(words, role="truth", fixes=(NO_TRUTH,), hint=hint)
     progress("reading")
     streams = _streams(log, choice, str(tables.get("order", "auto")))
@@ -361,14 +363,14 @@ def start_error(robot: Robot, drive: Drive) -> float | None:
     """Return the distance [m] between truth and wheels at the truth's start; None if that is unknown.
 
     The wheels' position is taken at the truth's first stamp, which may be later than the start. If [start] is set,
-    it is the distance in excess of 3 start.sigma_xy, and unknown if the robot moved before that stamp.
+    the distance is unknown within START_SIGMAS, or if the robot moved before that stamp.
     """
     if robot.start_given:
         found = None if drive.truth is None else start_pose(drive.truth, drive)
-        if found is None or found.t > drive.wheels.t[0]:
+        if drive.truth is None or found is None or found.t > drive.wheels.t[0]:
             return None
-        x, y = found.pose[:2] - robot.start.pose[:2]
-        return math.hypot(x, y) - 3.0 * robot.start.sigma_xy
+        away = math.hypot(*(found.pose[:2] - robot.start.pose[:2]))
+        return away if away > START_SIGMAS * found.place_sigma(robot, drive.truth) else None
     places = _first_places(robot, drive)
     return None if places is None else math.hypot(*(places[0] - places[1]))
 

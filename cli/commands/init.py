@@ -188,10 +188,11 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = why
     else:
         tune, compare = f"tune {words} --robot {name} -o tuned.toml", f"compare {words} --robot {name}"
-        last = f"next: locfuse {tune if _tunes(made) else compare}"
+        options = "".join(f" --set {fix}" for f in _wrong(made) for fix in f.fixes)
+        last = f"next: locfuse {tune if _tunes(made) else compare}{options}"
     of_robot = f"{made.robot}: its figures that the log does not tell are taken from locfuse's own files"
     guesses = (f"guessed: {guess}" for guess in (*([of_robot] if made.robot else []), *made.guesses))
-    wrong = (f"still wrong: {f.role}: {f.brief}" + "".join(f" --set {x}" for x in f.fixes) for f in _wrong(made))
+    wrong = (f"still wrong: {f.role}: {f.sentence}" for f in _wrong(made))
     return [*guesses, *wrong, last]
 
 

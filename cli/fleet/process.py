@@ -69,6 +69,8 @@ def _in_a_process(job: Job, folder: str) -> JobOutcome:
             process.stdin.flush()
         answer = process.stdout.read()
         code = process.wait()
+        with suppress(BrokenPipeError):  # what it did not read
+            process.stdin.close()
         RUNNING.discard(process)
         if code == 0 and answer:
             outcome: JobOutcome = pickle.loads(answer)

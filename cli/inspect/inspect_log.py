@@ -26,10 +26,11 @@ from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.checks.examine import examine, too_short
+from locfuse.fusion.checks.clocks import EQUAL
+from locfuse.fusion.checks.examine import BLIND, examine, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
-from locfuse.fusion.checks.truth import FEW, POINT, START
+from locfuse.fusion.checks.truth import FEW, POINT, START, of_few
 from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -158,8 +159,9 @@ def _measure(overview: Overview, progress: Progress) -> None:
     overview.findings += [*holes, *([Finding("log", "short", short)] if short else [])]
     found, known = examine(part.drive, part.robot, streams), {f.role for f in overview.findings if f.severe}
     if loaded.motion_faults or short:  # by these no sensor is charged
-        found = [f for f in found if f.code in {"repaired", "refused", "gap"}]
+        found = [f for f in found if f.code in {"repaired", "refused", "gap", BLIND, EQUAL}]
     found = [f for f in found if f.code != START or not part.how.begin]
+    found = [*(f for f in found if f.code != FEW), *of_few(loaded.drive)]
     overview.findings += [f for f in found if f.code != FEW or f.role not in known]
     overview.findings += _unusable(overview, loaded)
 

@@ -114,8 +114,9 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
         fixes = open_figures(known_robot, overview, {*given, *shown, *found(overview)})
         robot = f"this robot is a {known_robot.name} ({known_robot.sign})" if fixes else ""
         overview = _inspected_with(fixes, log, how, progress) if fixes else overview
+    of_robot = {*fixes}
     for _ in range(MAX_ROUNDS):
-        chosen = (f for f in overview.findings if _may_apply(f, fixes))
+        chosen = (f for f in overview.findings if _may_apply(f, {*fixes} - of_robot))
         new = {key: fix for key, fix in _fixes(chosen).items() if key not in given}
         if new.items() <= fixes.items():
             break

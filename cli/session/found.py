@@ -14,7 +14,8 @@ from locfuse.cli.analysis.settings import LogOptions, PathLike, path_of
 from locfuse.formats.report.findings import options
 from locfuse.formats.robot import commented_toml, robot_toml
 from locfuse.formats.whole_files import may_replace, write_text
-from locfuse.fusion.checks.examine import examine
+from locfuse.fusion.checks.clocks import CLOCK
+from locfuse.fusion.checks.examine import HOLE, examine, holes, of_holes
 from locfuse.fusion.data import LocfuseError
 
 from .python_words import speaks_python
@@ -99,11 +100,15 @@ def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
     if one.drive.wheels.stands:
         return
     streams = {role: one.stream(role) for role in one.choice.topics}
-    for finding in examine(one.drive, one.robot, streams):
-        if finding.severe and finding.code not in {"start", *own} and (finding.fixes or finding.role == "truth"):
+    hole = of_holes(one.drive, holes(one.drive))
+    for finding in hole or examine(one.drive, one.robot, streams):
+        unfixed = {CLOCK: "Find out which by locfuse compare", HOLE: "Use a part, or leave this log out"}
+        known = finding.fixes or finding.role == "truth" or finding.code in unfixed
+        if finding.severe and finding.code not in {"start", *own} and known:
+            hint = f"Set it first: {options(finding.fixes)}" if finding.fixes else unfixed.get(finding.code)
             raise LocfuseError(
                 f"{one.log.name}: {finding.role}: {finding.brief}; {what} would cover that up.",
                 role=finding.role,
                 fixes=finding.fixes,
-                hint=f"Set it first: {options(finding.fixes)}" if finding.fixes else "Leave this log out",
+                hint=hint or "Leave this log out",
             )

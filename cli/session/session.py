@@ -337,8 +337,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """Add ranges under jitter, advice, and warnings on the motion to `report`, and return it."""
         add_jitter(report, compared, asked, self.progress)
         truth = None if self.loaded.motion_faults else unusable(self.drive)
-        unmoved = STANDS if self.drive.wheels.stands else too_short(self.drive)
-        complete(report, advised, start_error(self.robot, self.drive), foreign, unmoved, truth)
+        unjudged = STANDS if self.drive.wheels.stands else too_short(self.drive)
+        complete(report, advised, start_error(self.robot, self.drive), foreign, unjudged, truth)
         say_motion(report, self.loaded, judged)
         self.progress("writing")
         return report

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -9,6 +10,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.inspect.mounts import extrinsics
 from locfuse.cli.inspect.robot_facts import Overview
 from locfuse.cli.inspect.topics import clock_word
@@ -43,6 +45,7 @@ TOPIC_COLUMNS = (
 TOPICS_NOTE = "clock: how long after its stamp a message was recorded."
 GAP_NOTE = " gap: the longest time without a message."
 CORRECT = "correct the settings that are named above, then: locfuse info LOG"
+SETTING = re.compile(rf"\b({'|'.join(table_types())})\.[a-z_]+")
 RECORD = "no setting helps: record the robot's wheels, odometry or laser scans, then: locfuse info LOG"
 MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 
@@ -239,11 +242,16 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
     worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the user has to choose
     sizeless = any(f.code == "geometry" for f in worst)  # init asks for it
-    given = {"--set", "--robot"} & {*typed}
-    if given and any(f.code in {"choice", "unusable"} and not f.fixes for f in worst):
+    topics = {word.partition(".topic=")[0] for word in typed if ".topic=" in word}
+    wrong = (f for f in worst if f.code in {"choice", "unusable"} and not f.fixes)
+    if {"--set", "--robot"} & {*typed} and any(f.role in topics or SETTING.search(f.message) for f in wrong):
         return [CORRECT]
     unusable = overview.loaded is None or overview.motion_faults
     if unusable and not sizeless and any(f.role in {"wheels", "log"} and not f.fixes for f in worst):
+        scans = overview.choice.of("lrf")
+        if scans and overview.choice.of("wheels") != scans:  # scans may give the motion instead
+            kept = _without(typed, {"wheels.topic"})
+            return [shlex.join(("locfuse", "info", *kept, "--set", f"wheels.topic={scans[0]}"))]
         return [RECORD]
     fixes = by_key(fix for f in worst for fix in f.fixes)
     if fixes and helped is not None:

@@ -184,7 +184,7 @@ def notes_in_words(report: Mapping[str, Any]) -> list[str]:
     if report.get("reference"):
         found.append(f"note: {report['reference']['words']}")
     elif report["truth"] is None:
-        locates = any(sensor.locates for name, sensor in REGISTRY.items() if name not in report["absent"])
+        locates = any(REGISTRY[name].locates for name in report["input"]["topics"] if name in REGISTRY)
         found.append(NO_TRUTH + (OR_REFERENCE if locates else ""))
     if report.get("prediction"):
         found.append(f"note: {report['prediction']['trust']}")

@@ -77,7 +77,8 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
         offset = offset_of(clock, robot, 2 if clock.sigma > MIN_LAG_S else 3)
         words, fixes = f"{clock_words(clock)}{rival_words(rival, robot)}", [offset]
         if rival is not None and LASER in drive.measurements and LASER not in {clock.name, rival.name}:
-            words, fixes = f"{words} to {offset}. The laser shows it: locfuse compare", []
+            either = f"either {offset} or {offset_of(rival, robot, 2)}. To find out which: locfuse compare"
+            words, fixes = f"{clock_words(clock)}: {either}", []
         found.append(Finding(clock.name, CLOCK, words, tuple(fixes), abs(clock.offset) > SEVERE_LAG_S))
     return found
 

@@ -172,7 +172,7 @@ def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
     inside = plausible(field) & (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
     # about a wrong centre the field's own angle turns too far: the robot's heading must turn
-    if np.ptp(drive.wheels.heading(t[inside])) < 2.0 * math.pi - MAX_MISSING_ARC_RAD:
+    if not inside.any() or np.ptp(drive.wheels.heading(t[inside])) < 2.0 * math.pi - MAX_MISSING_ARC_RAD:
         return []
     try:
         iron = fit_iron(field[inside])

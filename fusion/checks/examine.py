@@ -40,6 +40,9 @@ REASONS = {
     "too_many_lines": f"with more walls than can be true (over {MAX_LINES})",
 }
 REPAIRED = {"spike", "other_joints"}
+HOLE = "hole"  # code of the finding on a time in which nothing was recorded
+# m, rad, of the whole way: a smaller motion the wheels bridge well enough
+MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
 BLIND = "blind"  # code of the finding on a sensor without measurements
 CHECK_SENSOR = "Check the sensor and its driver, then record again"
 
@@ -98,7 +101,7 @@ def too_short(drive: Drive) -> str:
     if seconds >= MIN_DURATION_S:
         return ""
     words = f"the drive lasts {seconds:.1f} s ({way:.2f} m), too short to judge a sensor"
-    return f"{words}: record at least {MIN_DURATION_S:g} s"
+    return f"{words}: {MIN_DURATION_S:g} s are the least"
 
 
 def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:
@@ -176,20 +179,16 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 
-HOLE = "hole"  # code of the finding
-MIN_HOLE_M, MIN_HOLE_RAD = 0.3, math.radians(20.0)  # m, rad: a smaller motion the wheels bridge well enough
-
-
 def holes(drive: Drive) -> list[tuple[float, float]]:
     """Return the times (start, end) [s] in which no stream has a reading and the robot drove on."""
     wheels, others = drive.wheels, [m.t for m in drive.measurements.values()]
     t = np.concatenate([np.zeros(0), *others, *([] if drive.truth is None else [drive.truth.t])])
-    found = []
+    found, least = [], max(MIN_HOLE_M, MIN_HOLE_SHARE * float(wheels.driven(wheels.t[-1])))
     for start, end in gaps(wheels.t):
         edges = np.array([start, *np.sort(t[(t > start) & (t < end)]), end])
         i = int(np.argmax(np.diff(edges)))
         way, turn = _moved(drive, start)
-        if edges[i + 1] - edges[i] > gap_limit(wheels.t) and (way > MIN_HOLE_M or turn > MIN_HOLE_RAD):
+        if edges[i + 1] - edges[i] > gap_limit(wheels.t) and (way > least or turn > MIN_HOLE_RAD):
             found.append((float(edges[i]), float(edges[i + 1])))
     return found
 
@@ -200,9 +199,8 @@ def _moved(drive: Drive, t: float) -> tuple[float, float]:
     return math.hypot(ahead, left), abs(turn)
 
 
-def of_holes(drive: Drive) -> list[Finding]:
-    """Return a finding on the times in which nothing was recorded while the robot drove on."""
-    found = holes(drive)
+def of_holes(drive: Drive, found: Sequence[tuple[float, float]]) -> list[Finding]:
+    """Return a finding on the `holes` of a drive, times (start, end) [s] without any reading; [] without holes."""
     if not found:
         return []
     when = " and ".join(f"from {start:.1f} s to {end:.1f} s" for start, end in found[:3])
@@ -211,17 +209,20 @@ def of_holes(drive: Drive) -> list[Finding]:
     words = (
         f"nothing was recorded {when}{more}, while the robot drove on: by the wheels before and after it may have "
         f"moved {way:.1f} m and turned {math.degrees(turn):.0f}°. What is estimated across that is a guess, by "
-        f"which no sensor is judged. To judge a part: --to {found[0][0]:.1f} or --from {found[-1][1]:.1f}"
+        "which no sensor is judged"
     )
+    begin, end = longest_part(drive, found)
+    part = "".join(f" {o} {t:.1f}" for o, t in (("--from", begin), ("--to", end)) if t is not None)
+    if (float(drive.t[-1]) if end is None else end) - (begin or 0.0) >= MIN_DURATION_S:
+        words += f". To judge a part: locfuse compare LOG{part}"
     return [Finding("log", HOLE, words, severe=True)]
 
 
-def longest_part(drive: Drive) -> tuple[float | None, float | None]:
-    """Return begin and end [s] of the longest part without a hole; None: no bound.
+def longest_part(drive: Drive, found: Sequence[tuple[float, float]]) -> tuple[float | None, float | None]:
+    """Return begin and end [s] of the longest part without one of the holes `found` [s]; None: no bound.
 
     The start pose is known of the first part only, so another one must be twice as long.
     """
-    found = holes(drive)
     ends = [float(drive.t[0]), *(t for hole in found for t in hole), float(drive.t[-1])]
     spans = [(b - a) * (1.0 if i else 2.0) for i, (a, b) in enumerate(zip(ends[::2], ends[1::2], strict=True))]
     i = int(np.argmax(spans))
@@ -249,15 +250,11 @@ def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str]
         why = f"its ranges are {held}. {CHECK_SENSOR}" if held else "it is dead, or its settings do not fit"
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: {why}"
         return [Finding(name, BLIND, words, severe=REGISTRY[name].blind_is_severe)]
-    if n and not unused:
+    total = len(stream(name).t_ns) if unused else 0
+    if unused <= MAX_EMPTY_SHARE * total:
         return []
-    total = len(stream(name).t_ns)
-    words, late = "no reading within the wheels' time", True
-    if unused > MAX_EMPTY_SHARE * total:
-        words = f"{n or 'none'} of {total} readings can be used: {_reasons(m.dropped)}"
-        late = max(m.dropped, key=lambda why: m.dropped[why]) == "outside_wheels"
-    elif n:
-        return []
+    words = f"{n or 'none'} of {total} readings can be used: {_reasons(m.dropped)}"
+    late = max(m.dropped, key=lambda why: m.dropped[why]) == "outside_wheels"
     check = f"Check its clock and {name}.time_offset (now {time_offset:g} s)" if late else CHECK_SENSOR
     return [Finding(name, BLIND, f"{words}. {check}", severe=True)]
 

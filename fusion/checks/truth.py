@@ -55,8 +55,9 @@ MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of laser dis
 def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     """Return findings on the truth: jumps, gaps, noise, tracked point, start pose, sideways motion."""
     truth = drive.truth
-    if truth is None or (few := of_few(drive)):
-        return [] if truth is None else few
+    few = of_few(drive)
+    if truth is None or few:
+        return few
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive, axle_path(truth, drive.wheels))
     point = of_point(truth, swings)
@@ -463,9 +464,7 @@ def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> li
     least = (MIN_START_ERROR_M, MIN_START_ERROR_RAD)
     if truth.theta is None or aside:
         least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
-    # the path is aligned about its middle: an error of the turn moves the start by half the path
-    spread = robot.start.sigma_xy, 0.5 * fitted.way * heading_sigma, fitted.spread, truth.sigma
-    place = least[0] + START_SIGMAS * math.hypot(*spread)
+    place = least[0] + START_SIGMAS * fitted.place_sigma(robot, truth)
     if away < place and turn < least[1] + START_SIGMAS * math.hypot(
         math.radians(robot.start.sigma_theta_deg), heading_sigma
     ):
@@ -492,6 +491,11 @@ class TruthStart(NamedTuple):
     sigma: float  # rad, of the heading: by slip, or by noise of the truth's headings
     spread: float  # m, standard error by the truth's positions
     t: float  # s: start of the truth if the robot moved before it, else the first wheel reading
+
+    def place_sigma(self, robot: Robot, truth: Truth) -> float:
+        """Return the sigma [m] of the place beside that of the robot's [start]."""
+        # the path is aligned about its middle: an error of the turn moves the start by half the path
+        return math.hypot(robot.start.sigma_xy, 0.5 * self.way * self.sigma, self.spread, truth.sigma)
 
 
 def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> TruthStart | None:

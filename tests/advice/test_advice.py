@@ -249,6 +249,9 @@ def test_a_lost_chunk_is_said_and_charged_to_no_sensor(log: Path, tmp_path: Path
     assert not found["fixes"]
     severe = [f for f in product.info(cut)["findings"] if f["severe"]]
     assert [f["message"] for f in severe] == [hole["message"]]
+    refused = locfuse("calibrate", cut)
+    assert refused.exit_code == 1
+    assert "nothing was recorded from 23.4 s" in refused.stderr
 
 
 def test_a_start_that_is_metres_off_voids_the_errors_and_blames_no_sensor(log: Path, tmp_path: Path) -> None:

@@ -78,6 +78,10 @@ def test_a_truth_that_begins_metres_later_has_begun_where_the_robot_is_by_then()
     elsewhere_too = replace(later, xy=xy + np.array([3.0, 4.0]))
     assert start_error(unstated, replace(drive, truth=elsewhere_too)) == pytest.approx(5.0, abs=0.2)
     assert start_error(robot, replace(drive, truth=elsewhere_too)) is None
+    vague = replace(robot, start=replace(robot.start, sigma_xy=2.0))
+    moved = replace(truth, xy=truth.xy + 5.0)
+    assert start_error(robot, replace(drive, truth=moved)) == pytest.approx(np.hypot(5.0, 5.0), abs=0.1)
+    assert start_error(vague, replace(drive, truth=replace(moved, sigma=2.0))) is None
 
 
 @pytest.mark.parametrize("command", [("run",), ("compare",), ("info", "--check")])
@@ -206,7 +210,7 @@ def test_readings_of_another_year_are_named_with_the_offset_and_not_used(tmp_pat
     late(SCAN, -1e8)(drive)
     done = locfuse("compare", drive.record(tmp_path / "log.mcap"), "-o", tmp_path / "out", "--write", "json")
     assert "not used: lrf: none of its 183 readings lies within the 30.4 s of the drive" in done.stderr
-    assert "add 99999999.9" in done.stderr
+    assert "set lrf.time_offset=99999999.9" in done.stderr
 
 
 def test_a_drive_of_two_seconds_judges_no_sensor(tmp_path: Path) -> None:
@@ -252,12 +256,14 @@ def test_a_laser_whose_scans_are_empty_is_named_by_info_and_compare_alike(value:
     assert "lrf.range_scale" not in told
 
 
-def test_a_compass_that_gives_no_number_is_named_by_compare(tmp_path: Path) -> None:
+def test_a_compass_that_gives_no_number_is_named_by_info_and_compare(tmp_path: Path) -> None:
     drive = Drive()
     drive.field(COMPASS, **dict.fromkeys(("magnetic_field.x", "magnetic_field.y"), float("nan")))
     log, n = drive.record(tmp_path / "log.mcap"), len(drive.on(COMPASS))
+    words = f"compass: none of {n} readings can be used: {n} hold NaN or Inf. Check the sensor"
+    assert words in ok("info", log).stdout
     told = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json").stdout
-    assert f"compass: none of {n} readings can be used: {n} hold NaN or Inf. Check the sensor" in told
+    assert words in told
     assert "compass no verdict" in told
 
 
@@ -268,7 +274,7 @@ def test_a_laser_of_which_no_scan_falls_in_the_drive_is_told_its_offset(tmp_path
     words = ("--set", "lrf.time_offset=1000", "-o", tmp_path / "out", "--write", "json")
     told = ok("compare", log, *words).stderr
     assert f"not used: lrf: none of its {n} readings lies within" in told
-    assert " to lrf.time_offset" in told
+    assert "set lrf.time_offset=" in told
 
 
 @pytest.mark.parametrize("command", ["run", "compare"])

@@ -152,7 +152,7 @@ def test_a_clock_that_only_a_run_of_the_laser_can_judge_gets_no_fix() -> None:
     assert (found.role, found.severe, open_.role, open_.severe) == ("truth", True, "truth", True)
     assert float(found.fixes[0].removeprefix("truth.time_offset=")) == pytest.approx(-0.3, abs=0.03)
     assert open_.fixes == ()
-    assert open_.message.endswith("The laser shows it: locfuse compare")
+    assert open_.message.endswith("To find out which: locfuse compare")
 
 
 def a_run(wheels: Wheels, true: Array, seed: int, late: float) -> tuple[Drive, Truth, Estimates]:

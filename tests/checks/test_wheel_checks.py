@@ -315,11 +315,12 @@ def test_a_lost_chunk_is_named_with_its_time_and_what_the_robot_moved_in_it() ->
     rolled = float(
         np.hypot(*one.wheels.twist[(one.wheels.t[:-1] >= 20.0) & (one.wheels.t[:-1] < 28.0), :2].T).sum()
     )
-    (found,) = of_holes(without(one, 20.0, 28.0))
+    broken = without(one, 20.0, 28.0)
+    (found,) = of_holes(broken, holes(broken))
     assert (found.role, found.code, found.fixes, found.severe) == ("log", HOLE, (), True)
     assert found.message.startswith("nothing was recorded from 20.0 s to 28.0 s, while the robot drove on")
     assert f"may have moved {rolled:.1f} m" in found.message
-    assert found.message.endswith("--to 20.0 or --from 28.0")
+    assert found.message.endswith("To judge a part: locfuse compare LOG --from 28.0")
 
 
 @pytest.mark.parametrize(("start", "end", "wheels_only"), [(20.0, 28.0, True), (20.0, 20.4, False)])
@@ -344,5 +345,6 @@ def test_a_robot_that_stands_while_nothing_is_recorded_misses_nothing() -> None:
 def test_fixes_are_tried_on_the_first_part_unless_another_is_twice_as_long(
     start: float, part: tuple[float | None, float | None]
 ) -> None:
-    found = longest_part(without(drawn(8), start, start + 8.0))
+    broken = without(drawn(8), start, start + 8.0)
+    found = longest_part(broken, holes(broken))
     assert found == pytest.approx(part, abs=0.11)

@@ -1,15 +1,18 @@
-"""Change detection: the split of a series into two parts, each with its own least-squares slope.
+"""Statistics of a series in time order: its split into two parts, and standard errors by leaving out parts.
 
-With x = 1 a slope is a mean, and the split is a step of the mean (Hinkley, Biometrika 1970).
+Both parts of a split have their own least-squares slope. With x = 1 a slope is a mean, and the split is a step of
+the mean (Hinkley, Biometrika 1970).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .data import Array
+from .data import Array, Ints
 
 MIN_SQUARES = 1e-12  # of x in one part; smaller sums are raised to it
 
@@ -34,3 +37,17 @@ def best_split(x: Array, y: Array, edge: int) -> Split:
     i = int(np.argmax(explained))
     sigmas = float(weight[i]) ** -0.5, float(other[i]) ** -0.5
     return Split(i + edge, float(seen[i] / weight[i]), float(rest[i] / other[i]), float(explained[i]), sigmas)
+
+
+def jackknife(estimate: Callable[[Ints], Any], n: int, parts: int) -> Array:
+    """Return the standard errors of an estimate from n values whose errors are correlated in time.
+
+    `estimate` returns k numbers or one by the values at some indices, or None: then the error is infinite. One of
+    `parts` consecutive parts is left out at a time (Quenouille 1956; Tukey 1958).
+    """
+    rows = np.arange(n)
+    found = [estimate(np.delete(rows, part)) for part in np.array_split(rows, parts)]
+    if any(f is None for f in found):
+        return np.array(math.inf)
+    errors: Array = np.std(found, axis=0) * math.sqrt(parts - 1)
+    return errors

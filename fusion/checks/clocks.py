@@ -15,11 +15,11 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
+from locfuse.fusion.change import jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Stream, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Stream, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import parts_of
@@ -27,7 +27,7 @@ from locfuse.fusion.truth import body_poses
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
-from .lag import SAID_SIGMAS, HeadingReference, Lag, by_parts, by_wheels, find_lag
+from .lag import PART_COUNT, SAID_SIGMAS, HeadingReference, Lag, by_wheels, find_lag
 from .truth import MIN_START_ERROR_M, MIN_START_ERROR_RAD
 
 WINDOW_S = 1.0  # s over which distances are compared
@@ -377,15 +377,15 @@ def way_lag(truth: Truth, drive: Drive) -> Lag | None:
     lags = np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S)
     theirs = [np.hypot(*wheels.relative(start + lag, start + lag + WINDOW_S)[:, :2].T) for lag in lags.tolist()]
 
-    def scored(some: NDArray[np.bool_]) -> list[float]:
+    def scored(some: Ints) -> list[float]:
         of = own[some]
         return [float(np.corrcoef(of, one[some])[0, 1]) if one[some].std() > 0 else 0.0 for one in theirs]
 
-    scores = scored(np.ones(len(own), dtype=bool))
+    scores = scored(np.arange(len(own)))
     best = int(np.argmax(scores))
     if scores[best] < MIN_CORRELATION or best in {0, len(lags) - 1}:
         return None
-    spread = by_parts(lambda some: float(lags[np.argmax(scored(some))]), len(own))
+    spread = float(jackknife(lambda some: lags[np.argmax(scored(some))], len(own), PART_COUNT))
     return Lag(float(lags[best]), scores[best], scores[int(np.argmin(np.abs(lags)))], spread=spread)
 
 

@@ -20,7 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array
+from locfuse.fusion.change import jackknife
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.wheels.motion import Wheels
 
 WINDOW_S = 1.0  # s over which turning is compared
@@ -40,7 +41,7 @@ MIN_WINDOWS = 20  # windows
 STRETCH_COUNT = 16  # of the drive, over which residuals are summed, for errors that are correlated
 MIN_SIGMA_S = 5e-4  # s, as turning rates are differences over 0.1 s
 MAX_RESIDUAL_CORRELATION = 0.5  # of neighbouring residuals: with more they show no lag
-PARTS = 8  # of the drive: one at a time is left out
+PART_COUNT = 8  # of the drive: one at a time is left out
 COARSE_OVERLAP = 4.0  # number of windows at any time, for the coarse search
 
 Heading = Callable[[Array], Array]  # [rad, not wrapped, up to a constant] at any time [s]
@@ -74,8 +75,8 @@ class _Turns(NamedTuple):
     angle: Array  # (n,) rad
     overlap: float  # number of turns at any time
 
-    def where(self, keep: NDArray[np.bool_]) -> _Turns:
-        """Return only the turns of the mask `keep` (n,)."""
+    def where(self, keep: NDArray[np.bool_] | Ints) -> _Turns:
+        """Return only the turns of `keep`: a mask (n,) or indices."""
         return _Turns(self.start[keep], self.end[keep], self.angle[keep], self.overlap)
 
     def scores(self, heading: Heading, lags: Array) -> Array:
@@ -119,23 +120,14 @@ def find_lag(t: Array, heading: Array, reference: HeadingReference) -> Lag | Non
         return None  # with readings further apart than the window, correlation does not show the lag
     spread = 0.0
     if best is None:
-        spread = by_parts(lambda some: _best(turns.where(some), reference.heading), len(turns.angle))
+        spread = float(
+            jackknife(lambda some: _best(turns.where(some), reference.heading), len(turns.angle), PART_COUNT)
+        )
     if math.isinf(spread):
         return None
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
     return Lag(offset, at, zero, math.inf if best is None else best.sigma, spread=spread)
-
-
-def by_parts(find: Callable[[NDArray[np.bool_]], float | None], n: int) -> float:
-    """Return the standard deviation [s] of a lag, with one part of n values left out at a time (jackknife).
-
-    `find` returns the lag by the values of a mask (n,), or None; the deviation is then infinite.
-    """
-    part = np.arange(n) * PARTS // n
-    found = [find(part != k) for k in range(PARTS)]
-    known = [lag for lag in found if lag is not None]
-    return float(np.std(known)) * math.sqrt(PARTS - 1) if len(known) == PARTS else math.inf
 
 
 def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -> _Turns:

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import MIN_SQUARES, best_split
+from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.mount import SIGMA_M
@@ -329,15 +329,15 @@ def _spread(
     Pairs of scans overlap, so they are not independent. In turns a mount that is off by SIGMA_M looks like another
     scale and yaw: that is added. Infinite if an estimate is None.
     """
-    parts = np.array_split(np.arange(len(walls.y)), STRETCH_COUNT)
+    errors = jackknife(
+        lambda some: estimate(WallPairs(*(column[some] for column in walls))), len(walls.y), STRETCH_COUNT
+    )
     moved = [walls._replace(y=walls.y + SIGMA_M * nearer) for nearer in _by_mount(walls).T]
-    others = [WallPairs(*(np.delete(column, part, axis=0) for column in walls)) for part in parts]
-    found = [estimate(some) for some in (walls, *moved, *others)]
+    found = [estimate(some) for some in (walls, *moved)]
     if any(f is None for f in found):
         return [math.inf] * numbers
-    whole, x, y, *known = np.array(found).reshape(-1, numbers)
-    variance = np.var(known, axis=0) * (len(parts) - 1) + (x - whole) ** 2 + (y - whole) ** 2
-    spread: list[float] = np.sqrt(variance).tolist()
+    whole, x, y = np.array(found).reshape(-1, numbers)
+    spread: list[float] = np.sqrt(errors**2 + (x - whole) ** 2 + (y - whole) ** 2).tolist()
     return spread
 
 

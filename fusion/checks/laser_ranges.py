@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from locfuse.fusion.change import jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
@@ -128,17 +129,14 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
         ]
         if len(parts) < STRETCH_COUNT:
             return None
-        some = [
-            np.concatenate([parts[i] for i in k]) for k in np.array_split(np.arange(len(parts)), STRETCH_COUNT)
-        ]
-        if min(map(len, some)) < MIN_STRETCH_TRIPLES:
+        if min(some.sum() for some in np.array_split([*map(len, parts)], STRETCH_COUNT)) < MIN_STRETCH_TRIPLES:
             return None
-        others = [_added(np.concatenate(some[:k] + some[k + 1 :])) for k in range(STRETCH_COUNT)]
-        more = _added(np.concatenate(some))
+        more = _added(np.concatenate(parts))
         add += more
         if abs(more) < MIN_OFFSET_M:
             break
-    return add, float(np.std(others)) * math.sqrt(STRETCH_COUNT - 1)  # jackknife
+    sigma = jackknife(lambda some: _added(np.concatenate([parts[i] for i in some])), len(parts), STRETCH_COUNT)
+    return add, float(sigma)
 
 
 def _bends(ranges: Array, angles: Array) -> Iterator[Array]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.change import jackknife
 from locfuse.fusion.data import Array, Drive, Estimates, Truth, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
@@ -370,9 +371,7 @@ def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
     alone = way - lever @ np.linalg.lstsq(lever, way, rcond=None)[0]
     if alone @ alone <= MIN_SCALE_SHARE * (way @ way):
         return None  # on a circle a point beside the axle moves as a path of another scale
-    parts = np.array_split(np.arange(len(y)), STRETCH_COUNT)
-    others = np.array([_robust(np.delete(A, part, axis=0), np.delete(y, part, axis=0)) for part in parts])
-    return Swing(_robust(A, y), others.std(axis=0) * math.sqrt(STRETCH_COUNT - 1))
+    return Swing(_robust(A, y), jackknife(lambda some: _robust(A[some], y[some]), len(y), STRETCH_COUNT))
 
 
 def of_point(truth: Truth, found: Swing | None) -> list[Finding]:

@@ -145,9 +145,10 @@ def attached(log: Log, quiet: bool = True) -> dict[str, Any] | None:
         tables = None if text is None else _checked(text, "")
     except LocfuseError as e:
         if not quiet:
-            log.losses.add(str(log.paths[0]), UNREADABLE.format(str(e).removeprefix(": ")), 0, 0)
+            log.losses.add_settings(str(log.paths[0]), UNREADABLE.format(str(e).removeprefix(": ")))
         return None
-    log.losses.explain(f"attachment {ATTACHMENT!r} fails its checksum", UNREADABLE.format("wrong checksum"))
+    unread = UNREADABLE.format("wrong checksum")
+    log.losses.explain_settings(f"attachment {ATTACHMENT!r} fails its checksum", unread)
     return tables
 
 

@@ -6,8 +6,6 @@ import msgspec
 from msgspec import field
 from msgspec.structs import replace
 
-SETTINGS = "its settings "  # begins the reason of a loss that leaves every message readable
-
 
 class Loss(msgspec.Struct, frozen=True):
     """One unreadable place of one file."""
@@ -16,6 +14,7 @@ class Loss(msgspec.Struct, frozen=True):
     reason: str
     bytes: int  # unusable bytes of the file
     messages: int | None = None  # None where the number is unknown
+    of_settings: bool = False  # the log's own settings cannot be read: every message can
 
 
 class Losses(msgspec.Struct):
@@ -27,11 +26,15 @@ class Losses(msgspec.Struct):
         """Record the loss of `n_bytes` from `offset` on."""
         self.places.setdefault((path, reason, offset), Loss(path, reason, n_bytes, messages))
 
-    def explain(self, reason: str, words: str) -> None:
-        """Put better words for a reason."""
+    def add_settings(self, path: str, reason: str) -> None:
+        """Record that the log's own settings cannot be read."""
+        self.places.setdefault((path, reason, 0), Loss(path, reason, 0, 0, of_settings=True))
+
+    def explain_settings(self, reason: str, words: str) -> None:
+        """Put better words for the `reason` of a loss of settings."""
         for place, loss in self.places.items():
             if loss.reason == reason:
-                self.places[place] = replace(loss, reason=words)
+                self.places[place] = replace(loss, reason=words, of_settings=True)
 
     def __bool__(self) -> bool:
         return bool(self.places)
@@ -39,7 +42,7 @@ class Losses(msgspec.Struct):
     @property
     def recoverable(self) -> bool:
         """Whether bytes or messages are lost, or an end mark, beside which the rest can be copied."""
-        return any(not loss.reason.startswith(SETTINGS) for loss in self.places.values())
+        return any(not loss.of_settings for loss in self.places.values())
 
     @property
     def bytes(self) -> int:

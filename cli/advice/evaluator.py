@@ -117,9 +117,9 @@ class Evaluator:
 
     def advised(self) -> Advised:
         """Return all findings with their tried fixes."""
-        holes = [Advice(hole) for hole in self._holes]
+        of_holes = [Advice(hole) for hole in self._holes]
         if not self.may_judge or any(a.finding.code == EQUAL for a in self.of_data):
-            return Advised((*self.of_data, *holes))
+            return Advised((*self.of_data, *of_holes))
         trial = self.trial
 
         def look(fixes: Fixes) -> Evidence | None:
@@ -140,7 +140,7 @@ class Evaluator:
         empty, helped = {a.finding.role for a in self.of_data}, {a.finding.role for a in found if a.helps}
         found = [a for a in found if a.helps or a.finding.role not in empty]
         unusable = (a for a in self.of_data if a.finding.role not in helped)
-        return Advised((*found, *unusable, *holes), trial.fusions)
+        return Advised((*found, *unusable, *of_holes), trial.fusions)
 
     @cached_property
     def of_data(self) -> tuple[Advice, ...]:

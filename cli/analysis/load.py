@@ -158,11 +158,9 @@ def unbroken(loaded: Loaded) -> tuple[Loaded, list[Finding]]:
     if not found:
         return loaded, []
     begin, end = longest_part(loaded.drive, found)
-    ours = loaded.window == (None, None)
-    begin, end = begin or loaded.how.begin, end or loaded.how.end
-    return _in_window(replace(loaded, how=replace(loaded.how, begin=begin, end=end, beside_hole=ours))), of_holes(
-        loaded.drive, found
-    )
+    how, ours = loaded.how, loaded.window == (None, None)
+    part = replace(how, begin=begin or how.begin, end=end or how.end, beside_hole=ours)
+    return _in_window(replace(loaded, how=part)), of_holes(loaded.drive, found)
 
 
 def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool) -> Loaded:
@@ -365,12 +363,13 @@ def start_error(robot: Robot, drive: Drive) -> float | None:
     The wheels' position is taken at the truth's first stamp, which may be later than the start. If [start] is set,
     the distance is unknown within START_SIGMAS, or if the robot moved before that stamp.
     """
-    if robot.start_given:
-        found = None if drive.truth is None else start_pose(drive.truth, drive)
-        if drive.truth is None or found is None or found.t > drive.wheels.t[0]:
+    truth = drive.truth
+    if truth is not None and robot.start_given:
+        found = start_pose(truth, drive)
+        if found is None or found.t > drive.wheels.t[0]:
             return None
         away = math.hypot(*(found.pose[:2] - robot.start.pose[:2]))
-        return away if away > START_SIGMAS * found.place_sigma(robot, drive.truth) else None
+        return away if away > START_SIGMAS * found.place_sigma(robot, truth) else None
     places = _first_places(robot, drive)
     return None if places is None else math.hypot(*(places[0] - places[1]))
 

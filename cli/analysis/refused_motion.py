@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from locfuse.fusion.data import LocfuseError, Measurements
+from locfuse.fusion.checks.examine import too_short
+from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.odometry import SPEED, commanded
@@ -27,6 +28,11 @@ STANDS = "the robot does not move in this log, so no sensor can be judged"
 MAX_PERIOD_S = 5.0  # of the motion's readings: in more a robot may turn round
 MIN_WAY_M = 1.0  # path length by another topic that counts as motion
 MIN_FIX_SPREAD_M = 15.0  # fixes of a standing receiver drift by some metres
+
+
+def unjudged(drive: Drive) -> str:
+    """Return why a drive judges no sensor (the robot stands, or the drive is short), else ""."""
+    return STANDS if drive.wheels.stands else too_short(drive)
 
 
 def find_motion_faults(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:

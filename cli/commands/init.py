@@ -171,9 +171,8 @@ def _foot(made: Draft) -> str:
 
 def _notes(made: Draft, words: str, name: str) -> list[str]:
     """Return notes on guessed values and on the next command."""
-    from locfuse.cli.analysis.refused_motion import STANDS
+    from locfuse.cli.analysis.refused_motion import unjudged
     from locfuse.cli.inspect.values import wheels_missing
-    from locfuse.fusion.checks.examine import too_short
 
     loaded = made.overview.loaded
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
@@ -184,7 +183,7 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = f"fill in {', '.join(made.missing)} (their comments say how to measure them)"
     elif faults := made.overview.motion_faults:
         last = f"no motion to use: {faults[0].words}"
-    elif loaded is not None and (why := STANDS if loaded.drive.wheels.stands else too_short(loaded.drive)):
+    elif loaded is not None and (why := unjudged(loaded.drive)):
         last = why
     else:
         tune, compare = f"tune {words} --robot {name} -o tuned.toml", f"compare {words} --robot {name}"
@@ -206,6 +205,5 @@ def _wrong(made: Draft) -> list[Finding]:
 def _tunes(made: Draft) -> bool:
     """Return whether `tune` can be used: the log has a sensor and a motion, and nothing is surely wrong."""
     loaded = made.overview.loaded
-    if loaded is None or loaded.motion_faults or _wrong(made):
-        return False
-    return bool(loaded.drive.measurements)
+    usable = loaded is not None and bool(loaded.drive.measurements) and not loaded.motion_faults
+    return usable and not _wrong(made)

@@ -160,9 +160,8 @@ def _measure(overview: Overview, progress: Progress) -> None:
     found, known = examine(part.drive, part.robot, streams), {f.role for f in overview.findings if f.severe}
     if loaded.motion_faults or short:  # by these no sensor is charged
         found = [f for f in found if f.code in {"repaired", "refused", "gap", BLIND, EQUAL}]
-    found = [f for f in found if f.code != START or not part.how.begin]
-    found = [*(f for f in found if f.code != FEW), *of_few(loaded.drive)]
-    overview.findings += [f for f in found if f.code != FEW or f.role not in known]
+    overview.findings += [f for f in found if f.code != FEW and (f.code != START or not part.how.begin)]
+    overview.findings += of_few(loaded.drive) if "truth" not in known else []
     overview.findings += _unusable(overview, loaded)
 
 

@@ -90,6 +90,10 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         return table_and_notes(self.titles, self.rows(), self.notes)
 
 
+# what to do about proven faults without a fix, by the code of their finding
+UNFIXED = {CLOCK: "Find out which by locfuse compare", HOLE: "Use a part, or leave this log out"}
+
+
 def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
     """Raise LocfuseError if the log has a proven fault that the estimates would hide.
 
@@ -100,15 +104,13 @@ def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
     if one.drive.wheels.stands:
         return
     streams = {role: one.stream(role) for role in one.choice.topics}
-    hole = of_holes(one.drive, holes(one.drive))
-    for finding in hole or examine(one.drive, one.robot, streams):
-        unfixed = {CLOCK: "Find out which by locfuse compare", HOLE: "Use a part, or leave this log out"}
-        known = finding.fixes or finding.role == "truth" or finding.code in unfixed
-        if finding.severe and finding.code not in {"start", *own} and known:
-            hint = f"Set it first: {options(finding.fixes)}" if finding.fixes else unfixed.get(finding.code)
+    for finding in of_holes(one.drive, holes(one.drive)) or examine(one.drive, one.robot, streams):
+        unfixed = UNFIXED.get(finding.code, "Leave this log out" if finding.role == "truth" else "")
+        if finding.severe and finding.code not in {"start", *own} and (finding.fixes or unfixed):
+            said = finding.brief.partition(". ")[0] if finding.code in UNFIXED else finding.brief
             raise LocfuseError(
-                f"{one.log.name}: {finding.role}: {finding.brief}; {what} would cover that up.",
+                f"{one.log.name}: {finding.role}: {said}; {what} would cover that up.",
                 role=finding.role,
                 fixes=finding.fixes,
-                hint=hint or "Leave this log out",
+                hint=f"Set it first: {options(finding.fixes)}" if finding.fixes else unfixed,
             )

@@ -17,7 +17,7 @@ from locfuse.cli.analysis.compare import Compared, compare_log, report_of, repor
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
 from locfuse.cli.analysis.outputs import Drawn
-from locfuse.cli.analysis.refused_motion import STANDS
+from locfuse.cli.analysis.refused_motion import unjudged
 from locfuse.cli.analysis.results import say_motion
 from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,
@@ -39,7 +39,6 @@ from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
-from locfuse.fusion.checks.examine import too_short
 from locfuse.fusion.checks.truth import unusable
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError, UsageError
 from locfuse.fusion.judge import evaluate as judge
@@ -337,8 +336,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """Add ranges under jitter, advice, and warnings on the motion to `report`, and return it."""
         add_jitter(report, compared, asked, self.progress)
         truth = None if self.loaded.motion_faults else unusable(self.drive)
-        unjudged = STANDS if self.drive.wheels.stands else too_short(self.drive)
-        complete(report, advised, start_error(self.robot, self.drive), foreign, unjudged, truth)
+        complete(report, advised, start_error(self.robot, self.drive), foreign, unjudged(self.drive), truth)
         say_motion(report, self.loaded, judged)
         self.progress("writing")
         return report

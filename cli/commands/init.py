@@ -173,6 +173,7 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
     """Return notes on guessed values and on the next command."""
     from locfuse.cli.analysis.refused_motion import unjudged
     from locfuse.cli.inspect.values import wheels_missing
+    from locfuse.fusion.checks.laser import OPEN_SCALE
 
     loaded = made.overview.loaded
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
@@ -187,7 +188,8 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = why
     else:
         tune, compare = f"tune {words} --robot {name} -o tuned.toml", f"compare {words} --robot {name}"
-        options = "".join(f" --set {fix}" for f in _wrong(made) for fix in f.fixes)
+        chosen = (f for f in _wrong(made) if f.code != OPEN_SCALE)  # there the user has to choose
+        options = "".join(f" --set {fix}" for f in chosen for fix in f.fixes)
         last = f"next: locfuse {tune if _tunes(made) else compare}{options}"
     of_robot = f"{made.robot}: its figures that the log does not tell are taken from locfuse's own files"
     guesses = (f"guessed: {guess}" for guess in (*([of_robot] if made.robot else []), *made.guesses))

@@ -240,6 +240,16 @@ def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_be
     assert "<strong>Warning:</strong> <span" in (tmp_path / "out" / "report.html").read_text()
 
 
+def test_where_either_may_be_wrong_init_names_both_and_chooses_none(tmp_path: Path) -> None:
+    drive = Drive()
+    short_metre(drive)
+    drive.drop(TRUTH, COMPASS)
+    log, out = drive.record(tmp_path / "log.mcap"), tmp_path / "robot.toml"
+    told = ok("init", log, "-o", out).stderr
+    assert "still wrong: lrf: it measures 9.6% too short by the wheels" in told
+    assert f"next: locfuse compare {log} --robot {out}\n" in told
+
+
 EMPTY = {"nan": "NaN", "inf": "inf", "0": "zero"}
 
 

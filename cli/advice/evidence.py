@@ -213,11 +213,12 @@ class Evidence(NoiseFindings):
         mounts = [] if no_mount else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
         offers = [(f, (f.fixes,)) for f in found if f.fixes]
-        # a state's sigma is valid only in a consistent or underconfident run;
-        # without truth, a mount state also absorbs other errors
+        # a state's sigma is valid only in a consistent or underconfident run; without truth, a mount state absorbs
+        # errors of the wheels too: a yaw their sideways motion, and a position their scales, unless these are states
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
-        measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
+        shown = [f for f in (found if by_truth else probed) if by_truth or not any(".yaw" in fix for fix in f.fixes)]
+        measured = {(f.role, f.code) for f in found if f.role in fine and (f.code != MOUNT or f in shown)}
         seen = [f for f in self.doctor if f.code not in {CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
         scales = [] if self._open_scale else [self._unless_open(f) for f in self._distances]
@@ -327,7 +328,8 @@ class Evidence(NoiseFindings):
             probe = probe_of(robot, sensor)
             if not probe or not REGISTRY[sensor].placed:
                 continue
-            if not self._looks_wrong(sensor) and sensor not in self._beyond_prior:
+            shown = drive.truth is None and any(f.role == sensor for f in self._mounts_found)
+            if not self._looks_wrong(sensor) and sensor not in self._beyond_prior and not shown:
                 continue
             probed = self.trial.under((*self.fixes, *probe))
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))

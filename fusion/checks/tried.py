@@ -519,7 +519,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
         harmless = harmless or bool(pairs)
         # a measured value need not improve a figure, but no configuration may get worse
         by_prediction = all(one.position is None for one, _ in pairs.values())
-        sure = (candidate.proven or by_prediction) and not any(worsens(*pair) for pair in pairs.values())
+        worse = any((worsens_alone if n in candidate.minor else worsens)(*pair) for n, pair in pairs.items())
+        sure = (candidate.proven or by_prediction) and not worse
         shown = candidate.measured and bool(pairs) and (shape or sure)
         if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}

@@ -125,9 +125,12 @@ def test_a_compass_that_contradicts_the_start_is_left_open_where_nothing_locates
         assert not any("compass.offset_deg" in fix for fix in found["fixes"])
 
 
-def test_a_mount_that_the_filter_estimates_is_offered_with_the_value_that_it_finds(log: Path) -> None:
+@pytest.mark.parametrize("truth", [(), ("truth.topic=none",)])
+def test_a_mount_that_the_filter_estimates_is_offered_with_the_value_that_it_finds(
+    log: Path, truth: tuple[str, ...]
+) -> None:
     """Three centimetres aside, where one was thought likely: it is found, but only in the course of the drive."""
-    found = load(log, sets=("lrf.y=0.03",)).findings()
+    found = load(log, sets=("lrf.y=0.03", *truth)).findings()
     values = dict(fix.split("=") for fix in found["fixes"])
     assert float(values["lrf.y"]) == pytest.approx(0.0, abs=0.015)
 

@@ -13,11 +13,10 @@ from functools import cached_property, partial
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.compare import Compared, PredictionReceiver, RunReceiver, compare_log
+from locfuse.cli.analysis.compare import Compared, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded, unbroken
 from locfuse.cli.analysis.settings import Asked, Progress, silent
-from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.report.findings import change
 from locfuse.fusion.checks.clocks import EQUAL
 from locfuse.fusion.checks.examine import holes, of_data, too_short
@@ -26,6 +25,7 @@ from locfuse.fusion.checks.tried import (
     Advice,
     Candidate,
     Fixes,
+    Marks,
     by_key,
     improves,
     judged_pairs,
@@ -34,15 +34,12 @@ from locfuse.fusion.checks.tried import (
     tried,
     worsens_smoothed,
 )
-from locfuse.fusion.data import Estimates, Evaluation
-from locfuse.fusion.judge.consistency import RunInnovations
-from locfuse.fusion.judge.predictive import Score, scores_of
 from locfuse.fusion.robot import Robot
 
 from .evidence import Evidence
 from .judged import SHARED_ROLES
 from .report import Advised
-from .trial import SMOOTHED, TRIED, WHOLE, Trial, marks_of, predicted
+from .trial import SMOOTHED, WHOLE, Trial, marks_of
 
 MAX_AGREEMENT_LOSS = 0.1  # of the revisit agreement: two equally good paths differ by less
 MAX_WHOLE = 2  # severe findings without effect on the beginning that are also tried on the whole drive
@@ -54,66 +51,41 @@ def standard(loaded: Loaded) -> list[Configuration]:
 
 
 class Evaluator:
-    """The evaluation of one log, which uses finished runs of a comparison where possible."""
+    """The evaluation of one log; the runs of a finished comparison of this log are not fused again."""
 
-    def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
+    def __init__(
+        self, loaded: Loaded, progress: Progress, align: str = "none", compared: Compared | None = None
+    ) -> None:
         loaded, self._holes = unbroken(loaded)  # fixes are tried beside a hole
         self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
-        self._seen: dict[str, tuple[Estimates, Evaluation, list[RunInnovations]]] = {}
-        self._scores: list[Score] = []
-        self._odometry: Estimates | None = None
         self.may_judge = may_judge(loaded)
+        self._first: Compared | None = None  # the standard configurations under the settings of the log
+        if compared is not None and self.may_judge and not self._holes:
+            self._know(compared)
 
-    @property
-    def run_receivers(self) -> list[RunReceiver]:
-        """Return a list with the function that takes each finished run; [] if none is used."""
-        return [self._take] if self.may_judge and not self._holes else []
-
-    @property
-    def prediction_receivers(self) -> list[PredictionReceiver]:
-        """Return a list with the function that takes each run that predicts unused sensors.
-
-        [] if none is used.
-        """
-        return [self._take_predicted] if self.may_judge and not self._holes else []
-
-    def _take(self, e: Estimates, judged: Evaluation) -> None:
-        """Store a finished run; only its figures if it is smoothed or fixes are tried on part of the drive."""
-        trial, whole = self.trial, self.trial.whole
-        if e.rates or e.configuration not in trial.configurations:
-            return
-        if e.smoothed:
-            trial.know(SMOOTHED, (), e, marks_of(e, judged, whole.drive))
-        elif trial.loaded is whole:
-            self._seen[e.name] = replace(e, audits={}), judged, evidence(whole.drive, e, whole.robot)
-        elif whole.drive.truth is not None:
-            trial.know(WHOLE, (), e, marks_of(e, judged, whole.drive))
-
-    def _take_predicted(self, e: Estimates) -> None:
-        """Store a run's scores for the sensors that it predicts; the first run given must be odometry alone."""
-        trial, drive = self.trial, self.trial.whole.drive
-        if trial.loaded is trial.whole:
-            self._odometry = self._odometry or e
-            self._scores += scores_of(drive, e, self._odometry)
-            trial.know(TRIED, (), e, predicted(drive, e))
-        else:
-            trial.know(WHOLE, (), e, predicted(drive, e))
-
-    def _first_comparison(self) -> Compared:
-        """Return the comparison under the present settings; fuse the log only if a run of it was not received."""
-        trial = self.trial
-        if not set(trial.configurations) <= set(self._seen):
-            return _compared((), trial.loaded, trial)
-        chosen = [self._seen[name] for name in trial.configurations]
-        return Compared(
-            loaded=trial.loaded,
-            configurations=list(trial.configurations.values()),
-            estimates=[e for e, _, _ in chosen],
-            evaluations=[judged for _, judged, _ in chosen],
-            runs=[run for _, _, runs in chosen for run in runs],
-            credit=None,
-            scores=self._scores,
-        )
+    def _know(self, compared: Compared) -> None:
+        """Store the figures of a finished comparison, and its runs unless fixes are tried on part of the drive."""
+        trial, drive = self.trial, compared.loaded.drive
+        seen = {e.name: (replace(e, audits={}), judged) for e, judged in compared.plain.values()}
+        for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
+            if e.smoothed and not e.rates:
+                trial.know(SMOOTHED, (), e.configuration, marks_of(e, judged, drive))
+        if trial.loaded is not trial.whole:
+            marks = {n: Marks(prediction=density) for n, density in compared.densities.items()}
+            marks |= {n: marks_of(*run, drive) for n, run in seen.items() if drive.truth is not None}
+            for name, found in marks.items():
+                trial.know(WHOLE, (), name, found)
+        elif set(trial.configurations) <= set(seen):
+            runs = {run.estimates.name: run for run in compared.runs}
+            estimates, evaluations = zip(*(seen[name] for name in trial.configurations), strict=True)
+            self._first = replace(
+                compared,
+                configurations=list(trial.configurations.values()),
+                estimates=estimates,
+                evaluations=evaluations,
+                runs=[runs[name] for name in trial.configurations if name in runs],
+                credit=None,
+            )
 
     def advised(self) -> Advised:
         """Return all findings with their tried fixes."""
@@ -127,7 +99,8 @@ class Evaluator:
             if loaded is None:
                 return None
             trial.keep(fixes)
-            compared = _compared(fixes, loaded, trial) if fixes else self._first_comparison()
+            first = None if fixes else self._first
+            compared = first or _compared(loaded, trial)
             trial.seed(fixes, compared)
             return Evidence(compared, trial, fixes)
 
@@ -254,15 +227,11 @@ def looks_wrong(loaded: Loaded, one: Compared) -> bool:
     return bool(holes(loaded.drive)) or Evidence(one, trial, ()).suspicious()
 
 
-def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
+def _compared(loaded: Loaded, trial: Trial) -> Compared:
     configurations = list(trial.configurations.values())
     trial.fusions += len(configurations)
-
-    def take(e: Estimates) -> None:
-        trial.know(TRIED, fixes, e, predicted(loaded.drive, e))
-
     asked = Asked(align=trial.align, smooth=False, audits=False)
-    return compare_log(loaded, configurations, asked, trial.progress, prediction_receivers=[take])
+    return compare_log(loaded, configurations, asked, trial.progress)
 
 
 def without_repeated(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:

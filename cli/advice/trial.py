@@ -116,18 +116,19 @@ class Trial:
             return None
         return marks_of(e, evaluate(e, loaded.drive, cast("Align", self.align)), loaded.drive)
 
-    def know(self, kind: str, fixes: Fixes, e: Estimates, marks: Marks) -> None:
+    def know(self, kind: str, fixes: Fixes, name: str, marks: Marks) -> None:
         """Store the figures of a finished run, so that it is not fused again."""
-        if e.configuration in self.configurations:
-            self._marks[kind, fixes, e.configuration] = marks
+        self._marks[kind, fixes, name] = marks
 
     def seed(self, fixes: Fixes, compared: Compared) -> None:
-        """Store a comparison's runs and their figures; do nothing without truth, since `know` has stored them."""
+        """Store a comparison's figures, and with truth its runs."""
+        for name, density in compared.densities.items():
+            self.know(TRIED, fixes, name, Marks(prediction=density))
         if compared.loaded.drive.truth is None:
             return
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
             self._runs[fixes, e.name] = e
-            self.know(TRIED, fixes, e, marks_of(e, judged, compared.loaded.drive))
+            self.know(TRIED, fixes, e.name, marks_of(e, judged, compared.loaded.drive))
 
     def under(self, fixes: Fixes) -> Loaded | None:
         """Return the log (or its beginning) with settings added; None if they cannot be applied."""
@@ -176,15 +177,8 @@ class Trial:
             return None
         flags = listeners(drive, c.sensors)
         e = fuser(loaded.robot.preset)(drive, loaded.robot, c.sensors, c.name, flags)
-        return predicted(drive, e)
-
-
-def predicted(drive: Drive, e: Estimates) -> Marks:
-    """Return a run's figures without truth: the score of its predictions of the sensors that it does not use.
-
-    Without the share of time lost, since part of its readings may be held back to be predicted.
-    """
-    return Marks(prediction=mean_density(drive, e, listeners(drive, e.sensors)))
+        # without the share of time lost: part of its readings may be held back to be predicted
+        return Marks(prediction=mean_density(drive, e, flags))
 
 
 def marks_of(e: Estimates, judged: Evaluation, drive: Drive) -> Marks:

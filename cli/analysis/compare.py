@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import msgspec
 import numpy as np
+from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import in_one_unit, length
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Estimates, Evaluation, result_name
+from locfuse.fusion.data import Drive, Estimates, Evaluation, RunningNis, result_name
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import RunInnovations
 from locfuse.fusion.judge.credit import Credit, credit
-from locfuse.fusion.judge.evaluate import Align, evaluate
+from locfuse.fusion.judge.evaluate import Align, evaluate, running_nis
 from locfuse.fusion.judge.own_scans import judged_by_scans
-from locfuse.fusion.judge.predictive import Score, contradictions, listeners, scores
+from locfuse.fusion.judge.predictive import Score, contradictions, listeners, mean_density, scores
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
@@ -49,8 +50,21 @@ if TYPE_CHECKING:
 
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # between first poses: more is another frame
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
-RunReceiver = Callable[[Estimates, Evaluation], None]
-PredictionReceiver = Callable[[Estimates], None]
+JudgedRun = tuple[Estimates, Evaluation]
+
+
+class Drawn:
+    """Parts of the audits that figures need, collected as each run is judged."""
+
+    def __init__(self) -> None:
+        self.nis: dict[tuple[str, str], RunningNis] = {}  # (configuration, sensor)
+        self.best: Estimates | None = None  # of the run with the most sensors
+
+    def take(self, e: Estimates) -> None:
+        """Store the running NIS of a run, and its estimates if it has more sensors than all earlier runs."""
+        self.nis |= {(e.name, s): running_nis(audit, e.t) for s, audit in e.audits.items()}
+        if self.best is None or len(e.sensors) > len(self.best.sensors):
+            self.best = e
 
 
 class Compared(msgspec.Struct, frozen=True):
@@ -63,10 +77,11 @@ class Compared(msgspec.Struct, frozen=True):
     runs: Sequence[RunInnovations]  # residuals that show the sensors' noise
     credit: Credit | None = None  # with truth
     scores: Sequence[Score] = ()  # without truth
+    densities: Mapping[str, float | None] = {}  # without truth: `mean_density` by configuration
     reference: Referenced | None = None  # without truth, if asked for
-    smoothed: Mapping[
-        str, Estimates
-    ] = {}  # by the name of the filtered estimates, also if only a reference uses them
+    # by the name of the filtered estimates, also if only a reference uses them
+    smoothed: Mapping[str, Estimates] = {}
+    drawn: Drawn = field(default_factory=Drawn)
 
     @property
     def sets(self) -> dict[str, tuple[str, ...]]:
@@ -78,6 +93,12 @@ class Compared(msgspec.Struct, frozen=True):
         """The configuration without a sensor: odometry, or scan matching if there are no wheels."""
         return configuration_name((), self.loaded.drive)
 
+    @property
+    def plain(self) -> dict[frozenset[str], JudgedRun]:
+        """The filtered runs with all sensors at the log's rates, by sensors."""
+        pairs = zip(self.estimates, self.evaluations, strict=True)
+        return {frozenset(e.sensors): (e, judged) for e, judged in pairs if e.name in self.sets}
+
 
 class Referenced(msgspec.Struct, frozen=True):
     """References (smoothed solutions) that replace a missing truth, and the errors against them."""
@@ -87,21 +108,12 @@ class Referenced(msgspec.Struct, frozen=True):
     effects: Mapping[str, ByReference]  # by sensor
 
 
-class JudgedRun(NamedTuple):
-    """One configuration's estimates and evaluation, with the residuals that show its sensors' noise."""
-
-    estimates: Estimates
-    evaluation: Evaluation
-    align: Align
-    evidence: Sequence[RunInnovations] = ()  # () for smoothed and foreign estimates
-
-
 def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
     """Run and judge one configuration: the filtered estimates, then the smoothed ones if it is smoothed."""
-    first, *after = _judged(c, loaded, asked)
-    estimates, evaluations = zip(*(j[:2] for j in (first, *after)), strict=True)
-    smoothed = dict(zip([first.estimates.name], (j.estimates for j in after), strict=False))
-    return Compared(loaded, [c], estimates, evaluations, first.evidence, smoothed=smoothed)
+    judged, runs = _judged(c, loaded, asked)
+    estimates, evaluations = zip(*judged, strict=True)
+    smoothed = dict(zip([estimates[0].name], estimates[1:], strict=False))
+    return Compared(loaded, [c], estimates, evaluations, runs, smoothed=smoothed)
 
 
 def compare_log(
@@ -109,79 +121,88 @@ def compare_log(
     configurations: Sequence[Configuration],
     asked: Asked,
     progress: Progress,
-    receivers: Sequence[RunReceiver] = (),
-    foreign: Sequence[Estimates] = (),
-    prediction_receivers: Sequence[PredictionReceiver] = (),
+    draws: bool = False,
 ) -> Compared:
-    """Run and judge every configuration; results are filtered, smoothed, then `foreign` estimates.
+    """Run every configuration, judged by the truth or by its predictions; results are filtered, then smoothed.
 
-    `foreign` are estimates of other programs. With `asked.reference` smoothed solutions replace the missing truth;
-    the evaluations given to `receivers` do not use them.
-
-    Audits take most of a run's memory. Unless `asked.audits`, they are freed as soon as the run is judged:
-    `receivers` get each run before that, `prediction_receivers` each run in which unused sensors are predicted.
+    Audits take most of a run's memory. Unless `asked.audits`, they are freed as soon as the run is judged; with
+    `draws` the parts that figures need are kept.
     """
-    align = cast("Align", one_of(asked.align, get_args(Align), "align"))
-    drive, robot, reference = loaded.drive, loaded.robot, bool(asked.reference)
+    one_of(asked.align, get_args(Align), "align")
+    drive, robot = loaded.drive, loaded.robot
     if asked.smooth:  # raise early: smoothing needs the optimal gain
         from locfuse.fusion.whole_drive.smooth import check_smoothing
 
         for c in configurations:
             check_smoothing(robot, c.sensors)
     solves: set[frozenset[str]] = set()
-    if reference:
+    if asked.reference:
         from locfuse.fusion.whole_drive.reference import sets
 
         solves = {frozenset(sensors) for sensors in sets(drive)}
-    filtered, smoothed = [], []
-    plain: dict[frozenset[str], JudgedRun] = {}  # by sensors, all at the log's rates
+    filtered, smoothed, runs = list[JudgedRun](), list[JudgedRun](), list[RunInnovations]()
     wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of the filtered ones
+    drawn = Drawn()
     for c in configurations:
         progress(f"fusing {c.name}")
         solve = frozenset(c.sensors) in solves and not c.rates
-        first, *after = _judged(c, loaded, asked, solve, receivers)
+        (first, *after), residuals = _judged(c, loaded, asked, solve, drawn if draws else None)
         filtered.append(first)
+        runs += residuals
         smoothed += after if c.is_smoothed(asked, robot) else []
-        plain |= {} if c.rates else {frozenset(c.sensors): first}
         if after:
-            wholes[first.estimates.name] = after[0].estimates
+            wholes[first[0].name] = after[0][0]
+    judged = {frozenset(e.sensors): own for e, own in filtered if not e.rates}
     present = [s for s in REGISTRY if s in drive.measurements]
-    judged = {sensors: j.evaluation for sensors, j in plain.items()}
     found = credit(judged, present) if drive.truth is not None else None
-    predicted = [] if found is not None else predict(drive, robot, configurations, progress, prediction_receivers)
-    progress("solving the whole drive" if reference else "judging")
-    runs = [run for j in filtered for run in j.evidence]
-    references = None
-    if reference:
-        from locfuse.fusion.whole_drive.reference import References
-
-        alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
-        contradicting = contradictions(predicted, alone)
-        pairs = ((s, j.estimates, wholes.get(j.estimates.name)) for s, j in plain.items())
-        solved = {s: (e, whole) for s, e, whole in pairs if whole is not None}
-        references = References.of(drive, robot, solved, noise_factors(runs, robot), contradicting)
-    others = [_in_frame_of(e, drive, references, align) for e in foreign]
-    every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), how) for e, how in others)]
-    compared = Compared(
+    predicted, densities = ([], {}) if found is not None else predict(drive, robot, configurations, progress)
+    progress("judging")
+    estimates, evaluations = zip(*filtered, *smoothed, strict=True)
+    return Compared(
         loaded=loaded,
         configurations=configurations,
-        estimates=[j.estimates for j in every],
-        evaluations=[j.evaluation for j in every],
+        estimates=estimates,
+        evaluations=evaluations,
         runs=runs,
         credit=found,
         scores=predicted,
+        densities=densities,
         smoothed=wholes,
+        drawn=drawn,
     )
+
+
+def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], progress: Progress) -> Compared:
+    """Add the `foreign` estimates of other programs; with `asked.reference` judge all by smoothed solutions."""
+    drive, robot, plain = compared.loaded.drive, compared.loaded.robot, compared.plain
+    references, align = None, cast("Align", asked.align)
+    if asked.reference:
+        from locfuse.fusion.whole_drive.reference import References
+
+        progress("solving the whole drive")
+        alone = {sensors[0]: name for name, sensors in compared.sets.items() if len(sensors) == 1}
+        contradicting = contradictions(compared.scores, alone)
+        wholes = compared.smoothed
+        solved = {s: (e, wholes[e.name]) for s, (e, _) in plain.items() if e.name in wholes}
+        references = References.of(drive, robot, solved, noise_factors(compared.runs, robot), contradicting)
+    others = [_in_frame_of(e, drive, references, align) for e in foreign]
+    aligns = [align] * len(compared.estimates) + [how for _, how in others]
+    estimates = [*compared.estimates, *(e for e, _ in others)]
+    evaluations = [*compared.evaluations, *(evaluate(e, drive, how) for e, how in others)]
+    compared = replace(compared, estimates=estimates, evaluations=evaluations)
     if references is None:
         return compared
-    again = {j.estimates.name: references.judged(j.evaluation, j.estimates, j.align) for j in every}
+    runs = zip(evaluations, estimates, aligns, strict=True)
+    again = {e.name: references.judged(judged, e, how) for judged, e, how in runs}
     judges = {name: reference for name, (_, reference) in again.items()}
-    effects = {s: e for s in references.present if (e := _effect(references, s, plain)) is not None}
+    effects = {s: e for s in references.present if (e := _effect(references, s, plain, align)) is not None}
     referenced = Referenced(references, judges, effects)
     return replace(compared, reference=referenced, evaluations=[e for e, _ in again.values()])
 
 
-def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]) -> ByReference | None:
+def _effect(
+    references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
+) -> ByReference | None:
     """Return the position errors [m] without and with a sensor, against a reference that does not use it.
 
     None if the reference or one of the two runs is missing.
@@ -191,7 +212,7 @@ def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], 
     if reference is None or before not in plain or after not in plain:
         return None
     runs = {s: plain[s] for s in (before, after)}
-    judged = {s: reference.judge(j.evaluation, j.estimates, j.align) for s, j in runs.items()}
+    judged = {s: reference.judge(own, e, align) for s, (e, own) in runs.items()}
     errors = [e.figures["position_rmse_m"] or 0.0 for e in judged.values()]
     some = min(errors) > 0.0  # a ratio of errors needs both above 0
     found = credit(judged, [sensor]) if some and reference.can_judge(max(errors)) else None
@@ -201,19 +222,22 @@ def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], 
 
 
 def _judged(
-    c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, receivers: Sequence[RunReceiver] = ()
-) -> list[JudgedRun]:
-    """Fuse and judge one configuration; also smooth it if that path is shown, or with `solve` (for references)."""
-    drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
+    c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, drawn: Drawn | None = None
+) -> tuple[list[JudgedRun], list[RunInnovations]]:
+    """Fuse and judge one configuration; also smooth it if that path is shown, or with `solve` (for references).
+
+    Returns the filtered and the smoothed run, and the residuals that show the noise of the sensors.
+    """
+    drive, robot = c.drive(loaded.drive), loaded.robot
+    judged, runs = list[JudgedRun](), list[RunInnovations]()
     shown = c.is_smoothed(asked, robot)
-    how = cast("Align", asked.align)
     for e in c.fuse(loaded.drive, robot, shown or solve):
-        evaluation = evaluate(e, drive, how)
-        for look in receivers if shown or not e.smoothed else ():
-            look(e, evaluation)
-        kept = e if asked.audits else replace(e, audits={})
-        judged.append(JudgedRun(kept, evaluation, how, evidence(drive, e, robot)))
-    return judged
+        evaluation = evaluate(e, drive, cast("Align", asked.align))
+        if drawn is not None and (shown or not e.smoothed):
+            drawn.take(e)
+        judged.append((e if asked.audits else replace(e, audits={}), evaluation))
+        runs += evidence(drive, e, robot)
+    return judged, runs
 
 
 def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
@@ -234,7 +258,9 @@ def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
     return away if away > OTHER_FRAME_M or turned > OTHER_FRAME_RAD else None
 
 
-def _in_frame_of(e: Estimates, drive: Drive, references: References | None, align: str) -> tuple[Estimates, Align]:
+def _in_frame_of(
+    e: Estimates, drive: Drive, references: References | None, align: Align
+) -> tuple[Estimates, Align]:
     """Return a foreign estimate, and how to align it: "origin", with a note, if it starts in another frame.
 
     Its start is compared with the truth, or with the reference that replaces the truth; only for align "none".
@@ -243,21 +269,18 @@ def _in_frame_of(e: Estimates, drive: Drive, references: References | None, alig
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
     away = _other_frame(seen, judge) if align == "none" else None
     if away is None:
-        return e, cast("Align", align)
+        return e, align
     words = f"{e.name}: begins {away:.2f} m from the {what}, so it is of another frame: aligned at its first pose"
     return replace(e, notes=(*e.notes, words)), "origin"
 
 
 def predict(
-    drive: Drive,
-    robot: Robot,
-    configurations: Sequence[Configuration],
-    progress: Progress,
-    prediction_receivers: Sequence[PredictionReceiver] = (),
-) -> list[Score]:
-    """Return the innovation scores of each configuration for the sensors that it does not use."""
+    drive: Drive, robot: Robot, configurations: Sequence[Configuration], progress: Progress
+) -> tuple[list[Score], dict[str, float | None]]:
+    """Return scores and mean density of each configuration's predictions of the sensors that it does not use."""
+    densities: dict[str, float | None] = {}
     if not drive.measurements:
-        return []
+        return [], densities
     sets = [
         ((), configuration_name((), drive)),
         *((c.sensors, c.name) for c in configurations if c.sensors and not c.rates),
@@ -266,13 +289,13 @@ def predict(
     def tried() -> Iterator[Estimates]:
         for sensors, name in sets:
             progress(f"trying how {name} predicts the rest")
-            e = fuser(robot.preset)(drive, robot, sensors, name, listeners(drive, sensors))
-            for take in prediction_receivers:
-                take(e)
+            flags = listeners(drive, sensors)
+            e = fuser(robot.preset)(drive, robot, sensors, name, flags)
+            densities[name] = mean_density(drive, e, flags)
             yield e
             del e
 
-    return scores(drive, tried())
+    return scores(drive, tried()), densities
 
 
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:

@@ -14,8 +14,7 @@ import numpy as np
 from locfuse.formats.logs.clock import MAX_DELAY_S
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Estimates, Evaluation, Event, RunningNis
-from locfuse.fusion.judge.evaluate import running_nis
+from locfuse.fusion.data import Estimates, Event
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
@@ -36,24 +35,8 @@ if TYPE_CHECKING:
 MCAP = "estimates.mcap"
 
 
-class Drawn:
-    """Parts of the audits that figures need, collected as each configuration is judged."""
-
-    def __init__(self) -> None:
-        self.nis: dict[tuple[str, str], RunningNis] = {}  # (configuration, sensor)
-        self.best: Estimates | None = None  # of the run with the most sensors
-
-    def take(self, e: Estimates, _evaluation: Evaluation) -> None:
-        """Store the running NIS of a run, and its estimates if it has more sensors than all earlier runs."""
-        self.nis |= {(e.name, s): running_nis(audit, e.t) for s, audit in e.audits.items()}
-        if self.best is None or len(e.sensors) > len(self.best.sensors):
-            self.best = e
-
-
-def files(
-    compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
-) -> dict[str, Content]:
-    """Return file name -> content for these kinds of output; `drawn` has NIS and estimates for the html page."""
+def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
+    """Return file name -> content for these kinds of output."""
     from locfuse.formats.report import json_report, markdown, tables
     from locfuse.formats.results import trajectory as to
 
@@ -63,7 +46,7 @@ def files(
         out |= {f"{e.name}.tum": partial(to.write_blocks, to.tum_blocks(drive, e)) for e in compared.estimates}
         out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
     made: dict[str, Callable[[], str]] = {
-        "html": lambda: page(compared, drawn, report),
+        "html": lambda: page(compared, report),
         "md": lambda: markdown.render(report),
         "csv": lambda: tables.csv(report),
         "tex": lambda: tables.latex(report),
@@ -90,28 +73,28 @@ def files_of_run(
     return out
 
 
-def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
+def page(compared: Compared, report: Mapping[str, Any]) -> str:
     """Return report.html."""
     from locfuse.formats.figures.sections import sections
     from locfuse.formats.report import html
 
-    return html.render(report, sections(scene(compared, drawn)), colours())
+    return html.render(report, sections(scene(compared)), colours())
 
 
-def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
+def figure_files(compared: Compared) -> dict[str, bytes]:
     """Return file name -> content for every figure as SVG and PDF."""
     from locfuse.formats.figures.for_paper import paper_figures
     from locfuse.formats.figures.palette import traces_of
     from locfuse.formats.figures.sections import sections
 
-    return paper_figures(sections(scene(compared, drawn)), traces_of(compared.estimates), colours())
+    return paper_figures(sections(scene(compared)), traces_of(compared.estimates), colours())
 
 
-def scene(compared: Compared, drawn: Drawn) -> Scene:
+def scene(compared: Compared) -> Scene:
     """Return all data that figures show: drive, estimates, evaluations, and NIS with chi-square bounds."""
     from locfuse.formats.figures.scene import Scene
 
-    drive = compared.loaded.drive
+    drive, drawn = compared.loaded.drive, compared.drawn
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
     return Scene(
         drive=drive,

@@ -146,10 +146,7 @@ class Repeated(msgspec.Struct, frozen=True):
 
         `which` is "ours" for locfuse's filter, or "print" for the equations as printed in the paper.
         """
-        comparison = self.compared[which]
-        found = {
-            p.name: p for s in sections(outputs.scene(comparison.compared, comparison.drawn)) for p in s.panels
-        }
+        found = {p.name: p for s in sections(outputs.scene(self.compared[which].compared)) for p in s.panels}
         tail = "" if which == "ours" else "_print"
         map_ = found["trajectories"]
         bare = replace(map_, marks=tuple(m for m in map_.marks if not (isinstance(m, Spots) and m.of == "time")))

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
-from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.cli.advice.report import fixes_file, forget_fixes
@@ -73,7 +72,6 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     compared: Compared
     report: dict[str, Any]
-    drawn: outputs.Drawn = field(default_factory=outputs.Drawn)
 
     @property
     def loaded(self) -> Loaded:
@@ -169,8 +167,8 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         from locfuse.formats.figures.palette import traces_of
         from locfuse.formats.figures.where import trajectories
 
-        scene = outputs.scene(self.compared, outputs.Drawn())
-        return trajectories(scene).panels[0], traces_of(self.estimates.values())
+        panel = trajectories(outputs.scene(self.compared)).panels[0]
+        return panel, traces_of(self.estimates.values())
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per result, for pandas.DataFrame or polars.DataFrame: the columns of report.csv.
@@ -311,9 +309,9 @@ class Comparison(Result, frozen=True, eq=False):
         return self.compared.credit
 
     def _files(self, write: Kinds) -> dict[str, Content]:
-        return outputs.files(self.compared, self.drawn, self.report, chosen(write, OF_COMPARISON))
+        return outputs.files(self.compared, self.report, chosen(write, OF_COMPARISON))
 
     @speaks_python
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""
-        return self._written(folder, outputs.figure_files(self.compared, self.drawn), overwrite=True)
+        return self._written(folder, outputs.figure_files(self.compared), overwrite=True)

@@ -13,10 +13,9 @@ from msgspec.structs import replace
 
 from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
-from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log
+from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log, with_others
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
-from locfuse.cli.analysis.outputs import Drawn
 from locfuse.cli.analysis.refused_motion import unjudged
 from locfuse.cli.analysis.results import say_motion
 from locfuse.cli.analysis.settings import (
@@ -234,23 +233,17 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         asked = replace(asked, reference=self._uses_reference(asked))
         wanted = for_comparison(asked.sensors, self.drive, asked.all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
-        drawn = Drawn()
-        moves = not (self.drive.wheels.stands or self.loaded.motion_faults)
-        evaluator = None
+        alone = compare_log(self.loaded, wanted, asked, self.progress, draws=True)
+        compared = with_others(alone, asked, foreign, self.progress)
+        report = report_of(compared, None if foreign or self.loaded.given is None else asked)
+        advised, moves = None, not (self.drive.wheels.stands or self.loaded.motion_faults)
         if asked.advice and moves:
             from locfuse.cli.advice.evaluator import Evaluator  # imports all checks
 
-            evaluator = Evaluator(self.loaded, self.progress, asked.align)
-        runs, listened = (
-            ([], []) if evaluator is None else (evaluator.run_receivers, evaluator.prediction_receivers)
-        )
-        receivers = [drawn.take, *runs]
-        compared = compare_log(self.loaded, wanted, asked, self.progress, receivers, foreign, listened)
-        report = report_of(compared, None if foreign or self.loaded.given is None else asked)
-        advised = None if evaluator is None else evaluator.advised()
+            advised = Evaluator(self.loaded, self.progress, asked.align, alone).advised()
         others = [e.name for e in foreign]
-        report = self._reported(report, compared, asked, advised, evaluator is not None, others)
-        return Comparison(compared, report, drawn)
+        report = self._reported(report, compared, asked, advised, advised is not None, others)
+        return Comparison(compared, report)
 
     def _uses_reference(self, asked: Asked) -> bool:
         """Return whether errors are measured against a smoothed solution (a reference) instead of the truth.

@@ -259,24 +259,18 @@ def size(table: Any) -> int:
 
 
 @pytest.fixture(scope="module")
-def compared() -> tuple[Compared, list[Estimates]]:
-    seen: list[Estimates] = []
+def compared() -> Compared:
     loaded = load([sample_logs.path("rounded_rectangle")], LogOptions(quiet=True))
-    wanted = for_comparison((), loaded.drive)
-    asked = Asked(audits=False)
-    return compare_log(loaded, wanted, asked, lambda _: None, receivers=[lambda e, _: seen.append(e)]), seen
+    return compare_log(loaded, for_comparison((), loaded.drive), Asked(audits=False), lambda _: None, draws=True)
 
 
-def test_audits_end_with_the_judgement(compared: tuple[Compared, list[Estimates]]) -> None:
-    found, seen = compared
-    assert sorted(e.name for e in seen) == sorted(e.name for e in found.estimates)
-    assert all(set(e.audits) == set(e.sensors) for e in seen)
-    assert not any(e.audits for e in (*found.estimates, *(run.estimates for run in found.runs)))
+def test_audits_end_with_the_judgement(compared: Compared) -> None:
+    assert compared.drawn.nis.keys() == {(e.name, s) for e in compared.estimates for s in e.sensors}
+    assert not any(e.audits for e in (*compared.estimates, *(run.estimates for run in compared.runs)))
 
 
-def test_of_a_run_a_few_numbers_an_instant_remain(compared: tuple[Compared, list[Estimates]]) -> None:
-    found, _ = compared
-    truth = present(found.loaded.drive.truth)
-    for e, judged in zip(found.estimates, found.evaluations, strict=True):
+def test_of_a_run_a_few_numbers_an_instant_remain(compared: Compared) -> None:
+    truth = present(compared.loaded.drive.truth)
+    for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
         assert size(e) <= 8 * (12 * len(e.t) + 12 * len(truth.t))
         assert size(judged) <= 8 * 13 * len(truth.t)

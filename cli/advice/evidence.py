@@ -7,7 +7,7 @@ these are right.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -58,7 +58,7 @@ from locfuse.fusion.judge.innovations import compare_readings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
-from .judged import LASER, UNREMARKABLE, NoiseFindings, Offer, as_fixes
+from .judged import LASER, UNREMARKABLE, NoiseFindings, as_fixes
 
 TRIED_SIGMAS = 2.5  # standard deviations of a time lag: a larger lag is tried
 MIN_AGAIN_S = 0.005  # least change of a time offset that a fix has set before
@@ -70,7 +70,6 @@ SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious wit
 # codes of findings with a measured value: by truth, magnetic field, stamps or straight walls
 MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
 MAX_SCAN_PERIOD_S = 0.4  # with a longer one the laser's path follows the wheels between scans
-Key = tuple[str, str]  # role and code of a finding
 KEYLESS = {OPEN_SCALE, CREEP, BUMP, SWAPPED, UNEVEN}  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 
@@ -83,7 +82,7 @@ class Evidence(NoiseFindings):
         noise = any(f.verdict not in UNREMARKABLE for f in self.consistency.values())
         claims_too_much = bool(overconfident_by_truth(self.covariance_checks))
         lost = any(e.lost for e in self.compared.estimates)
-        seen = (
+        return (
             noise
             or claims_too_much
             or lost
@@ -92,9 +91,6 @@ class Evidence(NoiseFindings):
             or bool(self._mounts_found)
             or bool(self._beyond_prior)
             or bool(self._distances)
-        )
-        return (
-            seen
             or bool(self._biases_again)
             or self._slips_unusually
             or self._ranges_scatter
@@ -136,8 +132,8 @@ class Evidence(NoiseFindings):
 
     def start(self) -> list[Candidate]:
         """Return the finding on a wrong start, which is fixed first since it affects every error."""
-        found = [f for f in self.doctor if f.code == START]
-        return self._candidates(found, (), [(f.role, f.code) for f in found], ())
+        found = (f for f in self.doctor if f.code == START and f.fixes)
+        return [replace(self._candidate(f, (f.fixes,), not f.severe), measured=True) for f in found]
 
     @cached_property
     def wrong(self) -> list[tuple[Clock, ...]]:
@@ -212,20 +208,34 @@ class Evidence(NoiseFindings):
         named = {(f.role, f.code) for f in probed}
         mounts = [] if no_mount else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
-        offers = [(f, (f.fixes,)) for f in found if f.fixes]
         # a state's sigma is valid only in a consistent or underconfident run; without truth, a mount state absorbs
         # errors of the wheels too: a yaw their sideways motion, and a position their scales, unless these are states
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
-        shown = [f for f in (found if by_truth else probed) if by_truth or not any(".yaw" in fix for fix in f.fixes)]
-        measured = {(f.role, f.code) for f in found if f.role in fine and (f.code != MOUNT or f in shown)}
-        seen = [f for f in self.doctor if f.code not in {CLOCK, START}]
-        known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
+        shown = found if by_truth else [f for f in probed if not any(".yaw" in fix for fix in f.fixes)]
+        seen = [self._unless_open(f) for f in self.doctor if f.code not in {CLOCK, START}]
+        # a sensor whose readings are all rejected gets no candidate
+        known = [self._seen(f) for f in seen if (f.fixes or f.code in KEYLESS) and self.judges(f.role)]
+        sharper = [
+            replace(
+                self._candidate(f, (f.fixes,), True), measured=f.role in fine and (f.code != MOUNT or f in shown)
+            )
+            for f in found
+            if f.fixes
+        ]
         scales = [] if self._open_scale else [self._unless_open(f) for f in self._distances]
         if any(f.code == OPEN_SCALE and not f.fixes for f in scales):
             scales = scales[:1]  # no fix of the wheels either: prediction gets better if both are equally wrong
         open_ = [self._candidate(f, ()) for f in found if not f.fixes]
-        return [*known, *open_, *(self._candidate(f, (f.fixes,) if f.fixes else ()) for f in scales)]
+        ways = [self._candidate(f, (f.fixes,) if f.fixes else ()) for f in scales]
+        return [*known, *sharper, *open_, *ways]
+
+    def _seen(self, finding: Finding) -> Candidate:
+        """Return the candidate fixes of a finding by comparison of the sensors."""
+        measured = finding.code in MEASURED
+        ways = (*_alternatives(finding), *self._with_camera_offset(finding))
+        one = self._candidate(finding, ways, not (finding.severe or measured))
+        return replace(one, measured=measured, by_shape=one.key in SIGN_FAULTS)
 
     def slips(self) -> list[Candidate]:
         """Return the candidate fix of wheels.noise, if turns show slip and the distance scale is certain."""
@@ -238,36 +248,6 @@ class Evidence(NoiseFindings):
         if drive.truth is not None or drive.wheels.matched is not None:
             return []
         return [f for e in self.runs_alone(LASER) for f in of_ways(drive, robot, e)]
-
-    def _candidates(
-        self,
-        seen: Sequence[Finding],
-        offers: Sequence[Offer],
-        by_measuring: Collection[Key],
-        by_offers: Collection[Key],
-    ) -> list[Candidate]:
-        """Return candidate fixes of the findings `seen`, and of `offers`: pairs (finding, fixes to try).
-
-        `by_measuring` and `by_offers` are the keys of findings in `seen` and in `offers` with a measured value.
-        A sensor whose readings are all rejected gets no candidate.
-        """
-        seen = [self._unless_open(f) for f in seen]
-        known = {(f.role, f.code) for f in seen}
-        judged = [f for f in seen if (f.fixes or f.code in KEYLESS) and self.judges(f.role)]
-        coarse = [
-            self._candidate(
-                f, (*_alternatives(f), *self._with_camera_offset(f)), not (f.severe or f.code in MEASURED)
-            )
-            for f in judged
-        ]
-        # an offer for a finding that is also in `seen` is tried only with its first value
-        sharper = [
-            self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
-        ]
-        return [
-            *(replace(c, measured=c.key in by_measuring, by_shape=c.key in SIGN_FAULTS) for c in coarse),
-            *(replace(c, measured=c.key in by_offers) for c in sharper),
-        ]
 
     def _with_camera_offset(self, finding: Finding) -> tuple[Fixes, ...]:
         """Combine the fix of a mirrored picture or displaced picture circle with the camera's new zero direction.
@@ -311,12 +291,7 @@ class Evidence(NoiseFindings):
         """Yield a finding if, by the run with all sensors, the truth tracks another point than configured."""
         truth = self.loaded.drive.truth
         for e in self.compared.estimates:
-            if (
-                truth is not None
-                and e.name == self._all()
-                and e.truth_pose is not None
-                and not (e.smoothed or e.lost)
-            ):
+            if truth is not None and e.name == self._all() and e.truth_pose is not None and not e.lost:
                 yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
 
     def _probed(self) -> Iterator[Finding]:
@@ -363,7 +338,7 @@ class Evidence(NoiseFindings):
         found = [
             self._candidate(f, (f.fixes,), True)
             for e in self.compared.estimates
-            if e.name == self._all() and not e.smoothed and self.loaded.drive.truth is not None
+            if e.name == self._all() and self.loaded.drive.truth is not None
             for f in of_offsets(self.loaded.robot, e)
         ]
         found += [

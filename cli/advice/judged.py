@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
-from locfuse.cli.analysis.verdicts import sensors_consistency
+from locfuse.cli.analysis.verdicts import overconfident_by_truth
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import of_offset, ranges_sigma, scatter_more
@@ -22,7 +22,7 @@ from locfuse.fusion.checks.slip import WheelSlip, beside_path, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.checks.truth import FEW, START
 from locfuse.fusion.data import BASES, Estimates
-from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
+from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, judge, many_refused
 from locfuse.fusion.judge.evaluate import covariance_check
 from locfuse.fusion.judge.innovations import OwnInnovations, own
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -40,16 +40,14 @@ def as_fixes(fix_values: Mapping[str, float]) -> Fixes:
     return tuple(f"{key}={value:g}" for key, value in fix_values.items())
 
 
-Offer = tuple[Finding, tuple[Fixes, ...]]  # a finding with settings to try
-
-
 class Judged:
     """One log compared under some settings, with the configurations that judge fixes of each sensor."""
 
     def __init__(self, compared: Compared, trial: Trial, fixes: Fixes) -> None:
         self.compared, self.trial, self.fixes = compared, trial, fixes
-        self.covariance_checks = {e.name: covariance_check(e) for e in compared.evaluations if not e.smoothed}
-        by_run = sensors_consistency(compared.runs, compared.loaded.robot, self.covariance_checks)
+        self.covariance_checks = {e.name: covariance_check(e) for e in compared.evaluations}
+        overconfident = overconfident_by_truth(self.covariance_checks)
+        by_run = judge(compared.runs, compared.loaded.robot, overconfident)
         self.consistency = {s: found for by_sensor in by_run.values() for s, found in by_sensor.items()}
 
     @property
@@ -61,9 +59,7 @@ class Judged:
     def doctor(self) -> list[Finding]:
         """Findings by comparison of the sensors with each other (`fusion.checks`)."""
         loaded = self.trial.whole_under(self.fixes)
-        if loaded is None or loaded.robot.preset != "default":
-            return []
-        if any(loaded.window) and not loaded.how.beside_hole:
+        if loaded is None or (any(loaded.window) and not loaded.how.beside_hole):
             return []  # checks need whole drives
         streams = {role: loaded.stream(role) for role in loaded.choice.topics}
         found = examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
@@ -161,7 +157,7 @@ class Judged:
 
     def runs_alone(self, *sensors: str) -> list[Estimates]:
         """Return the filtered runs with one sensor that were never lost, of all sensors or only of `sensors`."""
-        runs = (e for e in self.compared.estimates if len(e.sensors) == 1 and not e.smoothed and not e.lost)
+        runs = (e for e in self.compared.estimates if len(e.sensors) == 1 and not e.lost)
         return [e for e in runs if not sensors or e.sensors[0] in sensors]
 
 

@@ -51,13 +51,6 @@ def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[RunInnova
     return [] if estimates.smoothed or robot.preset == "paper" else [RunInnovations.of(drive, estimates)]
 
 
-def sensors_consistency(
-    runs: Sequence[RunInnovations], robot: Robot, by_truth: Mapping[str, CovarianceCheck | None]
-) -> dict[str, dict[str, Consistency]]:
-    """Return verdicts on the noise of each sensor by configuration and sensor; {} without runs."""
-    return judge(runs, robot, overconfident_by_truth(by_truth)) if runs else {}
-
-
 def overconfident_by_truth(check: Mapping[str, CovarianceCheck | None]) -> set[str]:
     """Return the names of configurations whose errors to the truth exceed their covariance."""
     return {name for name, h in check.items() if h is not None and h.overconfident}
@@ -74,7 +67,7 @@ def add_consistency(
     if not runs:
         return
     verdicts: dict[str, dict[str, Any]] = {}
-    judged = sensors_consistency(runs, robot, by_truth)
+    judged = judge(runs, robot, overconfident_by_truth(by_truth))
     for name, sensors in judged.items():
         for sensor, consistency in sensors.items():
             using = [by_truth.get(n) for n, used in judged.items() if sensor in used]
@@ -105,7 +98,7 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Covari
 
 def noise_factors(runs: Sequence[RunInnovations], robot: Robot) -> dict[str, float]:
     """Return {sensor: factor >= 1} by which to multiply the sigma of each sensor whose sigma is too small."""
-    found = {s: c for sensors in sensors_consistency(runs, robot, {}).values() for s, c in sensors.items()}
+    found = {s: c for sensors in judge(runs, robot).values() for s, c in sensors.items()}
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 

@@ -40,10 +40,10 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
     from locfuse.formats.report import json_report, markdown, tables
     from locfuse.formats.results import trajectory as to
 
-    out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
+    loaded, drive = compared.loaded, compared.loaded.drive
+    out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
     if "tum" in kinds:
-        drive = compared.loaded.drive
-        out |= {f"{e.name}.tum": partial(to.write_blocks, to.tum_blocks(drive, e)) for e in compared.estimates}
+        out |= exported_files(["tum"], loaded, {e.name: e for e in compared.estimates})
         out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
     made: dict[str, Callable[[], str]] = {
         "html": lambda: page(compared, report),
@@ -60,14 +60,9 @@ def files_of_run(
 ) -> dict[str, Content]:
     """Return file name -> content for one configuration; `named` has its trajectories by file name."""
     from locfuse.formats.report import json_report
-    from locfuse.formats.results import trajectory as to
 
     out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
-    for name, e in named.items():
-        if "tum" in kinds:
-            out[f"{name}.tum"] = partial(to.write_blocks, to.tum_blocks(loaded.drive, e))
-        if "csv" in kinds:
-            out[f"{name}.csv"] = partial(to.write_blocks, to.csv_blocks(loaded.drive, e))
+    out |= exported_files([kind for kind in kinds if kind != "json"], loaded, named)
     if "json" in kinds:
         out["run.json"] = json_report.encode(report)
     return out

@@ -31,7 +31,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.landmarks import POSES
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .mounts import BASE_FRAMES, CAMERA_INFO, last_word
+from .mounts import CAMERA_INFO, is_base, is_fixed, last_word
 from .topics import filled
 
 if TYPE_CHECKING:
@@ -69,11 +69,10 @@ NOT_READ: dict[str, dict[str, str]] = {
     },
 }
 LASER_NAME = re.compile("velodyne|lidar|ouster|hesai|rslidar|laser|points_raw|livox|scan")  # in topic names
-FIXED_FRAMES = ("map", "odom", "world", "earth", "camera_init")  # a cloud in them is a map, no sensor reading
+SLAM_FRAME = "camera_init"  # a fixed frame too; a cloud in one is a map, no sensor reading
 MIN_CLOUDS = 5  # messages of a cloud topic: fewer are a map
 MIN_TAGS = 2  # frames named like tags below one camera: a single one may be no tag
 CAMERA_NAME = re.compile("camera|cam_|_cam|optical|webcam|realsense|kinect|oak|zed|rgb")  # in frame names
-ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera mounted there is not on the robot
 
 
 def not_read(log: Log, role: str) -> str:
@@ -110,7 +109,8 @@ def offer_presented(log: Log) -> None:
 def _clouds(log: Log) -> list[str]:
     """Return point cloud topics in sensor frames: names of lasers first, then by falling message count."""
     clouds = [t for t in filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
-    clouds = [t for t in clouds if log.stream(t).frame_id.rpartition("/")[2] not in FIXED_FRAMES]
+    frames = {t: log.stream(t).frame_id for t in clouds}
+    clouds = [t for t in clouds if not (is_fixed(frames[t]) or last_word(frames[t]) == SLAM_FRAME)]
     return sorted(clouds, key=lambda t: (not LASER_NAME.search(t.lower()), -log.topics[t].count, t))
 
 
@@ -143,8 +143,8 @@ def _cameras(log: Log, topic: str) -> list[str]:
 
 def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
     """Return whether a frame may be on the robot: in /tf below a base frame, or not below map, world or odom."""
-    above = [last_word(parent) for parent, _ in ancestors(transforms, frame)]
-    return any(parent in BASE_FRAMES for parent in above) or not any(parent in ROOM_FRAMES for parent in above)
+    above = [parent for parent, _ in ancestors(transforms, frame)]
+    return any(map(is_base, above)) or not any(map(is_fixed, above))
 
 
 def _is_camera(log: Log, frame: str) -> bool:

@@ -12,7 +12,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.formats.logs.adapters import PRESENTED, presented_name
 from locfuse.formats.logs.log import Log
 from locfuse.fusion import se2
-from locfuse.fusion.data import BASES, Array, Drive, Estimates, LocfuseError, Stream, UsageError
+from locfuse.fusion.data import BASES, PLANE_ROWS, Array, Drive, Estimates, LocfuseError, Stream, UsageError
 from locfuse.fusion.judge.against import interpolated
 from locfuse.fusion.sensors.pose import WITH_COVARIANCE
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -20,7 +20,6 @@ from locfuse.fusion.wheels.odometry import POSE
 
 ESTIMATE_NAME = re.compile(r"[A-Za-z][\w.-]*")
 COVARIANCE = "pose.covariance"
-PLANE_ROWS = (0, 1, 5)  # rows of x, y and yaw in a ROS pose covariance (6, 6)
 UPPER_TRIANGLE = np.triu_indices(3)
 
 

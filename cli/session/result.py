@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +16,7 @@ from locfuse.cli.analysis import outputs, results
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
+from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.report.findings import void_reasons
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, UsageError
@@ -51,8 +51,8 @@ class Named(dict[str, V]):
 
     def __missing__(self, name: str) -> V:
         """Raise UnknownNameError with the most similar name, since the name is unknown."""
-        near = difflib.get_close_matches(str(name), self, 1)
-        hint = f"; did you mean {near[0]}?" if near else "."
+        near = did_you_mean(str(name), self)
+        hint = f"; {near}" if near else "."
         known = ", ".join(self) or "none"
         raise UnknownNameError(f"no {self._what} {name!r} in this result{hint} There are: {known}")
 

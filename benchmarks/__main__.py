@@ -69,7 +69,7 @@ def module(name: str, *words: str | Path) -> Command:
 
 def locfuse(*words: str | Path) -> Command:
     """Return a command line of the product."""
-    return (sys.executable, "-m", "locfuse.cli", *map(str, words))
+    return (sys.executable, "-m", "locfuse", *map(str, words))
 
 
 def figures(logs: Sequence[Path], out: Path, minutes: float) -> list[Figure]:

@@ -218,7 +218,7 @@ def test_gates_hold_although_the_reader_has_left(tmp_path: Path, how: tuple[str,
     read, write = os.pipe()
     os.close(read)
     gate = ("--fail-if", "odometry.position_rmse_m > 0", *(() if both else ("-q",)))
-    command = [sys.executable, "-m", "locfuse.cli", *ODOMETRY, "-o", str(tmp_path), *gate, *how]
+    command = [sys.executable, "-m", "locfuse", *ODOMETRY, "-o", str(tmp_path), *gate, *how]
     stderr = write if both else subprocess.PIPE
     done = subprocess.run(command, stdout=write, stderr=stderr, text=True, check=False, timeout=300)
     os.close(write)

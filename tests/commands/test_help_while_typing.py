@@ -32,7 +32,7 @@ def offered(*words: str) -> set[str]:
         "COMP_CWORD": str(len(words) - 1),
     }
     done = subprocess.run(
-        [sys.executable, "-m", "locfuse.cli"],
+        [sys.executable, "-m", "locfuse"],
         env={**os.environ, **asked},
         capture_output=True,
         text=True,

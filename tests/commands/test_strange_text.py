@@ -18,7 +18,7 @@ from locfuse.formats.report import json_report
 from locfuse.formats.visible import UNSEEN, escaped, visible, visible_lines, writable
 
 TITLE = "\x1b]0;pwned\x07"
-ENTRY = [sys.executable, "-m", "locfuse.cli"]
+ENTRY = [sys.executable, "-m", "locfuse"]
 
 
 @given(st.text())

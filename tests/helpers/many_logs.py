@@ -20,7 +20,7 @@ from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import KINDS, summary_files
 from locfuse.fusion.sensors.registry import colours
 
-LOCFUSE = (sys.executable, "-m", "locfuse.cli")
+LOCFUSE = (sys.executable, "-m", "locfuse")
 QUIET = ("--write", "json,csv,html", "-q")
 
 

@@ -58,7 +58,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "fleet",
         "terminal",
         "commands main",
-        "__main__ facade",
+        "facade",
     ),
 }
 # what each top folder may import besides itself and the standard library

@@ -157,7 +157,7 @@ def test_a_recording_cut_short_is_refused(recording: Path, tmp_path: Path, share
 def test_the_web_view_is_reachable_from_this_machine_only(recording: Path) -> None:
     port = viewer.free_port(0)
     environment = {k: v for k, v in os.environ.items() if k not in {"DISPLAY", "WAYLAND_DISPLAY"}}
-    command = [sys.executable, "-m", "locfuse.cli", "view", str(recording), "--web", "--web-port", str(port)]
+    command = [sys.executable, "-m", "locfuse", "view", str(recording), "--web", "--web-port", str(port)]
     server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:
         deadline = time.monotonic() + 300

@@ -37,9 +37,8 @@ from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from .choose import choose
-from .motion_evidence import path_of
+from .motion_evidence import STANDS, find_motion_faults, path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
-from .refused_motion import STANDS, find_motion_faults
 from .robot_tables import (
     flat,
     given_tables,

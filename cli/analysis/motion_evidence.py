@@ -1,4 +1,4 @@
-"""Agreement of a log's motion topics with its other sensors: with the laser, else with gyro, compass or GPS.
+"""Agreement of motion topics with other sensors (laser, else gyro, compass or GPS); faults of the chosen motion.
 
 With a laser a measured motion is kept if about as many scan points agree as by scan matching (limits of this test:
 `fusion.wheels.scan_agreement`). If scans cannot distinguish motions, all are kept and the topic's type decides.
@@ -12,20 +12,23 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
+import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import LocfuseError, Measurements
+from locfuse.fusion.checks.examine import too_short
+from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.level import FIELD, IMU
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
-from locfuse.fusion.truth import FIX
+from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.motion import turns_explained, ways_explained
+from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from .mounts import mount_tables, transforms_of
-from .topics import of_sensor
+from .topics import Choice, Note, filled, of_sensor, of_type
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -301,3 +304,64 @@ def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) ->
         stream = log.stream(topic, robot.order)
         return REGISTRY[name].measure(stream, robot.settings(name), motion.wheels, motion.epoch_ns)
     return None
+
+
+# --- The chosen motion is not the robot's: commands, poses of other bodies, jumps, a constant pose. Such a log is
+# fused, so that the files can be inspected, but every figure is void (exit code 3).
+
+STANDS = "the robot does not move in this log, so no sensor can be judged"
+MAX_PERIOD_S = 5.0  # of the motion's readings: in more a robot may turn round
+MIN_WAY_M = 1.0  # path length by another topic that counts as motion
+MIN_FIX_SPREAD_M = 15.0  # fixes of a standing receiver drift by some metres
+
+
+def unjudged(drive: Drive) -> str:
+    """Return why a drive judges no sensor (the robot stands, or the drive is short), else ""."""
+    return STANDS if drive.wheels.stands else too_short(drive)
+
+
+def find_motion_faults(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
+    """Return the reasons why the chosen motion is not the robot's; () without one."""
+    found = [note for note in choice.notes if note.is_fault]
+    topics = " and ".join(choice.of("wheels"))
+    if motion.doubt:
+        found.append(Note("wheels", f"{topics}: {motion.doubt}", (), is_fault=True))
+    t = motion.wheels.t
+    if float(period := np.median(np.diff(t))) > MAX_PERIOD_S:
+        words = f"{topics}: {len(t)} readings in {t[-1] - t[0]:.1f} s, one each {period:.1f} s"
+        why = "the way in between is unknown. Record at least one each second"
+        found.append(Note("wheels", f"{words}: {why}", (), is_fault=True))
+    return (*found, *_standing(log, robot, choice, motion))
+
+
+def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> Iterator[Note]:
+    """Yield a note if the chosen motion is constant while another topic moves."""
+    if not motion.wheels.stands:
+        return
+    own = " and ".join(choice.of("wheels"))
+    for topic in filled(log, *SPEED):
+        kind = log.topics[topic].msgtype
+        if topic in choice.of("wheels") or commanded(topic, kind) or looks_like_truth(topic):
+            continue
+        if (moved := _moved(log, robot, topic)) > MIN_WAY_M:
+            words = f"{own} never moves, but {topic} moves {moved:.1f} m"
+            yield Note("wheels", words, (f"wheels.topic={topic}",), is_fault=True)
+            return
+    for topic in of_type(log, (FIX,)):
+        if (spread := _spread(seen(log, robot, "gps", topic, motion))) > MIN_FIX_SPREAD_M:
+            words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart"
+            yield Note("wheels", words, is_fault=True)
+            return
+
+
+def _moved(log: Log, robot: Robot, topic: str) -> float:
+    """Return the path length [m] by a topic; 0 if it cannot be read."""
+    motion = motion_of(log, robot, [topic], {})
+    return 0.0 if motion is None else float(np.hypot(*np.diff(motion.wheels.pose[:, :2], axis=0).T).sum())
+
+
+def _spread(fixes: Measurements | None) -> float:
+    """Return the larger extent [m] of the fixes, east or north, between their 5 % and 95 % quantiles."""
+    if fixes is None:
+        return 0.0
+    return float(np.ptp(np.percentile(fixes.z, (5.0, 95.0), axis=0), axis=0).max())

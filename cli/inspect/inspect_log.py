@@ -17,8 +17,8 @@ from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
 from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured, unbroken
 from locfuse.cli.analysis.maps import GRID
+from locfuse.cli.analysis.motion_evidence import STANDS
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
-from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
 from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.cli.analysis.topics import Choice, filled, of_type

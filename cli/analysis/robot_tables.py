@@ -100,7 +100,9 @@ def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, 
 
     For each key the last of these wins: preset, attachment of the log, --robot, --set.
     """
-    layers = _layers(log, how)
+    layers = given_layers(how)
+    if (own_tables := attached(log, quiet=bool(how.robots))) is not None:
+        layers = {"robot.toml in the log": _of_log(log, own_tables, layers), **layers}
     tables = robot_toml.layered(*layers.values())
     tables.setdefault("preset", "default")
     sources = {key: who for who, above in layers.items() for key in flat(above)}
@@ -125,14 +127,6 @@ def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
     """
     window = {name: bound for name, bound in (("from", how.begin), ("to", how.end)) if bound is not None}
     return with_files(robot_toml.layered(*given_layers(how, more).values(), window))
-
-
-def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
-    """Return the tables of each source; later ones override earlier ones."""
-    layers = given_layers(how)
-    if (tables := attached(log, quiet=bool(how.robots))) is not None:
-        layers = {"robot.toml in the log": _of_log(log, tables, layers), **layers}
-    return layers
 
 
 def attached(log: Log, quiet: bool = True) -> dict[str, Any] | None:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -53,9 +53,6 @@ from .robot_tables import (
 from .settings import LogOptions, Progress, silent
 from .topics import Choice, Note
 
-if TYPE_CHECKING:
-    from locfuse.fusion.wheels.motion_by_scans import MatchedScans
-
 # scan-to-scan matching cannot observe the laser's mount
 EXACT_LASER = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
 SAME_SCANS = (
@@ -77,7 +74,6 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
     sources: Mapping[str, str] = field(default_factory=dict)  # key -> its source: "lrf.x" -> "--set"
     given: Mapping[str, Any] | None = None  # settings from the user; None: the result has no key
     how: LogOptions = LogOptions()
-    matched: MatchedScans | None = None  # scan matching, if it gives the motion
     reading: WheelReading | None = None  # the motion of the whole log; None: read it again
     motion_faults: tuple[Note, ...] = ()  # why the motion is not the robot's; with any, all figures are void
 
@@ -162,14 +158,6 @@ def unbroken(loaded: Loaded) -> tuple[Loaded, list[Finding]]:
     return _in_window(replace(loaded, how=part)), of_holes(loaded.drive, found)
 
 
-def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool) -> Loaded:
-    """Load a log; after measuring, free its columns in memory unless they will be `read_again`."""
-    loaded = load(log, how, progress)
-    if not read_again:
-        loaded.log.forget()
-    return loaded
-
-
 def measured(
     log: Log,
     tables: Mapping[str, Any],
@@ -211,7 +199,6 @@ def measured(
         raise LocfuseError(moving["lrf"], role="lrf")
     wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
     wanted = level_compass(log, wanted, robot, transforms)
-    matched = None
     if by_scans:  # the robot's motion by its laser alone, if no wheels were recorded
         progress("matching scans")
         matched = path_of(log, choice.of("wheels")[0], robot.order, laser_of(robot.settings("lrf")))
@@ -242,7 +229,7 @@ def measured(
     )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     faults = find_motion_faults(log, robot, choice, motion)
-    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, motion_faults=faults)
+    return Loaded(log, robot, choice, drive, tables, reading=motion, motion_faults=faults)
 
 
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:

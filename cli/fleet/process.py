@@ -19,7 +19,7 @@ from contextlib import suppress
 from locfuse.cli.advice.together import looks, numbers_of
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.errors import expected
-from locfuse.cli.analysis.load import load, load_to_fuse, with_settings
+from locfuse.cli.analysis.load import load, with_settings
 from locfuse.cli.analysis.settings import silent
 from locfuse.cli.rerun.record import record_drive
 from locfuse.cli.session.session import Session
@@ -127,8 +127,9 @@ def outcome(job: Job) -> JobOutcome:
 
 def compare(job: Job) -> tuple[str, ...]:
     """Measure a job's log once, and write the results of each cell; return warnings."""
-    again = job.cells != (SweepCell(),) or job.recordings is not None
-    measured = load_to_fuse(job.log, job.how, silent, read_again=again)
+    measured = load(job.log, job.how)
+    if job.cells == (SweepCell(),) and job.recordings is None:
+        measured.log.forget()  # it is not read again
     outputs, warnings = job.outputs, []
     for cell in job.cells:
         loaded = with_settings(measured, cell.sets) if cell.sets else measured

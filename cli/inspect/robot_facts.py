@@ -108,7 +108,7 @@ def find_robot_facts(overview: Overview) -> RobotFacts:
     if odometry:
         source = odometry[0]
         fitted = by_odometry(both, log.stream(source), settings)
-    elif loaded is not None and loaded.matched is not None and loaded.reading is not None:
+    elif loaded is not None and loaded.drive.wheels.matched is not None and loaded.reading is not None:
         source = BY_SCANS
         with suppress(LocfuseError):  # reported where the counters are used
             fitted = by_motion(both, loaded.reading, settings)

@@ -67,7 +67,7 @@ def configurations(overview: Overview) -> dict[str, str | None]:
     known = [name for name in REGISTRY if name in missing or name in overview.choice.topics]
     ready = {name: missing.get(name) or base for name in known}
     together = None if any(why is None for why in ready.values()) else base or "no sensor beside the wheels"
-    by_scans = overview.loaded is not None and overview.loaded.matched is not None
+    by_scans = overview.loaded is not None and overview.loaded.drive.wheels.matched is not None
     return {BY_SCANS if by_scans else ODOMETRY: base, **ready, "all": together}
 
 

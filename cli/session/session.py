@@ -15,7 +15,8 @@ from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log, with_others
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
-from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
+from locfuse.cli.analysis.load import Loaded, find_log, start_error, with_settings
+from locfuse.cli.analysis.load import load as load_log
 from locfuse.cli.analysis.motion_evidence import unjudged
 from locfuse.cli.analysis.results import say_motion
 from locfuse.cli.analysis.settings import (
@@ -91,7 +92,10 @@ def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: 
 
     The log's columns stay in memory only with `read_again`. A map file in `how` is used for localisation.
     """
-    session = Session(maps.give_topic(load_to_fuse(log, how, progress, read_again)), progress)
+    loaded = load_log(log, how, progress)
+    if not read_again:
+        loaded.log.forget()
+    session = Session(maps.give_topic(loaded), progress)
     return session if how.given_map is None else session.with_map(how.given_map)
 
 

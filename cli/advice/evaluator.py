@@ -1,4 +1,4 @@
-"""The evaluator: findings on one log, each with its tried fix and the effect of this fix.
+"""The evaluation: findings on one log, each with its tried fix and the effect of this fix.
 
 `run`, `compare`, `info --check`, the report and Rerun show exactly these findings. The loop is in
 `fusion.checks.tried`. On long drives fixes are tried on the beginning; those that help are then judged on the
@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import partial
 
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded, unbroken
+from locfuse.cli.analysis.results import settings_tables
+from locfuse.cli.analysis.robot_tables import flat
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.formats.report.findings import change
 from locfuse.fusion.checks.clocks import EQUAL
 from locfuse.fusion.checks.examine import holes, of_data, too_short
-from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import (
     Advice,
     Candidate,
@@ -50,75 +51,71 @@ def standard(loaded: Loaded) -> list[Configuration]:
     return for_comparison([], loaded.drive)
 
 
-class Evaluator:
-    """The evaluation of one log; the runs of a finished comparison of this log are not fused again."""
+def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | None = None) -> Advised:
+    """Return all findings on a log with their tried fixes; runs of a finished comparison are not fused again."""
+    loaded, broken = unbroken(loaded)  # fixes are tried beside a hole
+    of_holes, unusable = [Advice(hole) for hole in broken], data_advice(loaded)
+    if not may_judge(loaded) or any(a.finding.code == EQUAL for a in unusable):
+        return Advised((*unusable, *of_holes))
+    trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
+    first = None if compared is None or broken else _known(compared, trial)
 
-    def __init__(
-        self, loaded: Loaded, progress: Progress, align: str = "none", compared: Compared | None = None
-    ) -> None:
-        loaded, self._holes = unbroken(loaded)  # fixes are tried beside a hole
-        self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
-        self.may_judge = may_judge(loaded)
-        self._first: Compared | None = None  # the standard configurations under the settings of the log
-        if compared is not None and self.may_judge and not self._holes:
-            self._know(compared)
+    def look(fixes: Fixes) -> Evidence | None:
+        loaded = trial.under(fixes)
+        if loaded is None:
+            return None
+        trial.keep(fixes)
+        compared = first if first is not None and not fixes else _compared(loaded, trial)
+        trial.seed(fixes, compared)
+        return Evidence(compared, trial, fixes)
 
-    def _know(self, compared: Compared) -> None:
-        """Store the figures of a finished comparison, and its runs unless fixes are tried on part of the drive."""
-        trial, drive = self.trial, compared.loaded.drive
-        seen = {e.name: (replace(e, audits={}), judged) for e, judged in compared.plain.values()}
-        for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
-            if e.smoothed and not e.rates:
-                trial.know(SMOOTHED, (), e.configuration, marks_of(e, judged, drive))
-        if trial.loaded is not trial.whole:
-            marks = {n: Marks(prediction=density) for n, density in compared.densities.items()}
-            marks |= {n: marks_of(*run, drive) for n, run in seen.items() if drive.truth is not None}
-            for name, found in marks.items():
-                trial.know(WHOLE, (), name, found)
-        elif set(trial.configurations) <= set(seen):
-            runs = {run.estimates.name: run for run in compared.runs}
-            estimates, evaluations = zip(*(seen[name] for name in trial.configurations), strict=True)
-            self._first = replace(
-                compared,
-                configurations=list(trial.configurations.values()),
-                estimates=estimates,
-                evaluations=evaluations,
-                runs=[runs[name] for name in trial.configurations if name in runs],
-                credit=None,
-            )
+    found, kept = tried(look, trial, partial(number, trial.whole.robot))
+    if trial.loaded is not trial.whole:
+        found, kept = on_the_whole_drive(found, trial)
+    if kept and _harm_to_path_or_map(found, (), kept, list(trial.configurations), trial):
+        found, kept = on_the_whole_drive(found, trial, afterwards=True)
+    found = without_repeated(found, kept, trial.whole.robot)
+    empty, helped = {a.finding.role for a in unusable}, {a.finding.role for a in found if a.helps}
+    found = [a for a in found if a.helps or a.finding.role not in empty]
+    others = (a for a in unusable if a.finding.role not in helped)
+    return Advised((*found, *others, *of_holes), trial.fusions)
 
-    def advised(self) -> Advised:
-        """Return all findings with their tried fixes."""
-        of_holes = [Advice(hole) for hole in self._holes]
-        if not self.may_judge or any(a.finding.code == EQUAL for a in self.of_data):
-            return Advised((*self.of_data, *of_holes))
-        trial = self.trial
 
-        def look(fixes: Fixes) -> Evidence | None:
-            loaded = trial.under(fixes)
-            if loaded is None:
-                return None
-            trial.keep(fixes)
-            first = None if fixes else self._first
-            compared = first or _compared(loaded, trial)
-            trial.seed(fixes, compared)
-            return Evidence(compared, trial, fixes)
+def advise_on_run(one: Compared, progress: Progress, align: str) -> Advised:
+    """Return the advice on a log of which one configuration was run; all of it only if the run looks wrong."""
+    if looks_wrong(one):
+        return advise(one.loaded, progress, align)
+    return Advised(data_advice(unbroken(one.loaded)[0]))
 
-        found, kept = tried(look, trial, partial(number, trial.whole.robot))
-        if trial.loaded is not trial.whole:
-            found, kept = on_the_whole_drive(found, trial)
-        if kept and _harm_to_path_or_map(found, (), kept, list(trial.configurations), trial):
-            found, kept = on_the_whole_drive(found, trial, afterwards=True)
-        found = without_repeated(found, kept, trial.whole.robot)
-        empty, helped = {a.finding.role for a in self.of_data}, {a.finding.role for a in found if a.helps}
-        found = [a for a in found if a.helps or a.finding.role not in empty]
-        unusable = (a for a in self.of_data if a.finding.role not in helped)
-        return Advised((*found, *unusable, *of_holes), trial.fusions)
 
-    @cached_property
-    def of_data(self) -> tuple[Advice, ...]:
-        """Findings on data that no estimate can use; their fixes change how a log is read and are not tried."""
-        return tuple(Advice(f, f.fixes) for f in data_findings(self.trial.whole))
+def _known(compared: Compared, trial: Trial) -> Compared | None:
+    """Store the figures of a finished comparison, and return its standard configurations.
+
+    None if it lacks one of them, or if fixes are tried on part of the drive.
+    """
+    drive = compared.loaded.drive
+    seen = {e.name: (replace(e, audits={}), judged) for e, judged in compared.plain.values()}
+    for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
+        if e.smoothed and not e.rates:
+            trial.know(SMOOTHED, (), e.configuration, marks_of(e, judged, drive))
+    if trial.loaded is not trial.whole:
+        marks = {n: Marks(prediction=density) for n, density in compared.densities.items()}
+        marks |= {n: marks_of(*run, drive) for n, run in seen.items() if drive.truth is not None}
+        for name, found in marks.items():
+            trial.know(WHOLE, (), name, found)
+        return None
+    if not set(trial.configurations) <= set(seen):
+        return None
+    runs = {run.estimates.name: run for run in compared.runs}
+    estimates, evaluations = zip(*(seen[name] for name in trial.configurations), strict=True)
+    return replace(
+        compared,
+        configurations=list(trial.configurations.values()),
+        estimates=estimates,
+        evaluations=evaluations,
+        runs=[runs[name] for name in trial.configurations if name in runs],
+        credit=None,
+    )
 
 
 def _harm_to_path_or_map(
@@ -214,15 +211,17 @@ def may_judge(loaded: Loaded) -> bool:
     return not too_short(loaded.drive)
 
 
-def data_findings(loaded: Loaded) -> list[Finding]:
-    """Return the findings on data of a log that no estimate can use."""
-    return of_data(loaded.drive, loaded.robot, loaded.stream)
+def data_advice(loaded: Loaded) -> tuple[Advice, ...]:
+    """Return findings on data that no estimate can use; their fixes change how a log is read and are not tried."""
+    return tuple(Advice(f, f.fixes) for f in of_data(loaded.drive, loaded.robot, loaded.stream))
 
 
-def looks_wrong(loaded: Loaded, one: Compared) -> bool:
+def looks_wrong(one: Compared) -> bool:
     """Return whether one configuration's run shows anything suspicious, so that the log needs evaluation."""
+    loaded = one.loaded
     if loaded.robot.lines or loaded.robot.preset != "default":
         return False
+    one = replace(one, estimates=one.estimates[:1], evaluations=one.evaluations[:1])  # without the smoothed run
     trial = Trial(loaded, {c.name: c for c in one.configurations}, "none", silent)
     return bool(holes(loaded.drive)) or Evidence(one, trial, ()).suspicious()
 
@@ -246,9 +245,7 @@ def without_repeated(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list
 
 def number(robot: Robot, key: str) -> float | None:
     """Return the number configured at a key of robot.toml; None if the value is not a number."""
-    table, _, name = key.partition(".")
-    settings = getattr(robot, table, None) if table in SHARED_ROLES else robot.settings(table)
-    now = getattr(settings, name, None)
+    now = flat(settings_tables(robot)).get(key)
     return None if isinstance(now, bool) or not isinstance(now, int | float) else float(now)
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
+from locfuse.cli.analysis.load import Loaded, start_error
+from locfuse.cli.analysis.motion_evidence import unjudged
 from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import (
@@ -25,6 +27,7 @@ from locfuse.fusion.checks.examine import BLIND, HOLE
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
+from locfuse.fusion.checks.truth import unusable
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.judge.credit import MAX_CONSISTENT_ANEES
@@ -156,7 +159,7 @@ def add_validity(
     report: dict[str, Any], advised: Advised | None, start_error_m: float | None, truth: Finding | None = None
 ) -> None:
     """Add `validity`, the list of void and doubtful configurations, and move void figures to the key `void`."""
-    found = []
+    found: dict[str, dict[str, Any]] = {}  # by message
     known_faults = [truth] if truth is not None else []
     known_faults += [
         a.finding for a in (advised.advice if advised is not None else ()) if a.finding.code == MIRROR
@@ -169,10 +172,11 @@ def add_validity(
         code, message = reason
         void_figures(values, message)
         since = float(values["lost"][0][0]) if code == "lost" else 0.0
-        found.append({"configuration": name, "code": code, "message": message, "since_s": since})
-    void = {entry["code"] for entry in found}  # reported once: as void, not as doubtful
+        entry = {"code": code, "message": message, "since_s": since, "configurations": [], "void": True}
+        found.setdefault(message, entry)["configurations"].append(name)
+    void = {entry["code"] for entry in found.values()}  # reported once: as void, not as doubtful
     doubts = [d for d in _doubts(report, advised) if d["code"] not in void]
-    report["validity"] = [*_by_message(found), *doubts]
+    report["validity"] = [*found.values(), *doubts]
     if found and all("void" in values for values in report["configurations"].values()):
         report["credit"] = None
         withdraw_verdicts(report, "All errors of this log are void.")
@@ -225,19 +229,8 @@ def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str]
     )
 
 
-def _by_message(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return one entry per message, with all configurations that have it."""
-    by_message: dict[str, dict[str, Any]] = {}
-    for entry in found:
-        name = entry.pop("configuration")
-        by_message.setdefault(entry["message"], {**entry, "configurations": [], "void": True})[
-            "configurations"
-        ].append(name)
-    return list(by_message.values())
-
-
 NAME_TRUTH = "--set truth.topic=/TOPIC, a topic that holds the true poses"
-SENSOR_WORDS = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
+SENSOR_WORDS = {"lrf": "laser", "gps": "GPS"}
 MIN_HINT = 0.1  # of the agreeing share of points: a smaller gain is not reported
 TIE_SHARE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
@@ -311,11 +304,11 @@ def _as_configured(
         return first if base is None or others else f"{first} {_with(base, ())}: {length(errors[base])}."
     beside = "it" if len(sets[best]) == 1 else "them"
     if every in ties:
-        adds = "adds" if len(others) == 1 else "add"
-        return f"{first} {_names(others).capitalize()} {adds} nothing measurable beside {beside}."
+        (adds,) = _all_do(others, "adds", "add")
+        return f"{first} {adds.capitalize()} nothing measurable beside {beside}."
     if any(f["fixes"] for f in report.get("findings") or ()):
         return f"{first} With all sensors it is {length(errors[every])} before the fixes."
-    bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS]
+    bad = [s for s in others if s in _judged(report, HURTS)]
     all_of_them = f"{first} With all sensors it is {length(errors[every])}: "
     if suspect := [s for s in others if any(f["role"] == s for f in report.get("findings") or ())]:
         return f"{all_of_them}see the findings on {_names(suspect)}."
@@ -374,13 +367,10 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
     """Return a sentence on errors against a reference: of odometry, and the sensors that help or hurt."""
-    verdicts = report.get("verdicts", {})
-    words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
+    verdicts, good, bad = report.get("verdicts", {}), _judged(report, HELPS), _judged(report, HURTS)
     parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]
-    for which, one, several in ((HELPS, "helps", "help"), (HURTS, "hurts", "hurt")):
-        if words[which]:
-            parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
-    if verdicts and not any(words.values()):  # no sensor helps or hurts
+    parts += [*_all_do(good, "helps", "help"), *_all_do(bad, "hurts", "hurt")]
+    if verdicts and not (good or bad):  # no sensor helps or hurts
         unjudged = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
         judge = f"{_names([*verdicts])} itself cannot be checked"
         parts.append(judge if unjudged else "of the sensors nothing is sure")
@@ -395,14 +385,8 @@ def _without_truth(report: Mapping[str, Any], places: str, instead: str) -> str:
 
     `instead`: the option to try if there are none.
     """
-    verdicts = report.get("verdicts", {})
-    good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
-    bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]
-    parts = []
-    if good:
-        parts.append(f"{_names(good)} {'helps' if len(good) == 1 else 'help'} to predict the other sensors")
-    if bad:
-        parts.append(f"{_names(bad)} {'contradicts' if len(bad) == 1 else 'contradict'} them")
+    parts = [f"{words} to predict the other sensors" for words in _all_do(_judged(report, HELPS), "helps", "help")]
+    parts += _all_do(_judged(report, HURTS), "contradicts them", "contradict them")
     if not parts:
         why = "No truth and nothing else to judge the sensors: errors cannot be measured."
         return f"{why}{places} Try: {instead}"
@@ -423,6 +407,16 @@ def _by_places(report: Mapping[str, Any]) -> str:
     return ""
 
 
+def _judged(report: Mapping[str, Any], verdicts: Collection[str]) -> list[str]:
+    """Return the sensors that have one of these verdicts."""
+    return [s for s, found in report.get("verdicts", {}).items() if found["verdict"] in verdicts]
+
+
+def _all_do(sensors: Sequence[str], one_does: str, several_do: str) -> list[str]:
+    """Return ["the laser helps"], or ["the laser and the camera help"]; [] without sensors."""
+    return [f"{_names(sensors)} {one_does if len(sensors) == 1 else several_do}"] if sensors else []
+
+
 def _with(name: str, sensors: Sequence[str]) -> str:
     return f"With {_names(sensors)}" if sensors else f"{name.capitalize()} alone"
 
@@ -434,22 +428,17 @@ def _names(sensors: Sequence[str]) -> str:
 
 
 def complete(
-    report: dict[str, Any],
-    advised: Advised | None,
-    start_error_m: float | None = None,
-    foreign: Collection[str] = (),
-    unjudged: str = "",
-    truth: Finding | None = None,
+    report: dict[str, Any], loaded: Loaded, advised: Advised | None, foreign: Collection[str] = ()
 ) -> None:
-    """Add findings, validity and headline to a finished report.
+    """Add findings, validity and headline to a finished report of a log.
 
-    `advised` is None if the log was not evaluated. `start_error_m` is the distance between the starts of truth and
-    drive, None if unknown. `truth` is the fault that makes errors to the truth void. Rows of `foreign`
-    estimates are ignored. `unjudged`: why the drive judges no sensor (the robot stands, or the drive is short).
+    `advised` is None if the log was not evaluated. Rows of `foreign` estimates are ignored.
     """
+    drive = loaded.drive
     add_findings(report, advised)
     _remove_mount_notes(report)
-    add_validity(report, advised, start_error_m, truth)
+    truth = None if loaded.motion_faults else unusable(drive)  # makes errors to the truth void
+    add_validity(report, advised, start_error(loaded.robot, drive), truth)
     _withdraw_empty(report, advised)
     sets = {
         name: tuple(values["sensors"])
@@ -457,8 +446,8 @@ def complete(
         if not values.get("smoothed") and not values.get("rates_hz") and name not in foreign
     }
     words = f"{headline(report, sets)}{covariance(report, sets)}"
-    if unjudged:
-        words = f"{unjudged[0].upper()}{unjudged[1:]}."
+    if why := unjudged(drive):
+        words = f"{why[0].upper()}{why[1:]}."
         withdraw_verdicts(report, "This drive cannot judge a sensor.")
     report["headline"] = words
     report.update(json_report.plain(report))

@@ -18,7 +18,7 @@ from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.judge.evaluate import Align, evaluate
 
-from .evaluator import data_findings, may_judge, standard
+from .evaluator import data_advice, may_judge, standard
 from .report import FIXES_FILE, fixes_file, score
 from .trial import Trial, marks_of
 
@@ -53,7 +53,7 @@ def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any]
     """Return a log's estimates of settings as plain values; None if the log cannot be evaluated."""
     if loaded.motion_faults or loaded.drive.wheels.stands or not may_judge(loaded):
         return None
-    if holes(loaded.drive) or any(f.code == EQUAL for f in data_findings(loaded)):
+    if holes(loaded.drive) or any(a.finding.code == EQUAL for a in data_advice(loaded)):
         return None
     found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
     return found

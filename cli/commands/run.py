@@ -37,6 +37,7 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
+    from locfuse.cli.analysis.configurations import parse
     from locfuse.cli.analysis.errors import EXIT_LOSS
     from locfuse.cli.analysis.results import default_folder
     from locfuse.cli.session.session import opened
@@ -48,7 +49,7 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
         may_replace(file, outputs.overwrite, log)
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=outputs.recorded)
-        configuration = session.configuration(asked.sensors[0])
+        configuration = parse(asked.sensors[0], session.drive)
         _refuse_maps_without_laser(options, configuration.sensors)
         may_write(outputs.out or default_folder(session.log.name), outputs.overwrite, options.inputs)
         result = session.run(

@@ -15,9 +15,8 @@ from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log, with_others
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
-from locfuse.cli.analysis.load import Loaded, find_log, start_error, with_settings
+from locfuse.cli.analysis.load import Loaded, find_log, with_settings
 from locfuse.cli.analysis.load import load as load_log
-from locfuse.cli.analysis.motion_evidence import unjudged
 from locfuse.cli.analysis.results import say_motion
 from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,
@@ -39,7 +38,6 @@ from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
-from locfuse.fusion.checks.truth import unusable
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError, UsageError
 from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align
@@ -196,10 +194,14 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         one_of(align, get_args(Align), "align")
         asked = Asked(align=align, smooth=smooth, jitter=check_runs(jitter))
-        used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
+        used = sensors if isinstance(sensors, Configuration) else parse(sensors, self.drive)
         self.progress("fusing")
         compared = run_log(self.loaded, used, asked)
-        advised = self._advice_on_run(compared, align) if advice else None
+        advised = Advised() if advice else None
+        if advice and self._moves():
+            from locfuse.cli.advice.evaluator import advise_on_run  # imports all checks
+
+            advised = advise_on_run(compared, self.progress, align)
         return Run(compared, self._reported(report_of_run(compared), compared, asked, advised))
 
     @speaks_python
@@ -240,11 +242,11 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         alone = compare_log(self.loaded, wanted, asked, self.progress, draws=True)
         compared = with_others(alone, asked, foreign, self.progress)
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
-        advised, moves = None, not (self.drive.wheels.stands or self.loaded.motion_faults)
-        if asked.advice and moves:
-            from locfuse.cli.advice.evaluator import Evaluator  # imports all checks
+        advised = None
+        if asked.advice and self._moves():
+            from locfuse.cli.advice.evaluator import advise  # imports all checks
 
-            advised = Evaluator(self.loaded, self.progress, asked.align, alone).advised()
+            advised = advise(self.loaded, self.progress, asked.align, alone)
         others = [e.name for e in foreign]
         report = self._reported(report, compared, asked, advised, advised is not None, others)
         return Comparison(compared, report)
@@ -332,28 +334,14 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     ) -> dict[str, Any]:
         """Add ranges under jitter, advice, and warnings on the motion to `report`, and return it."""
         add_jitter(report, compared, asked, self.progress)
-        truth = None if self.loaded.motion_faults else unusable(self.drive)
-        complete(report, advised, start_error(self.robot, self.drive), foreign, unjudged(self.drive), truth)
+        complete(report, self.loaded, advised, foreign)
         say_motion(report, self.loaded, judged)
         self.progress("writing")
         return report
 
-    def _advice_on_run(self, compared: Compared, align: str) -> Advised:
-        """Return the advice of a full evaluation if this run's result looks suspicious, else on unusable data.
-
-        It is empty if the robot stands still or the log has motion faults.
-        """
-        from locfuse.cli.advice.evaluator import Evaluator, looks_wrong
-
-        filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])
-        if self.drive.wheels.stands or self.loaded.motion_faults:
-            return Advised()
-        evaluator = Evaluator(self.loaded, self.progress, align)
-        return evaluator.advised() if looks_wrong(self.loaded, filtered) else Advised(evaluator.of_data)
-
-    def configuration(self, sensors: Sensors) -> Configuration:
-        """Return the configuration of some sensors. Raises LocfuseError for one that this log lacks."""
-        return parse(sensors, self.drive)
+    def _moves(self) -> bool:
+        """Return whether the robot moves, by a motion that is its own."""
+        return not (self.drive.wheels.stands or self.loaded.motion_faults)
 
     @speaks_python
     def with_settings(self, sets: Sets) -> Session:

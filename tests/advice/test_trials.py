@@ -11,6 +11,7 @@ import pytest
 from locfuse.cli.advice import evaluator
 from locfuse.cli.advice.evaluator import on_the_whole_drive, smoothed_worse, standard
 from locfuse.cli.advice.trial import Trial
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.settings import silent
 from locfuse.cli.session.session import load
 from locfuse.fusion.checks.finding import Finding
@@ -125,6 +126,5 @@ def test_a_clock_that_is_moved_and_moved_back_is_no_advice(last: str, left: list
     scaled = Advice(Finding("lrf", "range scale", "too long"), ("lrf.range_scale=0.95",))
     open_one = Advice(Finding("compass", "outliers", "a third does not fit"))
     kept = (f"camera.time_offset={last}", "lrf.range_scale=0.95")
-    robot = SimpleNamespace(settings=lambda _: SimpleNamespace(time_offset=0.0, range_scale=1.0))
-    found = evaluator.without_repeated([moved, scaled, open_one], kept, robot)  # type: ignore[arg-type]
+    found = evaluator.without_repeated([moved, scaled, open_one], kept, make_robot({}))
     assert [(a.finding.role, a.fixes) for a in found] == [*left, ("compass", ())]

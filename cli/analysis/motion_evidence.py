@@ -103,11 +103,7 @@ class MotionEvidence:
         for topics in map(tuple, candidates):
             if (motion := motion_of(self._log, self._robot, topics, self._read)) is not None:
                 known[topics] = motion
-        if not known:
-            return [True] * len(candidates)
-        if self._pairs is None:
-            self._read_scans([*known.values()])
-        if self._pairs is None or not self._pairs.judge:
+        if not known or self._judging([*known.values()]) is None:
             return [True] * len(candidates)
         kept = [self._agrees(topics, motion) for topics, motion in known.items()]
         left = [topics for topics, stays in zip(known, kept, strict=True) if stays]
@@ -122,19 +118,16 @@ class MotionEvidence:
             motion = motion_of(self._log, self._robot, [topic], self._read)
             if motion is None or motion.wheels.stands:
                 continue
-            if self._pairs is None:
-                self._read_scans([motion])
-            if self._pairs is not None and self._pairs.judge:
-                self._rejected[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
+            if (pairs := self._judging([motion])) is not None:
+                self._rejected[topic,] = f"by {topic}, speeds, {pairs.of(motion):.0%}"
 
     def behind(self, topics: Sequence[str], motion: WheelReading) -> str:
         """Return a note if scan matching fits the laser clearly better than the chosen motion, else ""."""
-        self._read_scans([motion])
-        if self._pairs is None or not self._pairs.judge:
+        if (pairs := self._judging([motion])) is None:
             return ""
-        share = self._pairs.of(motion)
+        share = pairs.of(motion)
         better = self._matched >= max(share + BETTER_SHARE, self._at_rest + TELLING_SHARE)
-        if not better or self._pairs.misfit(motion) < MAX_MISFIT_SIGMAS:
+        if not better or pairs.misfit(motion) < MAX_MISFIT_SIGMAS:
             return ""
         return (
             f"by {' and '.join(topics)} {share:.1%} of a scan's points lie within 10 cm of the scan a second "
@@ -185,12 +178,15 @@ class MotionEvidence:
         assert self._pairs is not None
         return self._pairs.still
 
-    def _read_scans(self, motions: Sequence[WheelReading]) -> None:
+    def _judging(self, motions: Sequence[WheelReading]) -> ScanPairs | None:
+        """Return the pairs of scans, read for the first `motions` asked for; None if they judge no motion."""
         from locfuse.fusion.wheels.scan_agreement import scan_pairs  # imports SciPy
 
-        with suppress(LocfuseError):  # scans that cannot be read are reported where they are measured
-            stream = self._log.stream(self._topic, self._robot.order)
-            self._pairs = scan_pairs(stream, self._laser(), motions)
+        if self._pairs is None:
+            with suppress(LocfuseError):  # scans that cannot be read are reported where they are measured
+                stream = self._log.stream(self._topic, self._robot.order)
+                self._pairs = scan_pairs(stream, self._laser(), motions)
+        return self._pairs if self._pairs is not None and self._pairs.judge else None
 
     def _laser(self) -> Laser:
         """Return the laser with its mount as configured, else by /tf_static."""

@@ -163,11 +163,9 @@ def on_the_whole_drive(
     kept: Fixes = ()
     more = 0 if trial.loaded is trial.whole else MAX_WHOLE
     for advice in found:
-        guess = () if advice.helps or not (advice.harmless and advice.finding.severe) else advice.tried[:1]
-        if guess and more == 0:
-            guess = ()
-        more -= len(guess)
-        fixes = advice.fixes or (guess[0] if guess else ())
+        fixes = advice.fixes
+        if not fixes and more > 0 and advice.harmless and advice.finding.severe and advice.tried:
+            fixes, more = advice.tried[0], more - 1
         if not fixes:
             judged.append(advice)
             continue

@@ -37,7 +37,6 @@ from .verdicts import (
     add_pairs,
     by_reference,
     credit_values,
-    evidence,
     judge_values,
     noise_factors,
     prediction_values,
@@ -236,7 +235,8 @@ def _judged(
         if drawn is not None and (shown or not e.smoothed):
             drawn.take(e)
         judged.append((e if asked.audits else replace(e, audits={}), evaluation))
-        runs += evidence(drive, e, robot)
+        if not e.smoothed and robot.preset != "paper":  # no setting changes the noise of the paper's filter
+            runs.append(RunInnovations.of(drive, e))
     return judged, runs
 
 

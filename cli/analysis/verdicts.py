@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from msgspec.structs import asdict, replace
 
 from locfuse.formats.report.findings import change, in_one_unit, length
-from locfuse.fusion.data import ODOMETRY, Drive, Estimates, Evaluation
+from locfuse.fusion.data import ODOMETRY, Evaluation
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, RunInnovations, judge
 from locfuse.fusion.judge.credit import (
@@ -41,14 +41,6 @@ TRUST_STRETCHES = (
 )
 MIN_UNPROVEN_NATS = 0.1  # nats per number: an unproven smaller gain is not reported
 MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is not reported
-
-
-def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[RunInnovations]:
-    """Return a run's residuals for judging sensor noise; [] for a smoothed run and the paper's filter.
-
-    The paper's filter has fixed noise, which robot.toml does not change.
-    """
-    return [] if estimates.smoothed or robot.preset == "paper" else [RunInnovations.of(drive, estimates)]
 
 
 def overconfident_by_truth(check: Mapping[str, CovarianceCheck | None]) -> set[str]:

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from locfuse.cli.analysis.load import Loaded
-from locfuse.formats.logs.adapters import PRESENTED, presented_name
+from locfuse.cli.analysis.topics import checked
 from locfuse.formats.logs.log import Log
 from locfuse.fusion import se2
 from locfuse.fusion.data import BASES, PLANE_ROWS, Array, Drive, Estimates, LocfuseError, Stream, UsageError
@@ -55,18 +55,15 @@ def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collect
 
 
 def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
-    topic = log.find(source)
-    if topic is None:
+    if log.find(source) is None:
         raise LocfuseError(
             f"--estimate {name}: {log.name} has no topic {source}, nor is there a .tum or .csv file"
         )
-    shown = presented_name(source, topic.msgtype)
-    if shown is not None and PRESENTED[topic.msgtype].msgtype in POSE:
-        return _read(log, drive, name, shown)
-    if topic.msgtype not in POSE:
-        kinds = ", ".join(kind.replace("/msg/", "/") for kind in POSE)
-        raise LocfuseError(f"--estimate {name}: {source} is {topic.msgtype}; read are {kinds}")
-    stream = log.stream(source)
+    try:
+        topic = checked(log, "pose", source, POSE)
+    except LocfuseError as problem:
+        raise LocfuseError(f"--estimate {name}: {problem}") from None
+    stream = log.stream(topic)
     t, pose, triangles = _columns(stream, drive.epoch_ns)
     inside = (t >= drive.t[0]) & (t <= drive.t[-1]) & np.isfinite(pose).all(axis=1)
     inside[1:] &= np.diff(t) > 0

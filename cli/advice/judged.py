@@ -186,10 +186,6 @@ class NoiseFindings(Judged):
             if seen and verdict.verdict == "overstated":
                 seen, words = self._with_wheel_noise(sensor, seen, words)
             words = words if seen else self._errors_in_sigmas(sensor)
-            if verdict.verdict == "overstated" and seen and more:
-                # a larger sigma (by ANEES) is a separate finding
-                found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
-                seen, words = [], self._errors_in_sigmas(sensor)
             found += self._shared_by_lines(sensor, verdict)
             options = tuple(dict.fromkeys((*seen, *more)))
             if sensor != LASER:  # the laser's noise is checked by its raw ranges

@@ -13,7 +13,6 @@ from functools import cached_property, partial
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.verdicts import overconfident_by_truth
 from locfuse.fusion.checks.clocks import (
     CLOCK,
     MIN_LAG_S,
@@ -80,11 +79,10 @@ class Evidence(NoiseFindings):
     def suspicious(self) -> bool:
         """Return whether anything looks wrong; if not, no fix is tried."""
         noise = any(f.verdict not in UNREMARKABLE for f in self.consistency.values())
-        claims_too_much = bool(overconfident_by_truth(self.covariance_checks))
         lost = any(e.lost for e in self.compared.estimates)
         return (
             noise
-            or claims_too_much
+            or bool(self.overconfident)
             or lost
             or bool(self.wrong)
             or self._worse_than_odometry()
@@ -233,13 +231,17 @@ class Evidence(NoiseFindings):
     def _seen(self, finding: Finding) -> Candidate:
         """Return the candidate fixes of a finding by comparison of the sensors."""
         measured = finding.code in MEASURED
-        ways = (*_alternatives(finding), *self._with_camera_offset(finding))
-        one = self._candidate(finding, ways, not (finding.severe or measured))
+        ways = [finding.fixes] if finding.fixes else []
+        if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
+            ways.append(finding.fixes[:1])  # the radius alone, without the track
+        ways += self._with_camera_offset(finding)
+        one = self._candidate(finding, tuple(ways), not (finding.severe or measured))
         return replace(one, measured=measured, by_shape=one.key in SIGN_FAULTS)
 
     def slips(self) -> list[Candidate]:
         """Return the candidate fix of wheels.noise, if turns show slip and the distance scale is certain."""
-        return [] if self._open_scale or self._distances else super().slips()
+        certain = not (self._open_scale or self._distances)
+        return [self._wheel_noise()] if certain and self._slips_unusually else []
 
     @cached_property
     def _distances(self) -> list[Finding]:
@@ -397,9 +399,7 @@ class Evidence(NoiseFindings):
         ]
         if not fixed:
             return {}
-        found_noise = NoiseEvidence(
-            self.compared.runs, self.loaded.robot, overconfident_by_truth(self.covariance_checks)
-        )
+        found_noise = NoiseEvidence(self.compared.runs, self.loaded.robot, self.overconfident)
         found = {s: found_noise.bias(s) for s in fixed if self._verdict(s) != "biased"}
         return {s: verdict for s, verdict in found.items() if verdict is not None}
 
@@ -426,10 +426,3 @@ class Evidence(NoiseFindings):
             for e in self.runs_alone(LASER)
             for f in of_spins(drive, e.t, e.pose, "laser's path", [j.t for j in e.jumps if j.step[2]])
         ]
-
-
-def _alternatives(finding: Finding) -> tuple[Fixes, ...]:
-    """Return the alternative fixes of a finding; for wheel radius and track also the radius alone."""
-    if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
-        return finding.fixes, finding.fixes[:1]
-    return (finding.fixes,) if finding.fixes else ()

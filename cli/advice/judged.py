@@ -19,7 +19,7 @@ from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import of_offset, ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import WheelSlip, beside_path, slip
-from locfuse.fusion.checks.tried import Candidate, Fixes
+from locfuse.fusion.checks.tried import Candidate, Fixes, keys
 from locfuse.fusion.checks.truth import FEW, START
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, judge, many_refused
@@ -46,8 +46,8 @@ class Judged:
     def __init__(self, compared: Compared, trial: Trial, fixes: Fixes) -> None:
         self.compared, self.trial, self.fixes = compared, trial, fixes
         self.covariance_checks = {e.name: covariance_check(e) for e in compared.evaluations}
-        overconfident = overconfident_by_truth(self.covariance_checks)
-        by_run = judge(compared.runs, compared.loaded.robot, overconfident)
+        self.overconfident = overconfident_by_truth(self.covariance_checks)
+        by_run = judge(compared.runs, compared.loaded.robot, self.overconfident)
         self.consistency = {s: found for by_sensor in by_run.values() for s, found in by_sensor.items()}
 
     @property
@@ -68,11 +68,7 @@ class Judged:
 
     def _looks_wrong(self, sensor: str) -> bool:
         """Return whether a sensor's residuals are unusual, or its run is inconsistent."""
-        return self._unusual_residuals(sensor) or self._doubtful(self._alone(sensor))
-
-    def _unusual_residuals(self, sensor: str) -> bool:
-        """Return whether a sensor's residuals are unusual, by its innovations alone."""
-        return self._verdict(sensor) not in UNREMARKABLE
+        return self._verdict(sensor) not in UNREMARKABLE or self._doubtful(self._alone(sensor))
 
     def _verdict(self, sensor: str) -> str:
         """Return the verdict on a sensor's residuals; "unclear" without residuals."""
@@ -88,10 +84,6 @@ class Judged:
     def constant(self, verdict: Consistency) -> tuple[Fixes, ...]:
         """Return the fix of a constant error; () if the verdict is not "biased"."""
         return (as_fixes(verdict.fix_values),) if verdict.verdict == "biased" and verdict.fix_values else ()
-
-    def _was_set(self, role: str, key: str) -> bool:
-        """Return whether a kept fix has set this key of a sensor or of the wheels."""
-        return any(fix.startswith(f"{role}.{key}=") for fix in self.fixes)
 
     def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
         judges = self.judges(finding.role)
@@ -151,7 +143,7 @@ class Judged:
 
     def _reference(self, sensor: str) -> Estimates | None:
         """Return the run of another single sensor with usual residuals and the smallest heading sigma."""
-        fine = {s for s in self.loaded.drive.measurements if s != sensor and not self._unusual_residuals(s)}
+        fine = {s for s in self.loaded.drive.measurements if s != sensor and self._verdict(s) in UNREMARKABLE}
         runs = self.runs_alone(*fine) if fine else []
         return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)
 
@@ -224,10 +216,6 @@ class NoiseFindings(Judged):
             for factor in FLOOR_FACTORS
         )
         return [self._candidate(Finding(LASER, "floor", words), options, True)]
-
-    def slips(self) -> list[Candidate]:
-        """Return the candidate fix of wheels.noise, if turns show unusual slip."""
-        return [self._wheel_noise()] if self._slips_unusually else []
 
     @cached_property
     def _ranges_sigma(self) -> float | None:
@@ -345,15 +333,15 @@ class NoiseFindings(Judged):
         check = self.covariance_checks.get(self._alone(sensor))
         if check is None or check.consistent or check.anees <= 0.0:
             return []
-        settings, keys = self.loaded.robot.settings(sensor), REGISTRY[sensor].noise_keys
-        if any(self._was_set(sensor, key) for key in keys):
+        settings, noise_keys = self.loaded.robot.settings(sensor), REGISTRY[sensor].noise_keys
+        if keys(self.fixes) & {f"{sensor}.{key}" for key in noise_keys}:
             return []  # already changed by a fix: the remaining error has another cause
         factor = check.anees**0.5
         if not 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
             return []  # too large for noise
         if sensor == LASER and factor > 1.0 and self._ranges_sigma is not None and not self._ranges_scatter:
             return []  # its raw ranges scatter as configured: something else is wrong
-        return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in keys)]
+        return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in noise_keys)]
 
     def _by_truth(self, sensor: str) -> str:
         """Return the verdict on a sensor's noise by its run's ANEES: "understated" or "overstated"."""

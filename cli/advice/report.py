@@ -10,7 +10,8 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.load import Loaded, start_error
+from locfuse.cli.analysis.compare import Compared
+from locfuse.cli.analysis.load import start_error
 from locfuse.cli.analysis.motion_evidence import unjudged
 from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
@@ -427,24 +428,14 @@ def _names(sensors: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def complete(
-    report: dict[str, Any], loaded: Loaded, advised: Advised | None, foreign: Collection[str] = ()
-) -> None:
-    """Add findings, validity and headline to a finished report of a log.
-
-    `advised` is None if the log was not evaluated. Rows of `foreign` estimates are ignored.
-    """
-    drive = loaded.drive
+def complete(report: dict[str, Any], compared: Compared, advised: Advised | None) -> None:
+    """Add findings, validity and headline to a finished report; `advised` is None if the log was not evaluated."""
+    loaded, drive, sets = compared.loaded, compared.loaded.drive, compared.sets
     add_findings(report, advised)
     _remove_mount_notes(report)
     truth = None if loaded.motion_faults else unusable(drive)  # makes errors to the truth void
     add_validity(report, advised, start_error(loaded.robot, drive), truth)
     _withdraw_empty(report, advised)
-    sets = {
-        name: tuple(values["sensors"])
-        for name, values in report["configurations"].items()
-        if not values.get("smoothed") and not values.get("rates_hz") and name not in foreign
-    }
     words = f"{headline(report, sets)}{covariance(report, sets)}"
     if why := unjudged(drive):
         words = f"{why[0].upper()}{why[1:]}."

@@ -247,8 +247,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             from locfuse.cli.advice.evaluator import advise  # imports all checks
 
             advised = advise(self.loaded, self.progress, asked.align, alone)
-        others = [e.name for e in foreign]
-        report = self._reported(report, compared, asked, advised, advised is not None, others)
+        report = self._reported(report, compared, asked, advised, advised is not None)
         return Comparison(compared, report)
 
     def _uses_reference(self, asked: Asked) -> bool:
@@ -330,11 +329,10 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         asked: Asked,
         advised: Advised | None,
         judged: bool = False,
-        foreign: Sequence[str] = (),
     ) -> dict[str, Any]:
         """Add ranges under jitter, advice, and warnings on the motion to `report`, and return it."""
         add_jitter(report, compared, asked, self.progress)
-        complete(report, self.loaded, advised, foreign)
+        complete(report, compared, advised)
         say_motion(report, self.loaded, judged)
         self.progress("writing")
         return report

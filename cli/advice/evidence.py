@@ -207,7 +207,7 @@ class Evidence(NoiseFindings):
         mounts = [] if no_mount else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
         # a state's sigma is valid only in a consistent or underconfident run; without truth, a mount state absorbs
-        # errors of the wheels too: a yaw their sideways motion, and a position their scales, unless these are states
+        # errors of the wheels: a yaw their sideways motion, and a position their scales, unless these are states
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
         shown = found if by_truth else [f for f in probed if not any(".yaw" in fix for fix in f.fixes)]

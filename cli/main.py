@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 import click
 
 from locfuse.cli.analysis.errors import expected, silence_overflows
-from locfuse.cli.terminal.screen import ignore_closed_stdout, say, settle_streams
+from locfuse.cli.terminal.screen import say, settle_streams
 
 COMMANDS = {
     "run": "Estimate the trajectory with one set of sensors.",
@@ -114,8 +114,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         silence_overflows()
     code: Any = 0
     try:
-        with ignore_closed_stdout():
-            code = locfuse.main(args=arguments, prog_name="locfuse", standalone_mode=False)
+        code = locfuse.main(args=arguments, prog_name="locfuse", standalone_mode=False)
     except BaseException as problem:
         code = _exit_code(problem)
     finally:

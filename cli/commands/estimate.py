@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import ignore_closed_stdout, put, say
+from locfuse.cli.terminal.screen import put, say
 
 if TYPE_CHECKING:
     from locfuse.cli.session.found import Found
@@ -100,13 +100,12 @@ def _finish(found: Found, tables: Iterable[Table], options: o.Options, held: str
     out, as_json = options.outputs.out, options.outputs.as_json
     if out is not None:
         found.write(out, options.outputs.overwrite)
-    with ignore_closed_stdout():
-        for titles, rows, below in () if as_json else tables:
-            shown = of_words(texts(*titles), rows)
-            show.table(shown)
-            show.lines([below] if shown.rows else [])
-        if as_json:
-            put(json_report.encode(found.values()))
-        elif out is not None:
-            say(f"{out}: {held or f'use it with --robot {out}'}")
+    for titles, rows, below in () if as_json else tables:
+        shown = of_words(texts(*titles), rows)
+        show.table(shown)
+        show.lines([below] if shown.rows else [])
+    if as_json:
+        put(json_report.encode(found.values()))
+    elif out is not None:
+        say(f"{out}: {held or f'use it with --robot {out}'}")
     return show.ended(found.notes, found.losses(), options.how.quiet)

@@ -54,7 +54,7 @@ def export(
     from locfuse.cli.ros.export import edited, fresh, refuse_read_only, targets_in, write
     from locfuse.cli.ros.found import gather
     from locfuse.cli.terminal import show
-    from locfuse.cli.terminal.screen import ignore_closed_stdout, put, say
+    from locfuse.cli.terminal.screen import put, say
     from locfuse.formats.robot.ros_yaml import read
     from locfuse.formats.whole_files import may_replace, write_text
 
@@ -78,12 +78,11 @@ def export(
         write_text(out, made.text)
     elif into is not None and changed:
         write(into, made.text)
-    with ignore_closed_stdout():
-        if place is None:
-            put(made.text)
-        for line in (*made.diff, *made.reasons):
-            say(line)
-        if place is not None:
-            say(f"{place}: {'written' if changed else 'nothing to change'}")
+    if place is None:
+        put(made.text)
+    for line in (*made.diff, *made.reasons):
+        say(line)
+    if place is not None:
+        say(f"{place}: {'written' if changed else 'nothing to change'}")
     lost = loss_lines(found.loaded, list(found.loaded.drive.measurements), how.strict)
     return show.ended(found.notes, lost, how.quiet)

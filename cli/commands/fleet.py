@@ -16,7 +16,7 @@ from locfuse.cli.analysis.settings import Progress
 from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import ignore_closed_stdout, put
+from locfuse.cli.terminal.screen import put
 from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
@@ -195,21 +195,18 @@ def _counts(found: FleetRows) -> str:
 
 
 def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:
-    from rich.text import Text
-
     from locfuse.formats.report import json_report
     from locfuse.formats.report import summary as over
 
-    with ignore_closed_stdout():
-        if as_json:
-            put(json_report.encode(summary))
-            return
-        show.paragraph(Text(over.headline(summary), "bold"))
-        if over.columns_of(summary):
-            show.table(over.brief(summary))
-        show.verdicts(summary)
-        show.lines(" ".join(line).strip() for line in over.robots(summary))
-        show.end(files)
+    if as_json:
+        put(json_report.encode(summary))
+        return
+    show.paragraph(over.headline(summary), bold=True)
+    if over.columns_of(summary):
+        show.table(over.brief(summary))
+    show.verdicts(summary)
+    show.lines(" ".join(line).strip() for line in over.robots(summary))
+    show.end(files)
 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:

@@ -10,7 +10,7 @@ import click
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import ignore_closed_stdout, put
+from locfuse.cli.terminal.screen import put
 
 if TYPE_CHECKING:
     from locfuse.cli.inspect.robot_facts import Overview
@@ -70,17 +70,16 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
             from locfuse.cli.session.session import tried_by_fusing  # imports the filter
 
             tried = tried_by_fusing(log, how, progress)
-    with ignore_closed_stdout():
-        if as_json:
-            put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
-        else:
-            helped = tried["fixes"] if tried else None
-            text = info_text.lines(overview, (*log, *how.words), show.width(), helped)
-            show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
-            if tried:
-                show.lines(("", TRIED), (TRIED,))
-                show.headline(tried)
-                show.findings(tried)
+    if as_json:
+        put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
+    else:
+        helped = tried["fixes"] if tried else None
+        text = info_text.lines(overview, (*log, *how.words), show.width(), helped)
+        show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
+        if tried:
+            show.lines(("", TRIED), (TRIED,))
+            show.headline(tried)
+            show.findings(tried)
     show.transfer(overview.log.transfer, how.quiet)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
@@ -106,13 +105,12 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
         trying = {n: load(logs[n], how, progress) for n in shown if check and asked.advice}
         look = in_this_process(trying, asked.align, progress) if trying else lambda names, sets: {}
         together = {"robot": None, **ask(shown, look)}
-    with ignore_closed_stdout():
-        if options.outputs.as_json:
-            each = {name: values.values(overview) for name, overview in overviews.items()}
-            put(json_report.encode({"logs": each, "together": together}))
-        else:
-            show.lines(info_text.together(overviews, together), (*info_text.TITLES, info_text.TOGETHER))
-            show.lines(" ".join(line).strip() for line in summary.fix_of(together))
+    if options.outputs.as_json:
+        each = {name: values.values(overview) for name, overview in overviews.items()}
+        put(json_report.encode({"logs": each, "together": together}))
+    else:
+        show.lines(info_text.together(overviews, together), (*info_text.TITLES, info_text.TOGETHER))
+        show.lines(" ".join(line).strip() for line in summary.fix_of(together))
     return EXIT_LOSS if check and any(overview.severe for overview in overviews.values()) else 0
 
 
@@ -125,11 +123,10 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
     from locfuse.formats.report import json_report
 
     log = open_log(find_log(words))
-    with ignore_closed_stdout():
-        if as_json:
-            put(json_report.encode({"topics": values.listed(log)}))
-        else:
-            show.lines(info_text.listed(values.listed(log), show.width()))
+    if as_json:
+        put(json_report.encode({"topics": values.listed(log)}))
+    else:
+        show.lines(info_text.listed(values.listed(log), show.width()))
     show.transfer(log.transfer, quiet)
     return EXIT_LOSS if log.losses else 0
 

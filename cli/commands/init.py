@@ -11,7 +11,7 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import ignore_closed_stdout, put, say
+from locfuse.cli.terminal.screen import put, say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,8 +80,7 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
         write_text(place, text)
         say(f"{place}: use it with --robot {name}")
     else:
-        with ignore_closed_stdout():
-            put(text)
+        put(text)
     code = show.ended((), made.overview.log.losses.lines(), how.quiet)
     for note in notes:
         say(f"{ekf}: {note}")

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import ignore_closed_stdout, put
+from locfuse.cli.terminal.screen import put
 
 
 @click.command()
@@ -47,13 +47,12 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
         values = json_report.plain(found.values())
         files = job.files(found, values)
     write_results(out, files, overwrite)
-    with ignore_closed_stdout():
-        if as_json:
-            put(json_report.encode(values))
-        else:
-            show.table(paper_page.table(values))
-            show.lines([paper_page.conclusion(values)])
-            show.lines(job.lines(values))
-            show.end([out / name for name in files])
+    if as_json:
+        put(json_report.encode(values))
+    else:
+        show.table(paper_page.table(values))
+        show.lines([paper_page.conclusion(values)])
+        show.lines(job.lines(values))
+        show.end([out / name for name in files])
     if shown:
         show.open_page([out / name for name in files])

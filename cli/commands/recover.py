@@ -8,7 +8,7 @@ import click
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import ignore_closed_stdout, put, say
+from locfuse.cli.terminal.screen import put, say
 
 
 @click.command()
@@ -40,11 +40,10 @@ def recover(log: tuple[str, ...], out: Path, overwrite: bool, as_json: bool, qui
         opened = open_log(find_log(log))
         progress("copying")
         found = copy(opened, out)
-    with ignore_closed_stdout():
-        if as_json:
-            values = {"file": str(found.path), "messages": found.messages, "lost": list(found.lost)}
-            put(json_report.encode(values))
-        else:
-            say(f"{found.path}: {sum(found.messages.values())} messages on {len(found.messages)} topics")
+    if as_json:
+        values = {"file": str(found.path), "messages": found.messages, "lost": list(found.lost)}
+        put(json_report.encode(values))
+    else:
+        say(f"{found.path}: {sum(found.messages.values())} messages on {len(found.messages)} topics")
     show.ended((), [] if quiet else found.lost, quiet)
     return EXIT_LOSS if found.lost else 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from locfuse.cli.terminal.screen import ignore_closed_stdout, put
+from locfuse.cli.terminal.screen import put
 
 COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # environment variable set by the shell's completion
 
@@ -22,8 +22,7 @@ def explain(term: str | None) -> int:
     from locfuse.formats.report.glossary import GLOSSARY
 
     lines = [f"{name}: {text}" for name, text in GLOSSARY.items()] if term is None else [meaning(term)]
-    with ignore_closed_stdout():
-        put("".join(f"{line}\n" for line in lines))
+    put("".join(f"{line}\n" for line in lines))
     return 0
 
 
@@ -59,8 +58,7 @@ def schema(what: str) -> int:
 
     from locfuse.cli.inspect.json_schema import SCHEMAS
 
-    with ignore_closed_stdout():
-        put(json.dumps(SCHEMAS[what](), indent=2) + "\n")
+    put(json.dumps(SCHEMAS[what](), indent=2) + "\n")
     return 0
 
 

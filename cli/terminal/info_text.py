@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -133,12 +132,12 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
     yield from _table(rows, width)
     if rows:
         gap = GAP_NOTE if any(row["longest_gap_s"] is not None for row in rows) else ""
-        yield from _wrapped("", f"{TOPICS_NOTE}{gap}", width, "")
+        yield from text_table.wrapped("", f"{TOPICS_NOTE}{gap}", width, "")
     if empty := [f.topic for f in overview.facts if not f.count]:
-        yield from _wrapped("empty: ", ", ".join(empty), width, "  ")
+        yield from text_table.wrapped("empty: ", ", ".join(empty), width, "  ")
     unreadable = [f for f in overview.facts if f.problem is not None and f.count]
     for f in unreadable[:MAX_UNREADABLE_LISTED]:
-        yield from _wrapped("not readable: ", f"{f.topic}: {f.problem}", width, "  ")
+        yield from text_table.wrapped("not readable: ", f"{f.topic}: {f.problem}", width, "  ")
     if len(unreadable) > MAX_UNREADABLE_LISTED:
         yield f"not readable: {len(unreadable) - MAX_UNREADABLE_LISTED} more"
 
@@ -151,7 +150,7 @@ def _roles(overview: Overview, width: int | None) -> Iterator[str]:
         words = f"{' and '.join(topics)}, {overview.choice.why.get(role, '')}"
         if role in mounts:
             words += f"; {_place(mounts[role], overview.frames_of(role)[0])}"
-        body += _wrapped(f"  {role:<8} ", words, width)
+        body += text_table.wrapped(f"  {role:<8} ", words, width)
     yield from _section(READS, body)
 
 
@@ -173,15 +172,14 @@ def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
     known, why = configurations(overview), absent(overview)
     base = wheels_missing(overview)
     ready = [name for name, what in known.items() if what is None]
-    body = _wrapped("  ready    ", ", ".join(ready), width) if ready else []
-    body += (
-        _wrapped("  not yet  ", f"all: {_briefly(base, 'wheels', overview)}", width) if base is not None else []
-    )
+    body = text_table.wrapped("  ready    ", ", ".join(ready), width) if ready else []
+    if base is not None:
+        body += text_table.wrapped("  not yet  ", f"all: {_briefly(base, 'wheels', overview)}", width)
     foreign = [name for name in REGISTRY if name in overview.choice.foreign]
     for name in REGISTRY:
         if name in why and name not in foreign:
-            body += _wrapped("  not yet  ", f"{name}: {_briefly(why[name], name, overview)}", width)
-    body += _wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
+            body += text_table.wrapped("  not yet  ", f"{name}: {_briefly(why[name], name, overview)}", width)
+    body += text_table.wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
     yield from _section(CONFIGURATIONS, body)
 
 
@@ -193,7 +191,7 @@ def _briefly(words: str, role: str, overview: Overview) -> str:
 
 def _finding(f: Finding, width: int | None, helped: Sequence[str] | None) -> list[str]:
     fixes = () if f.code == OPEN_SCALE else f.fixes  # the message names two alternative fixes
-    body = _wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
+    body = text_table.wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
     if not fixes:
         return body
     if helped is None or not f.severe or _keys(fixes) & _keys(helped):
@@ -217,17 +215,6 @@ def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
             row = " " * len(head)
         row += f"{option} "
     return [*rows, row.rstrip()]
-
-
-def _wrapped(head: str, words: str, width: int | None, indent: str | None = None) -> list[str]:
-    """Return a paragraph after `head`, wrapped at `width` characters (None: one line)."""
-    if width is None:
-        return [f"{head}{words}"]
-    later = " " * len(head) if indent is None else indent
-    return textwrap.wrap(
-        words, max(width, 40), initial_indent=head, subsequent_indent=later, break_long_words=False,
-        break_on_hyphens=False,
-    )  # fmt: skip
 
 
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:

@@ -1,59 +1,42 @@
-"""The screen: lines by click, tables by rich, with control characters in a log's text made visible.
+"""The screen: lines and documents by click, with control characters in a log's text made visible.
 
-A closed stdout (`| head`) is not an error.
+A closed stdout (`| head`) is not an error: files are still written, and the exit code is returned.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from locfuse.formats.visible import visible, visible_lines
-
-if TYPE_CHECKING:
-    from rich.console import Console, ConsoleOptions, RenderableType
-    from rich.segment import Segment
+from locfuse.formats.visible import visible
 
 
-def screen(**options: Any) -> Console:
-    """Return rich's console, changed to raise BrokenPipeError instead of exiting with code 1."""
-    from rich.console import Console
-    from rich.segment import Segment
-
-    class PipeConsole(Console):
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
-        def render(
-            self, renderable: RenderableType, options: ConsoleOptions | None = None
-        ) -> Iterator[Segment]:  # rich's own control codes (colours, spinner) are kept
-            for text, style, control in super().render(renderable, options):
-                yield Segment(text if control else visible_lines(text), style, control)
-
-    return PipeConsole(**options)
-
-
-def say(line: str, err: bool = False) -> None:
+def say(line: str, err: bool = False, styled: int | None = None, **style: Any) -> None:
     """Print one line on stdout or stderr, with control characters escaped.
 
-    If stderr is closed (`2>&1 | head`), the line is dropped, and the exit code is still returned.
+    Its first `styled` characters (None: all) are in the `style` of click.style, if the screen supports it.
     """
-    try:
-        click.echo(visible(line), err=err)
-    except BrokenPipeError:
-        if not err:
-            raise  # handled by `ignore_closed_stdout`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+    text = visible(line)
+    head = len(text) if styled is None else max(styled, 0)
+    _echo((click.style(text[:head], **style) + text[head:] if style and head else text) + "\n", err)
 
 
 def put(document: str) -> None:
     """Print JSON or TOML unchanged; its control characters are escaped already."""
-    click.echo(document, nl=False)
+    _echo(document)
+
+
+def _echo(text: str, err: bool = False) -> None:
+    """Print text; if the stream is closed, drop it and all further output."""
+    plain = "NO_COLOR" in os.environ or os.environ.get("TERM") == "dumb"
+    stream = sys.stderr if err else sys.stdout
+    try:
+        click.echo(text, stream, nl=False, color=False if plain else None)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def settle_streams() -> None:
@@ -69,13 +52,3 @@ def settle_streams() -> None:
             setattr(sys, name, os.fdopen(number, "w", errors="backslashreplace", closefd=False))
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-
-
-@contextmanager
-def ignore_closed_stdout() -> Iterator[None]:
-    """Ignore a closed stdout (`| head`): drop further output, still write files and return the exit code."""
-    try:
-        yield
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

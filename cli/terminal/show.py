@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,12 +22,10 @@ from locfuse.fusion.progress import heard_by
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table
-from .screen import ignore_closed_stdout, put, screen
+from .screen import put
 from .screen import say as on_screen
 
 if TYPE_CHECKING:
-    from rich.text import Text
-
     from locfuse.cli.session.result import Result
 
     from .options import Options
@@ -57,8 +56,10 @@ def progress(quiet: bool) -> Iterator[Progress]:
         yield lambda what: None
         return
 
+    from rich.console import Console
+
     own = os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding, errors="backslashreplace")
-    with own, screen(file=own).status("opening", spinner="dots") as status:
+    with own, Console(file=own).status("opening", spinner="dots") as status:
         step = "opening"
 
         def begin(what: str) -> None:
@@ -75,17 +76,13 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
 def width() -> int | None:
     """Return the screen's width [characters]; None for a pipe or a file, where nothing is wrapped or cut."""
-    console = screen()
-    return console.width if console.is_terminal or "COLUMNS" in os.environ else None
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() or "COLUMNS" in os.environ else None
 
 
 def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
     """Print lines of text; a line that is also in `bold` is bold if the screen supports it."""
-    from rich.text import Text
-
-    console = screen(soft_wrap=True, highlight=False)
     for line in text:
-        console.print(Text(line, "bold" if line in bold else ""))
+        on_screen(line, **({"bold": True} if line in bold else {}))
 
 
 def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]:
@@ -98,14 +95,13 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     unusable = [
         f"not used: {s}: {why}" for s, why in found.report["absent"].items() if not why.startswith(NO_TOPIC)
     ]
-    with ignore_closed_stdout():
-        if outputs.as_json:
-            put(json_report.encode(found.report))
-        else:
-            result(found.report, files[0].parent, outputs.verbose)
+    if outputs.as_json:
+        put(json_report.encode(found.report))
+    else:
+        result(found.report, files[0].parent, outputs.verbose)
     void = void_reasons(found.report)
     for line in lost:  # reasons of exit code 3: printed with --quiet too; void figures are on the screen already
-        if line not in void or outputs.as_json or not screen().is_terminal:
+        if line not in void or outputs.as_json or not sys.stdout.isatty():
             say(f"{'void' if line in void else 'lost'}: {line}")
     if found.loaded.log.losses.recoverable and not how.quiet:
         words = shlex.join(("locfuse", "recover", *map(str, found.loaded.log.given), "-o", "recovered.mcap"))
@@ -138,8 +134,7 @@ def end(files: Sequence[Path], notes: int = 0) -> None:
     page = _page(files)
     where = f"{files[0].parent}: {', '.join(file.name for file in files)}" if page is None else f"report: {page}"
     count = f" ({notes} note{'' if notes == 1 else 's'}: -v)" if notes else ""
-    with ignore_closed_stdout():
-        on_screen(f"{where}{count}")
+    on_screen(f"{where}{count}")
 
 
 def open_page(files: Sequence[Path]) -> None:
@@ -199,27 +194,23 @@ def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
 
 def verdicts(report: Mapping[str, Any]) -> None:
     """Print the verdict on each sensor; sensors with equal verdicts share a line."""
-    from rich.text import Text
-
     equal: dict[tuple[str, str], list[str]] = {}
     for sensor, found in report.get("verdicts", {}).items():
         equal.setdefault((found["verdict"], found["words"]), []).append(sensor)
     printed: set[str] = set()
     for (verdict, words), sensors in equal.items():
-        colour = VERDICT_COLOURS.get(verdict, "")
         new = [sentence for sentence in SENTENCE_END.split(words) if sentence not in printed]
         printed.update(new)
-        paragraph(Text.assemble((f"{', '.join(sensors)} {verdict}. ", f"bold {colour}"), " ".join(new)))
+        head = f"{', '.join(sensors)} {verdict}."
+        paragraph(f"{head} {' '.join(new)}", len(head), bold=True, fg=VERDICT_COLOURS.get(verdict))
 
 
 def headline(report: Mapping[str, Any]) -> None:
     """Print the headline, then the warnings on void and doubtful figures."""
-    from rich.text import Text
-
     if report.get("headline"):
-        paragraph(Text(report["headline"], "bold"))
+        paragraph(report["headline"], bold=True)
     for line in banner_of(report):
-        paragraph(Text(line, "yellow"))
+        paragraph(line, fg="yellow")
 
 
 def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: bool = True) -> None:
@@ -239,6 +230,9 @@ def _is_note(finding: Mapping[str, Any]) -> bool:
     return not finding["fixes"] and bool(finding.get("harmless"))
 
 
-def paragraph(text: Text) -> None:
-    """Print a text, wrapped between words on a screen."""
-    screen(soft_wrap=width() is None, highlight=False).print(text)
+def paragraph(text: str, styled: int | None = None, **style: Any) -> None:
+    """Print a text, wrapped between words on a screen; its first `styled` characters (None: all) in a style."""
+    left = len(text) if styled is None else styled
+    for line in text_table.wrapped("", text, width()):
+        on_screen(line, styled=left, **style)
+        left -= len(line) + 1

@@ -1,7 +1,11 @@
-"""Tables on a terminal, fitted to its width: less important columns are left out, numbers are never cut."""
+"""Tables and paragraphs on a terminal, fitted to its width.
+
+Less important columns of a table are left out, and numbers are never cut.
+"""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 
 import msgspec
@@ -86,3 +90,14 @@ def _cut(cell: str, width: int) -> str:
         return cell
     head = (width - 1) // 2
     return f"{cell[:head]}…{cell[len(cell) - (width - 1 - head) :]}"
+
+
+def wrapped(head: str, words: str, width: int | None, indent: str | None = None) -> list[str]:
+    """Return a paragraph after `head`, wrapped at `width` characters (None: one line)."""
+    if width is None:
+        return [f"{head}{words}"]
+    later = " " * len(head) if indent is None else indent
+    return textwrap.wrap(
+        words, max(width, 40), initial_indent=head, subsequent_indent=later, break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip

@@ -126,3 +126,14 @@ def test_a_closed_stream_costs_no_result(tmp_path: Path, closed: int) -> None:
     )
     assert done.returncode == 0
     assert json.loads((tmp_path / "o" / "run.json").read_bytes())["configurations"]
+
+
+def test_a_reader_who_has_gone_costs_neither_files_nor_exit_code(tmp_path: Path) -> None:
+    log = write(tmp_path / "f.mcap")
+    for end, out in (("stdout", tmp_path / "o"), ("stderr", tmp_path / "e")):
+        read, written = os.pipe()
+        os.close(read)
+        done = subprocess.run([*ENTRY, "run", str(log), "-v", "-o", str(out)], check=False, **{end: written})  # type: ignore[call-overload]
+        os.close(written)
+        assert done.returncode == 0
+        assert (out / "run.json").is_file()

@@ -175,7 +175,7 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
     traces = traces_of(found.compared["ours"].compared.estimates)
-    inks = {**palette.ROLES, **palette.colours(traces, colours()), **COLOURS}
+    inks = {**palette.colours(traces, colours()), **COLOURS}
     looks = dict(LINE_STYLES)
     light = {name: colour.light for name, colour in inks.items()}
     for which in PRESETS:

@@ -79,7 +79,7 @@ def paper_figures(
 
     `traces`: configurations that are drawn. `sensors`: colour of every sensor known to locfuse.
     """
-    inks = _inks([m.of for s in sections for p in s.panels for m in p.marks], traces, sensors)
+    inks = _inks(traces, sensors)
     looks = palette.looks_of(traces)
     out: dict[str, bytes] = {}
     for section in sections:
@@ -89,10 +89,9 @@ def paper_figures(
     return out
 
 
-def _inks(names: Sequence[str], traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, str]:
-    """Return the print colour of every configuration, sensor and role in `names`."""
-    every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
-    return {name: colour.light for name, colour in {**palette.colours(every, sensors), **palette.ROLES}.items()}
+def _inks(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, str]:
+    """Return the print colour of every configuration, sensor and role."""
+    return {name: colour.light for name, colour in palette.colours(traces, sensors).items()}
 
 
 def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> Any:
@@ -101,7 +100,7 @@ def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mappi
         from matplotlib import pyplot as plt
 
         axes = plt.figure(figsize=(7.0, 6.0), layout="constrained").add_subplot()
-    _fill(axes, panel, _inks([m.of for m in panel.marks], traces, sensors), palette.looks_of(traces))
+    _fill(axes, panel, _inks(traces, sensors), palette.looks_of(traces))
     return axes
 
 

@@ -114,8 +114,8 @@ def looks_of(traces: Mapping[str, Trace]) -> dict[str, str]:
 
 
 def colours(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, Colour]:
-    """Return a colour per result, given the colours of all sensors."""
-    return {name: _colour(trace, sensors) for name, trace in traces.items()}
+    """Return the colour of every result, sensor and role by name, given the colours of all sensors."""
+    return {**sensors, **{name: _colour(trace, sensors) for name, trace in traces.items()}, **ROLES}
 
 
 def _colour(trace: Trace, sensors: Mapping[str, Colour]) -> Colour:

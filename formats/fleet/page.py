@@ -42,8 +42,7 @@ def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mappin
     """Return summary.html. `sensors`: the colour of every sensor known to locfuse."""
     figures = sections(summary, entries)
     traces = _traces(entries)
-    inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in traces}}, sensors)
-    swatches = Swatches(inks, palette.looks_of(traces))
+    swatches = Swatches(palette.colours(traces, sensors), palette.looks_of(traces))
     shown = {mark.of for s in figures for p in s.panels for mark in p.marks}
     return page_of(
         files(__package__) / "fleet.html.j2",

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from locfuse.formats.figures import palette
-from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT_PX, WIDTH_PX, svg
 from locfuse.fusion.data import REFUSED, Colour
@@ -47,9 +46,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
     names, bars = list(report["configurations"]), _bars(report)
     smoothed = {name for name, values in report["configurations"].items() if values.get("smoothed")}
     traces = palette.traces_in(report)
-    looks = palette.looks_of(traces)
-    inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in names}}, sensors)
-    swatches = Swatches({**inks, **palette.ROLES}, {**palette.SHAPES, **looks})
+    swatches = Swatches(palette.colours(traces, sensors), {**palette.SHAPES, **palette.looks_of(traces)})
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
     shaded = dict.fromkeys(e.kind for s in sections for p in s.panels for e in p.events)
     drawings = [section_drawings(s, swatches) for s in sections]

@@ -32,8 +32,7 @@ class NotebookFigure(NamedTuple):
 
     def _repr_svg_(self) -> str:
         """Return the figure as an SVG document with its own style sheet for light and dark notebooks."""
-        roles = {**palette.colours(self.traces, self.sensors), **palette.ROLES}
-        swatches = Swatches(roles, palette.looks_of(self.traces))
+        swatches = Swatches(palette.colours(self.traces, self.sensors), palette.looks_of(self.traces))
         css = (files(__package__) / "report.css").read_text(encoding="utf-8").splitlines()
         of_figures = [line for line in css if line.startswith((":root", "@media (prefers", ".fig"))]
         style = style_sheet("".join(of_figures), swatches).replace("<", "\\3c ")
@@ -46,7 +45,7 @@ class NotebookFigure(NamedTuple):
         data = base64.b64encode(self._repr_svg_().encode()).decode()
         inks = palette.colours(self.traces, self.sensors)
         names = " ".join(
-            f'<span style="color:{ink.light}">&#9632;</span> {html_text(name)}' for name, ink in inks.items()
+            f'<span style="color:{inks[name].light}">&#9632;</span> {html_text(name)}' for name in self.traces
         )
         source = f"data:image/svg+xml;base64,{data}"
         return f'<p>{names}</p><img alt="{html_text(self.panel.summary)}" src="{source}">'

@@ -170,7 +170,7 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     """Return file name -> content for table, figures and page."""
     from locfuse.formats.figures import palette
     from locfuse.formats.figures.for_paper import draw, draw_column
-    from locfuse.formats.report import json_report, paper_page
+    from locfuse.formats.report import json_report, paper_page, render
 
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
@@ -189,7 +189,7 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
         out[f"{panel.name}.svg"], out[f"{panel.name}.pdf"] = draw(panel, light, looks)
     out["paper.json"] = json_report.encode(values)
     out["table.tex"] = paper_page.latex(values)
-    out["table.csv"] = paper_page.csv(values)
+    out["table.csv"] = render.csv(paper_page.table(values))
     out["paper.html"] = paper_page.render(values, shown, inks, looks)
     return out
 

@@ -6,7 +6,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 CLAUSE_END = re.compile(r"; |, but ")
 MIN_HEADING_CHANGE = 0.2  # share of the heading error; smaller changes are not shown
@@ -14,15 +14,31 @@ MIN_SCORE_CHANGE_NATS = 0.02  # per number; predictions that differ by less are 
 MAX_ANEES = 50.0  # larger ones are shown as "over 50"
 
 
+class Warned(NamedTuple):
+    """A warning to show in a box: why figures are void or doubtful."""
+
+    kind: str  # "Void", "Warning"
+    at: int  # its index in report["validity"]
+    finding: Mapping[str, Any] | None  # that says it, with its fix; None: there is none
+
+
+def warnings_of(report: Mapping[str, Any]) -> list[Warned]:
+    """Return the warnings of a report that its headline lacks; a finding that says several is given once."""
+    headline, said, found = report.get("headline") or "", list[Any](), list[Warned]()
+    for i, warning in enumerate(report.get("validity") or ()):
+        finding = next((f for f in report.get("findings") or () if _says(f, warning)), None)
+        if warning["message"] not in headline and finding not in said:
+            found.append(Warned("Void" if warning.get("void", True) else "Warning", i, finding))
+            said += [] if finding is None else [finding]
+    return found
+
+
 def banner_of(report: Mapping[str, Any]) -> list[str]:
-    """Return the warnings of a report: why figures are void or doubtful; with its fix where a finding has one."""
-    found = [report["validity"][i] for i in boxed(report)]
-    lines = []
-    for v in found:
-        finding = next((f for f in report.get("findings") or () if _says(f, v)), None)
-        words = f"{v['message']}." if finding is None else sentence(finding)
-        lines.append(f"{'Void' if v.get('void', True) else 'Warning'}: {words}")
-    return [*dict.fromkeys(lines)]
+    """Return the warnings of a report as lines; with its fix where a finding has one."""
+    return [
+        f"{kind}: {report['validity'][at]['message']}." if finding is None else f"{kind}: {sentence(finding)}"
+        for kind, at, finding in warnings_of(report)
+    ]
 
 
 def _says(finding: Mapping[str, Any], warning: Mapping[str, Any]) -> bool:
@@ -42,24 +58,13 @@ def without_correlation(words: str) -> str:
 
 def unwarned(report: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the findings that no warning says."""
-    warnings = [report["validity"][i] for i in boxed(report)]
-    return [f for f in report.get("findings") or () if not any(_says(f, v) for v in warnings)]
-
-
-def boxed(report: Mapping[str, Any]) -> list[int]:
-    """Return the indices of `report["validity"]` entries to show in a box: those that the headline lacks."""
-    headline = report.get("headline") or ""
-    return [i for i, v in enumerate(report.get("validity") or ()) if v["message"] not in headline]
+    said = [warning.finding for warning in warnings_of(report)]
+    return [f for f in report.get("findings") or () if f not in said]
 
 
 def void_reasons(report: Mapping[str, Any]) -> list[str]:
     """Return the reasons why figures are void; with any, the command exits with code 3."""
     return [v["message"] for v in report.get("validity") or () if v["void"]]
-
-
-def findings_of(report: Mapping[str, Any]) -> list[str]:
-    """Return one sentence per finding that no warning says; [] for a report without findings."""
-    return [sentence(f) for f in unwarned(report)]
 
 
 def sentence(finding: Mapping[str, Any], brief: bool = False) -> str:

@@ -23,7 +23,7 @@ from locfuse.formats.figures.svg import HEIGHT_PX, WIDTH_PX, svg
 from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables
-from .findings import boxed, fingerprint, in_parts, notes_of, options, title_of, together
+from .findings import fingerprint, in_parts, notes_of, options, title_of, together, unwarned, warnings_of
 from .glossary import GLOSSARY
 from .render import SIGNS, Swatches, data, html
 from .table import Path, Piece, written
@@ -66,10 +66,10 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         legend=[(name, swatches.slugs[name]) for name in names if name in drawn],
         strips=_strips(report),
         notes=notes_of(report),
-        findings=[in_parts(f) for f in report.get("findings") or ()],
+        warnings=[(kind, at, f and in_parts(f)) for kind, at, f in warnings_of(report)],
+        findings=[in_parts(f) for f in unwarned(report)],
         together=together(report) is not None,
         fixes=options(report.get("fixes") or ()),
-        boxed=boxed(report),
         events=[("rejected in a row" if kind == REFUSED else kind, palette.EVENTS[kind]) for kind in shaded],
         glossary=GLOSSARY,
         extras=("truth", "bounds") if report["truth"] else ("bounds",),

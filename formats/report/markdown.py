@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from . import tables
-from .findings import banner_of, counts, findings_of, fingerprint, notes_of, title_of, together
+from .findings import banner_of, counts, fingerprint, notes_of, sentence, title_of, together, unwarned
 from .render import SIGNS, code, escape, markdown
 
 
@@ -50,7 +50,7 @@ def _verdicts(report: Mapping[str, Any]) -> str:
 
 
 def _findings(report: Mapping[str, Any]) -> str:
-    found = _listing("Findings", dict.fromkeys(findings_of(report), ""))
+    found = _listing("Findings", dict.fromkeys(map(sentence, unwarned(report)), ""))
     line = together(report)
     return found if line is None else f"{found}\n\n{escape(line)}"
 

@@ -14,7 +14,7 @@ from locfuse.formats.figures.svg import svg
 from locfuse.fusion.data import Colour
 
 from . import summary as over
-from .findings import banner_of, findings_of, together
+from .findings import banner_of, sentence, together, unwarned
 from .html import style_sheet
 from .render import Swatches, html, html_text
 from .table import of_words, texts
@@ -56,7 +56,7 @@ def render(report: Mapping[str, Any], spoken: Callable[[str], str] = str) -> str
 
     `spoken` rewrites command-line options in sentences, e.g. as Python arguments.
     """
-    lines = [*banner_of(report), *findings_of(report), *filter(None, [together(report)])]
+    lines = [*banner_of(report), *map(sentence, unwarned(report)), *filter(None, [together(report)])]
     findings = "".join(f"<li>{html_text(spoken(line))}</li>" for line in lines)
     head = f"<p><b>{html_text(spoken(report.get('headline') or ''))}</b></p>" + (
         f"<ul>{findings}</ul>" if findings else ""

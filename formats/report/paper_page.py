@@ -16,7 +16,6 @@ from locfuse.fusion.data import Colour
 from .findings import length
 from .html import page_of, section_drawings
 from .render import Swatches, html
-from .render import csv as csv_of
 from .render import latex as latex_of
 from .table import Column, Table, of_values
 from .tables import CONFIGURATION
@@ -79,11 +78,6 @@ def latex(values: Mapping[str, Any]) -> str:
     return f"% locfuse {values['locfuse']}; needs \\usepackage{{booktabs}} and \\usepackage{{textcomp}}\n" + (
         latex_of(table(values)) + "\n"
     )
-
-
-def csv(values: Mapping[str, Any]) -> str:
-    """Return the table of errors as CSV, with every figure in full precision."""
-    return csv_of(table(values))
 
 
 def render(

@@ -10,7 +10,6 @@ from typing import Any
 from msgspec.structs import replace
 
 from .findings import MAX_ANEES, fingerprint
-from .render import csv as csv_of
 from .render import latex as latex_of
 from .render import latex_text
 from .table import Cell, Column, Path, Table, of_values
@@ -339,7 +338,7 @@ def _number_or_text(value: Any) -> Any:
 
 
 def everything(report: Report) -> Table:
-    """Return one row per configuration with every value but lists of report.json and every sensor's counts."""
+    """Return the rows of report.csv: every value of a configuration but lists, and every sensor's counts."""
     runs = report["configurations"]
     keys = dict.fromkeys(k for v in runs.values() for k, x in v.items() if not isinstance(x, Mapping | list))
     keys.pop("configuration")  # the first column: there it is the row's name, such as all-smoothed
@@ -350,11 +349,6 @@ def everything(report: Report) -> Table:
         own = {flat: values["sensors"].get(s, {}).get(key) for flat, (s, key) in counts.items()}
         rows.append(({**values, **own}, at))
     return of_values([Column(key, key) for key in ("configuration", *keys, *counts)], rows)
-
-
-def csv(report: Report) -> str:
-    """Return report.csv, with every value in full precision."""
-    return csv_of(everything(report))
 
 
 def latex(report: Report) -> str:

@@ -1,4 +1,7 @@
-"""The Rerun scene of a results' folder: trajectories, truth and table. Its files have no scans and no gates."""
+"""The Rerun scene of a results' folder: trajectories, truth and table. Its files have no scans and no gates.
+
+A trajectory is read as `--estimate` reads one, and the truth as `--truth` does.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,20 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
+from locfuse.cli.session.foreign import estimates_in
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import traces_in
 from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.clock import MadeStream
+from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.report import json_report
 from locfuse.formats.rerun.scene import RerunScene
-from locfuse.formats.results.trajectory import read_tum
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
+from locfuse.fusion.data import Drive, Estimates, LocfuseError, Motions, Truth
 from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.robot import TruthSettings
+from locfuse.fusion.truth import read_truth
 
 from .scene import palette, table_of
 
@@ -27,11 +35,6 @@ def scene_of(report_file: Path) -> RerunScene:
     try:
         report = json_report.readable(msgspec.json.decode(read_small(report_file, MAX_REPORT)), str(report_file))
         return _scene(folder, report, report_file.name == "run.json")
-    except FileNotFoundError as problem:
-        missing = Path(str(problem.filename)).name
-        raise LocfuseError(
-            f"{folder} lacks {missing}, so there is no trajectory to show; make it again without --write"
-        ) from None
     except (msgspec.DecodeError, UnicodeDecodeError, ValueError, KeyError, IndexError, TypeError) as problem:
         raise LocfuseError(f"{folder}: its files are not as locfuse writes them: {problem}") from None
 
@@ -39,22 +42,17 @@ def scene_of(report_file: Path) -> RerunScene:
 def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
     """Return the scene of a results' folder.
 
-    `by_run`: the trajectories are in trajectory.tum and smoothed.tum, else in one .tum file per result.
+    `by_run`: the trajectories are in trajectory.tum or .csv and smoothed.tum or .csv, else in one .tum per result.
     """
     rows = report["configurations"]
-    tracks = {}
-    for name, row in rows.items():
-        file = name if not by_run else "smoothed" if row["smoothed"] else "trajectory"
-        tracks[name] = t_ns, pose = read_tum((folder / f"{file}.tum").read_text())
-        if len(t_ns) < 2:
-            raise ValueError(f"{file}.tum has {len(t_ns)} poses")
-        pose[:, 2] = np.unwrap(pose[:, 2])
-    t_ns, _ = next(iter(tracks.values()))
-    epoch_ns = int(t_ns[0])
-    truth, stamps = _truth(folder, report, epoch_ns)
+    file_of = {n: ("smoothed" if row["smoothed"] else "trajectory") if by_run else n for n, row in rows.items()}
+    tracks = {name: _trajectory(folder, file) for name, file in file_of.items()}
+    first = next(iter(tracks.values()))
+    epoch_ns = int(first.t_ns[0])
     still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
-    drive = Drive(epoch_ns, _seconds(t_ns, epoch_ns), still, {}, {}, {}, truth)
-    estimates = [_estimates(folder, rows[name], track, epoch_ns, stamps) for name, track in tracks.items()]
+    t = (first.t_ns - epoch_ns) * np.float64(1e-9)
+    drive = Drive(epoch_ns, t, still, {}, {}, {}, _truth(folder, report, epoch_ns))
+    estimates = [_estimates(track, drive, rows[name]) for name, track in tracks.items()]
     return RerunScene(
         str(report["input"]["name"]),
         drive,
@@ -66,44 +64,28 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
     )
 
 
-def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> tuple[Truth | None, Ints]:
-    """Return the truth (None without one) and its stamps [ns], (q,)."""
-    path = folder / "truth.tum"
-    if not path.is_file() or not report["truth"]:
-        return None, np.zeros(0, np.int64)
-    t_ns, pose = read_tum(path.read_text())
-    settings = report["settings"].get("truth", {})
-    point = (float(settings.get("x", 0.0)), float(settings.get("y", 0.0)))
-    theta = np.unwrap(pose[:, 2]) if report["truth"]["heading"] else None
-    return Truth(str(report["truth"]["topic"]), _seconds(t_ns, epoch_ns), pose[:, :2], theta, point), t_ns
-
-
-def _estimates(
-    folder: Path, figures: Mapping[str, Any], track: tuple[Ints, Array], epoch_ns: int, stamps: Ints
-) -> Estimates:
-    """Return one result's trajectory, with covariances if trajectory.csv exists, else zeros."""
-    t_ns, pose = track
-    covariances = folder / ("smoothed.csv" if figures["smoothed"] else "trajectory.csv")
-    triangles = np.zeros((len(t_ns), 6))
-    if covariances.is_file():
-        triangles = np.loadtxt(covariances, delimiter=",", skiprows=1, ndmin=2)[:, 4:10]
-    if len(triangles) != len(t_ns):
-        raise ValueError(f"{covariances.name} has {len(triangles)} rows, the trajectory {len(t_ns)}")
-    at = np.minimum(np.searchsorted(t_ns, stamps), len(t_ns) - 1)
-    known = t_ns[at] == stamps  # a .tum has a row at every truth stamp within the drive
-    return Estimates(
-        figures["configuration"],
-        tuple(figures["sensors"]),
-        _seconds(t_ns, epoch_ns),
-        pose,
-        triangles,
-        {},
-        truth_pose=np.where(known[:, None], pose[at], np.nan),
-        truth_P=matrices(triangles[at]),
-        smoothed=figures["smoothed"],
-        rates=figures["rates_hz"],
+def _trajectory(folder: Path, name: str) -> MadeStream:
+    """Return a trajectory: by the .csv, which has covariances, else by the .tum."""
+    for path in (folder / f"{name}.csv", folder / f"{name}.tum"):
+        if path.is_file():
+            return read_file(str(path))
+    raise LocfuseError(
+        f"{folder} lacks {name}.tum, so there is no trajectory to show; make it again without --write"
     )
 
 
-def _seconds(t_ns: Ints, epoch_ns: int) -> Array:
-    return (t_ns - epoch_ns) * np.float64(1e-9)
+def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> Truth | None:
+    path, settings = folder / "truth.tum", report["settings"].get("truth", {})
+    if not path.is_file() or not report["truth"]:
+        return None
+    point = TruthSettings(x=float(settings.get("x", 0.0)), y=float(settings.get("y", 0.0)))
+    truth, _ = read_truth(read_file(str(path)), point, epoch_ns)
+    return replace(truth, topic=str(report["truth"]["topic"]))
+
+
+def _estimates(track: MadeStream, drive: Drive, figures: Mapping[str, Any]) -> Estimates:
+    found = estimates_in(track, drive, figures["configuration"])
+    if found is None:
+        raise ValueError(f"{Path(track.topic).name} has fewer than two poses")
+    sensors, rates = tuple(figures["sensors"]), figures["rates_hz"]
+    return replace(found, sensors=sensors, smoothed=figures["smoothed"], rates=rates)

@@ -64,14 +64,23 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
     except LocfuseError as problem:
         raise LocfuseError(f"--estimate {name}: {problem}") from None
     stream = log.stream(topic)
-    t, pose, triangles = _columns(stream, drive.epoch_ns)
-    inside = (t >= drive.t[0]) & (t <= drive.t[-1]) & np.isfinite(pose).all(axis=1)
-    inside[1:] &= np.diff(t) > 0
-    if inside.sum() < 2:
+    found = estimates_in(stream, drive, name)
+    if found is None:
+        t = (stream.t_ns - drive.epoch_ns) * np.float64(1e-9)
         span = f"{t[0]:.1f} to {t[-1]:.1f} s" if len(t) else "nothing"
         raise LocfuseError(
             f"--estimate {name}: {source} covers {span} of a drive from 0 to {drive.t[-1]:.1f} s: another clock?"
         )
+    return found
+
+
+def estimates_in(stream: Stream, drive: Drive, name: str) -> Estimates | None:
+    """Return a stream of poses as the estimates `name` of a drive; None if it has fewer than two poses of it."""
+    t, pose, triangles = _columns(stream, drive.epoch_ns)
+    inside = (t >= drive.t[0]) & (t <= drive.t[-1]) & np.isfinite(pose).all(axis=1)
+    inside[1:] &= np.diff(t) > 0
+    if inside.sum() < 2:
+        return None
     t, pose, triangles = t[inside], pose[inside], triangles[inside]
     pose[:, 2] = np.unwrap(pose[:, 2])
     at = None if drive.truth is None else interpolated(drive.truth.t, t, pose, triangles)

@@ -16,7 +16,6 @@ from locfuse.fusion.data import (
     Audit,
     Drive,
     Estimates,
-    Ints,
     Truth,
     matrices,
     upper_triangles,
@@ -129,22 +128,6 @@ def csv_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
         values = np.column_stack((wrapped, triangles[at])).tolist()
         rows = zip(stamps(drive.epoch_ns, t[at]), values, strict=True)
         yield "".join(f"{seconds(s)},{','.join(map(repr, row))}\n" for s, row in rows)
-
-
-def nanoseconds(text: str) -> int:
-    """Return decimal seconds as integer nanoseconds: the inverse of `seconds`."""
-    whole, _, part = text.strip().partition(".")
-    value = abs(int(whole)) * 1_000_000_000 + int((part + "0" * 9)[:9])
-    return -value if whole.startswith("-") else value
-
-
-def read_tum(text: str) -> tuple[Ints, Array]:
-    """Return t_ns (n,) and poses (n, 3) of a TUM text; comment lines are skipped."""
-    rows = [line.split() for line in text.splitlines() if line and not line.startswith("#")]
-    t_ns = np.array([nanoseconds(r[0]) for r in rows], dtype=np.int64)
-    v = np.array([[float(c) for c in r[1:8]] for r in rows]).reshape(-1, 7)
-    yaw = 2.0 * np.arctan2(v[:, 5], v[:, 6])
-    return t_ns, np.column_stack((v[:, 0], v[:, 1], (yaw + np.pi) % (2.0 * np.pi) - np.pi))
 
 
 # --- The audit trail: every measurement with its prediction, innovation and verdict

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
@@ -34,10 +34,10 @@ def summary_files(
     if "md" in kinds:
         files["summary.md"] = over.render(summary)
     if "csv" in kinds:
-        rows = TableRows(entries, sweep)
-        files["summary.csv"] = csv(rows)
-        table = parquet(rows)
-        files |= {} if table is None else {PARQUET: table}
+        table = fleet_table(entries, sweep)
+        files["summary.csv"] = csv(table)
+        packed = parquet(table)
+        files |= {} if packed is None else {PARQUET: packed}
     if "html" in kinds:
         from .page import render
 
@@ -53,82 +53,71 @@ TEXT = {*FIRST_COLUMNS, "key", "align"}
 NOT_FIGURES = ("configuration", "cell", "slowed", "key")  # values of a configuration
 
 
-class TableRows:
-    """The rows of the table in the order of the logs, and its columns."""
+class FleetTable(NamedTuple):
+    """The columns of the table, and its rows in the order of the logs, without missing values."""
 
-    def __init__(self, entries: Sequence[Entry], sweep: Sequence[str] = ()) -> None:
-        self._entries = entries
-        configurations = [values for e in entries for values in e.report.get("configurations", {}).values()]
-        figures = dict.fromkeys(key for values in configurations for key in values if key not in NOT_FIGURES)
-        sensors = dict.fromkeys(
-            s for e in entries for found in e.report.get("sensors", {}).values() for s in found
-        )
-        verdicts = dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {}))
-        self.sweep = tuple(sweep)  # settings that a sweep varies; text columns
-        self.columns = (
-            *FIRST_COLUMNS,
-            *self.sweep,
-            *figures,
-            *(f"{s}_{count}" for s in sensors for count in COUNTS),
-            *(f"{s}_verdict" for s in verdicts),
-            *LAST_COLUMNS,
-        )
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        """Yield rows as column -> value, without missing values."""
-        for entry in self._entries:
-            lead = {"log": entry.name, "robot": entry.robot, "state": entry.state, "reason": entry.reason or None}
-            if entry.state == "done":
-                yield from self._of(entry, lead)
-            else:
-                yield lead
-
-    def _of(self, entry: Entry, lead: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-        report, lost = entry.report, entry.losses
-        for name, values in report["configurations"].items():
-            counts = {
-                f"{s}_{count}": value
-                for s, found in report["sensors"][name].items()
-                for count, value in zip(COUNTS, found, strict=True)
-            }
-            yield {
-                **lead,
-                "start": report["input"]["start"],
-                **dict(word.split("=", 1) for word in values["cell"].split(" ") if "=" in word),
-                **values,
-                **counts,
-                **{f"{s}_verdict": verdict for s, verdict in report["verdicts"].items()},
-                **{f"lost_{unit}": n for unit, n in lost.items()},
-            }
+    columns: tuple[str, ...]
+    rows: list[dict[str, Any]]
+    text: frozenset[str]  # columns of text
 
 
-def csv(rows: TableRows) -> str:
-    """Return the rows as CSV in full precision, with empty missing values."""
-    return csv_text(rows.columns, ([row.get(column) for column in rows.columns] for row in rows))
+def fleet_table(entries: Sequence[Entry], sweep: Sequence[str] = ()) -> FleetTable:
+    """Return the table of all logs; `sweep`: the settings that a sweep varies."""
+    reports = [e.report for e in entries if e.state == "done"]
+    figures = dict.fromkeys(key for r in reports for values in r["configurations"].values() for key in values)
+    sensors = dict.fromkeys(s for r in reports for found in r["sensors"].values() for s in found)
+    verdicts = [f"{s}_verdict" for s in dict.fromkeys(s for r in reports for s in r["verdicts"])]
+    columns = (
+        *FIRST_COLUMNS,
+        *sweep,
+        *(key for key in figures if key not in NOT_FIGURES),
+        *(f"{s}_{count}" for s in sensors for count in COUNTS),
+        *verdicts,
+        *LAST_COLUMNS,
+    )
+    return FleetTable(columns, [r for e in entries for r in _rows(e)], frozenset({*TEXT, *sweep, *verdicts}))
 
 
-def parquet(rows: TableRows) -> bytes | None:
-    """Return the rows as Parquet; None without pyarrow, which is a dependency of rerun-sdk."""
+def _rows(entry: Entry) -> Iterator[dict[str, Any]]:
+    lead = {"log": entry.name, "robot": entry.robot, "state": entry.state, "reason": entry.reason or None}
+    if entry.state != "done":
+        yield lead
+        return
+    report, lost = entry.report, entry.losses
+    for name, values in report["configurations"].items():
+        counts = {
+            f"{s}_{count}": value
+            for s, found in report["sensors"][name].items()
+            for count, value in zip(COUNTS, found, strict=True)
+        }
+        yield {
+            **lead,
+            "start": report["input"]["start"],
+            **dict(word.split("=", 1) for word in values["cell"].split(" ") if "=" in word),
+            **values,
+            **counts,
+            **{f"{s}_verdict": verdict for s, verdict in report["verdicts"].items()},
+            **{f"lost_{unit}": n for unit, n in lost.items()},
+        }
+
+
+def csv(table: FleetTable) -> str:
+    """Return the table as CSV in full precision, with empty missing values."""
+    return csv_text(table.columns, ([row.get(column) for column in table.columns] for row in table.rows))
+
+
+def parquet(table: FleetTable) -> bytes | None:
+    """Return the table as Parquet; None without pyarrow, which is a dependency of rerun-sdk."""
     try:
         import pyarrow as pa
         from pyarrow import parquet as written
     except ImportError:
         return None
-    text = {*TEXT, *rows.sweep, *(c for c in rows.columns if c.endswith("_verdict"))}
-    found = list(rows)
+
+    def column(name: str) -> Any:
+        found = pa.array([row.get(name) for row in table.rows], pa.string() if name in table.text else None)
+        return found.cast(pa.float64()) if pa.types.is_null(found.type) else found
+
     sink = io.BytesIO()
-    columns = {c: _column(pa, [row.get(c) for row in found], c in text) for c in rows.columns}
-    written.write_table(pa.table(columns), sink, compression="zstd")
+    written.write_table(pa.table({c: column(c) for c in table.columns}), sink, compression="zstd")
     return sink.getvalue()
-
-
-def _column(pa: Any, values: list[Any], text: bool) -> Any:
-    """Return a pyarrow column of text, integers, booleans or floats; missing values are null."""
-    known = [v for v in values if v is not None]
-    if text or any(isinstance(v, str) for v in known):
-        return pa.array([None if v is None else str(v) for v in values], pa.string())
-    if known and all(isinstance(v, bool) for v in known):
-        return pa.array(values, pa.bool_())
-    if known and all(isinstance(v, int) and not isinstance(v, bool) for v in known):
-        return pa.array(values, pa.int64())
-    return pa.array([None if v is None else float(v) for v in values], pa.float64())

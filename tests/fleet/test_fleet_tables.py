@@ -23,7 +23,7 @@ from locfuse.cli.analysis.gates import Gates
 from locfuse.cli.analysis.settings import GateOptions, cells, swept
 from locfuse.cli.session.summary import mean_over, summarised
 from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.files import KINDS, TableRows, csv, summary_files
+from locfuse.formats.fleet.files import KINDS, csv, fleet_table, summary_files
 from locfuse.formats.report import summary as over
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.sensors.registry import colours
@@ -210,14 +210,14 @@ def test_names_of_logs_and_reasons_are_no_markup_on_the_page() -> None:
 
 
 def test_names_of_logs_and_reasons_act_on_no_terminal_that_shows_the_csv() -> None:
-    text = csv(TableRows([Entry("a\x1b]0;b", None, "failed", "unknown key lrf.\x1b[2J\u202e")], []))
+    text = csv(fleet_table([Entry("a\x1b]0;b", None, "failed", "unknown key lrf.\x1b[2J\u202e")], []))
     assert text.isascii()
     assert text.replace("\n", "").isprintable()
 
 
 @pytest.mark.parametrize("name", ['=HYPERLINK("http://x")', "+cmd|' /C calc'!A0", "-1+1", "@SUM(1)"])
 def test_names_of_logs_are_no_formulas_of_a_spreadsheet(name: str) -> None:
-    text = csv(TableRows([Entry(name, name, "failed", name)], []))
+    text = csv(fleet_table([Entry(name, name, "failed", name)], []))
     header, row = csv_module.reader(io.StringIO(text))
     assert [dict(zip(header, row, strict=True))[key] for key in ("log", "robot", "reason")] == ["'" + name] * 3
 
@@ -232,7 +232,7 @@ def test_logs_without_truth_and_without_any_result_have_a_page() -> None:
 def test_the_cells_of_a_sweep_are_columns_and_configurations() -> None:
     reports = {f"lrf.x={x}": simulated_report(np.random.default_rng(x), 0, 0) for x in (1, 2)}
     one = Entry("a", report=slim(reports), cells=tuple(reports))
-    header, *lines = csv(TableRows([one], ["lrf.x"])).splitlines()
+    header, *lines = csv(fleet_table([one], ["lrf.x"])).splitlines()
     assert header.startswith("log,robot,start,configuration,cell,state,reason,lrf.x,")
     assert len(lines) == 10
     assert lines[0].split(",")[3:8] == ["odometry", "lrf.x=1", "done", "", "1"]

@@ -16,7 +16,7 @@ from commands import jobs_here, locfuse, ok
 from locfuse.cli.analysis.grouping import logs_of, results_of
 from locfuse.cli.session.summary import summarised
 from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.files import TableRows, csv
+from locfuse.formats.fleet.files import csv, fleet_table
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.table import records
@@ -101,7 +101,7 @@ def test_names_from_logs_do_not_become_markup() -> None:
 def test_the_table_for_machines_has_a_row_per_log_and_configuration() -> None:
     reports = {"a": report({"odometry": 0.5, "all": 0.125}), "b": report({"all": None})}
     entries = [Entry(name, "r1", report=slim({"": r})) for name, r in reports.items()]
-    rows = list(DictReader(StringIO(csv(TableRows([*entries, Entry("c", None, "failed", "a text, no log")])))))
+    rows = list(DictReader(StringIO(csv(fleet_table([*entries, Entry("c", None, "failed", "a text, no log")])))))
     wanted = ("log", "robot", "configuration", "position_rmse_m", "anees", "state", "reason")
     assert [tuple(row[c] for c in wanted) for row in rows] == [
         ("a", "r1", "odometry", "0.5", "1.0", "done", ""),

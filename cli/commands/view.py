@@ -147,8 +147,7 @@ def _scene(
 ) -> RerunScene:
     """Return the content of the recording, of finished results or of a log that is fused now."""
     from locfuse.cli.analysis.grouping import result_file
-    from locfuse.cli.rerun.folder import scene_of
-    from locfuse.cli.rerun.scene import make_scene
+    from locfuse.cli.rerun.scene import make_scene, scene_of
     from locfuse.cli.session.session import opened
 
     if len(what) == 1 and (report := result_file(what[0])) is not None:

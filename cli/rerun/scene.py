@@ -1,19 +1,26 @@
-"""The content of a Rerun recording, from a measured log and its estimates."""
+"""The content of a Rerun recording, from a measured log and its estimates, or from a folder of results."""
 
 from __future__ import annotations
 
 import math
 import shlex
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.outputs import events
-from locfuse.formats.figures.palette import Trace, colours, traces_of
-from locfuse.formats.report import markdown
+from locfuse.cli.session.foreign import estimates_in
+from locfuse.formats.caps import MAX_REPORT
+from locfuse.formats.figures.palette import Trace, colours, traces_in, traces_of
+from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.clock import MadeStream
+from locfuse.formats.logs.file_stream import read_file
+from locfuse.formats.report import json_report, markdown
 from locfuse.formats.rerun.scene import (
     GROUP_OF,
     DrawnScans,
@@ -27,15 +34,28 @@ from locfuse.formats.rerun.scene import (
 from locfuse.formats.thin import evenly
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Column, Drive, Estimates, Evaluation, Ints, Ragged, Stream
+from locfuse.fusion.data import (
+    Array,
+    Column,
+    Drive,
+    Estimates,
+    Evaluation,
+    Ints,
+    LocfuseError,
+    Motions,
+    Ragged,
+    Stream,
+    Truth,
+)
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import points_in_base
 from locfuse.fusion.measure import thinned
-from locfuse.fusion.robot import VIRTUAL_TRACK
+from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
-from locfuse.fusion.truth import TRUTH_READS
+from locfuse.fusion.truth import TRUTH_READS, read_truth
 from locfuse.fusion.wheels.read import WHEEL_READS
 
 MAX_BEAMS = 360  # drawn of a scan
@@ -84,7 +104,7 @@ def make_scene(
         every = images or max(1, math.ceil(len(stream.t_ns) / MAX_PICTURES))
         found["pictures"] = _pictures(stream, settings("camera"), scene, every)
         found["picture_rows"] = _panorama_rows(stream, settings("camera"))
-    return msgspec.structs.replace(scene, **found)
+    return replace(scene, **found)
 
 
 def table_of(report: Mapping[str, Any]) -> str:
@@ -227,3 +247,68 @@ def _jpeg(picture: Any) -> bytes:
 
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return data.tobytes() if done else b""
+
+
+# --- A folder of results: trajectories, read as by `--estimate`; truth, as by `--truth`; and table
+
+
+def scene_of(report_file: Path) -> RerunScene:
+    """Return the scene of a results' folder, by its report. Raises LocfuseError for unreadable files."""
+    folder = report_file.parent
+    try:
+        report = json_report.readable(msgspec.json.decode(read_small(report_file, MAX_REPORT)), str(report_file))
+        return _scene(folder, report, report_file.name == "run.json")
+    except (msgspec.DecodeError, UnicodeDecodeError, ValueError, KeyError, IndexError, TypeError) as problem:
+        raise LocfuseError(f"{folder}: its files are not as locfuse writes them: {problem}") from None
+
+
+def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
+    """Return the scene of a results' folder.
+
+    `by_run`: the trajectories are in trajectory.tum or .csv and smoothed.tum or .csv, else in one .tum per result.
+    """
+    rows = report["configurations"]
+    file_of = {n: ("smoothed" if row["smoothed"] else "trajectory") if by_run else n for n, row in rows.items()}
+    tracks = {name: _trajectory(folder, file) for name, file in file_of.items()}
+    first = next(iter(tracks.values()))
+    epoch_ns = int(first.t_ns[0])
+    still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
+    t = (first.t_ns - epoch_ns) * np.float64(1e-9)
+    drive = Drive(epoch_ns, t, still, {}, {}, {}, _truth(folder, report, epoch_ns))
+    estimates = [_estimates(track, drive, rows[name]) for name, track in tracks.items()]
+    return RerunScene(
+        str(report["input"]["name"]),
+        drive,
+        estimates,
+        {e.name: evaluate(e, drive, rows[e.name]["align"]) for e in estimates},
+        track=report["settings"].get("wheels", {}).get("track", 0.3),
+        table=table_of(report),
+        palette=palette(traces_in(report)),
+    )
+
+
+def _trajectory(folder: Path, name: str) -> MadeStream:
+    """Return a trajectory: by the .csv, which has covariances, else by the .tum."""
+    for path in (folder / f"{name}.csv", folder / f"{name}.tum"):
+        if path.is_file():
+            return read_file(str(path))
+    raise LocfuseError(
+        f"{folder} lacks {name}.tum, so there is no trajectory to show; make it again without --write"
+    )
+
+
+def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> Truth | None:
+    path, settings = folder / "truth.tum", report["settings"].get("truth", {})
+    if not path.is_file() or not report["truth"]:
+        return None
+    point = TruthSettings(x=float(settings.get("x", 0.0)), y=float(settings.get("y", 0.0)))
+    truth, _ = read_truth(read_file(str(path)), point, epoch_ns)
+    return replace(truth, topic=str(report["truth"]["topic"]))
+
+
+def _estimates(track: MadeStream, drive: Drive, figures: Mapping[str, Any]) -> Estimates:
+    found = estimates_in(track, drive, figures["configuration"])
+    if found is None:
+        raise ValueError(f"{Path(track.topic).name} has fewer than two poses")
+    sensors, rates = tuple(figures["sensors"]), figures["rates_hz"]
+    return replace(found, sensors=sensors, smoothed=figures["smoothed"], rates=rates)

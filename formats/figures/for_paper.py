@@ -14,9 +14,9 @@ import numpy as np
 from locfuse.formats.thin import extremes
 from locfuse.fusion.data import Colour
 
-from . import palette, ticks
+from . import palette
 from .palette import Trace
-from .panels import Band, Curve, Dots, Mark, Panel, Section, Spots, Strokes, ranges
+from .panels import Band, Curve, Dots, Mark, Panel, Section, Spots, Strokes, ranges, ticks
 
 PANEL_SIZE_IN = (3.5, 2.1)  # one column of a two-column paper
 SQUARE_SIZE_IN = (3.5, 3.0)
@@ -183,7 +183,7 @@ def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, flo
     axes.set_xlim(*x)
     axes.set_ylim(*y)
     if not panel.lanes:
-        axes.set_yticks(*map(list, zip(*ticks.of(*y, panel.log), strict=True)))
+        axes.set_yticks(*map(list, zip(*ticks(*y, panel.log), strict=True)))
         axes.minorticks_off()
 
 

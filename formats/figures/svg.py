@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from locfuse.formats.thin import extremes
 from locfuse.fusion.data import REFUSED, Array, Event, Ints
 
-from . import ticks
 from .palette import EVENTS, SHAPES
-from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, TimedPlaces, ranges
+from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, TimedPlaces, ranges, ticks
 
 MAX_OFF_LINE_PX = 0.1  # a point nearer to the line between its neighbours is dropped
 MAX_PASSES = 8
@@ -160,7 +159,7 @@ class Axis(msgspec.Struct, frozen=True):
 
     def ticks(self, most: int) -> list[tuple[float, str]]:
         """Return about `most` ticks as (px, label)."""
-        found = ticks.of(self.low, self.high, self.log, most)
+        found = ticks(self.low, self.high, self.log, most)
         return [(float(self.px(np.array([v]))[0]), label) for v, label in found]
 
 
@@ -216,7 +215,7 @@ def _left(panel: Panel, y0: float, y1: float) -> float:
     """Return the left margin [px] for the y labels."""
     if panel.lanes:
         return 12 + CHARACTER_WIDTH_PX * max(len(lane) for lane in panel.lanes)
-    labels = [label for _, label in ticks.of(y0, y1, panel.log)]
+    labels = [label for _, label in ticks(y0, y1, panel.log)]
     return round(12 + CHARACTER_WIDTH_PX * max([len(label) for label in labels] or [1]))
 
 

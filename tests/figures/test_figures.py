@@ -13,10 +13,10 @@ import pytest
 import small_scene
 from msgspec.structs import replace
 
-from locfuse.formats.figures import palette, svg, ticks
+from locfuse.formats.figures import palette, svg
 from locfuse.formats.figures.deviation import credit, spread
 from locfuse.formats.figures.for_paper import paper_figures
-from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Spots, Strokes
+from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Spots, Strokes, linear_ticks, log_ticks
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.figures.where import spots, step, track, where
 from locfuse.fusion.data import VERDICTS, Array
@@ -138,7 +138,7 @@ def test_every_verdict_has_a_colour() -> None:
     [(0.0, 1.0), (-0.55, 0.52), (0.0, 54.78), (-3e-5, 2e-5), (1e4, 3e4), (-20.1, 4.2), (0.99, 1.01)],
 )
 def test_linear_ticks_are_round_evenly_spaced_and_three_to_seven(low: float, high: float) -> None:
-    found = ticks.linear(low, high, 6)
+    found = linear_ticks(low, high, 6)
     values = [v for v, _ in found]
     assert 3 <= len(found) <= 7
     assert all(low - 1e-9 <= v <= high + 1e-9 for v in values)
@@ -150,12 +150,12 @@ def test_linear_ticks_are_round_evenly_spaced_and_three_to_seven(low: float, hig
 
 @pytest.mark.parametrize("half", [1.01, 2.3, 4.9, 9.7, 4.9e-3, 49.0])
 def test_a_low_axis_shows_its_scale_too(half: float) -> None:
-    assert 2 <= len(ticks.linear(-half, half, 3)) <= 5
+    assert 2 <= len(linear_ticks(-half, half, 3)) <= 5
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.01, 100.0), (0.3, 2.5), (1e-9, 1e9), (0.0001, 1.3)])
 def test_logarithmic_ticks_lie_within_and_read_as_what_they_are(low: float, high: float) -> None:
-    found = ticks.logarithmic(low, high)
+    found = log_ticks(low, high)
     assert 2 <= len(found) <= 8
     assert all(low <= v * (1 + 1e-9) and v <= high * (1 + 1e-9) for v, _ in found)
 

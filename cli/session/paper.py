@@ -169,7 +169,7 @@ def repeat(progress: Progress, jobs: int) -> Repeated:
 def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     """Return file name -> content for table, figures and page."""
     from locfuse.formats.figures import palette
-    from locfuse.formats.figures.for_paper import draw, draw_column
+    from locfuse.formats.figures.for_paper import draw
     from locfuse.formats.report import json_report, paper_page, render
 
     out: dict[str, Content] = {}
@@ -181,12 +181,9 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     for which in PRESETS:
         looks |= looks_of(traces_of(found.compared[which].compared.estimates))
         shown |= found.panels(which)
+    shown |= {panel.name: [panel] for panel in path_panels(found.driven)}
     for name, panels in shown.items():
-        drawn = draw(panels[0], light, looks) if len(panels) == 1 else draw_column(panels, light, looks)
-        out[f"{name}.svg"], out[f"{name}.pdf"] = drawn
-    for panel in path_panels(found.driven):
-        shown[panel.name] = [panel]
-        out[f"{panel.name}.svg"], out[f"{panel.name}.pdf"] = draw(panel, light, looks)
+        out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panels, light, looks)
     out["paper.json"] = json_report.encode(values)
     out["table.tex"] = paper_page.latex(values)
     out["table.csv"] = render.csv(paper_page.table(values))

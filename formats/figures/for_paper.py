@@ -85,7 +85,7 @@ def paper_figures(
     for section in sections:
         for panel in section.panels:
             name = "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel.name)
-            out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks, looks)
+            out[f"{name}.svg"], out[f"{name}.pdf"] = draw((panel,), inks, looks)
     return out
 
 
@@ -104,27 +104,20 @@ def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mappi
     return axes
 
 
-def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = None) -> tuple[bytes, bytes]:
-    """Return one panel drawn as (SVG, PDF)."""
+def draw(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]) -> tuple[bytes, bytes]:
+    """Return a panel, or a column of panels with a common x axis, drawn as (SVG, PDF)."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
+    first, n = panels[0], len(panels)
     with rc_context(STYLE):
-        figure = Figure(figsize=SQUARE_SIZE_IN if panel.equal else PANEL_SIZE_IN)
-        _fill(figure.add_axes(LANES_AREA if panel.lanes else AXES_AREA), panel, inks, looks or {})
-        return _saved(figure)
-
-
-def draw_column(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]) -> tuple[bytes, bytes]:
-    """Return a column of panels with a common x axis, such as deviations in x and y, drawn as (SVG, PDF)."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    with rc_context(STYLE):
-        n = len(panels)
-        figure = Figure(figsize=(PANEL_SIZE_IN[0], 0.45 + HEIGHT_IN_COLUMN * n))
-        grid = figure.add_gridspec(n, 1, left=AXES_AREA[0], right=AXES_AREA[0] + AXES_AREA[2], **COLUMN)
-        axes = [figure.add_subplot(grid[i]) for i in range(n)]
+        if n == 1:
+            figure = Figure(figsize=SQUARE_SIZE_IN if first.equal else PANEL_SIZE_IN)
+            axes = [figure.add_axes(LANES_AREA if first.lanes else AXES_AREA)]
+        else:
+            figure = Figure(figsize=(PANEL_SIZE_IN[0], 0.45 + HEIGHT_IN_COLUMN * n))
+            grid = figure.add_gridspec(n, 1, left=AXES_AREA[0], right=AXES_AREA[0] + AXES_AREA[2], **COLUMN)
+            axes = [figure.add_subplot(grid[i]) for i in range(n)]
         for own, panel in zip(axes, panels, strict=True):
             _fill(own, panel, inks, looks)
         for own in axes[1:]:

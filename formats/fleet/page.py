@@ -152,7 +152,7 @@ def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
                 "failed": sum(e.state == "failed" for e in own),
                 "best": best_of(own),
                 "median": median(errors) if errors else None,
-                "p90": over.quantile(errors, 0.9) if errors else None,
+                "p90": float(np.quantile(errors, 0.9)) if errors else None,
                 "worst": errors[-1] if errors else None,
             }
         )

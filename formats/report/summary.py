@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from statistics import fmean, median
 from typing import Any
 
+import numpy as np
 from msgspec.structs import replace
 
 from .findings import effect_of, options
@@ -85,20 +86,12 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
         found[key] = {
             "mean": fmean(values.values()),
             "median": median(values.values()),
-            "p90": quantile(sorted(far.values()), 0.9) if key != "anees" else _p90_anees(values, far),
+            "p90": float(np.quantile([*far.values()], 0.9)) if key != "anees" else _p90_anees(values, far),
             "worst": values[worst],
             "worst_log": worst,
             "logs": len(values),
         }
     return found
-
-
-def quantile(ordered: Sequence[float], share: float) -> float:
-    """Return a quantile of sorted values, linearly interpolated; `share` is 0 to 1."""
-    at = share * (len(ordered) - 1)
-    low = int(at)
-    high = min(low + 1, len(ordered) - 1)
-    return ordered[low] + (at - low) * (ordered[high] - ordered[low])
 
 
 def _p90_anees(values: Mapping[str, float], far: Mapping[str, float]) -> float:

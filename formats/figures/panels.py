@@ -148,9 +148,9 @@ def _widened(low: float, high: float) -> tuple[float, float]:
 def linear_ticks(low: float, high: float, most: int = 6) -> list[tuple[float, str]]:
     """Return ticks (value, label) within [low, high]: about `most`, but at least two, which show the scale."""
     step = nice_step((high - low) / max(1, most))
-    while _count_ticks(low, high, step) > most and _count_ticks(low, high, nice_step(1.5 * step)) >= 3:
+    while count_ticks(low, high, step) > most and count_ticks(low, high, nice_step(1.5 * step)) >= 3:
         step = nice_step(1.5 * step)
-    while _count_ticks(low, high, step) < 2:
+    while count_ticks(low, high, step) < 2:
         step = nice_step(step / 2.5)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
@@ -162,7 +162,8 @@ def ticks(low: float, high: float, log: bool, most: int = 6) -> list[tuple[float
     return log_ticks(low, high, most) if log else linear_ticks(low, high, most)
 
 
-def _count_ticks(low: float, high: float, step: float) -> int:
+def count_ticks(low: float, high: float, step: float) -> int:
+    """Return the number of multiples of `step` in [low, high]."""
     return math.floor(high / step + 1e-9) - math.ceil(low / step - 1e-9) + 1
 
 

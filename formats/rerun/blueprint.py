@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 
+from locfuse.formats.figures.panels import count_ticks
 from locfuse.fusion.data import Evaluation
 
 from . import drawing, series
@@ -164,17 +165,13 @@ def ticked(low: float, high: float) -> Range:
     low, high = low - margin, high + margin
     step = 10.0 ** np.floor(np.log10(high - low))
     steps = (high - low) / step
-    if steps <= MAX_TEN_STEPS and _ticks(low, high, step) >= 2:
+    if steps <= MAX_TEN_STEPS and count_ticks(low, high, step) >= 2:
         return low, high
     step *= 10.0 if steps > MAX_TEN_STEPS else 1.0
     down = float((np.floor(low / step) - TICK_MARGIN) * step)
     up = float((np.ceil(high / step) + TICK_MARGIN) * step)
-    wider = [ends for ends in ((down, high), (low, up)) if _ticks(*ends, step) >= 2]
+    wider = [ends for ends in ((down, high), (low, up)) if count_ticks(*ends, step) >= 2]
     return min(wider, key=lambda ends: ends[1] - ends[0], default=(down, up))
-
-
-def _ticks(low: float, high: float, step: float) -> int:
-    return int(np.floor(high / step + 1e-9) - np.ceil(low / step - 1e-9)) + 1
 
 
 def _close_spans(judged: list[Evaluation]) -> list[float]:

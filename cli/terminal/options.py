@@ -346,47 +346,44 @@ RERUN = (
 # --- many logs
 def fleet(hidden: bool = False) -> tuple[Declared, ...]:
     """Return the options for many logs; with `hidden` they are not in --help."""
+    own = functools.partial(option, hidden=hidden)
     return (
-        option(
+        own(
             "-j --jobs",
             "Number of logs to compare at once, each in its own process.",
             type=click.IntRange(min=1),
             default=1,
             show_default=True,
-            hidden=hidden,
         ),
-        option(
+        own(
             "--cluster",
             "Compare the logs on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786 (docs/fleet.md).",
             metavar="ADDRESS",
-            hidden=hidden,
         ),
-        each(
+        own(
             "--each",
             "Compare every log below this folder. Repeatable.",
+            multiple=True,
             type=Folder(exists=True, file_okay=False),
             metavar="DIR",
-            hidden=hidden,
         ),
-        flag("--again", "Also run logs that already have results.", hidden=hidden),
-        option(
+        own("--again", "Also run logs that already have results.", is_flag=True),
+        own(
             "--max-failures",
             "Stop when more than N logs have failed.  [default: go on]",
             type=click.IntRange(min=0),
             metavar="N",
-            hidden=hidden,
         ),
-        option(
+        own(
             "--robot-from",
             "Regular expression that finds the robot's name in a log's path, such as 'fleet/([^/]+)/'. With it, "
             "--robot 'robots/{robot}.toml' names a file per robot.",
             metavar="REGEX",
-            hidden=hidden,
         ),
-        each(
+        own(
             "--sweep",
             "Run each log with each of these values of a key, e.g. lrf.sigma_range=0.01,0.03. Repeatable.",
+            multiple=True,
             metavar="KEY=V1,V2",
-            hidden=hidden,
         ),
     )

@@ -195,7 +195,7 @@ def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
     audits = [e.audits[sensor].y for e in scene.estimates if sensor in e.audits]
     views = []
     for i in range(audits[0].shape[1]):
-        shown = series.component(scene.sights.get(sensor), i)
+        shown = scene.sights[sensor].components[i]
         y = np.concatenate([np.abs(y[:, i]) for y in audits])
         y = y[np.isfinite(y)]
         span = 1.2 * float(np.quantile(y, 0.99)) * shown.scale if len(y) else 0.0

@@ -135,8 +135,8 @@ def _draw_measurements(to: TimelineRecorder, root: str, scene: RerunScene, e: Es
     """
     drive = scene.seen_by(e.name)
     for sensor, audit in e.audits.items():
-        sight = scene.sights.get(sensor)
-        if sight is None or not sight.kind or len(audit.instant) == 0:
+        sight = scene.sights[sensor]
+        if not sight.kind or len(audit.instant) == 0:
             continue
         m = drive.measurements[sensor]
         readings = evenly(len(m.t), scene.max_scans)

@@ -9,7 +9,7 @@ import rerun as rr
 
 from locfuse.formats.thin import extremes
 from locfuse.fusion import data
-from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Evaluation, Event, Ints, Measurements
+from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Event, Ints, Measurements
 
 from . import drawing as ink
 from .drawing import TimelineRecorder, part
@@ -66,7 +66,7 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
         for sensor, audit in e.audits.items():
             compared = np.flatnonzero(np.isfinite(audit.nis))
             pen.dots(f"nis/{sensor}/{name}", e.t[audit.instant[compared]], audit.nis[compared])
-            _draw_innovation(pen, f"innovation/{sensor}", e, audit, scene.sights.get(sensor))
+            _draw_innovation(pen, f"innovation/{sensor}", e, audit, scene.sights[sensor])
             t = drive.t[drive.instant[sensor]]
             _draw_gate(pen, f"gate/{sensor}/{name}", t, reading_states(drive.measurements[sensor], audit))
     for sensor, sight in scene.sights.items():
@@ -80,11 +80,6 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
         texts = [text for _, text in some]
         columns = rr.TextLog.columns(text=texts, level=[LEVELS.get(kind, "INFO")] * len(some))
         to.send(f"{EVENTS}/{part(kind)}", np.array([t for t, _ in some]), columns)
-
-
-def component(sight: SensorLook | None, i: int) -> Component:
-    """Return the description of component i of a sensor's innovation; "y0", "y1", ... without one."""
-    return sight.components[i] if sight else Component(f"y{i}", "")
 
 
 def raw_path(topic: str, name: str = "") -> str:
@@ -102,12 +97,12 @@ def _draw_deviation(pen: Pen, judged: Evaluation) -> None:
             pen.band(f"{path}/three_sigma", judged.t, DEVIATION_BAND_SIGMAS * scale * sigma)
 
 
-def _draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: SensorLook | None) -> None:
+def _draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: SensorLook) -> None:
     """Draw each component of the innovation as dots, with bands of +-2 sigma."""
     some = np.flatnonzero(np.isfinite(audit.y).all(axis=1))
     t = e.t[audit.instant[some]]
     for i in range(audit.y.shape[1]):
-        name, _, scale = component(sight, i)
+        name, _, scale = sight.components[i]
         path = f"{root}/{part(name)}/{part(e.name)}"
         pen.dots(path, t, scale * audit.y[some, i])
         pen.band(f"{path}/two_sigma", t, INNOVATION_BAND_SIGMAS * scale * audit.sigma[some, i])

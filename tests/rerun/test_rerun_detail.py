@@ -119,13 +119,6 @@ def test_names_that_are_grammar_to_rerun_are_drawn(tmp_path: Path) -> None:
     assert "raw/a\\ b/\\[x\\]/field.0" in entities
 
 
-def test_a_sensor_nobody_described_still_gets_its_curves(tmp_path: Path) -> None:
-    save_recording(tmp_path / "new.rrd", replace(long_scene(), sights={}))
-    entities = read(tmp_path / "new.rrd")
-    assert {"innovation/compass/y0/compass", "nis/compass/compass", "gate/compass/compass"} <= set(entities)
-    assert not any("/seen/" in path for path in entities)
-
-
 def audit_of(rows: list[int], verdicts: list[str]) -> Audit:
     k = len(rows)
     codes = np.array([VERDICTS.index(v) for v in verdicts], np.int8)

@@ -19,9 +19,7 @@ from locfuse.cli.terminal import options as o
     o.option(
         "--audit", "Write every measurement with its distance, threshold and verdict to this CSV.", type=o.FILE
     ),
-    *o.READING,
-    o.PRESET,
-    *o.WINDOW,
+    *o.FUSING,
     *o.written(KINDS),
     o.EXPORT,
     o.GIVEN_MAP,

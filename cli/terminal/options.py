@@ -215,6 +215,7 @@ WINDOW = (
     option("--from begin", f"Use only the drive after this time: {SECONDS}.", type=float, metavar="S"),
     option("--to end", f"Use only the drive before this time: {SECONDS}.", type=float, metavar="S"),
 )
+FUSING = (*READING, PRESET, *WINDOW)  # of a command that runs the filter on a log
 GIVEN_MAP = option(
     "--map given_map",
     "Localise in this map: a .json of --save-map, or a .yaml of map_server, in which the start is searched. "

@@ -29,7 +29,7 @@ USES = {
     "rosbags": "message definitions, ROS 1 and .db3: every run",
     "lz4": "logs compressed with lz4",
     "zstandard": "logs compressed with zstd",
-    "rich": "tables on a terminal",
+    "rich": "the spinner on a terminal",
     "opencv-python-headless": "a camera",
     "scipy": "`--smooth` with loops, `tune`, `calibrate`",
     "matplotlib": "report.html, `--figures`",

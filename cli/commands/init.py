@@ -172,6 +172,7 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
     """Return notes on guessed values and on the next command."""
     from locfuse.cli.analysis.motion_evidence import unjudged
     from locfuse.cli.inspect.values import wheels_missing
+    from locfuse.formats.report.findings import options
     from locfuse.fusion.checks.laser import OPEN_SCALE
 
     loaded = made.overview.loaded
@@ -187,13 +188,13 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = why
     else:
         tune, compare = f"tune {words} --robot {name} -o tuned.toml", f"compare {words} --robot {name}"
-        chosen = (f for f in _wrong(made) if f.code != OPEN_SCALE)  # there the user has to choose
-        options = "".join(f" --set {fix}" for f in chosen for fix in f.fixes)
-        last = f"next: locfuse {tune if _tunes(made) else compare}{options}"
+        # of an open scale the user has to choose
+        fixes = [fix for f in _wrong(made) if f.code != OPEN_SCALE for fix in f.fixes]
+        last = f"next: locfuse {tune if _tunes(made) else compare} {options(fixes)}"
     of_robot = f"{made.robot}: its figures that the log does not tell are taken from locfuse's own files"
     guesses = (f"guessed: {guess}" for guess in (*([of_robot] if made.robot else []), *made.guesses))
     wrong = (f"still wrong: {f.role}: {f.sentence}" for f in _wrong(made))
-    return [*guesses, *wrong, last]
+    return [*guesses, *wrong, last.rstrip()]
 
 
 def _wrong(made: Draft) -> list[Finding]:

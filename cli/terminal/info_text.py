@@ -14,7 +14,8 @@ from locfuse.cli.inspect.mounts import extrinsics
 from locfuse.cli.inspect.robot_facts import Overview
 from locfuse.cli.inspect.topics import clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
-from locfuse.formats.report.table import Column, of_values
+from locfuse.formats.report.findings import options
+from locfuse.formats.report.table import Column, of_rows
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.tried import by_key
@@ -96,7 +97,7 @@ def _table(
     rows: Sequence[Mapping[str, Any]], width: int | None, columns: Sequence[Column] = TOPIC_COLUMNS
 ) -> list[str]:
     brief = ({**row, "type": row["type"].replace("/msg/", "/")} for row in rows)
-    return [line.rstrip() for line in text_table.lines(of_values(columns, ((row, ()) for row in brief)), width)]
+    return [line.rstrip() for line in text_table.lines(of_rows(columns, brief), width)]
 
 
 def _section(title: str, body: Sequence[str]) -> Iterator[str]:
@@ -209,7 +210,7 @@ def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
     Lines are wrapped at `width` characters; None: one line.
     """
     rows, row = [], head
-    for option in (f"--set {shlex.quote(fix)}" for fix in fixes):
+    for option in (options((fix,)) for fix in fixes):
         if width is not None and row.strip() and row != head and len(row) + len(option) > width:
             rows.append(row.rstrip())
             row = " " * len(head)

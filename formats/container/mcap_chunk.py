@@ -74,6 +74,7 @@ def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
         view(data, "<u8", offsets + 1).astype(np.int64) - MESSAGE_HEADER,
         view(data, "<u8", offsets + RECORD.size + 6).astype(np.int64),
         view(data, "<u4", offsets + RECORD.size + 2).astype(np.int64),
+        view(data, "<u8", offsets + RECORD.size + 14).astype(np.int64),
     )
     return by_channel(channel, everything)
 

@@ -8,12 +8,7 @@ from collections.abc import Collection, Iterator
 from contextlib import suppress
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
-
 from locfuse.formats.caps import MAX_ATTACHMENT
-from locfuse.formats.columns import view
-from locfuse.fusion.data import Ints
 
 from . import mcap_records as rec
 from .chunked import Bytes, ChunkedSource, Part, Records
@@ -22,7 +17,7 @@ from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import Index, records
 from .mcap_survey import ChunkRef, Survey, confirm, promised, survey
-from .source import Batch, ChannelInfo, Messages
+from .source import Batch, ChannelInfo
 
 MAX_DOWNLOAD_SHARE = 0.5  # of a remote file; if more is wanted, the whole file is downloaded
 
@@ -93,10 +88,6 @@ class McapSource(ChunkedSource):
         """First and last log time [ns] of the parts with messages, None without any."""
         spans = [part.span for part in self._survey.parts if part.counts and any(part.counts.values())]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
-
-    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
-        """Return the publish times of the messages, ns: the 8 bytes before each payload."""
-        return view(data, "<u8", messages.start - 8).astype(np.int64)
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order."""

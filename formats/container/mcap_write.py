@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -19,21 +19,22 @@ from locfuse.fusion.data import Ints, LocfuseError
 CHUNK_BYTES = 512 * 1024  # bytes before compression; small, so that reading one topic is fast
 
 
-class MessageBlock(NamedTuple):
-    """Messages of one channel to be written."""
+def add_messages(
+    writer: Any,
+    channel: int,
+    log_time: Ints,
+    sequence: Ints,
+    payload: NDArray[np.uint8] | Sequence[memoryview],
+    published: Ints | None = None,
+) -> None:
+    """Add messages of one channel to an `mcap` writer: times (n,) [ns], sequence numbers (n,), bytes of each.
 
-    channel: int
-    log_time: Ints  # (n,) ns
-    sequence: Ints  # (n,)
-    payload: NDArray[np.uint8] | Sequence[memoryview]  # (n, size), or one per message
-    publish_time: Ints | None = None  # (n,) ns; None: the log times
-
-    def write(self, writer: Any) -> None:
-        """Add the messages to an `mcap` writer."""
-        published = self.log_time if self.publish_time is None else self.publish_time
-        columns = (self.log_time.tolist(), published.tolist(), self.sequence.tolist(), self.payload)
-        for log_time, publish_time, sequence, data in zip(*columns, strict=True):
-            writer.add_message(self.channel, log_time, bytes(data), publish_time, sequence)
+    `published` (n,) [ns] are the publish times; None: the log times.
+    """
+    publish_time = log_time if published is None else published
+    columns = (log_time.tolist(), payload, publish_time.tolist(), sequence.tolist())
+    for logged, data, sent, number in zip(*columns, strict=True):
+        writer.add_message(channel, logged, bytes(data), sent, number)
 
 
 def open_writer(file: IO[bytes], profile: str = "ros2") -> Any:

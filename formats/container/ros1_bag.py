@@ -120,7 +120,7 @@ def scan_chunk(data: Bytes, most: int) -> Records:
             break
         at = entry.end
     connection, time_ns, start, length = np.array(rows, np.int64).reshape(-1, 4).T
-    everything = Messages(start, length, time_ns, np.zeros(len(start), np.int64))
+    everything = Messages(start, length, time_ns, np.zeros(len(start), np.int64), time_ns)
     return Records(by_channel(connection, everything), list(connections.values()), at)
 
 

@@ -249,12 +249,8 @@ def _batch(rows: list[Row]) -> Batch:
     """Return rows as a batch in one buffer; a message without data (too large) becomes empty."""
     topic = np.array([row[0] for row in rows], np.int64)
     length = np.array([len(row[2] or b"") for row in rows], np.int64)
-    everything = Messages(
-        np.cumsum(length) - length,
-        length,
-        np.array([row[1] for row in rows], np.int64),
-        np.zeros(len(rows), np.int64),
-    )
+    time_ns = np.array([row[1] for row in rows], np.int64)
+    everything = Messages(np.cumsum(length) - length, length, time_ns, np.zeros(len(rows), np.int64), time_ns)
     data = np.frombuffer(b"".join(row[2] or b"" for row in rows), np.uint8)
     return Batch(data, by_channel(topic, everything))
 

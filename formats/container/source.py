@@ -37,6 +37,7 @@ class Messages(NamedTuple):
     length: Ints  # (k,) payload bytes
     log_time: Ints  # (k,) ns
     sequence: Ints  # (k,)
+    published: Ints  # (k,) ns; the log times if the file has no others
 
     def take(self, rows: NDArray[Any] | slice) -> Messages:
         """Return the messages of these rows: indices, a mask or a slice."""
@@ -80,22 +81,9 @@ class Source(ABC):
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last log time, None without messages."""
 
-    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
-        """Return the publish times of a batch, ns; the log times if the file has no others."""
-        return messages.log_time
-
     @abstractmethod
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order, the same at every call."""
-
-
-class Recorded(NamedTuple):
-    """Raw messages of one channel as stored in the file, in any encoding."""
-
-    channel: ChannelInfo
-    data: NDArray[np.uint8]  # the buffer that holds the messages
-    messages: Messages
-    published: Ints  # (k,) ns publish times; the log times if the file has none
 
 
 def message_type(name: str) -> str:

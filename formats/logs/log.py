@@ -12,11 +12,12 @@ from typing import NamedTuple, Self, cast
 import msgspec
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_TOPICS, names_its_cap
 from locfuse.formats.container.decompress import unpack
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.source import ChannelInfo, Messages, Recorded, Source, message_type
+from locfuse.formats.container.source import ChannelInfo, Messages, Source, message_type
 from locfuse.formats.container.url import Place
 from locfuse.formats.messages.decode import encoding_problem, make_decoder
 from locfuse.formats.messages.fields import NUMBER as A_NUMBER
@@ -466,33 +467,18 @@ class Log:
                     for topic in topics
                     for ident, decoder in self._channels[topic].of(source).items()
                 }
-                for batch in source.batches(wanted.keys()):
-                    for ident, messages in batch.messages.items():
-                        topic, decoder = wanted[ident]
-                        _report_progress(messages, span)
-                        for data, unpacked in unpack(batch.data, messages):
-                            yield topic, plausibly_recorded(Raw(data, unpacked, decoder))
+                for ident, data, messages in _unpacked(source, wanted.keys()):
+                    topic, decoder = wanted[ident]
+                    _report_progress(messages, span)
+                    yield topic, plausibly_recorded(Raw(data, messages, decoder))
         finally:  # also if the caller stops early
             say_done(None)
 
-    def messages(self) -> Iterator[list[Recorded]]:
-        """Yield all messages in file order, readable or not, batch by batch.
-
-        Messages compressed one by one are yielded separately: 300 kB of them can unpack to gigabytes.
-        """
+    def messages(self) -> Iterator[tuple[ChannelInfo, NDArray[np.uint8], Messages]]:
+        """Yield all messages, readable or not: channel by channel in each batch, batches in file order."""
         for source in self._sources:
-            for batch in source.batches(source.channels.keys()):
-                together = []
-                for ident, messages in batch.messages.items():
-                    channel = source.channels[ident]
-                    for data, unpacked in unpack(batch.data, messages):
-                        if data is batch.data:
-                            published = source.published(data, unpacked)
-                            together.append(Recorded(channel, data, unpacked, published))
-                        else:
-                            yield [Recorded(channel, data, unpacked, unpacked.log_time)]
-                if together:
-                    yield together
+            for ident, data, messages in _unpacked(source, source.channels.keys()):
+                yield source.channels[ident], data, messages
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
         """Yield the messages of one topic batch by batch. Raises LocfuseError if it lacks one of `fields`."""
@@ -524,6 +510,17 @@ class Log:
         return self._channels[topic].left_out()
 
 
+def _unpacked(source: Source, wanted: Collection[int]) -> Iterator[tuple[int, NDArray[np.uint8], Messages]]:
+    """Yield (channel id, buffer, messages) for each wanted channel of each batch in a file.
+
+    Messages compressed one by one come in several portions: 300 kB of them can unpack to gigabytes.
+    """
+    for batch in source.batches(wanted):
+        for ident, messages in batch.messages.items():
+            for data, unpacked in unpack(batch.data, messages):
+                yield ident, data, unpacked
+
+
 def _alternating(source: Source, idents: Sequence[int]) -> list[int]:
     """Return the message counts of the two largest channels of `idents` if they take turns in time; else [].
 
@@ -531,14 +528,10 @@ def _alternating(source: Source, idents: Sequence[int]) -> list[int]:
     """
     times: dict[int, list[Ints]] = {ident: [] for ident in idents}
     seen: dict[int, set[int]] = {ident: set() for ident in idents}
-    for batch in source.batches(idents):
-        for ident, messages in batch.messages.items():
-            for data, unpacked in unpack(batch.data, messages):
-                times[ident].append(unpacked.log_time)
-                ends = (unpacked.start + unpacked.length).tolist()
-                seen[ident] |= {
-                    hash(data[a:b].tobytes()) for a, b in zip(unpacked.start.tolist(), ends, strict=True)
-                }
+    for ident, data, messages in _unpacked(source, idents):
+        times[ident].append(messages.log_time)
+        ends = (messages.start + messages.length).tolist()
+        seen[ident] |= {hash(data[a:b].tobytes()) for a, b in zip(messages.start.tolist(), ends, strict=True)}
     counts = {ident: sum(map(len, times[ident])) for ident in idents}
     most, second = sorted(idents, key=lambda ident: -counts[ident])[:2]
     who = np.repeat([most, second], [counts[most], counts[second]])

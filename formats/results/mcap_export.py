@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from locfuse.formats.container.mcap_write import (
     CHUNK_BYTES,
     LATCHED,
-    MessageBlock,
     StandardMessages,
+    add_messages,
     nested,
     open_writer,
     time_message,
@@ -257,10 +257,8 @@ class _Topics:
 
     def once(self, topic: str, t_ns: Ints, pose: Array) -> None:
         """Write a path as one latched message."""
-        block = MessageBlock(
-            self._channel(topic, PATH, LATCHED), self._recorded(t_ns[:1]), np.ones(1, np.int64), path(t_ns, pose)
-        )
-        block.write(self._writer)
+        channel, recorded = self._channel(topic, PATH, LATCHED), self._recorded(t_ns[:1])
+        add_messages(self._writer, channel, recorded, np.ones(1, np.int64), path(t_ns, pose))
 
     def _recorded(self, t_ns: Ints) -> Ints:
         """Return the recording times (n,) of stamps (n,), at least 0, as MCAP demands."""
@@ -287,7 +285,7 @@ class _Topics:
             for (channel, series), e in zip(self._parts, ends, strict=True):
                 rows = slice(e[i], e[i + 1])
                 recorded, sequence = self._recorded(series.t_ns[rows]), np.arange(rows.start + 1, rows.stop + 1)
-                MessageBlock(channel, recorded, sequence, series.messages(rows)).write(self._writer)
+                add_messages(self._writer, channel, recorded, sequence, series.messages(rows))
 
 
 def ros_name(configuration: str) -> str:

@@ -11,8 +11,7 @@ from typing import Any
 
 import msgspec
 
-from locfuse.formats.container.mcap_write import LATCHED, MessageBlock, open_writer
-from locfuse.formats.container.source import Recorded
+from locfuse.formats.container.mcap_write import LATCHED, add_messages, open_writer
 from locfuse.formats.logs.log import Log
 from locfuse.formats.visible import writable
 from locfuse.formats.whole_files import whole_file
@@ -62,25 +61,19 @@ def copy_messages(writer: Any, log: Log) -> Counter[str]:
     schemas: dict[tuple[str, str, bytes], int] = {}
     channels: dict[tuple[str, str, int], int] = {}
     counts: Counter[str] = Counter()
-    for batch in log.messages():
-        for recorded in batch:
-            channel = recorded.channel
-            schema = (channel.msgtype, channel.schema_encoding, channel.schema)
-            if schema not in schemas:
-                schemas[schema] = writer.register_schema(*schema) if channel.schema_encoding else 0
-            key = (channel.topic, channel.encoding, schemas[schema])
-            if key not in channels:
-                once = channel.n == 1 or channel.topic.endswith("tf_static")  # such topics are latched
-                channels[key] = writer.register_channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
-            _block(channels[key], recorded).write(writer)
-            counts[channel.topic] += len(recorded.messages.start)
+    for channel, data, messages in log.messages():
+        schema = (channel.msgtype, channel.schema_encoding, channel.schema)
+        if schema not in schemas:
+            schemas[schema] = writer.register_schema(*schema) if channel.schema_encoding else 0
+        key = (channel.topic, channel.encoding, schemas[schema])
+        if key not in channels:
+            once = channel.n == 1 or channel.topic.endswith("tf_static")  # such topics are latched
+            channels[key] = writer.register_channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
+        ends = (messages.start + messages.length).tolist()
+        payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
+        log_time, published = (
+            t.clip(CLOCKLESS_LOG_NS, END_OF_TIME) for t in (messages.log_time, messages.published)
+        )
+        add_messages(writer, channels[key], log_time, messages.sequence, payload, published)
+        counts[channel.topic] += len(messages.start)
     return counts
-
-
-def _block(channel: int, recorded: Recorded) -> MessageBlock:
-    data, messages = recorded.data, recorded.messages
-    ends = (messages.start + messages.length).tolist()
-    payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
-    times = (column.clip(CLOCKLESS_LOG_NS, END_OF_TIME) for column in (messages.log_time, recorded.published))
-    log_time, published = times
-    return MessageBlock(channel, log_time, messages.sequence, payload, published)

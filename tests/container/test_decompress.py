@@ -81,7 +81,8 @@ def test_of_a_cut_off_stream_the_true_beginning_is_kept(codec: str) -> None:
 def messages(*contents: bytes) -> tuple[np.ndarray, Messages]:
     length = np.array([len(one) for one in contents], np.int64)
     times = np.arange(len(contents), dtype=np.int64)
-    return np.frombuffer(b"".join(contents), np.uint8), Messages(np.cumsum(length) - length, length, times, times)
+    found = Messages(np.cumsum(length) - length, length, times, times, times)
+    return np.frombuffer(b"".join(contents), np.uint8), found
 
 
 def unpacked(*contents: bytes) -> list[list[tuple[int, bytes]]]:

@@ -69,7 +69,7 @@ def rows_of(data: bytes, found: dict[int, Messages]) -> list[Row]:
     rows = [
         (start, Row(channel, sequence, log_time, data[start : start + length]))
         for channel, m in found.items()
-        for start, length, log_time, sequence in zip(*(column.tolist() for column in m), strict=True)
+        for start, length, log_time, sequence, _ in zip(*(column.tolist() for column in m), strict=True)
     ]
     return [row for _, row in sorted(rows)]
 

@@ -522,7 +522,7 @@ def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) 
     data, losses = laid(tmp_path, FRONT + one + message(1, 501, b"") + END + NO_SUMMARY)
     source = McapSource(data, losses)
     (batch,) = source.batches({1})
-    assert source.published(batch.data, batch.messages[1]).tolist() == [77, 501]
+    assert batch.messages[1].published.tolist() == [77, 501]
     assert source.time_span_ns == (500, 501)
 
 

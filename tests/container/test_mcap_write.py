@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from present import present
 from zstandard import ZstdError
 
-from locfuse.formats.container.mcap_write import MessageBlock, log_writer, open_writer
+from locfuse.formats.container.mcap_write import add_messages, log_writer, open_writer
 from locfuse.formats.results.mcap_export import PoseSeries, stamp_columns
 from locfuse.fusion.data import LocfuseError
 
@@ -186,9 +186,9 @@ def test_blocks_of_equal_and_of_any_lengths_are_read_back() -> None:
     file = io.BytesIO()
     writer = open_writer(file)
     a, b = (writer.register_channel(topic, "cdr", 0, {}) for topic in ("/a", "/b"))
-    MessageBlock(a, times, np.array([7, 8]), payloads).write(writer)
-    MessageBlock(b, times, np.array([1, 2]), [memoryview(b""), memoryview(b"three")], times + 5).write(writer)
-    MessageBlock(b, times[:0], times[:0], []).write(writer)
+    add_messages(writer, a, times, np.array([7, 8]), payloads)
+    add_messages(writer, b, times, np.array([1, 2]), [memoryview(b""), memoryview(b"three")], times + 5)
+    add_messages(writer, b, times[:0], times[:0], [])
     writer.finish()
     found = make_reader(io.BytesIO(file.getvalue()), validate_crcs=True).iter_messages(log_time_order=False)
     assert [(c.topic, m.log_time, m.publish_time, m.sequence, m.data) for _, c, m in found] == [

@@ -1,4 +1,4 @@
-"""Plane geometry for figures and exports: poses, ellipses, quaternions, walls with their uncertainty."""
+"""Plane geometry for figures and exports: ellipses, quaternions, walls with their uncertainty."""
 
 from __future__ import annotations
 
@@ -10,19 +10,6 @@ from locfuse.fusion.data import Array, MapLine
 
 ELLIPSE_SIGMAS = 3.0
 BAND_POINTS = 9  # along a wall
-
-
-def to_map(pose: Array, points: Array) -> Array:
-    """Transform points (..., 2) from the frames of poses (..., 3) to the map frame."""
-    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-    x, y = points[..., 0], points[..., 1]
-    return np.stack((pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y), axis=-1)
-
-
-def mounted(pose: Array, mount: tuple[float, float, float]) -> Array:
-    """Return a sensor's poses (n, 3) in the map, from robot poses (n, 3) and its mount x, y [m], yaw [rad]."""
-    at = to_map(pose, np.broadcast_to(np.array(mount[:2]), (len(pose), 2)))
-    return np.column_stack((at, pose[:, 2] + mount[2]))
 
 
 def ellipses(P: Array) -> tuple[Array, Array]:
@@ -37,11 +24,6 @@ def quaternions(angle: Array) -> Array:
     """Return quaternions x, y, z, w (n, 4) of rotations by `angle` (n,) [rad] about z."""
     zero = np.zeros_like(angle)
     return np.column_stack((zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)))
-
-
-def headings(x: Array, y: Array, z: Array, w: Array) -> Array:
-    """Return the headings (n,) [rad] of quaternions of any norm, from their components (n,)."""
-    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
 
 
 def segments(z: Array, ends: Array) -> Array:

@@ -6,7 +6,8 @@ import csv
 import io
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -34,12 +35,19 @@ _HELD: WeakKeyDictionary[object, tuple[int, int]] = WeakKeyDictionary()  # reade
 DESTROYS = "it is the input: to write there would destroy it; choose another name"
 
 
+@contextmanager
+def reading(name: object) -> Iterator[None]:
+    """Context manager: turns an OSError while the file `name` is read into a LocfuseError of one line."""
+    try:
+        yield
+    except OSError as problem:
+        raise LocfuseError(f"{name}: cannot be read: {problem.strerror or problem}") from None
+
+
 def identity(path: Path) -> FileIdentity:
     """Return the identity of a file. Raises LocfuseError unless it is a regular file (a pipe never ends)."""
-    try:
+    with reading(path):
         found = path.stat()
-    except OSError as problem:
-        raise LocfuseError(f"{path}: cannot be read: {problem.strerror or problem}") from None
     if not stat.S_ISREG(found.st_mode):
         raise LocfuseError(f"{path}: not a regular file; copy its content to one first")
     return _of(found)
@@ -80,11 +88,8 @@ def read_small(path: Path, cap: int) -> bytes:
     found = identity(path)
     if found.size > cap:
         raise LocfuseError(names_its_cap(str(path), found.size, cap, "bytes"))
-    try:
-        with path.open("rb") as file:
-            return file.read(found.size)  # not more if the file grows; file.read(cap) would allocate the cap
-    except OSError as problem:
-        raise LocfuseError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+    with reading(path), path.open("rb") as file:
+        return file.read(found.size)  # not more if the file grows; file.read(cap) would allocate the cap
 
 
 def csv_rows(path: Path, cap: int) -> list[tuple[int, list[str]]]:

@@ -96,26 +96,20 @@ class FileBytes:
     def feed(self, take: Callable[[bytes], None]) -> None:
         """Pass the original file's bytes to `take` in pieces of at most 1 MiB; packed bytes are not unpacked."""
         self.copy_here()
-        try:
-            with self._file.open("rb") as file:
-                self._compare(inputs.identity_of_open(file.fileno()), self._given)
-                while piece := file.read(1 << 20):
-                    take(piece)
-        except OSError as problem:
-            raise LocfuseError(f"{self.path}: cannot be read: {problem.strerror}") from None
+        with inputs.reading(self.path), self._file.open("rb") as file:
+            self._compare(inputs.identity_of_open(file.fileno()), self._given)
+            while piece := file.read(1 << 20):
+                take(piece)
 
     def check_unchanged(self) -> None:
         """Raise LocfuseError if the file was replaced by another; record a loss if it was written to."""
         self._compare(inputs.identity(self._file), self._given)
 
     def _pread(self, n: int, at: int) -> bytes:
-        try:
-            with self.where.open("rb", buffering=0) as file:
-                if (now := inputs.identity_of_open(file.fileno())) != self._read:
-                    self._compare(now, self._read)
-                data = os.pread(file.fileno(), n, at)
-        except OSError as problem:
-            raise LocfuseError(f"{self.path}: cannot be read: {problem.strerror}") from None
+        with inputs.reading(self.path), self.where.open("rb", buffering=0) as file:
+            if (now := inputs.identity_of_open(file.fileno())) != self._read:
+                self._compare(now, self._read)
+            data = os.pread(file.fileno(), n, at)
         self._spans.add((at, at + len(data)))
         return data
 

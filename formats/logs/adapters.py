@@ -11,8 +11,9 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from locfuse.formats.geometry import headings, quaternions
+from locfuse.formats.geometry import quaternions
 from locfuse.fusion.data import Array, Column, Ints, Ragged
+from locfuse.fusion.se2 import yaw as yaw_of
 
 Columns = Mapping[str, Column]
 Adapter = Callable[[Columns, tuple[str, ...], str], dict[str, Column]]
@@ -164,7 +165,7 @@ def odometry_of_vehicle(columns: Columns, fields: tuple[str, ...], frame_id: str
     """Convert PX4 VehicleOdometry columns to Odometry in ROS axes."""
     place, q, velocity, rates = (_numbers(columns[k]) for k in ("position", "q", "velocity", "angular_velocity"))
     w, x, y, z = q.T
-    yaw = headings(x, y, z, w)
+    yaw = yaw_of(x, y, z, w)
     along = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
     ahead = np.where(_numbers(columns["velocity_frame"]) == BODY_FRAME, velocity[:, 0], along)
     return _odometry(place[:, 1], place[:, 0], quaternions(0.5 * np.pi - yaw), ahead, -rates[:, 2])
@@ -283,7 +284,7 @@ def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) 
     (0 and FAR_M here).
     """
     start, end = _numbers(columns["start_angle"]), _numbers(columns["end_angle"])
-    ranges, turn = _ragged(columns, "ranges"), headings(*_stacked(columns, TURN).T)
+    ranges, turn = _ragged(columns, "ranges"), yaw_of(*_stacked(columns, TURN).T)
     turned = np.where(np.isfinite(turn), turn, 0.0)
     return {
         "angle_min": start + turned,

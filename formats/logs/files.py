@@ -20,7 +20,7 @@ from locfuse.formats.container.ros1_bag import BagSource
 from locfuse.formats.container.rosbag2_sqlite import SqliteSource
 from locfuse.formats.container.source import Source
 from locfuse.formats.container.url import Place, Url
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import read_small, reading
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
@@ -40,14 +40,12 @@ def log_files(path: Place) -> list[Place]:
     """Return the files of a log; `path` is a file, a rosbag2 folder or its metadata.yaml, or a URL."""
     if isinstance(path, Url):
         return _objects(path)
-    try:
+    with reading(path):
         if not path.exists():
             raise UsageError(f"{path}: no such file or folder")
         if path.is_dir():
             return _folder(path)
         return _folder(path.parent) if path.name == "metadata.yaml" else [path]
-    except OSError as problem:
-        raise LocfuseError(f"{path}: cannot be read: {problem.strerror}") from None
 
 
 def _objects(url: Url) -> list[Place]:
@@ -116,7 +114,7 @@ def open_bytes(file: Place, losses: Losses) -> FileBytes:
 
 def open_source(file: Place, losses: Losses) -> Source:
     """Open one file of a log; its first bytes determine its format."""
-    try:
+    with reading(file):
         data = open_bytes(file, losses)
         if data.far and data.read(max(data.size - len(MAGIC), 0), len(MAGIC)) != MAGIC:
             data.copy_here()  # no complete MCAP, so without an index
@@ -127,8 +125,6 @@ def open_source(file: Place, losses: Losses) -> Source:
             if head.startswith(magic):
                 return source(data, losses)
         return McapSource(data, losses)  # raises for another kind of file
-    except OSError as problem:
-        raise LocfuseError(f"{file}: cannot be read: {problem.strerror}") from None
 
 
 # --- Identity of a log's content without reading all of it: sizes, and a hash of each file's own summary

@@ -10,9 +10,10 @@ import numpy as np
 import rerun as rr
 from msgspec.structs import asdict
 
-from locfuse.formats.geometry import ellipses, mounted, quaternions, segments, to_map, wall, wall_band
+from locfuse.formats.geometry import ellipses, quaternions, segments, wall, wall_band
 from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, MapLine, Measurements, matrices
+from locfuse.fusion.se2 import compose, transform
 
 from . import drawing as ink
 from .drawing import TimelineRecorder, part
@@ -158,8 +159,8 @@ def _strips(m: Measurements, seen: Audit, pose: Array, sight: SensorLook, track:
     """Return the line segments (k, 2, 2) [m, map] of audit rows (k,), from the poses (k, 3) at their times."""
     z = m.z[seen.row]
     if sight.kind == "segments":
-        return to_map(pose[:, None], segments(z, m.extra["ends"][seen.row]))
-    origin = mounted(pose, sight.mount)
+        return transform(pose[:, None], segments(z, m.extra["ends"][seen.row]))
+    origin = compose(pose, np.array(sight.mount))
     if sight.kind == "heading":
         angle, length = pose[:, 2] + np.nan_to_num(seen.y[:, 0]), np.full(len(z), HEADING_LENGTH_TRACKS * track)
     else:

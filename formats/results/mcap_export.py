@@ -30,6 +30,7 @@ from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
 from locfuse.formats.messages.fields import resolve
 from locfuse.formats.messages.schema import Many, Node, Scalar, parse
+from locfuse.formats.thin import evenly
 from locfuse.fusion.data import PLANE_ROWS, Array, Drive, Estimates, Ints, LocfuseError, Truth, matrices
 
 from .recovered_log import copy_messages
@@ -140,7 +141,7 @@ def transforms(t_ns: Ints, pose: Array, child: str) -> PoseSeries:
 
 def path(t_ns: Ints, pose: Array) -> NDArray[np.uint8]:
     """Return one Path message of poses (n, 3), thinned to MAX_PATH_POSES, as CDR bytes (1, size)."""
-    rows = np.unique(np.linspace(0, len(t_ns) - 1, min(len(t_ns), MAX_PATH_POSES)).round().astype(np.int64))
+    rows = evenly(len(t_ns), MAX_PATH_POSES)
     columns = {**stamp_columns("header.stamp", t_ns[rows]), **_pose("pose", pose[rows])}
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
     listed = [nested({"header.frame_id": MAP, **dict(zip(columns, one, strict=True))}) for one in values]

@@ -71,6 +71,7 @@ OURS = {
         "fusion.streams",
         "fusion.kernels.built",
         "fusion.progress",
+        "fusion.se2",
         "fusion.camera.opencv",  # pictures are decoded in one place, whose limits and silence maps need too
     },
     "sample_logs": {"formats", "fusion.se2", "fusion.data"},

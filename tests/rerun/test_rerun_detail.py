@@ -17,7 +17,7 @@ from small_drive import robot as small_robot
 from locfuse.cli.rerun.scene import palette as shades
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
-from locfuse.formats.geometry import ellipses, mounted, segments, to_map, wall, wall_band
+from locfuse.formats.geometry import ellipses, segments, wall, wall_band
 from locfuse.formats.rerun import drawing as style
 from locfuse.formats.rerun.blueprint import ticked
 from locfuse.formats.rerun.drawing import STATES
@@ -25,7 +25,6 @@ from locfuse.formats.rerun.recording import save_recording, unfolded
 from locfuse.formats.rerun.scene import REJECTED, RawTopic, RerunScene, SensorLook
 from locfuse.formats.rerun.series import reading_states, thinned_states
 from locfuse.formats.thin import evenly, extremes
-from locfuse.fusion import se2
 from locfuse.fusion.data import (
     VERDICTS,
     Array,
@@ -224,14 +223,6 @@ def test_ellipses_are_three_sigma_of_the_covariance() -> None:
 def test_a_certain_position_is_a_point() -> None:
     axes, _ = ellipses(np.zeros((1, 3, 3)))
     assert axes.tolist() == [[0.0, 0.0]]
-
-
-def test_points_and_mounts_agree_with_se2() -> None:
-    pose = np.array([[1.0, -2.0, 2.5], [0.3, 0.2, -3.0]])
-    points = np.array([[0.5, 0.1], [-1.0, 4.0]])
-    np.testing.assert_allclose(to_map(pose, points), se2.transform(pose, points), atol=1e-12)
-    mount = (0.1, -0.2, 0.7)
-    np.testing.assert_allclose(mounted(pose, mount), se2.compose(pose, np.array(mount)[None]), atol=1e-12)
 
 
 def test_a_line_is_drawn_where_its_normal_form_says() -> None:

@@ -7,6 +7,8 @@ names the cap, or recorded as a loss if the rest of the log is readable.
 
 from __future__ import annotations
 
+from locfuse.fusion.data import LocfuseError
+
 # bytes
 MAX_CHUNK = 256 * 1024 * 1024  # of one chunk, compressed or not; writers use 1 to 8 MiB
 MAX_MESSAGE = 64 * 1024 * 1024  # of one message
@@ -48,6 +50,14 @@ def names_its_cap(what: str, found: float, cap: float, unit: str = "") -> str:
     """Return the error line for an input above its cap: "what: 12 units, more than the cap of 10 units"."""
     units = f" {unit}" if unit else ""
     return f"{what}: {_grouped(found)}{units}, more than the cap of {_grouped(cap)}"
+
+
+def refuse_above(
+    what: str, found: float, cap: float, unit: str = "", error: type[Exception] = LocfuseError
+) -> None:
+    """Raise `error` with the line of `names_its_cap` if an input is above its cap."""
+    if found > cap:
+        raise error(names_its_cap(what, found, cap, unit))
 
 
 def _grouped(number: float) -> str:

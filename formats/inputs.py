@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 
 from locfuse.fusion.data import LocfuseError
 
-from .caps import names_its_cap
+from .caps import refuse_above
 
 
 class FileIdentity(NamedTuple):
@@ -86,8 +86,7 @@ def is_among(path: Path, given: Iterable[Path]) -> bool:
 def read_small(path: Path, cap: int) -> bytes:
     """Return the bytes of a regular file of at most `cap` bytes. Raises LocfuseError."""
     found = identity(path)
-    if found.size > cap:
-        raise LocfuseError(names_its_cap(str(path), found.size, cap, "bytes"))
+    refuse_above(str(path), found.size, cap, "bytes")
     with reading(path), path.open("rb") as file:
         return file.read(found.size)  # not more if the file grows; file.read(cap) would allocate the cap
 

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import MAX_TOPICS, names_its_cap
+from locfuse.formats.caps import MAX_TOPICS, refuse_above
 from locfuse.formats.container.decompress import unpack
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import ChannelInfo, Messages, Source, message_type
@@ -187,8 +187,7 @@ class Log:
         self._sources = tuple(sources)
         self.losses = losses
         self._channels = by_topic(sources)
-        if len(self._channels) > MAX_TOPICS:
-            raise LocfuseError(names_its_cap(f"{name}: too many topics", len(self._channels), MAX_TOPICS))
+        refuse_above(f"{name}: too many topics", len(self._channels), MAX_TOPICS)
         self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
         self._tables: dict[str, TopicTable] = {}
         self._streams: dict[tuple[str, str], AnyStream] = {}

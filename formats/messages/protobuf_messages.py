@@ -21,7 +21,7 @@ from locfuse.formats.caps import (
     MAX_ITEMS,
     MAX_MESSAGE,
     MAX_TEXT,
-    names_its_cap,
+    refuse_above,
 )
 from locfuse.fusion.data import Ints
 
@@ -127,10 +127,7 @@ TIME_FIELDS = {1: Field("sec", VARINT, repeated=False, dtype="i8"), 2: Field("na
 
 def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
     """Return message type `name` of a FileDescriptorSet, and the tree of its fields that can be columns."""
-    if len(data) > MAX_DEFINITION:
-        raise SchemaError(
-            names_its_cap(f"its protobuf definition of {name} is too long", len(data), MAX_DEFINITION, "bytes")
-        )
+    refuse_above(f"its protobuf definition of {name} is too long", len(data), MAX_DEFINITION, "bytes", SchemaError)
     described: dict[str, bytes] = {}
     try:
         for file in contents(data, 1):

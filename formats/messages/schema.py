@@ -18,7 +18,7 @@ from locfuse.formats.caps import (
     MAX_DEPTH,
     MAX_EXPRESSIONS,
     MAX_FIELDS,
-    names_its_cap,
+    refuse_above,
 )
 from locfuse.formats.container.source import message_type
 from locfuse.fusion.data import Column, Ints
@@ -98,10 +98,10 @@ def parse(name: str, encoding: str, text: str, filler: bool = True) -> Structure
 
 def refuse_many_fields(tree: Structure) -> None:
     """Raise SchemaError for a message with more than MAX_FIELDS fields, nested types counted at every use."""
-    if (fields := count_fields(tree, {})) > MAX_FIELDS:
-        raise SchemaError(
-            names_its_cap(f"its definition of {tree.name} unfolds to too many fields", fields, MAX_FIELDS)
-        )
+    fields = count_fields(tree, {})
+    refuse_above(
+        f"its definition of {tree.name} unfolds to too many fields", fields, MAX_FIELDS, error=SchemaError
+    )
 
 
 def count_fields(node: Node, known: dict[int, int]) -> int:
@@ -124,8 +124,7 @@ def refuse_large(name: str, encoding: str, text: str) -> None:
         (lines, MAX_DEFINITION_LINES, "lines"),
         (expressions, MAX_EXPRESSIONS, "arrays and constants"),
     ):
-        if found > cap:
-            raise SchemaError(names_its_cap(f"its {encoding} definition of {name} is too long", found, cap, unit))
+        refuse_above(f"its {encoding} definition of {name} is too long", found, cap, unit, SchemaError)
 
 
 def _types(msgtype: str, encoding: str, text: str) -> Typesdict:

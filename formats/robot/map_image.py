@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import MAX_MAP_PICTURE, MAX_ROBOT_TOML, names_its_cap
+from locfuse.formats.caps import MAX_MAP_PICTURE, MAX_ROBOT_TOML, refuse_above
 from locfuse.formats.inputs import read_small
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError
@@ -130,8 +130,7 @@ def _pixels(file: Path) -> NDArray[Any]:
     size = _size(data)
     if size is None:
         raise LocfuseError(f"{file} is no PGM or PNG: maps are read as these")
-    if size[0] * size[1] > MAX_MAP_PIXELS:
-        raise LocfuseError(names_its_cap(f"{file}", size[0] * size[1], MAX_MAP_PIXELS, "cells"))
+    refuse_above(str(file), size[0] * size[1], MAX_MAP_PIXELS, "cells")
     try:
         # OpenCV's own output is dropped; a damaged image raises below
         pixels, _ = listened(lambda: cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from locfuse.formats.caps import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, names_its_cap
+from locfuse.formats.caps import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, refuse_above
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.visible import escaped
 from locfuse.fusion.data import LocfuseError, UsageError
@@ -44,11 +44,9 @@ def parse(text: str | bytes, source: str) -> Tables:
 
 def _refuse_large(text: str, source: str) -> None:
     """Raise LocfuseError for a text that would take tomllib minutes."""
-    if len(text) > MAX_ROBOT_TOML:
-        raise LocfuseError(names_its_cap(f"{source}: too long", len(text), MAX_ROBOT_TOML, "characters"))
+    refuse_above(f"{source}: too long", len(text), MAX_ROBOT_TOML, "characters")
     dots = max((line.count(".") for line in text.splitlines()), default=0)
-    if dots > MAX_DOTS:
-        raise LocfuseError(names_its_cap(f"{source}: too many dots in a line", dots, MAX_DOTS))
+    refuse_above(f"{source}: too many dots in a line", dots, MAX_DOTS)
 
 
 def merge(*tables: Mapping[str, Any]) -> Tables:
@@ -135,7 +133,7 @@ def _value(text: str) -> Any:
 def _refuse_absurd(tables: Mapping[str, Any], source: str) -> None:
     """Raise LocfuseError for impossible numbers, too many keys and too deeply nested tables."""
     waiting: list[tuple[str, Any]] = [("", tables)]
-    for count, (path, value) in enumerate(waiting):  # the list grows in the loop
+    for path, value in waiting:  # the list grows in the loop
         _refuse_number(value, source, path)
         children: Iterable[tuple[Any, Any]] = ()
         if isinstance(value, Mapping):
@@ -143,12 +141,9 @@ def _refuse_absurd(tables: Mapping[str, Any], source: str) -> None:
         elif isinstance(value, list):
             children = enumerate(value)
         waiting += [(f"{path}.{key}" if path else str(key), child) for key, child in children]
-        if len(waiting) > MAX_KEYS:
-            raise LocfuseError(names_its_cap(f"{source}: too many keys", len(waiting), MAX_KEYS))
-        if count and path.count(".") >= MAX_KEY_DEPTH and children:
-            raise LocfuseError(
-                names_its_cap(f"{source}: tables in tables", path.count(".") + 1, MAX_KEY_DEPTH, "deep")
-            )
+        refuse_above(f"{source}: too many keys", len(waiting), MAX_KEYS)
+        if children:
+            refuse_above(f"{source}: tables in tables", path.count(".") + 1, MAX_KEY_DEPTH, "deep")
 
 
 def _refuse_number(value: Any, source: str, path: str) -> None:

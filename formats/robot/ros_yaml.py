@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
-from locfuse.formats.caps import MAX_KEYS, MAX_ROBOT_TOML, names_its_cap
+from locfuse.formats.caps import MAX_KEYS, MAX_ROBOT_TOML, refuse_above
 from locfuse.formats.inputs import read_small
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import LocfuseError
@@ -199,8 +199,7 @@ def _sections(root: Any, path: Path) -> Iterator[NodeSection]:
         at: dict[str, Any] = {}
         shared: set[str] = set()
         for key, node, under in _flat(mapping, "", anchored, 0):
-            if len(at) > MAX_KEYS:
-                raise LocfuseError(names_its_cap(f"{path}: too many keys", len(at), MAX_KEYS))
+            refuse_above(f"{path}: too many keys", len(at), MAX_KEYS)
             at[key] = None if key in at else node
             shared |= {key} if under else set()
         yield NodeSection(name, at, mapping.start_mark.index, mapping.end_mark.index, frozenset(shared))

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from locfuse.formats.caps import MAX_TRANSFORMS, names_its_cap
+from locfuse.formats.caps import MAX_TRANSFORMS, refuse_above
 from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged
 
 # fields of TFMessage | Foxglove's FrameTransforms | its FrameTransform (a single one)
@@ -91,8 +91,7 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
                 places = f"{_place(edges[child])} and {_place(transform)} contradict; the last one counts"
                 conflicts[Conflict(child, places)] = None
             edges[child] = transform
-            if len(edges) > MAX_TRANSFORMS:
-                raise LocfuseError(names_its_cap("/tf_static: too many frames", len(edges), MAX_TRANSFORMS))
+            refuse_above("/tf_static: too many frames", len(edges), MAX_TRANSFORMS)
     return StaticTransforms(tuple(edges.values()), tuple(conflicts))
 
 

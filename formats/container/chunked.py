@@ -75,14 +75,14 @@ class ChunkedSource(Source):
             data = np.frombuffer(self.unpacked(part), np.uint8)
             found = self.search(part, data)
         except DamagedError as problem:
-            self.losses.add(str(self.path), str(problem), part.offset, part.size, known)
+            self.data.lose(str(problem), part.offset, part.size, known)
             data, found = np.empty(0, np.uint8), Records({}, [], 0)
         else:
             if found.end < len(data) or part.cut_off:
                 reason = CUT_OFF if part.cut_off else NO_RECORD
                 n = sum(len(m.start) for m in found.messages.values())
                 missing = None if known is None else max(known - n, 0)
-                self.losses.add(str(self.path), reason, part.offset, len(data) - found.end, missing)
+                self.data.lose(reason, part.offset, len(data) - found.end, missing)
         if part.counts is None:
             part.counts = {ident: len(m.start) for ident, m in found.messages.items()}
         return data, found

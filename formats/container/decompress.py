@@ -25,9 +25,7 @@ from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 
 from .file_bytes import FileBytes
-from .losses import Losses
 from .source import Messages
-from .url import Place
 
 MAX_PIECE_BYTES = 1 << 16  # unpacked at once from a cut-off stream
 
@@ -148,58 +146,52 @@ MIN_CAP_BYTES = 1 << 30  # every file may unpack to a gigabyte,
 MAX_UNPACK_RATIO = 200  # or to this multiple of its size (real bags: 2 to 20)
 
 
-def unpack_file(data: FileBytes, losses: Losses) -> None:
-    """Unpack a zstd file to a temporary file, which `data` reads from then on.
+def unpack_file(data: FileBytes) -> None:
+    """Unpack a local zstd file to a temporary file, which `data` reads from then on.
 
     A damaged or cut-off rest of the file is recorded as a loss.
     """
-    data.unpack(lambda packed: _unpacked(packed, data.path, losses))
-
-
-def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:
-    """Unpack the file `packed` to a temporary file and return this; `name` is used in error messages."""
     import tempfile
 
     handle, place = tempfile.mkstemp(prefix=scratch_prefix())
     temporary = Path(place)
     try:
         with os.fdopen(handle, "wb") as plain:
-            _unpack(packed, name, plain, losses)
+            _unpack(data, plain)
     except OSError as problem:
         temporary.unlink()
-        raise LocfuseError(f"{name}: cannot be unpacked to {temporary.parent}: {problem.strerror}") from None
+        raise LocfuseError(f"{data.path}: cannot be unpacked to {temporary.parent}: {problem.strerror}") from None
     except BaseException:
         temporary.unlink()
         raise
-    return temporary
+    data.use_unpacked(temporary)
 
 
-def _unpack(path: Path, name: Place, plain: BinaryIO, losses: Losses) -> None:
-    size = path.stat().st_size
-    cap = max(MIN_CAP_BYTES, MAX_UNPACK_RATIO * size)
+def _unpack(data: FileBytes, plain: BinaryIO) -> None:
+    cap = max(MIN_CAP_BYTES, MAX_UNPACK_RATIO * data.size)
     total, whole = 0, True
-    with path.open("rb") as packed:
+    with data.where.open("rb") as packed:
         declared = _declared_size(packed.read(HEAD_BYTES))
         packed.seek(0)
         frame = zstandard.ZstdDecompressor().decompressobj()
         try:
-            while data := packed.read(PIECE_BYTES):
-                while data:
+            while rest := packed.read(PIECE_BYTES):
+                while rest:
                     if frame.eof:
                         frame = zstandard.ZstdDecompressor().decompressobj()
-                    piece = frame.decompress(data)
-                    data = frame.unused_data
+                    piece = frame.decompress(rest)
+                    rest = frame.unused_data
                     total += len(piece)
                     if total > cap:
-                        words = f"{name}: unpacks to more than {cap >> 20} MiB; try: zstd -d {name.name}"
+                        words = f"{data.path}: unpacks to more than {cap >> 20} MiB; try: zstd -d {data.path.name}"
                         raise LocfuseError(words)
                     plain.write(piece)
         except zstandard.ZstdError:
             whole = False
     if not total:
-        raise LocfuseError(f"{name}: its compression is damaged from the beginning ({size} bytes)")
+        raise LocfuseError(f"{data.path}: its compression is damaged from the beginning ({data.size} bytes)")
     if not whole or not frame.eof or total < declared:
-        losses.add(str(name), "the compression is damaged or cut off", 0, max(declared - total, 0))
+        data.lose("the compression is damaged or cut off", 0, max(declared - total, 0))
 
 
 def _declared_size(head: bytes) -> int:

@@ -40,7 +40,7 @@ class FileBytes:
         self._read_from(path)
 
     def _read_from(self, where: Path) -> None:
-        self.where = where  # the local file with the bytes
+        self.where = where  # local file with the bytes
         self._read = inputs.identity(where)
         self.size = self._read.size
         self._start = 0
@@ -65,11 +65,14 @@ class FileBytes:
     def copy_here(self) -> None:
         """Download all bytes of a remote file; does nothing for a local one."""
 
-    def unpack(self, unpack: Callable[[Path], Path]) -> None:
-        """Download the file, unpack it with `unpack`, and read the unpacked temporary file from then on."""
-        self.copy_here()
-        self._read_from(unpack(self._file))
-        weakref.finalize(self, self.where.unlink, missing_ok=True)
+    def use_unpacked(self, temporary: Path) -> None:
+        """Read the unpacked content from this temporary file from now on; it is deleted with this object."""
+        self._read_from(temporary)
+        weakref.finalize(self, temporary.unlink, missing_ok=True)
+
+    def lose(self, reason: str, offset: int, n_bytes: int, messages: int | None = None) -> None:
+        """Record the loss of `n_bytes` of this file from `offset` on."""
+        self.losses.add(str(self.path), reason, offset, n_bytes, messages)
 
     @property
     def read_bytes(self) -> int:
@@ -117,4 +120,4 @@ class FileBytes:
         if now.file != then.file:
             raise LocfuseError(f"{self.path}: it was replaced by another file while it was read; start again")
         if now != then:
-            self.losses.add(str(self.path), WRITTEN_TO, 0, 0)
+            self.lose(WRITTEN_TO, 0, 0)

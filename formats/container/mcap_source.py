@@ -14,7 +14,6 @@ from . import mcap_records as rec
 from .chunked import Bytes, ChunkedSource, Part, Records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
-from .losses import Losses
 from .mcap_chunk import Index, records
 from .mcap_survey import ChunkRef, Survey, confirm, promised, survey
 from .source import Batch, ChannelInfo
@@ -25,12 +24,12 @@ MAX_DOWNLOAD_SHARE = 0.5  # of a remote file; if more is wanted, the whole file 
 class McapSource(ChunkedSource):
     """One .mcap file. Opening it reads record headers only; `batches` reads the messages."""
 
-    def __init__(self, data: FileBytes, losses: Losses) -> None:
-        super().__init__(data, losses)
+    def __init__(self, data: FileBytes) -> None:
+        super().__init__(data)
         found = promised(data) if data.far else None
         if found is None:
             data.copy_here()
-            found = survey(data, losses)
+            found = survey(data)
         self._use(found)
         self.channels = self._channels()
 
@@ -50,7 +49,7 @@ class McapSource(ChunkedSource):
                     found.define(opcode, data[start : start + length].tobytes())
         if missing := Counter(found.expected or {}) - self.counted():
             reason = "messages the file's statistics promise are missing"
-            self.losses.add(str(self.path), reason, 0, 0, missing.total())
+            self.data.lose(reason, 0, 0, missing.total())
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -66,7 +65,7 @@ class McapSource(ChunkedSource):
                     raise DamagedError(f"attachment {name!r} fails its checksum")
                 found[name] = data
             except DamagedError as problem:
-                self.losses.add(str(self.path), str(problem), at, length)
+                self.data.lose(str(problem), at, length)
         return found
 
     @property
@@ -103,7 +102,7 @@ class McapSource(ChunkedSource):
             self.data.fetch(spans)
             return
         self.data.copy_here()
-        self._use(survey(self.data, self.losses))
+        self._use(survey(self.data))
 
     def search(self, part: Part, data: Bytes) -> Records:
         """Find the records in the uncompressed bytes of a part."""
@@ -138,5 +137,5 @@ class McapSource(ChunkedSource):
                 c.topic, schema.name, c.message_encoding, schema.encoding, schema.data, counts[ident]
             )
         for ident in counts.keys() - found.keys():
-            self.losses.add(str(self.path), "messages of an undefined channel", ident, 0, counts[ident])
+            self.data.lose("messages of an undefined channel", ident, 0, counts[ident])
         return found

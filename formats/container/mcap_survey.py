@@ -25,7 +25,6 @@ from . import mcap_records as rec
 from .chunked import Part
 from .decompress import CODECS, DamagedError
 from .file_bytes import FileBytes
-from .losses import Losses
 from .mcap_chunk import scan
 
 
@@ -343,21 +342,19 @@ CUT_OFF = "the file ends without an end mark: the recording was cut off"
 NO_SUMMARY = "the summary is damaged: messages may be missing, their number is unknown"
 
 
-def survey(data: FileBytes, losses: Losses) -> Survey:
+def survey(data: FileBytes) -> Survey:
     """Survey the data section from the first record to DataEnd; damaged parts are recorded as losses."""
     magic = data.read(0, len(rec.MAGIC))
     summary = read_summary(data)
     if magic != rec.MAGIC and summary is None:
         raise LocfuseError(f"{data.path}: not an MCAP file: it is {describe(data.read(0, 64))}")
-    return _SurveyWalk(data, summary, losses).run()
+    return _SurveyWalk(data, summary).run()
 
 
 class _SurveyWalk:
-    def __init__(self, data: FileBytes, summary: FileSummary | None, losses: Losses) -> None:
+    def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
         self.data = data
-        self.name = str(data.path)
         self.summary = summary
-        self.losses = losses
         self.found = Survey()
         if summary is not None:
             self.found = Survey([], summary.schemas, summary.channels, [], summary.expected)
@@ -371,9 +368,9 @@ class _SurveyWalk:
         while at is not None and at < self.data.size:
             here, at = at, self._step(at)
         if at is not None:
-            self.losses.add(self.name, CUT_OFF, 0, 0)
+            self.data.lose(CUT_OFF, 0, 0)
         elif self.summary is None and ((foot := _footer(self.data)) is None or foot[0] != 0):
-            self.losses.add(self.name, NO_SUMMARY, here, self.data.size - here)
+            self.data.lose(NO_SUMMARY, here, self.data.size - here)
         self._drop_unconfirmed_counts()
         # no checksum covers the times in a chunk's header: they are used only if equal to the summary's
         promised = self.summary.chunks.values() if self.summary else ()
@@ -429,7 +426,7 @@ class _SurveyWalk:
         if whole and any(not isinstance(part, ChunkRef) for part in self.found.parts):
             crc = int.from_bytes(value, "little")
             if crc and self.data.crc32(0, at) != crc:
-                self.losses.add(self.name, "the file fails its checksum: values may be wrong", 0, 0)
+                self.data.lose("the file fails its checksum: values may be wrong", 0, 0)
 
     def _drop_unconfirmed_counts(self) -> None:
         """Drop message counts that the summary does not confirm; those chunks are read to count messages."""
@@ -457,7 +454,7 @@ class _SurveyWalk:
         """Add consecutive messages outside chunks as a part; return their end offset."""
         n_bytes = max(rec.RECORD.size + length, RUN_BYTES)
         if n_bytes > MAX_CHUNK:
-            self.losses.add(self.name, f"a message is larger than {MAX_CHUNK >> 20} MiB", at, n_bytes, 1)
+            self.data.lose(f"a message is larger than {MAX_CHUNK >> 20} MiB", at, n_bytes, 1)
             return at + n_bytes
         data = np.frombuffer(self.data.read(at, n_bytes), np.uint8)
         found = scan(data)
@@ -489,7 +486,7 @@ class _SurveyWalk:
         """Return the offset of an uncompressed large chunk's content, to read its messages like unchunked ones."""
         end = chunk.start + chunk.size
         if not chunk.cut_off and chunk.crc and self.data.crc32(chunk.start, end) != chunk.crc:
-            self.losses.add(self.name, "a chunk fails its checksum", chunk.start, chunk.size)
+            self.data.lose("a chunk fails its checksum", chunk.start, chunk.size)
             return end
         return chunk.start
 
@@ -523,5 +520,5 @@ class _SurveyWalk:
         following = self._next_readable(at + 1)
         if following is None:
             following = self.summary.start if self.summary and self.summary.start > at else self.data.size
-        self.losses.add(self.name, reason, at, following - at)
+        self.data.lose(reason, at, following - at)
         return following

@@ -17,7 +17,6 @@ from locfuse.fusion.data import LocfuseError
 from .chunked import Bytes, ChunkedSource, Part, Records, most_records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
-from .losses import Losses
 from .source import ChannelInfo, Messages, by_channel
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -137,8 +136,8 @@ class BagSource(ChunkedSource):
 
     time_span_ns: tuple[int, int] | None = None
 
-    def __init__(self, data: FileBytes, losses: Losses) -> None:
-        super().__init__(data, losses)
+    def __init__(self, data: FileBytes) -> None:
+        super().__init__(data)
         self.parts: list[Part] = []
         self._connections: dict[int, tuple[Fields, bytes]] = {}
         self._survey()
@@ -164,7 +163,7 @@ class BagSource(ChunkedSource):
             else:
                 at = min(entry.end, self.data.size)
         if not closed:
-            self.losses.add(str(self.path), CUT_OFF, 0, 0)
+            self.data.lose(CUT_OFF, 0, 0)
 
     def _add_record(self, entry: BagRecord) -> bool:
         """Add one top-level record; return whether it is a ChunkInfo, which only a closed bag has."""
@@ -215,7 +214,7 @@ class BagSource(ChunkedSource):
     def _skip_damage(self, at: int, reason: str) -> int:
         """Record the bytes up to the next chunk (or the end) as lost; return its offset."""
         following = self._next_chunk(at + 1)
-        self.losses.add(str(self.path), reason, at, following - at)
+        self.data.lose(reason, at, following - at)
         if self.parts:
             self.parts[-1].counts = None  # a part of its index may be lost
         return following

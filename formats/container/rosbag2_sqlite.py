@@ -25,7 +25,6 @@ from locfuse.fusion.data import LocfuseError
 
 from .file_bytes import FileBytes
 from .known_types import MAX_SAMPLE, definition
-from .losses import Losses
 from .source import Batch, ChannelInfo, Messages, Source, by_channel, message_type
 from .url import Place
 
@@ -92,8 +91,8 @@ class TimeLimit:
 class SqliteSource(Source):
     """One .db3 file."""
 
-    def __init__(self, data: FileBytes, losses: Losses) -> None:
-        super().__init__(data, losses)
+    def __init__(self, data: FileBytes) -> None:
+        super().__init__(data)
         self._limit = TimeLimit(self.path, data.size)
         self._readable = 2**63 - 1  # last rowid before a damaged place
         where = data.where.resolve()
@@ -105,7 +104,7 @@ class SqliteSource(Source):
             except OSError:
                 used, lost = 1, 0  # sqlite cannot read it either; _connect records the loss
             if lost:
-                losses.add(str(self.path), JOURNAL_LOST, used, lost)
+                data.lose(JOURNAL_LOST, used, lost)
             self._journal_is_used = used > 0
         try:
             with closing(self._connect()) as database, self._limit.step():
@@ -142,7 +141,7 @@ class SqliteSource(Source):
         except ERRORS as problem:
             verdict = str(problem)
         if verdict != "ok":
-            self.losses.add(str(self.path), DAMAGED, 0, 0)
+            self.data.lose(DAMAGED, 0, 0)
 
     def _connect(self) -> sqlite3.Connection:
         """Open the database read-only, with the journal of a crashed recording if the journal can be read."""
@@ -162,7 +161,7 @@ class SqliteSource(Source):
                 except ERRORS:
                     continue
                 return database
-            self.losses.add(str(self.path), "its journal (-wal) cannot be read", 0, self._journal.stat().st_size)
+            self.data.lose("its journal (-wal) cannot be read", 0, self._journal.stat().st_size)
         return self._open(where, "&immutable=1")
 
     def _open(self, where: Path, options: str) -> sqlite3.Connection:
@@ -215,7 +214,7 @@ class SqliteSource(Source):
                 # a later pass might read beyond the damage and yield other rows: limit all to this one's
                 self._readable = min(self._readable, last)
                 expected = sum(self._counts.get(topic, 0) for topic in topics)
-                self.losses.add(str(self.path), CUT_SHORT, 0, 0, max(expected - n, 0) or None)
+                self.data.lose(CUT_SHORT, 0, 0, max(expected - n, 0) or None)
 
 
 def _channels(database: sqlite3.Connection, limit: TimeLimit) -> tuple[dict[int, ChannelInfo], dict[int, int]]:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Ints
 
 from .file_bytes import FileBytes
-from .losses import Losses
 
 
 class ChannelInfo(NamedTuple):
@@ -61,9 +60,8 @@ class Source(ABC):
 
     channels: Mapping[int, ChannelInfo]  # by id
 
-    def __init__(self, data: FileBytes, losses: Losses) -> None:
+    def __init__(self, data: FileBytes) -> None:
         self.path = data.path
-        self.losses = losses
         self.data = data
 
     @property

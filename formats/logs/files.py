@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatch
 from itertools import takewhile, zip_longest
 from pathlib import Path
@@ -49,36 +49,32 @@ def log_files(path: Place) -> list[Place]:
 
 
 def _objects(url: Url) -> list[Place]:
-    """Return the remote files of a log: the file at `url`, or all files of a folder that have the same ending.
-
-    The first ending of ENDINGS that occurs in the folder counts. Raises LocfuseError if none occurs.
-    """
+    """Return the remote files of a log: the file at `url`, or the log files of a folder. Raises LocfuseError."""
     if not url.is_folder:
         return [url]
     from locfuse.formats.container.remote_objects import below
 
-    inside = [file for file in below(url) if file.parent.key.rstrip("/") == url.key.rstrip("/")]
-    for ending in ENDINGS:
-        if files := [file for file in inside if fnmatch(file.name, ending)]:
-            return list(files)
+    if files := _by_ending(file for file in below(url) if file.parent.key.rstrip("/") == url.key.rstrip("/")):
+        return files
     raise LocfuseError(f"{url}: no log in this folder (.mcap, .db3, .bag); all logs below it: --each {url}")
 
 
 def _folder(folder: Path) -> list[Place]:
     listed = [folder / name for name in _listed(folder / "metadata.yaml")]
-    if files := [file for file in listed if file.is_file()] or _by_ending(folder):
+    if files := [file for file in listed if file.is_file()]:
         return list(files)
+    if files := _by_ending(sorted(file for file in folder.iterdir() if file.is_file())):
+        return files
     if any((folder / name).exists() for name in REPORTS):
         raise LocfuseError(f"{folder} is a locfuse result, not a log; see: locfuse view {folder}")
     raise LocfuseError(f"{folder}: no log in this folder (.mcap, .db3, .bag)")
 
 
-def _by_ending(folder: Path) -> list[Path]:
-    """Return a folder's files with the first ending of ENDINGS that occurs; [] without any."""
-    return next(
-        (files for ending in ENDINGS if (files := sorted(f for f in folder.glob(ending) if f.is_file()))),
-        [],
-    )
+def _by_ending(files: Iterable[Place]) -> list[Place]:
+    """Return the files with the first ending of ENDINGS that occurs; [] without any."""
+    files = list(files)
+    found = ([file for file in files if fnmatch(file.name, ending)] for ending in ENDINGS)
+    return next(filter(None, found), [])
 
 
 def _listed(metadata: Path) -> list[str]:
@@ -119,12 +115,12 @@ def open_source(file: Place, losses: Losses) -> Source:
         if data.far and data.read(max(data.size - len(MAGIC), 0), len(MAGIC)) != MAGIC:
             data.copy_here()  # no complete MCAP, so without an index
         if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
-            unpack_file(data, losses)
+            unpack_file(data)
         head = b"" if data.far else data.read(0, 64)
         for magic, source in SOURCES.items():
             if head.startswith(magic):
-                return source(data, losses)
-        return McapSource(data, losses)  # raises for another kind of file
+                return source(data)
+        return McapSource(data)  # raises for another kind of file
 
 
 # --- Identity of a log's content without reading all of it: sizes, and a hash of each file's own summary

@@ -119,7 +119,7 @@ def test_a_message_that_does_not_unpack_or_is_too_long_comes_out_empty(monkeypat
 
 
 def plain(file: Path, losses: Losses) -> bytes:
-    unpack_file(unpacked_file := FileBytes(file, losses), losses)  # its bytes go with it
+    unpack_file(unpacked_file := FileBytes(file, losses))  # its bytes go with it
     return unpacked_file.where.read_bytes()
 
 
@@ -155,7 +155,7 @@ def test_a_file_that_is_damaged_from_the_beginning_says_so(tmp_path: Path) -> No
     file = tmp_path / "a.mcap.zstd"
     file.write_bytes(b"\x28\xb5\x2f\xfd" + b"\xff" * 40)
     with pytest.raises(LocfuseError, match="damaged from the beginning"):
-        unpack_file(FileBytes(file, Losses()), Losses())
+        unpack_file(FileBytes(file, Losses()))
 
 
 def test_a_full_disk_of_temporary_files_is_one_line_and_leaves_nothing(
@@ -170,5 +170,5 @@ def test_a_full_disk_of_temporary_files_is_one_line_and_leaves_nothing(
 
     monkeypatch.setattr(unpacking, "_unpack", full)
     with pytest.raises(LocfuseError, match=r"cannot be unpacked to .*: No space left on device"):
-        unpack_file(FileBytes(file, Losses()), Losses())
+        unpack_file(FileBytes(file, Losses()))
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.zstd"]

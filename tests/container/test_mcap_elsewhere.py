@@ -35,7 +35,7 @@ def shelf() -> Iterator[Shelf]:
 
 def opened(shelf: Shelf, path: Path) -> tuple[McapSource, RemoteBytes, Losses]:
     data = RemoteBytes(Url(shelf.put(path.name, path.read_bytes())), losses := Losses())
-    return McapSource(data, losses), data, losses
+    return McapSource(data), data, losses
 
 
 def payloads(source: McapSource, *topics: str) -> list[tuple[str, int, int, bytes]]:

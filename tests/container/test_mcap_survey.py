@@ -109,13 +109,13 @@ def told(losses: Losses) -> list[Loss]:
 def walked(folder: Path, content: bytes) -> tuple[Survey, list[Loss]]:
     """What the walk finds, and what it lost."""
     data, losses = laid(folder, content)
-    return survey(data, losses), told(losses)
+    return survey(data), told(losses)
 
 
 def lost_by(folder: Path, content: bytes, wanted: set[int]) -> tuple[list[int], list[Loss]]:
     """The log times of some channels' messages in the order in which they come, and all losses."""
     data, losses = laid(folder, content)
-    batches = McapSource(data, losses).batches(wanted)
+    batches = McapSource(data).batches(wanted)
     found = [sorted(t for m in batch.messages.values() for t in m.log_time.tolist()) for batch in batches]
     return [t for some in found for t in some], told(losses)
 
@@ -343,7 +343,7 @@ def test_messages_that_the_statistics_count_and_nobody_finds_are_lost(tmp_path: 
         struct.pack_into("<Q", content, at + 2, claimed)
         struct.pack_into("<I", content, len(content) - 12, 0)  # the summary is without a checksum
         data, losses = laid(tmp_path, bytes(content))
-        McapSource(data, losses)
+        McapSource(data)
         assert [(loss.reason, loss.messages) for loss in losses.places.values()] == (
             [("messages the file's statistics promise are missing", missing)] if missing else []
         )
@@ -490,7 +490,7 @@ def test_definitions_are_found_inside_chunks_too(tmp_path: Path) -> None:
     inside = SCHEMAS + CHANNELS + message(1, 100, b"a")
     content = START + chunk(100, plain=inside).record + END + NO_SUMMARY
     data, losses = laid(tmp_path, content)
-    source = McapSource(data, losses)
+    source = McapSource(data)
     assert not losses
     assert [(c.topic, c.msgtype, c.n) for c in source.channels.values()] == [
         ("/1", "pkg/A", 1),
@@ -510,7 +510,7 @@ def test_attachments_up_to_the_cap_are_read(
         attached = record(ATTACHMENT, content + struct.pack("<I", crc))
         assert len(attached) == 9 + length
         data, losses = laid(tmp_path, FRONT + attached + A.all + END + NO_SUMMARY)
-        source = McapSource(data, losses)
+        source = McapSource(data)
         assert list(source.attachments) == (["a"] if found and crc != 1 else [])
         assert [(r, at, one.bytes) for (_, r, at), one in losses.places.items()] == (
             [("attachment 'a' fails its checksum", len(FRONT) + 9, length)] if found and crc == 1 else []
@@ -519,8 +519,8 @@ def test_attachments_up_to_the_cap_are_read(
 
 def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) -> None:
     one = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 500, 77) + b"x")
-    data, losses = laid(tmp_path, FRONT + one + message(1, 501, b"") + END + NO_SUMMARY)
-    source = McapSource(data, losses)
+    data, _ = laid(tmp_path, FRONT + one + message(1, 501, b"") + END + NO_SUMMARY)
+    source = McapSource(data)
     (batch,) = source.batches({1})
     assert batch.messages[1].published.tolist() == [77, 501]
     assert source.time_span_ns == (500, 501)

@@ -27,7 +27,7 @@ PLAIN: dict[str, Any] = {"enable_crcs": False, "chunk_size": 4000}
 
 def payloads(path: Path) -> list[tuple[str, int, bytes]]:
     """(topic, log time, bytes) of every message the source delivers."""
-    source = McapSource(FileBytes(path, losses := Losses()), losses)
+    source = McapSource(FileBytes(path, Losses()))
     return [
         (
             source.channels[ident].topic,
@@ -257,11 +257,11 @@ def test_a_lone_giant_message_is_refused_and_the_others_are_read(
 def test_a_message_outside_chunks_has_no_checksum(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mcap", drive(), enable_crcs=True)
     data = path.read_bytes()
-    assert McapSource(FileBytes(path, losses := Losses()), losses).checked
+    assert McapSource(FileBytes(path, Losses())).checked
     start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
     alone = struct.pack("<BQHIQQ", 5, 26, 1, 0, T0, T0) + bytes(4)
     front = data[: start - 13]  # without the record that ends the data
     path.write_bytes(
         front + alone + struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + data[-8:]
     )
-    assert not McapSource(FileBytes(path, losses := Losses()), losses).checked
+    assert not McapSource(FileBytes(path, Losses())).checked

@@ -340,7 +340,7 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_opening_a_log_of_raw_pictures_reads_a_hundredth_of_it(raw: Path) -> None:
     losses = Losses()
     data = FileBytes(raw, losses)
-    source = McapSource(data, losses)
+    source = McapSource(data)
     assert {c.topic: c.n for c in source.channels.values()} == {"/raw": 40, "/ticks": 800}
     assert not losses
     assert data.read_bytes <= 0.01 * data.size

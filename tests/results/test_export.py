@@ -171,7 +171,7 @@ def test_the_file_is_sound_to_every_reader(ran: Path) -> None:
     with AnyReader([path]) as bag:
         assert sum(1 for c, _, raw in bag.messages() if bag.deserialize(raw, c.msgtype)) == len(times)
     losses = Losses()
-    assert McapSource(FileBytes(path, losses), losses).checked
+    assert McapSource(FileBytes(path, losses)).checked
     assert not losses
     rerun = Path(sys.executable).parent / "rerun"
     checked = subprocess.run([rerun, "mcap", "check", path], capture_output=True, text=True, check=False)

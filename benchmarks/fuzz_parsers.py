@@ -22,7 +22,7 @@ from benchmarks.field_paths import paths
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.container import mcap_records, ros1_bag
 from locfuse.formats.container.decompress import DamagedError
-from locfuse.formats.container.mcap_chunk import scan
+from locfuse.formats.container.mcap_records import scan
 from locfuse.formats.container.rosbag2_sqlite import journal_of
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.logs import file_stream

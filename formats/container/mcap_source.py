@@ -14,7 +14,6 @@ from . import mcap_records as rec
 from .chunked import Bytes, ChunkedSource, Part, Records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
-from .mcap_chunk import Index, records
 from .mcap_survey import ChunkRef, Survey, confirm, promised, survey
 from .source import Batch, ChannelInfo
 
@@ -106,9 +105,9 @@ class McapSource(ChunkedSource):
 
     def search(self, part: Part, data: Bytes) -> Records:
         """Find the records in the uncompressed bytes of a part."""
-        return records(data, part.size, self._index(part))
+        return rec.records(data, part.size, self._index(part))
 
-    def _index(self, part: Part) -> Index:
+    def _index(self, part: Part) -> rec.Index:
         """Return the message indexes of a chunk, {} if one is damaged.
 
         They are read without damage too, so that all bytes of the file are read and can be hashed.

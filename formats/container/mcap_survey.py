@@ -25,7 +25,6 @@ from . import mcap_records as rec
 from .chunked import Part
 from .decompress import CODECS, DamagedError
 from .file_bytes import FileBytes
-from .mcap_chunk import scan
 
 
 class ChunkRef(Part):
@@ -242,9 +241,8 @@ class Resync:
         self.starts = sorted(summary.chunks) if summary else []
         self.end = summary.start if summary else data.size
         self._window = range(0)  # file offsets of the bytes searched last
-        self._places: NDArray[np.int64] = np.empty(
-            0, np.int64
-        )  # possible record starts in the window, file offsets
+        # possible record starts in the window, file offsets
+        self._places: NDArray[np.int64] = np.empty(0, np.int64)
         self._chunked = False  # whether `_places` has chunks only
 
     def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
@@ -457,7 +455,7 @@ class _SurveyWalk:
             self.data.lose(f"a message is larger than {MAX_CHUNK >> 20} MiB", at, n_bytes, 1)
             return at + n_bytes
         data = np.frombuffer(self.data.read(at, n_bytes), np.uint8)
-        found = scan(data)
+        found = rec.scan(data)
         if not found.messages:
             raise DamagedError("bytes that are no record")
         for opcode, start, size in found.definitions:

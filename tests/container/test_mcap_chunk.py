@@ -10,7 +10,7 @@ import pytest
 
 from locfuse.formats.container.chunked import Records, most_records
 from locfuse.formats.container.decompress import DamagedError
-from locfuse.formats.container.mcap_chunk import Index, records, scan
+from locfuse.formats.container.mcap_records import Index, records, scan
 from locfuse.formats.container.source import Messages
 
 SCHEMA, CHANNEL, MESSAGE, DATA_END, PRIVATE = 3, 4, 5, 15, 0x80  # opcodes of https://mcap.dev/spec

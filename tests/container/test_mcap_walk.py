@@ -17,7 +17,7 @@ from mcap.writer import CompressionType
 from locfuse.formats.container.decompress import decompress
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.mcap_chunk import scan
+from locfuse.formats.container.mcap_records import scan
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError

@@ -24,9 +24,8 @@ from locfuse.formats.logs.adapters import (
     VEHICLE_ODOMETRY,
     presented_name,
 )
-from locfuse.formats.logs.transform_stream import tags_of
-from locfuse.formats.robot.tag_frames import OF_CAMERA, ancestors, named_as_tag
-from locfuse.formats.robot.transforms import StaticTransforms
+from locfuse.formats.logs.transform_stream import OF_CAMERA, named_as_tag, tags_of
+from locfuse.formats.robot.transforms import StaticTransforms, ancestors
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.landmarks import POSES
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -25,7 +25,6 @@ from locfuse.formats.messages.fields import NUMBERS, FieldError, check_kind, kin
 from locfuse.formats.messages.schema import MessageDecoder, SchemaError, signature
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
-from locfuse.formats.robot.tag_frames import OF_CAMERA, TAGS
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 from locfuse.fusion.progress import say_done
 
@@ -47,6 +46,8 @@ from .stream import (
     ranges_in,
 )
 from .transform_stream import (
+    OF_CAMERA,
+    TAGS,
     TF_FIELDS,
     TRANSFORM,
     FrameEdge,

@@ -9,6 +9,7 @@ Tags that a detector publishes as frames of its camera become the topic "/tf:cam
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple, cast
@@ -16,10 +17,10 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.robot.tag_frames import TAGS, in_optical_axes, named_as_tag, number_of
 from locfuse.formats.robot.transforms import (
     FIELDS,
     StaticTransforms,
+    ancestors,
     as_lists,
     inverse_of,
     matrices_of,
@@ -156,6 +157,70 @@ def _delay_s(log_time: Ints, stamp: Ints) -> float:
     return float(np.median(log_time - stamp)) * 1e-9
 
 
+def _at(edge: FrameEdge, t_ns: Ints) -> Array:
+    """Return the transforms (n, 4, 4) of an edge, interpolated at times t_ns (n,) within its span."""
+    rows = edge.clock.rows
+    values = edge.values if rows is None else edge.values[rows]
+    last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one is used
+    at, values = edge.clock.t_ns[last], values[last].copy()
+    signs = np.where((values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0.0, -1.0, 1.0)
+    values[1:, 3:] *= np.cumprod(signs)[:, None]  # q and -q are one rotation: interpolate along the shorter way
+    zero = at[0]
+    grid, times = (at - zero) * 1e-9, (t_ns - zero) * 1e-9
+    return matrices_of(np.stack([np.interp(times, grid, column) for column in values.T], axis=-1))
+
+
+def loop_in(edges: Sequence[FrameEdge]) -> tuple[str, ...]:
+    """Return the frames of a loop (a frame that is its own ancestor), parent first; () without a loop."""
+    tree = TopologicalSorter[str]()
+    for edge in sorted(edges, key=lambda edge: edge.child):
+        tree.add(edge.child, edge.parent)
+    try:
+        tree.prepare()
+    except CycleError as found:
+        return tuple(found.args[1])
+    return ()
+
+
+# --- Tags that /tf publishes as one transform camera -> tag per detection
+
+TAGS = "locfuse/msg/TagFrames"  # id, x, y, z [m] in the camera's optical axes (REP 103: x right, y down, z ahead)
+OF_CAMERA = "tags"  # the last part of "/tf:camera_optical:tags"
+NUMBERED = re.compile(r"^(.*?)(\d+)$", re.DOTALL)
+MAX_ID = 2**62
+# does not match "stage"
+TAG_NAME = re.compile(r"tags?(?![a-z])|marker|aruco|april|fiducial|landmark|beacon|\d+h\d+")
+MIN_UPRIGHT_SHARE = 0.7  # vertical component of a frame's z axis, above which its z axis is up as in a body frame
+
+
+def number_of(frame: str) -> int | None:
+    """Return the number at the end of a frame's name ("tag_3", "tag36h11:5"); None without one."""
+    match = NUMBERED.match(frame)
+    return int(match[2][-18:]) % MAX_ID if match else None
+
+
+def named_as_tag(frame: str) -> bool:
+    """Return whether a frame's name is that of a tag with a number."""
+    name = frame.rpartition("/")[2].lower()
+    return number_of(name) is not None and TAG_NAME.search(name) is not None
+
+
+def in_optical_axes(p: Array, frame: str, transforms: StaticTransforms) -> Array:
+    """Return positions (n, 3) [m] in a camera's frame as positions in optical axes (x right, y down, z ahead).
+
+    The frame counts as optical if its name has "optical", else if its z axis is not upright in its root frame.
+    Without a root: if more positions are ahead along z than along x.
+    """
+    above = ancestors(transforms, frame)
+    if "optical" in frame.lower():
+        optical = True
+    elif above:
+        optical = abs(float(above[-1][1][2, 2])) < MIN_UPRIGHT_SHARE
+    else:
+        optical = bool((p[:, 2] > 0.0).mean() > (p[:, 0] > 0.0).mean()) if len(p) else True
+    return p if optical else np.stack((-p[:, 1], -p[:, 2], p[:, 0]), axis=-1)
+
+
 def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> clocks.MadeStream:
     """Return the tags seen by a camera as a stream, one row per sighting: id, and x, y, z [m] in optical axes.
 
@@ -201,28 +266,3 @@ def _repeats(edge: FrameEdge) -> NDArray[np.bool_]:
     same = np.zeros(len(edge.stamp), dtype=bool)
     same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
     return same
-
-
-def _at(edge: FrameEdge, t_ns: Ints) -> Array:
-    """Return the transforms (n, 4, 4) of an edge, interpolated at times t_ns (n,) within its span."""
-    rows = edge.clock.rows
-    values = edge.values if rows is None else edge.values[rows]
-    last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one is used
-    at, values = edge.clock.t_ns[last], values[last].copy()
-    signs = np.where((values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0.0, -1.0, 1.0)
-    values[1:, 3:] *= np.cumprod(signs)[:, None]  # q and -q are one rotation: interpolate along the shorter way
-    zero = at[0]
-    grid, times = (at - zero) * 1e-9, (t_ns - zero) * 1e-9
-    return matrices_of(np.stack([np.interp(times, grid, column) for column in values.T], axis=-1))
-
-
-def loop_in(edges: Sequence[FrameEdge]) -> tuple[str, ...]:
-    """Return the frames of a loop (a frame that is its own ancestor), parent first; () without a loop."""
-    tree = TopologicalSorter[str]()
-    for edge in sorted(edges, key=lambda edge: edge.child):
-        tree.add(edge.child, edge.parent)
-    try:
-        tree.prepare()
-    except CycleError as found:
-        return tuple(found.args[1])
-    return ()

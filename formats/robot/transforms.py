@@ -57,9 +57,8 @@ class StaticTransforms(msgspec.Struct, frozen=True):
     edges: tuple[Transform, ...] = ()
     conflicts: tuple[Conflict, ...] = ()
     bases: tuple[str, ...] = ()  # additional names of the robot's base frame
-    moving: tuple[
-        Transform, ...
-    ] = ()  # first value of frames that move on the robot; sensors on them have no mount
+    # first value of frames that move on the robot; sensors on them have no mount
+    moving: tuple[Transform, ...] = ()
 
 
 class FrameMount(msgspec.Struct, frozen=True):
@@ -193,6 +192,18 @@ def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame
             x, y, z = (float(value) for value in T[:3, 3])
             return FrameMount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < MAX_FLIPPED_COSINE))
     return None
+
+
+def ancestors(transforms: StaticTransforms, frame: str) -> list[tuple[str, Array]]:
+    """Return (ancestor, pose (4, 4) of the frame in this ancestor) for all ancestors of a frame, nearest first."""
+    above = {edge.child: edge for edge in transforms.edges}
+    found: list[tuple[str, Array]] = []
+    T = np.eye(4)
+    while frame in above and len(found) < len(above):  # also ends in a loop of frames
+        edge = above[frame]
+        T, frame = edge.T_parent_child @ T, edge.parent
+        found.append((frame, T))
+    return found
 
 
 Edge = TypeVar("Edge")

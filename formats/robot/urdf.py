@@ -12,8 +12,7 @@ import numpy as np
 from locfuse.formats.caps import MAX_JOINTS, MAX_TEXT
 from locfuse.fusion.data import Array
 
-from .tag_frames import ancestors
-from .transforms import StaticTransforms, Transform
+from .transforms import StaticTransforms, Transform, ancestors
 
 TURNS = ("continuous", "revolute")
 

@@ -67,18 +67,17 @@ class MadeStream(ArrayStream, frozen=True, kw_only=True):
 
 
 class UnreadableStream:
-    """A derived topic that cannot be read: attributes other than those in `known` raise `problem`."""
+    """A derived topic that cannot be read: times, columns and other attributes of a MadeStream raise `problem`."""
 
     frame_id = ""
 
-    def __init__(self, topic: str, msgtype: str, problem: LocfuseError, **known: Any) -> None:
+    def __init__(self, topic: str, msgtype: str, problem: LocfuseError) -> None:
         self.topic = topic
         self.msgtype = msgtype
         self.problem = problem
-        vars(self).update(known)
 
     def __getattr__(self, name: str) -> Any:
-        """Raise `problem` for times, columns and any other attribute of a MadeStream."""
+        """Raise `problem`."""
         raise self.problem
 
 

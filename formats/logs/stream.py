@@ -422,16 +422,16 @@ def number_in(name: str, source: LogStream, field: str) -> clocks.MadeStream:
 
 
 def ranges_in(name: str, source: LogStream, fields: str) -> clocks.MadeStream:
-    """Return two fields of a topic, "ids,ranges", as a stream of ranges; lists give one row per entry."""
+    """Return two fields of a topic, "ids,ranges", as a stream of ranges; lists give one row per entry.
+
+    Raises LocfuseError for lists of different lengths.
+    """
     ids, ranges = source.columns(*fields.split(",")).values()
     t_ns = source.t_ns
     if isinstance(ids, Ragged) and isinstance(ranges, Ragged):
         if not np.array_equal(ids.lengths, ranges.lengths):
             i = int(np.flatnonzero(ids.lengths != ranges.lengths)[0])
-            words = f"{name}: message {i} has {ids.lengths[i]} ids and {ranges.lengths[i]} ranges"
-            known = {"clock": source.clock, "delay_s": source.delay_s, "dropped": source.dropped}
-            broken = clocks.UnreadableStream(name, RANGES, LocfuseError(words), frame_id=source.frame_id, **known)
-            return cast("clocks.MadeStream", broken)
+            raise LocfuseError(f"{name}: message {i} has {ids.lengths[i]} ids and {ranges.lengths[i]} ranges")
         t_ns = np.repeat(t_ns, ids.lengths)
         ids, ranges = (c.values[c.first[0] : c.first[-1]] for c in (ids, ranges))
     return _derived(name, source, RANGES, t_ns, {"id": np.asarray(ids), "range": np.asarray(ranges)})

@@ -1,8 +1,11 @@
-"""Columns (numbers, ragged rows, or a list of values): reading from bytes, joining, reordering, growing."""
+"""Columns (numbers, ragged rows, or a list of values): reading from bytes, joining, reordering, growing.
+
+A column has the dotted path of its field as name ("header.stamp").
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +14,18 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Column, Ints, Ragged
 
 MAX_UNCHECKED_ELEMENTS = 1 << 22  # allocated at most before any row is read: a file's message count may be wrong
+
+
+def nested(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields by dotted path as nested fields: {"a.b": 1} -> {"a": {"b": 1}}."""
+    tree: dict[str, Any] = {}
+    for path, value in fields.items():
+        *parents, leaf = path.split(".")
+        node = tree
+        for name in parents:
+            node = node.setdefault(name, {})
+        node[leaf] = value
+    return tree
 
 
 def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:

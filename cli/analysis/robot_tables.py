@@ -186,15 +186,6 @@ def flat(tables: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def nested(settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return {"wheels.radius": 1} as {"wheels": {"radius": 1}}."""
-    tables: dict[str, dict[str, Any]] = {}
-    for path, value in settings.items():
-        table, _, key = path.partition(".")
-        tables.setdefault(table, {})[key] = value
-    return tables
-
-
 def set_tables(words: Sequence[str]) -> dict[str, Any]:
     """Return the words of --set as tables. Raises UsageError for an unknown key or an invalid value."""
     try:

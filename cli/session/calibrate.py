@@ -10,8 +10,8 @@ import numpy as np
 from msgspec.structs import asdict, astuple, replace
 
 from locfuse.cli.analysis.load import Loaded, Parts, load
-from locfuse.cli.analysis.robot_tables import nested
 from locfuse.cli.analysis.settings import LogOptions, Progress
+from locfuse.formats.columns import nested
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings

@@ -13,8 +13,8 @@ from msgspec.structs import replace
 from locfuse.cli.advice.report import MAX_START_ERROR_M
 from locfuse.cli.analysis.configurations import refuse_beside_others, unknown_sensor
 from locfuse.cli.analysis.load import Loaded, Parts, find_log, load, start_error, with_settings
-from locfuse.cli.analysis.robot_tables import nested
 from locfuse.cli.analysis.settings import LogOptions, set_words
+from locfuse.formats.columns import nested
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.tried import MAX_LOSS_NATS, Marks, worsens
 from locfuse.fusion.chi_square import SIGMAS_95

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
+from locfuse.formats.columns import nested
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Ints, LocfuseError
 
@@ -63,18 +64,6 @@ LATCHED = """\
 def time_message(ns: int) -> dict[str, int]:
     """Return the fields of a builtin_interfaces/Time."""
     return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
-
-
-def nested(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields by dotted path as nested fields: {"a.b": 1} -> {"a": {"b": 1}}."""
-    tree: dict[str, Any] = {}
-    for path, value in fields.items():
-        *parents, leaf = path.split(".")
-        node = tree
-        for name in parents:
-            node = node.setdefault(name, {})
-        node[leaf] = value
-    return tree
 
 
 class StandardMessages:
@@ -140,11 +129,11 @@ class LogWriter:
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}  # topic -> channel id, message type
         self._sequence: dict[str, int] = {}
-        self._writer = open_writer(file)
+        self.writer = open_writer(file)
 
     def attach(self, name: str, data: bytes) -> None:
         """Add a TOML file, such as robot.toml, as an attachment."""
-        self._writer.add_attachment(0, 0, name, "application/toml", data)
+        self.writer.add_attachment(0, 0, name, "application/toml", data)
 
     def write(
         self,
@@ -158,13 +147,13 @@ class LogWriter:
         latched: bool = False,
     ) -> None:
         """Append a message with values by dotted field path; `stamp_ns` (default log_ns) is its header's stamp."""
-        channel = self._channel(topic, msgtype, latched)
+        channel = self.channel(topic, msgtype, latched)
         values = nested(fields)
         if self._messages.has_header(msgtype):
             stamp = time_message(log_ns if stamp_ns is None else stamp_ns)
             values["header"] = {"stamp": stamp, "frame_id": frame_id}
         self._sequence[topic] += 1
-        self._writer.add_message(
+        self.writer.add_message(
             channel_id=channel,
             log_time=log_ns,
             publish_time=log_ns,
@@ -172,7 +161,8 @@ class LogWriter:
             data=self._messages.cdr(msgtype, values),
         )
 
-    def _channel(self, topic: str, msgtype: str, latched: bool) -> int:
+    def channel(self, topic: str, msgtype: str, latched: bool = False) -> int:
+        """Return the id of a topic's channel; register it if it is new."""
         if topic in self._channels:
             known, existing = self._channels[topic]
             if existing != msgtype:
@@ -180,13 +170,13 @@ class LogWriter:
             return known
         if msgtype not in self._schemas:
             text = self._messages.schema(msgtype).encode()
-            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", text)
+            self._schemas[msgtype] = self.writer.register_schema(msgtype, "ros2msg", text)
         metadata = {"offered_qos_profiles": LATCHED if latched else ""}
-        channel: int = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], metadata)
+        channel: int = self.writer.register_channel(topic, "cdr", self._schemas[msgtype], metadata)
         self._channels[topic] = channel, msgtype
         self._sequence[topic] = 0
         return channel
 
     def finish(self) -> None:
         """Write the summary at the end of the file."""
-        self._writer.finish()
+        self.writer.finish()

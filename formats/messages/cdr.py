@@ -20,7 +20,7 @@ from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
-from locfuse.formats.columns import concat, take, view
+from locfuse.formats.columns import concat, nested, take, view
 from locfuse.fusion.data import Column, Ints, Ragged
 
 from .fields import FieldPart, resolve
@@ -262,7 +262,7 @@ class Request(msgspec.Struct):
     """Resolved fields of one message type, with the layouts found so far."""
 
     fields: dict[str, tuple[FieldPart, ...]]  # (seconds, nanoseconds) for a stamp
-    wanted: dict[str, Any] = field(default_factory=dict)
+    wanted: Wanted
     layouts: list[Layout] = field(default_factory=list)  # most recent first
 
 
@@ -286,11 +286,9 @@ class Decoder(MessageDecoder):
 
     def _request(self, fields: tuple[str, ...]) -> Request:
         if fields not in self._requests:
-            request = Request({path: resolve(self.message, path) for path in fields})
-            for parts in request.fields.values():
-                for part in parts:
-                    _want(request.wanted, part.path)
-            self._requests[fields] = request
+            resolved = {path: resolve(self.message, path) for path in fields}
+            paths = [part.path for parts in resolved.values() for part in parts]
+            self._requests[fields] = Request(resolved, nested(dict(zip(paths, paths, strict=True))))
         return self._requests[fields]
 
     def _groups(
@@ -342,13 +340,6 @@ class Decoder(MessageDecoder):
             self.general += 1
             self.fast += len(groups[-1].rows) - 1
         return groups, bad
-
-
-def _want(tree: dict[str, Any], path: str) -> None:
-    *parents, last = path.split(".")
-    for name in parents:
-        tree = tree.setdefault(name, {})
-    tree[last] = path
 
 
 def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) -> tuple[NDArray[np.bool_], Ints]:

@@ -23,6 +23,7 @@ from locfuse.formats.caps import (
     MAX_TEXT,
     refuse_above,
 )
+from locfuse.formats.columns import nested
 from locfuse.fusion.data import Ints
 
 from .cdr import MalformedError
@@ -243,12 +244,8 @@ class ProtobufDecoder(MessageDecoder):
 
 def _wanted(fields: Sequence[str]) -> Wanted:
     """Return dotted field paths as a tree, name -> subtree, with all names of alternatives "a|b"."""
-    tree: dict[str, Any] = {}
-    for path in (name for field in fields for name in field.split(OR)):
-        at = tree
-        for name in path.removesuffix(f".{LENGTH}").split("."):
-            at = at.setdefault(name, {})
-    return tree
+    paths = (path.removesuffix(f".{LENGTH}") for field in fields for path in field.split(OR))
+    return nested({path: {} for path in paths})
 
 
 class _Reader:

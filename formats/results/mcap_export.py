@@ -16,13 +16,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.columns import nested
 from locfuse.formats.container.mcap_write import (
     CHUNK_BYTES,
-    LATCHED,
+    LogWriter,
     StandardMessages,
     add_messages,
-    nested,
-    open_writer,
     time_message,
 )
 from locfuse.formats.geometry import quaternions
@@ -193,18 +192,18 @@ class Export(msgspec.Struct, frozen=True):
         if self.drive.truth is not None:
             self._check("the truth", self.drive.truth.t)
         with file.open("wb") as opened:
-            writer = open_writer(opened)
+            out = LogWriter(opened)
             began = max(self.drive.epoch_ns + self.clock_ns, 0)
-            writer.add_attachment(began, began, "robot.toml", "application/toml", self.robot_toml)
-            topics = _Topics(writer, self.clock_ns)
+            out.writer.add_attachment(began, began, "robot.toml", "application/toml", self.robot_toml)
+            topics = _Topics(out, self.clock_ns)
             for e in self.estimates:
                 self._estimates(topics, e)
             if self.drive.truth is not None:
                 _truth(topics, self.drive.truth, self.drive.epoch_ns)
             topics.write()
             if self.log is not None:
-                copy_messages(writer, self.log)
-            writer.finish()
+                copy_messages(out.writer, self.log)
+            out.finish()
 
     def _check(self, what: str, t: Array) -> None:
         """Raise LocfuseError if times (n,) do not fit a ROS stamp."""
@@ -246,34 +245,22 @@ def _truth(topics: _Topics, truth: Truth, epoch_ns: int) -> None:
 class _Topics:
     """The topics of an exported MCAP, with their series of messages."""
 
-    def __init__(self, writer: Any, clock_ns: int) -> None:
-        self._writer, self._clock_ns = writer, clock_ns
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
+    def __init__(self, out: LogWriter, clock_ns: int) -> None:
+        self._out, self._clock_ns = out, clock_ns
         self._parts: list[tuple[int, PoseSeries]] = []  # channel, its messages
 
     def add(self, topic: str, series: PoseSeries) -> None:
         """Add a series of messages to a topic."""
-        self._parts.append((self._channel(topic, series.msgtype), series))
+        self._parts.append((self._out.channel(topic, series.msgtype), series))
 
     def once(self, topic: str, t_ns: Ints, pose: Array) -> None:
         """Write a path as one latched message."""
-        channel, recorded = self._channel(topic, PATH, LATCHED), self._recorded(t_ns[:1])
-        add_messages(self._writer, channel, recorded, np.ones(1, np.int64), path(t_ns, pose))
+        channel, recorded = self._out.channel(topic, PATH, latched=True), self._recorded(t_ns[:1])
+        add_messages(self._out.writer, channel, recorded, np.ones(1, np.int64), path(t_ns, pose))
 
     def _recorded(self, t_ns: Ints) -> Ints:
         """Return the recording times (n,) of stamps (n,), at least 0, as MCAP demands."""
         return np.maximum(t_ns + self._clock_ns, 0)
-
-    def _channel(self, topic: str, msgtype: str, profile: str = "") -> int:
-        if msgtype not in self._schemas:
-            text = MESSAGES.schema(msgtype).encode()
-            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", text)
-        if topic not in self._channels:
-            metadata = {"offered_qos_profiles": profile}
-            schema = self._schemas[msgtype]
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema, metadata)
-        return self._channels[topic]
 
     def write(self) -> None:
         """Write all series in chunks: each chunk contains the messages of all series in one time interval."""
@@ -286,7 +273,7 @@ class _Topics:
             for (channel, series), e in zip(self._parts, ends, strict=True):
                 rows = slice(e[i], e[i + 1])
                 recorded, sequence = self._recorded(series.t_ns[rows]), np.arange(rows.start + 1, rows.stop + 1)
-                add_messages(self._writer, channel, recorded, sequence, series.messages(rows))
+                add_messages(self._out.writer, channel, recorded, sequence, series.messages(rows))
 
 
 def ros_name(configuration: str) -> str:

@@ -29,13 +29,8 @@ LOCK = f".lock{TEMPORARY}"  # in a folder during writing: PID of the writer
 RUN_LOCK = f".run-lock{TEMPORARY}"  # in the folder of a run over many logs: PID of the run
 SCRATCH = "locfuse-"  # prefix of temporary files elsewhere: locfuse-HOST-PID-...
 LOCK_TIMEOUT_S = 20.0  # wait for another process to finish writing
-REPLACED = (
-    "robot.toml",
-    "fixes.toml",
-    *RESULTS,
-    "estimates.mcap",
-    "recording.rrd",
-)  # files that a user might also give as input
+# files that a user might also give as input
+REPLACED = ("robot.toml", "fixes.toml", *RESULTS, "estimates.mcap", "recording.rrd")
 Content = str | bytes | Callable[[Path], None]  # a function writes large content to a path
 
 
@@ -167,9 +162,8 @@ def _locked(path: Path, patience_s: float) -> int | None:
             continue
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if (
-                path.exists() and path.stat().st_ino == os.fstat(handle).st_ino
-            ):  # the lock file was not removed meanwhile
+            # the lock file was not removed meanwhile
+            if path.exists() and path.stat().st_ino == os.fstat(handle).st_ino:
                 os.write(handle, str(os.getpid()).encode())
                 return handle
         except BlockingIOError:

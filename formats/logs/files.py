@@ -25,13 +25,8 @@ from locfuse.formats.visible import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
 SOURCES: dict[bytes, type[Source]] = {b"SQLite format 3\x00": SqliteSource, b"#ROSBAG V2.0\n": BagSource}
-ENDINGS = (
-    "*.mcap",
-    "*.mcap.zstd",
-    "*.db3",
-    "*.db3.zstd",
-    "*.bag",
-)  # of log files in a folder without metadata.yaml
+# of log files in a folder without metadata.yaml
+ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")
 REPORTS = ("report.json", "run.json")  # files of a result folder
 UNNAMED = "log"  # name for a file like "...mcap", whose stem ".." would be another folder
 

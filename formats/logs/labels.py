@@ -33,12 +33,10 @@ def labels(log: Log, drive: Drive, order: str) -> list[Event]:
         if event == "begin":
             begun[words] = at
         else:
-            found.append(
-                Event(max(begun.pop(words, 0.0 if event == "end" else at), 0.0), min(at, end), FAULT, words)
-            )
-    found += [
-        Event(max(at, 0.0), end, FAULT, words) for words, at in begun.items()
-    ]  # faults without an end last to the end
+            start = begun.pop(words, 0.0 if event == "end" else at)
+            found.append(Event(max(start, 0.0), min(at, end), FAULT, words))
+    # faults without an end last to the end
+    found += [Event(max(at, 0.0), end, FAULT, words) for words, at in begun.items()]
     return sorted(e for e in found if e.start <= end and e.end >= 0.0)
 
 

@@ -38,9 +38,8 @@ SET: Final = "set"
 KEPT: Final = "kept"
 ASSUMED: Final = "assumed"
 LABELS: dict[Origin, str] = {FOUND: "found: ", SET: "carried over: ", KEPT: "carried over: ", ASSUMED: UNMAPPED}
-OWN_COMMENT = re.compile(
-    rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)"""
-)  # comment of an export
+# comment of an export
+OWN_COMMENT = re.compile(rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)""")
 
 
 class Setting(msgspec.Struct, frozen=True):

@@ -50,12 +50,12 @@ def identity(path: Path) -> FileIdentity:
         found = path.stat()
     if not stat.S_ISREG(found.st_mode):
         raise LocfuseError(f"{path}: not a regular file; copy its content to one first")
-    return _of(found)
+    return identity_of(found)
 
 
-def identity_of_open(handle: int) -> FileIdentity:
-    """Return the identity of an open file."""
-    return _of(os.fstat(handle))
+def identity_of(found: os.stat_result) -> FileIdentity:
+    """Return the identity of a file from its stat()."""
+    return FileIdentity(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
 
 
 def hold(reader: object, file: FileIdentity) -> None:
@@ -91,15 +91,16 @@ def read_small(path: Path, cap: int) -> bytes:
         return file.read(found.size)  # not more if the file grows; file.read(cap) would allocate the cap
 
 
-def csv_rows(path: Path, cap: int) -> list[tuple[int, list[str]]]:
-    """Return (line number, values) of every non-blank line of a .csv with any line ends."""
+def csv_table(path: Path, cap: int) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return the columns of a .csv with any line ends, and (line number, values) of its other non-blank lines.
+
+    The first line names the columns, here in lower case and without a "#" before them; [] for an empty file.
+    """
     text = read_small(path, cap).decode("utf-8", "replace").lstrip("\ufeff")
     rows = csv.reader(io.StringIO(text, newline=""))
     try:
-        return [(rows.line_num, row) for row in rows if any(word.strip() for word in row)]
+        lines = [(rows.line_num, row) for row in rows if any(word.strip() for word in row)]
     except csv.Error as problem:
         raise LocfuseError(f"{path}: line {rows.line_num}: no .csv: {problem}") from None
-
-
-def _of(found: os.stat_result) -> FileIdentity:
-    return FileIdentity(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+    head = lines[0][1] if lines else []
+    return [word.strip().lstrip("#").strip().lower() for word in head], lines[1:]

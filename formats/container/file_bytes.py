@@ -100,7 +100,7 @@ class FileBytes:
         """Pass the original file's bytes to `take` in pieces of at most 1 MiB; packed bytes are not unpacked."""
         self.copy_here()
         with inputs.reading(self.path), self._file.open("rb") as file:
-            self._compare(inputs.identity_of_open(file.fileno()), self._given)
+            self._compare(inputs.identity_of(os.fstat(file.fileno())), self._given)
             while piece := file.read(1 << 20):
                 take(piece)
 
@@ -110,7 +110,7 @@ class FileBytes:
 
     def _pread(self, n: int, at: int) -> bytes:
         with inputs.reading(self.path), self.where.open("rb", buffering=0) as file:
-            if (now := inputs.identity_of_open(file.fileno())) != self._read:
+            if (now := inputs.identity_of(os.fstat(file.fileno()))) != self._read:
                 self._compare(now, self._read)
             data = os.pread(file.fileno(), n, at)
         self._spans.add((at, at + len(data)))

@@ -16,7 +16,7 @@ import numpy as np
 
 from locfuse.formats.caps import MAX_TEXT_FILE
 from locfuse.formats.geometry import quaternions
-from locfuse.formats.inputs import csv_rows, read_small
+from locfuse.formats.inputs import csv_table, read_small
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import END_OF_TIME, PLANE_ROWS, Array, Column, Ints, LocfuseError
 
@@ -91,15 +91,13 @@ def _tum(path: Path) -> MadeStream:
 
 def _csv(path: Path) -> MadeStream:
     """Read a .csv with columns t, x, y (theta) of poses, or t, id, range, bearing of landmarks."""
-    lines = csv_rows(path, MAX_TEXT_FILE)
-    if not lines:
+    names, body = csv_table(path, MAX_TEXT_FILE)
+    if not names:
         raise LocfuseError(f"{path} is empty")
-    names = [word.strip().lstrip("#").strip().lower() for word in lines[0][1]]
     at = {name: i for i, name in enumerate(names)}
     time = next((name for name in TIMES if name in at), None)
     if time is None:
         raise LocfuseError(f"{path}: its first line names no column t; it has {_few(names)}")
-    body = lines[1:]
     for number, row in body:
         if len(row) != len(names):
             raise LocfuseError(f"{path}: line {number} has {len(row)} values, the first line names {len(names)}")

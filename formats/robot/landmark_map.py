@@ -6,20 +6,19 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from locfuse.formats.caps import MAX_MAP_FILE
-from locfuse.formats.inputs import csv_rows
+from locfuse.formats.inputs import csv_table
 from locfuse.fusion.data import MAX_MAGNITUDE, LocfuseError
 
 
 def read(path: Path) -> dict[str, tuple[float, float]]:
     """Return id -> x, y [m, map frame]. Raises LocfuseError with the line of an invalid value or repeated id."""
-    rows = csv_rows(path, MAX_MAP_FILE)
-    names = [word.strip().lstrip("#").strip().lower() for word in rows[0][1]] if rows else []
+    names, rows = csv_table(path, MAX_MAP_FILE)
     missing = [name for name in ("id", "x", "y") if name not in names]
     if missing:
         raise LocfuseError(f"{path}: its first line names no column {missing[0]}; id, x and y are read")
     found: dict[str, tuple[float, float]] = {}
     lines: dict[str, int] = {}
-    for number, row in rows[1:]:
+    for number, row in rows:
         try:
             key, x, y = (row[names.index(name)].strip() for name in ("id", "x", "y"))
             ident, place = str(int(key)), (float(x), float(y))

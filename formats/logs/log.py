@@ -236,12 +236,6 @@ class Log:
         """Names of the files without checksums, in which a changed value cannot be detected."""
         return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not s.checked]
 
-    @property
-    def decoded(self) -> tuple[int, int]:
-        """Numbers of messages decoded by the byte layout of an earlier message, and parsed one by one."""
-        decoders = [table.decoder for table in self._tables.values()]
-        return sum(d.fast for d in decoders), sum(d.general for d in decoders)
-
     def stream(self, topic: str, order: str = "auto") -> AnyStream:
         """Return a topic's stream; its rows are read on first access.
 

@@ -303,7 +303,6 @@ class Decoder(MessageDecoder):
             same, tails = _same(data, start[rows], length[rows], layout, self.rules.spare)
             if same.any():
                 groups.append(Group(rows[same], layout, tails[same]))
-                self.fast += len(groups[-1].rows)
                 rows = rows[~same]
                 request.layouts.remove(layout)
                 request.layouts.insert(0, layout)
@@ -337,8 +336,6 @@ class Decoder(MessageDecoder):
             else:
                 request.layouts = [layout, *request.layouts[: MAX_LAYOUTS - 1]]
                 rows, i = rest[~same], 0
-            self.general += 1
-            self.fast += len(groups[-1].rows) - 1
         return groups, bad
 
 

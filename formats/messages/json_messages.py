@@ -205,7 +205,6 @@ class JsonDecoder(MessageDecoder):
             _object(data[at : at + n].tobytes()) for at, n in zip(start.tolist(), length.tolist(), strict=True)
         ]
         found = [one for one in objects if one is not None]
-        self.general += len(found)
         good = np.array([one is not None for one in objects], bool)
         columns = {path: column(found, path, resolve(self.message, path)) for path in fields}
         return Decoded(good, columns, +Counter({"not a JSON object": len(objects) - len(found)}))

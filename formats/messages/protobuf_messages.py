@@ -238,7 +238,6 @@ class ProtobufDecoder(MessageDecoder):
             except MalformedError as problem:
                 good[i] = False
                 bad[str(problem)] += 1
-        self.general += len(objects)
         return Decoded(good, {path: column(objects, path, part) for path, part in parts.items()}, bad)
 
 

@@ -210,9 +210,6 @@ class MessageDecoder(ABC):
     Whether a message is valid must not depend on which of its fields are decoded.
     """
 
-    fast = 0  # number of messages decoded by the layout of another one
-    general = 0  # number of messages decoded one by one
-
     def __init__(self, message: Structure) -> None:
         self.message = message
 

@@ -8,9 +8,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory, timestamp_pb2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from locfuse.formats.messages import cdr
+from locfuse.formats.messages.cdr import Layout, read_layout
 from locfuse.formats.messages.schema import Decoded
 from locfuse.fusion.data import Ragged
 
@@ -24,6 +27,18 @@ def decode(decoder: Any, messages: Sequence[bytes], fields: Sequence[str]) -> De
     length = [len(message) for message in messages]
     buffer = np.frombuffer(data, np.uint8)
     found: Decoded = decoder.decode(buffer, np.array(start, np.int64), np.array(length, np.int64), fields)
+    return found
+
+
+def walks(monkeypatch: pytest.MonkeyPatch) -> list[Layout]:
+    """A list that gets the layout of every message that is parsed, not gathered by the layout of another one."""
+    found: list[Layout] = []
+
+    def read(*message: Any) -> Layout:
+        found.append(read_layout(*message))
+        return found[-1]
+
+    monkeypatch.setattr(cdr, "read_layout", read)
     return found
 
 

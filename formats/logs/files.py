@@ -56,9 +56,8 @@ def _objects(url: Url) -> list[Place]:
 
 def _folder(folder: Path) -> list[Place]:
     listed = [folder / name for name in _listed(folder / "metadata.yaml")]
-    if files := [file for file in listed if file.is_file()]:
-        return list(files)
-    if files := _by_ending(sorted(file for file in folder.iterdir() if file.is_file())):
+    files: list[Place] = [file for file in listed if file.is_file()]
+    if files := files or _by_ending(sorted(file for file in folder.iterdir() if file.is_file())):
         return files
     if any((folder / name).exists() for name in REPORTS):
         raise LocfuseError(f"{folder} is a locfuse result, not a log; see: locfuse view {folder}")
@@ -94,19 +93,15 @@ def log_name(paths: Sequence[Place]) -> str:
     return writable(name) if name.strip(".") else UNNAMED
 
 
-def open_bytes(file: Place, losses: Losses) -> FileBytes:
-    """Return the bytes of a file, local or remote."""
-    if isinstance(file, Path):
-        return FileBytes(file, losses)
-    from locfuse.formats.container.remote_objects import RemoteBytes
-
-    return RemoteBytes(file, losses)
-
-
 def open_source(file: Place, losses: Losses) -> Source:
     """Open one file of a log; its first bytes determine its format."""
     with reading(file):
-        data = open_bytes(file, losses)
+        if isinstance(file, Path):
+            data = FileBytes(file, losses)
+        else:
+            from locfuse.formats.container.remote_objects import RemoteBytes
+
+            data = RemoteBytes(file, losses)
         if data.far and data.read(max(data.size - len(MAGIC), 0), len(MAGIC)) != MAGIC:
             data.copy_here()  # no complete MCAP, so without an index
         if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:

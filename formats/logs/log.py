@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
-from typing import NamedTuple, Self, cast
+from typing import Self, cast
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -17,12 +15,11 @@ from numpy.typing import NDArray
 from locfuse.formats.caps import MAX_TOPICS, refuse_above
 from locfuse.formats.container.decompress import unpack
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.source import ChannelInfo, Messages, Source, message_type
+from locfuse.formats.container.source import ChannelInfo, Messages, Source
 from locfuse.formats.container.url import Place
-from locfuse.formats.messages.decode import encoding_problem, make_decoder
 from locfuse.formats.messages.fields import NUMBER as A_NUMBER
 from locfuse.formats.messages.fields import NUMBERS, FieldError, check_kind, kind_of, resolve
-from locfuse.formats.messages.schema import MessageDecoder, SchemaError, signature
+from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
@@ -30,6 +27,7 @@ from locfuse.fusion.progress import say_done
 
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
+from .channels import Topic, by_topic
 from .file_stream import RANGES, is_file_topic, read_file
 from .files import Identity, files_of, identity_of, log_name, open_source
 from .stream import (
@@ -71,88 +69,6 @@ class UnreadableTopicError(LocfuseError):
         error = cls(f"{log}: {topic} cannot be read: {problem}")
         error.problem = problem
         return error
-
-
-class Topic(msgspec.Struct, frozen=True):
-    """One topic of a log, over all its files."""
-
-    msgtype: str  # pkg/msg/Name
-    count: int
-    encoding: str  # of the messages
-    schema_encoding: str
-    problem: str | None = None  # reason why the messages cannot be decoded; None: they can
-
-
-class Carrier(NamedTuple):
-    """One channel of one file that carries a topic."""
-
-    source: Source
-    ident: int  # channel id in this file
-    channel: ChannelInfo
-
-
-class TopicChannels:
-    """All channels of a topic. Its type is that of the channel with most messages; other types are left out."""
-
-    def __init__(self, carriers: Sequence[Carrier]) -> None:
-        self.carriers = sorted(carriers, key=lambda carrier: -(carrier.channel.n or 0))
-        main = self.carriers[0].channel
-        count = sum(c.channel.n or 0 for c in self.carriers if _same_kind(c.channel, main))
-        problem = encoding_problem(main)
-        self.topic = Topic(message_type(main.msgtype), count, main.encoding, main.schema_encoding, problem)
-
-    @property
-    def decoder(self) -> MessageDecoder:
-        """The decoder of the topic. Raises SchemaError if its definition cannot be used."""
-        return self._decoders[0][1]
-
-    @cached_property
-    def _decoders(self) -> list[tuple[Carrier, MessageDecoder]]:
-        """The channels of the topic's type and message structure, with their decoders."""
-        made: dict[ChannelInfo, MessageDecoder] = {}
-        found: list[tuple[Carrier, MessageDecoder]] = []
-        for carrier in self.carriers:
-            key = carrier.channel._replace(n=None)
-            if not _same_kind(carrier.channel, self.carriers[0].channel):
-                continue
-            if key not in made:
-                try:
-                    made[key] = make_decoder(carrier.channel)
-                except SchemaError:
-                    if not found:
-                        raise
-                    continue
-            if not found or signature(made[key].message) == signature(found[0][1].message):
-                found.append((carrier, made[key]))
-        return found
-
-    def of(self, source: Source) -> dict[int, MessageDecoder]:
-        """Return channel id -> decoder for the readable channels of one file."""
-        return {carrier.ident: decoder for carrier, decoder in self._decoders if carrier.source is source}
-
-    def left_out(self) -> Counter[str]:
-        """Return reason -> number of messages left out because the topic has another type or definition."""
-        read = [carrier for carrier, _ in self._decoders]
-        counts: Counter[str] = Counter()
-        for carrier in self.carriers:
-            if not any(carrier is one for one in read) and carrier.channel.n:
-                other = message_type(carrier.channel.msgtype)
-                what = other if other != self.topic.msgtype else "another definition"
-                counts[f"of {what}"] += carrier.channel.n
-        return counts
-
-
-def by_topic(sources: Sequence[Source]) -> Mapping[str, TopicChannels]:
-    """Return the channels of each topic in all files, by topic name."""
-    carriers: dict[str, list[Carrier]] = {}
-    for source in sources:
-        for ident, channel in source.channels.items():
-            carriers.setdefault(channel.topic, []).append(Carrier(source, ident, channel))
-    return {topic: TopicChannels(carriers[topic]) for topic in sorted(carriers)}
-
-
-def _same_kind(one: ChannelInfo, other: ChannelInfo) -> bool:
-    return (message_type(one.msgtype), one.encoding) == (message_type(other.msgtype), other.encoding)
 
 
 # --- The log

@@ -22,8 +22,8 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.field_paths import paths
+from locfuse.formats.logs.channels import make_decoder
 from locfuse.formats.logs.log import open_log
-from locfuse.formats.messages.decode import make_decoder
 from locfuse.fusion.data import LocfuseError
 
 NOETIC = get_typestore(Stores.ROS1_NOETIC)

@@ -18,8 +18,8 @@ from invented import decode
 from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
+from locfuse.formats.logs.channels import make_decoder
 from locfuse.formats.messages import fields as kinds
-from locfuse.formats.messages.decode import make_decoder
 from locfuse.formats.messages.fields import FieldError, check_kind, expected, kind_of, resolve
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
 from locfuse.formats.messages.schema import SchemaError, parse

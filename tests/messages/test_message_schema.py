@@ -11,9 +11,9 @@ from present import present
 
 from benchmarks.field_paths import paths
 from locfuse.formats.container.source import ChannelInfo
+from locfuse.formats.logs.channels import encoding_problem, make_decoder
 from locfuse.formats.messages import schema
 from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
-from locfuse.formats.messages.decode import encoding_problem, make_decoder
 from locfuse.formats.messages.fields import (
     FieldError,
     check_kind,

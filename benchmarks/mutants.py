@@ -34,10 +34,9 @@ fusion/ekf/belief_arrays: ekf map/small_maps fusion/fuse
 fusion/ekf/equations: ekf/ekf fusion/fuse
 fusion/ekf/events: whole_drive/smooth tune/tune
 fusion/ekf/map_frame: ekf/map_frame
-fusion/kernels/angles: kernels/line_fits kernels/sight
 fusion/kernels/ekf: ekf fusion/fuse
 fusion/kernels/line_fits: kernels/line_fits lines/lines
-fusion/kernels/places: map/places
+fusion/kernels/places: map/places kernels/line_fits kernels/sight
 fusion/kernels/segments: kernels/segments lines/lines
 fusion/kernels/sight: kernels/sight map/line_map sensors/lrf
 fusion/wheels/motion: wheels/motion wheels/wheel_states
@@ -52,7 +51,6 @@ fusion/sensors/twist: sensors/pose sensors/contract
 fusion/sensors/camera: camera/camera sensors/contract
 fusion/map/line_map: map/line_map map/given_map kernels/sight sensors/lrf fusion/mount
 fusion/map/scan: map/standing map/line_map sensors/lrf
-fusion/map/sonar_echo: sensors/lrf
 fusion/judge/evaluate: judge/evaluate judge/consistency
 fusion/judge/bootstrap fusion/judge/credit: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency

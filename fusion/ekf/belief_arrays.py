@@ -16,7 +16,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.kernels import ekf
-from locfuse.fusion.kernels.ekf import Innovation, Loosening, Steps
+from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.sensor import Block, Equation, Reading, positive
 
 from .events import (
@@ -355,14 +355,6 @@ class JointBelief(ekf.State):
             noise = np.diag(np.append(np.zeros(3), variance))
             back = undone(before, self._before(), np.concatenate((POSE, columns)), noise)
         self.events.add(Loosened(columns, variance, back))
-
-    def loosen_all(self, these: Loosening) -> None:
-        """Add to states the variances that a kernel listed in a `Loosening`."""
-        if self.events is None:
-            self.loosen_states(these)
-        elif these.count:
-            columns, variance = these.listed()
-            self.loosen(np.array(columns), np.array(variance))
 
     def consider(self, columns: Ints) -> None:
         """Make states considered (Schmidt-Kalman): their covariance is used, their values do not change."""

@@ -7,7 +7,6 @@ cdef double MIN_KEPT_SHARE, NAN, INFINITE
 cdef class Steps:
     cdef double[:, ::1] u, Q, J
     cdef double[::1] dt
-    cdef readonly Py_ssize_t first
     cpdef of(self, Py_ssize_t k)
     cpdef noise_of(self, Py_ssize_t k)
     cpdef double dt_of(self, Py_ssize_t k)
@@ -20,13 +19,6 @@ cdef class Innovation:
     cdef public Py_ssize_t row, verdict, landmark, first, numbers
     cdef public double nis, threshold
     cdef public object y, sigma
-
-cdef class Loosening:
-    cdef Py_ssize_t[::1] at
-    cdef double[::1] by
-    cdef readonly Py_ssize_t count
-    cdef void add(self, Py_ssize_t column, double variance)
-    cpdef listed(self)
 
 cdef class State:
     cdef double[::1] mean
@@ -69,7 +61,6 @@ cdef class State:
     cdef void mirror(self, Py_ssize_t i, Py_ssize_t first, double least)
     cpdef double fit(self, Py_ssize_t rows)
     cpdef void turn_frame(self, double dx, double dy)
-    cpdef void loosen_states(self, Loosening these)
     cpdef void copy_pose(self, Py_ssize_t column, Py_ssize_t first, Py_ssize_t states)
     cpdef object replace(self, object columns, object values, object G)
     cdef void turn_rows(self, Py_ssize_t first, Py_ssize_t k)

@@ -31,26 +31,24 @@ MIN_KEPT_SHARE = 1e-14  # a correction leaves at least this share of a variance:
 
 
 class Steps:
-    """Wheel motions between update times: step k leads to update k; row 0 of the arrays is step `first`."""
+    """Wheel motions between update times: step k leads to update k."""
 
-    def __init__(self, u: Any, Q: Any, dt: Any, J: Any, first: int = 0) -> None:
+    def __init__(self, u: Any, Q: Any, dt: Any, J: Any) -> None:
         """Use arrays u (s, 3) [m, m, rad], Q (s, 9), dt (s,) [s], J (s, 3 p) = d u/d(wheel parameters) by rows."""
         self.u, self.Q = memory(u), memory(Q)
-        self.dt, self.J, self.first = memory(dt), memory(J), first
+        self.dt, self.J = memory(dt), memory(J)
 
     def of(self, k: int) -> tuple[float, float, float]:
         """Return the relative motion x, y [m], theta [rad] of step k."""
-        k -= self.first
         return self.u[k, 0], self.u[k, 1], self.u[k, 2]
 
     def noise_of(self, k: int) -> tuple[list[float], list[float]]:
         """Return noise Q (9,) and derivative J (3 p,) of step k."""
-        k -= self.first
         return [self.Q[k, j] for j in range(9)], [self.J[k, j] for j in range(self.J.shape[1])]
 
     def dt_of(self, k: int) -> float:
         """Return the duration of step k [s]."""
-        return self.dt[k - self.first]
+        return self.dt[k]
 
 
 class TrackColumns:
@@ -81,23 +79,6 @@ class Innovation:
         """Return the record of a measurement with d components but no prediction: all NaN."""
         none = (NAN,) * d
         return Innovation(row, verdict, -1, NAN, threshold, none, none)
-
-
-class Loosening:
-    """List of states and the variances to add to them: the first `count` entries."""
-
-    def __init__(self, at: Any, by: Any) -> None:
-        """Use arrays for up to m entries: state columns `at` (m,), variances `by` (m,)."""
-        self.at, self.by, self.count = memory(at), memory(by), 0
-
-    def add(self, column: int, variance: float) -> None:
-        """Append a state and the variance to add."""
-        self.at[self.count], self.by[self.count] = column, variance
-        self.count += 1
-
-    def listed(self) -> tuple[list[int], list[float]]:
-        """Return the listed state columns and variances."""
-        return [self.at[i] for i in range(self.count)], [self.by[i] for i in range(self.count)]
 
 
 class State:
@@ -151,7 +132,6 @@ class State:
         Row x of A (eq. 7) is (1, 0, -dy), row y is (0, 1, dx): rows and columns of x and y take that much of
         theta's. Wheel parameters z correct the motion: it is u + J z.
         """
-        k -= steps.first
         n = self.n
         ux, uy, turn = steps.u[k, 0], steps.u[k, 1], steps.u[k, 2]
         c, s = cos(self.mean[2]), sin(self.mean[2])
@@ -479,11 +459,6 @@ class State:
             self.P[i, G] -= dy * self.P[i, G + 2]
             self.P[i, G + 1] += dx * self.P[i, G + 2]
         self.P[G + 1, G] = self.P[G, G + 1]
-
-    def loosen_states(self, these: Loosening) -> None:
-        """Add the listed variances to the listed states."""
-        for i in range(these.count):
-            self.P[these.at[i], these.at[i]] += these.by[i]
 
     # ---- clone and look ----
 

@@ -1,7 +1,7 @@
 cimport cython
 from libc.math cimport cos, sin, sqrt
 
-from .angles cimport wrapped
+from .places cimport wrapped
 from .segments cimport Limits, Returns, ScanColumns, Segments, distance, find_walls, head_of, tail_of
 
 cdef double FAR_FOOT_M, MAX_PSI_RAD, MIN_BEND_RAD, MAX_JOINT_TURN_RAD, MAX_SHADOW_M

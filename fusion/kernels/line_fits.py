@@ -23,7 +23,7 @@ try:
 except ImportError:  # Cython is only needed to compile
     from . import uncompiled as cython
 if not cython.compiled:
-    from .angles import wrapped
+    from .places import wrapped
     from .segments import Limits, Returns, ScanColumns, Segments, distance, find_walls, head_of, tail_of
     from .uncompiled import cos, sin, sqrt
 

@@ -1,7 +1,5 @@
 cimport cython
-from libc.math cimport cos, pi, sin, sqrt
-
-from .angles cimport wrapped
+from libc.math cimport cos, floor, pi, sin, sqrt
 
 cdef double SAME_ANGLE_RAD, SAME_OFFSET_M, MIN_OVERLAP_SHARE, MIN_BEHIND_M, MIN_FROM_END_M, MIN_GRAZING_SINE
 cdef Py_ssize_t SIGHT_LINES
@@ -12,12 +10,13 @@ cdef enum:
 cdef enum:
     RHO, BETA, X, Y, LOW, HIGH, NX, NY
 
+cpdef double wrapped(double angle) noexcept
 @cython.locals(psi=double, r=double, cross=double, begin=double, end=double)
 cpdef void into_base(double[:, ::1] rows, Py_ssize_t lines, double x, double y, double yaw, double[:, ::1] out)
 cpdef void moved(double[::1] place, double[::1] configured, double[::1] out)
 cpdef void shares_into_base(
     double[:, ::1] rows, Py_ssize_t lines, double x, double y, double yaw, double[:, :, ::1] shared,
-    Py_ssize_t first, double[:, :, ::1] out)
+    double[:, :, ::1] out)
 cdef void face(double[:, ::1] walls)
 cpdef void behind(double[:, ::1] rows, double[:, ::1] walls, double x, double y, double theta, bint both, double[::1] out)
 cdef bint blocked(double[:, ::1] walls, double x, double y, double dx, double dy, double reach, bint both)

@@ -17,8 +17,7 @@ except ImportError:  # Cython is only needed to compile
 if not cython.compiled:
     from math import pi
 
-    from .angles import wrapped
-    from .uncompiled import cos, sin, sqrt
+    from .uncompiled import cos, floor, sin, sqrt
 
 SAME_ANGLE_RAD, SAME_OFFSET_M = 5.0 * (pi / 180.0), 0.25  # a seen wall is a known one within these
 MIN_OVERLAP_SHARE = 0.6  # of a seen wall's length, by which it overlaps the known one that it is
@@ -34,6 +33,11 @@ if not cython.compiled:
     # columns of a map line: rho [m] and beta [rad] about its anchor x, y [m], both ends, and which way it faces
     RHO, BETA, X, Y, LOW, HIGH, NX, NY = range(8)
 LINE_COLUMNS = 8  # of a map line; the last two are written here
+
+
+def wrapped(angle: float) -> float:
+    """Return an angle wrapped to [-pi, pi); NaN stays NaN."""
+    return (angle + pi) - 2.0 * pi * floor((angle + pi) / (2.0 * pi)) - pi
 
 
 # ---- from one mount to another ----
@@ -71,20 +75,15 @@ def moved(place: Array, configured: Array, out: Array) -> None:
     )
 
 
-def shares_into_base(
-    rows: Array, lines: int, x: float, y: float, yaw: float, shared: Array, first: int, out: Array
-) -> None:
-    """Convert shared errors (lines, 2, parts) of (r, psi) from the laser frame to the base frame.
-
-    They stand in `shared` from line `first` on.
-    """
+def shares_into_base(rows: Array, lines: int, x: float, y: float, yaw: float, shared: Array, out: Array) -> None:
+    """Convert shared errors (lines, 2, parts) of (r, psi) from the laser frame to the base frame."""
     for i in range(lines):
         psi = rows[i, PSI] + yaw
         c, s = cos(psi), sin(psi)
         r, u = rows[i, R] + x * c + y * s, y * c - x * s
         for k in range(shared.shape[2]):
-            turn = shared[first + i, 1, k]
-            move = shared[first + i, 0, k] + u * turn
+            turn = shared[i, 1, k]
+            move = shared[i, 0, k] + u * turn
             out[i, 0, k], out[i, 1, k] = -move if r < 0.0 else move, turn
 
 

@@ -1,11 +1,10 @@
 cimport cython
 from libc.math cimport cos, log, pi, sin, sqrt
-from .angles cimport wrapped
-from .ekf cimport Loosening, State
-from .places cimport into_base, moved, shares_into_base
+from .ekf cimport State
+from .places cimport into_base, moved, shares_into_base, wrapped
 
 cdef double MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, PAIR_SIGMAS, FACE_SIGMAS, MAX_ANGLE_RAD, NOWHERE_M
-cdef double RIVAL_SCORE, NEAR_D2, MIN_OVERLAP_SHARE, MAX_LENGTH_M, COMMON_M, LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M
+cdef double RIVAL_SCORE, NEAR_D2, MIN_OVERLAP_SHARE, MAX_LENGTH_M, COMMON_M, LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M, RESERVE_FACTOR
 
 cdef enum:
     R_LINE, PSI_LINE, R00_LINE, R01_LINE, R11_LINE, BEGIN_LINE, END_LINE
@@ -34,10 +33,6 @@ cdef class Rules:
     cdef bint states, grows
     cdef Py_ssize_t unmatched, ambiguous, new
 
-cdef class Doubles:
-    cdef Py_ssize_t hits, trial
-    cdef double turn, offset, apart
-
 cdef class AuditColumns:
     cdef int[::1] instant, row
     cdef long long[::1] landmark
@@ -49,13 +44,18 @@ cdef class SightLines:
     cdef readonly Rules rules
     cdef readonly Seat seat
     cdef readonly WallColumns walls
-    cdef double[:, ::1] rows, pairs, wall_rows, seen, mount, G
+    cdef readonly double[:, ::1] rows, pairs
+    cdef readonly double[::1] offset
+    cdef readonly Py_ssize_t[::1] match, best, rival, near
+    cdef double[:, ::1] wall_rows, seen, mount, G
     cdef double[:, :, ::1] shared
-    cdef double[::1] place, offset
-    cdef Py_ssize_t[::1] match, best, rival, near, order
-    cdef Loosening bent
+    cdef double[::1] place
+    cdef Py_ssize_t[::1] order
+    cdef Py_ssize_t room_lines, room_walls
     cdef readonly Py_ssize_t lines, accepted, numbers, found, first, parts
 
+    @cython.locals(n=Py_ssize_t, walls=Py_ssize_t)
+    cdef object make_room(self, Py_ssize_t lines, Py_ssize_t places, Py_ssize_t parts)
     cpdef double look(self, State state, WallColumns walls, double[:, ::1] rows, double[:, :, ::1] shared)
     cdef void put_in_base(self, State state, double[:, ::1] rows, double[:, :, ::1] shared)
     cdef void gather(self, State state)
@@ -86,13 +86,3 @@ cdef class SightLines:
     cpdef void write(self, AuditColumns out, Py_ssize_t at, Py_ssize_t instant, Py_ssize_t row)
     @cython.locals(walls=WallColumns, i=Py_ssize_t, j=Py_ssize_t, p=Py_ssize_t)
     cpdef void extend(self, Py_ssize_t scan)
-    cpdef Py_ssize_t new_lines(self)
-    @cython.locals(bent=Loosening, i=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, known=Py_ssize_t)
-    cpdef void bends(self, State state, double uneven, double uneven_angle, double most, double most_angle)
-
-cpdef void lacks(State state, WallColumns walls, double floor, double floor_angle, Loosening missing)
-cpdef bint untidy(
-    State state, WallColumns walls, Doubles doubles, Py_ssize_t scan, double[:, ::1] rows, Py_ssize_t[::1] found)
-cpdef bint worthless(WallColumns walls, Py_ssize_t j, Py_ssize_t scan, Doubles doubles)
-cpdef bint one_wall(double[:, ::1] rows, WallColumns walls, Py_ssize_t i, Py_ssize_t j, Doubles doubles)
-cpdef Py_ssize_t neighbours(double[:, ::1] rows, WallColumns walls, Py_ssize_t i, Doubles doubles, Py_ssize_t[::1] found)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .arrays import memory
+from .arrays import floats, memory, wholes
 
 try:
     import cython
@@ -24,9 +24,8 @@ except ImportError:  # Cython is only needed to compile
 if not cython.compiled:
     from math import log, pi
 
-    from .angles import wrapped
-    from .ekf import Loosening, State
-    from .places import into_base, moved, shares_into_base
+    from .ekf import State
+    from .places import into_base, moved, shares_into_base, wrapped
     from .uncompiled import cos, sin, sqrt
 
 if not cython.compiled:  # compiled, these are constants of the .pxd
@@ -40,7 +39,8 @@ if not cython.compiled:  # compiled, these are constants of the .pxd
     # measured psi as it is predicted: not wrapped
     LINE_OF, WALL_OF, OFFSET, TURN, R00, R01, R11, S00, S01, S11 = range(10)
     D2, SCORE, BEGIN, END, OVERLAP, COS, SIN, LEVER, PSI, PAIR = range(10, 20)
-PAIR_COLUMNS, WALL_COLUMNS = 20, 13  # of a pair, and of a map line without a mount
+WALL_COLUMNS = 13  # of a map line without a mount
+RESERVE_FACTOR = 1.5  # arrays are allocated for this multiple of the present number of lines
 
 MAX_PAIR_ANGLE_RAD = 25.0 * (pi / 180.0)  # pairs further apart are not looked at
 MAX_PAIR_OFFSET_M = 1.0
@@ -88,14 +88,6 @@ class Rules:
         self.unmatched, self.ambiguous, self.new = unmatched, ambiguous, new
 
 
-class Doubles:
-    """Limits for the removal of rare lines and the merging of duplicates."""
-
-    def __init__(self, hits: int, trial: int, turn: float, offset: float, apart: float) -> None:
-        """A line stays with `hits` in `trial` scans; `turn` [rad], `offset`, `apart` [m]: limits of duplicates."""
-        self.hits, self.trial, self.turn, self.offset, self.apart = hits, trial, turn, offset, apart
-
-
 class AuditColumns:
     """Record of all measurements as columns (rows,) (fusion.ekf.record)."""
 
@@ -110,32 +102,24 @@ class AuditColumns:
 
 
 class SightLines:
-    """Lines of one scan, associated with the map; the arrays belong to fusion.map.line_map."""
+    """Lines of one scan, associated with the map."""
 
     def __init__(self, rules: Rules, seat: Seat) -> None:
         self.rules, self.seat = rules, seat
         self.lines = self.accepted = self.numbers = self.found = 0
         self.first = self.parts = 0
+        self.room_lines = self.room_walls = -1
+        self.mount, self.place, self.offset = floats(6, 3), floats(3), floats(3)
 
-    # ---- room ----
-
-    def hold_lines(self, rows: Any, match: Any, best: Any, rival: Any, near: Any, order: Any) -> None:
-        """Use arrays for n lines: rows (n, 7), all others (n,)."""
-        self.rows, self.match, self.best = memory(rows), memory(match), memory(best)
-        self.rival, self.near, self.order = memory(rival), memory(near), memory(order)
-
-    def hold_pairs(self, pairs: Any, walls: Any, seen: Any, mount: Any, place: Any, offset: Any) -> None:
-        """Use arrays pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3), place, offset (3,)."""
-        self.pairs, self.wall_rows, self.seen = memory(pairs), memory(walls), memory(seen)
-        self.mount, self.place, self.offset = memory(mount), memory(place), memory(offset)
-
-    def hold_shares(self, shared: Any, G: Any) -> None:
-        """Use arrays for the shared errors of lines: shared (n, 2, parts), G (2 n, parts)."""
-        self.shared, self.G = memory(shared), memory(G)
-
-    def hold_states(self, bent: Loosening) -> None:
-        """Use an array for the variances of the states of matched lines (2 n,)."""
-        self.bent = bent
+    def make_room(self, lines: int, places: int, parts: int) -> None:
+        """Allocate arrays for so many measured lines, map lines and shared errors, with a reserve."""
+        n = self.room_lines = max(self.room_lines, int(RESERVE_FACTOR * lines) + 1)
+        walls = self.room_walls = max(self.room_walls, int(RESERVE_FACTOR * places) + 1)
+        self.rows, self.order = floats(n, 7), wholes(n)
+        self.match, self.best, self.rival, self.near = wholes(n), wholes(n), wholes(n), wholes(n)
+        self.pairs, self.seen = floats(n * walls, PAIR), floats(walls, 4)
+        self.wall_rows = floats(walls, WALL + 2 * self.seat.free)
+        self.shared, self.G = floats(n, 2, parts), floats(2 * n, parts)
 
     # ---- a scan ----
 
@@ -145,6 +129,9 @@ class SightLines:
         shared (n, 2, parts) are unit errors that they share. Returns the share of their length that matches.
         """
         self.walls, self.lines = walls, rows.shape[0]
+        self.parts = shared.shape[2]
+        if self.lines > self.room_lines or walls.places > self.room_walls or self.parts > self.shared.shape[2]:
+            self.make_room(self.lines, walls.places, self.parts)
         self.put_in_base(state, rows, shared)
         self.gather(state)
         self.found = self.find_pairs(state)
@@ -159,11 +146,10 @@ class SightLines:
         for j in range(seat.free):
             self.place[seat.which[j]] = state.mean[seat.columns[j]]
         moved(self.place, seat.configured, self.offset)
-        self.parts = shared.shape[2]
         if seat.free > 0:
             x, y, yaw = self.offset[0], self.offset[1], self.offset[2]
             into_base(rows, n, x, y, yaw, self.rows)
-            shares_into_base(rows, n, x, y, yaw, shared, 0, self.shared)
+            shares_into_base(rows, n, x, y, yaw, shared, self.shared)
             return
         for i in range(n):
             for j in range(7):
@@ -503,89 +489,3 @@ class SightLines:
                 walls.high[j] = max(walls.high[j], self.pairs[p, END])
                 walls.hits[j] += 1
                 walls.seen[j] = scan
-
-    def new_lines(self) -> int:
-        """Return the number of lines to add to the map."""
-        n = 0
-        for i in range(self.lines):
-            if self.is_new(i):
-                n += 1
-        return n
-
-    def bends(self, state: State, uneven: float, uneven_angle: float, most: float, most_angle: float) -> None:
-        """Write the variances to add to the states of matched walls to `bent`, at most `most` for each.
-
-        A wall stays within its unevenness [m^2, rad^2], so a line that is known no better is left alone.
-        """
-        bent = self.bent
-        bent.count = 0
-        for i in range(self.lines):
-            if self.match[i] < 0:
-                continue
-            j = int(self.pairs[self.match[i], WALL_OF])
-            rho, known = self.walls.columns[j], 0
-            while known < bent.count and bent.at[known] != rho:
-                known += 2
-            if known < bent.count:
-                continue
-            bent.add(rho, min(max(uneven - state.P[rho, rho], 0.0), most))
-            bent.add(rho + 1, min(max(uneven_angle - state.P[rho + 1, rho + 1], 0.0), most_angle))
-
-
-def lacks(state: State, walls: WallColumns, floor: float, floor_angle: float, missing: Loosening) -> None:
-    """List in `missing` the map states with a variance below the floor [m^2, rad^2], each with the difference.
-
-    First all offsets, then all angles: room for (2 J,).
-    """
-    missing.count = 0
-    for k in range(2):
-        for i in range(walls.places):
-            j = walls.columns[i] + k
-            lacking = (floor_angle if k else floor) - state.P[j, j]
-            if lacking > 0.0:
-                missing.add(j, lacking)
-
-
-def untidy(state: State, walls: WallColumns, doubles: Doubles, scan: int, rows: Any, found: Any) -> bool:
-    """Return whether the map may have a rarely seen line or a duplicate of a recently seen line.
-
-    rows (J, 4) and found (J,) are room to work in.
-    """
-    for j in range(walls.places):
-        rows[j, RHO], rows[j, BETA] = state.mean[walls.columns[j]], state.mean[walls.columns[j] + 1]
-        rows[j, ANCHOR_X], rows[j, ANCHOR_Y] = walls.anchors[j, 0], walls.anchors[j, 1]
-    for j in range(walls.places):
-        if worthless(walls, j, scan, doubles):
-            return True
-        if scan - walls.seen[j] <= doubles.trial and neighbours(rows, walls, j, doubles, found) > 0:
-            return True
-    return False
-
-
-def worthless(walls: WallColumns, j: int, scan: int, doubles: Doubles) -> bool:
-    """Return whether line j was seen too rarely in its first `trial` scans."""
-    return walls.hits[j] < doubles.hits and scan - walls.born[j] > doubles.trial and walls.born[j] > 0
-
-
-def one_wall(rows: Any, walls: WallColumns, i: int, j: int, doubles: Doubles) -> bool:
-    """Return whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be duplicates, by position."""
-    turn = rows[j, BETA] - rows[i, BETA]
-    if i == j or turn - turn != 0.0 or not abs(wrapped(turn)) < doubles.turn:  # Inf or NaN: there is no such line
-        return False
-    c, s = cos(rows[i, BETA]), sin(rows[i, BETA])
-    dx, dy = rows[i, ANCHOR_X] - rows[j, ANCHOR_X], rows[i, ANCHOR_Y] - rows[j, ANCHOR_Y]
-    if not abs(rows[j, RHO] - (rows[i, RHO] + dx * c + dy * s)) <= doubles.offset:
-        return False
-    along = dy * cos(rows[j, BETA]) - dx * sin(rows[j, BETA])
-    apart = max(walls.low[j], walls.low[i] + along) - min(walls.high[j], walls.high[i] + along)
-    return apart <= doubles.apart
-
-
-def neighbours(rows: Any, walls: WallColumns, i: int, doubles: Doubles, found: Any) -> int:
-    """List the lines that may be duplicates of line i in `found` (J,); return their number."""
-    n = 0
-    for j in range(walls.places):
-        if one_wall(rows, walls, i, j, doubles):
-            found[n] = j
-            n += 1
-    return n

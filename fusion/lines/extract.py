@@ -83,7 +83,7 @@ def in_base(loads: Array, z: Array, mount: Array) -> Array:
         parts = (len(z), 2, -1)
         given, into = view(loads.reshape(parts)), view(out.reshape(parts))
         x, y, yaw = mount.tolist()
-        places.shares_into_base(view(z), len(z), x, y, yaw, given, 0, into)
+        places.shares_into_base(view(z), len(z), x, y, yaw, given, into)
     return out
 
 
@@ -206,14 +206,6 @@ def rows_in_base(rows: Array, x: float, y: float, yaw: float) -> Array:
     out = np.empty((len(rows), LINE_COLUMNS))
     places.into_base(view(rows), len(rows), x, y, yaw, view(out))
     return out
-
-
-def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float) -> tuple[Array, Array, Array]:
-    """Convert lines (z, R_unit, ends) from a laser mounted at (x [m], y [m], yaw [rad]) to the base frame.
-
-    By `kernels.places`. A floor that is added to the covariance later is in the base frame.
-    """
-    return of_rows(rows_in_base(rows_of(z, R_unit, ends), x, y, yaw))
 
 
 def lines_of(scans: RawScans, settings: LineSettings, motion: BeamMotion | None) -> Lines:

@@ -16,7 +16,17 @@ from locfuse.fusion.data import Array, Ints, Ragged
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensor import WheelMotion
 
-from .extract import Lines, LineSettings, extract_lines, in_base, motion_of, noise_of, to_base
+from .extract import (
+    Lines,
+    LineSettings,
+    extract_lines,
+    in_base,
+    motion_of,
+    noise_of,
+    of_rows,
+    rows_in_base,
+    rows_of,
+)
 
 # of a LaserScan
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
@@ -159,7 +169,7 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
     motion = None if offsets is None else motion_of(laser.mount)
     lines = extract_lines(ranges, angles, laser.lines, offsets, motion=motion)
     x, y, yaw = laser.mount.tolist()
-    z, R_unit, ends = to_base(lines.z, lines.R_unit, lines.ends, x, y, yaw)
+    z, R_unit, ends = of_rows(rows_in_base(rows_of(lines.z, lines.R_unit, lines.ends), x, y, yaw))
     sweep: Array = np.zeros((len(z), 2, 0), np.float32)  # no shared errors without deskewing
     if offsets is not None:
         scan = np.repeat(np.arange(len(t)), np.diff(lines.first))

@@ -31,26 +31,24 @@ import msgspec
 import numpy as np
 from msgspec import field
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.kernels import sight
-from locfuse.fusion.kernels.ekf import Loosening
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.sensor import Reading
 
 COLUMN_NAMES = ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born")
 NO_SHARES = np.zeros((0, 2, 0))
-RESERVE_FACTOR = 1.5  # arrays are allocated for this multiple of the present number of lines
 TIDY_EVERY_SCANS = 10  # scans
 MIN_HITS = 4
 TRIAL_SCANS = 15  # scans within which a new line must be seen MIN_HITS times
 # largest differences of duplicates, for any covariance
 DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M = math.radians(8.0), 0.25
 MAX_GAP_M = 0.3  # m along the wall between two duplicates
-MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M, MAX_GAP_M)
 DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
 FLAT_SIGMAS = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
 
@@ -75,8 +73,6 @@ class LineMap(msgspec.Struct):
     next_id: int = 0
     _table: sight.WallColumns | None = None  # kernel's view of the arrays
     _shown: tuple[Any, ...] = ()  # arrays from which `_table` was built
-    _room: int = 0  # capacity of `_lacking` in states
-    _lacking: Loosening | None = None  # states below the least variance
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -128,13 +124,19 @@ class LineMap(msgspec.Struct):
         self.seen, self.born = np.append(self.seen, scan), np.append(self.born, scan)
         return line
 
-    def keep_floor(self, belief: JointBelief, floor: tuple[float, float]) -> None:
-        """Raise line variances to at least `floor` (2,) [m^2, rad^2], since no wall is an exact plane."""
-        if self._lacking is None or self._room < 2 * len(self.ids):
-            self._room = 4 * len(self.ids)
-            self._lacking = Loosening(np.empty(self._room, np.intp), np.empty(self._room))
-        sight.lacks(belief, self.table(), *floor, self._lacking)
-        belief.loosen_all(self._lacking)
+    def loosen(
+        self,
+        belief: JointBelief,
+        least: Array,
+        most: float | Array = np.inf,
+        which: Ints | slice = np.s_[:],
+    ) -> None:
+        """Raise the variances [m^2, rad^2] of lines `which` to at least `least` (2,), by at most `most` (2,)."""
+        at = self.states(which)
+        added = np.minimum(least - belief.covariance.diagonal()[at].reshape(-1, 2), most).ravel()
+        (lacking,) = (added > 0.0).nonzero()
+        if len(lacking):
+            belief.loosen(at[lacking], added[lacking])
 
     def drop(self, gone: Ints) -> Ints:
         """Remove the lines with indices `gone` (k,); return the state columns that become free."""
@@ -243,11 +245,7 @@ class Association(sight.SightLines, Reading):
 
     def __init__(self, rules: sight.Rules, seat: sight.Seat) -> None:
         super().__init__(rules, seat)
-        self._lines = self._places = self._parts = -1
-        self._rows: Array = np.zeros((0, 7))
-        self._offset = np.zeros(3)
         self.row = 0  # of the first line in Measurements.z
-        self._bent = Loosening(np.zeros(0, np.intp), np.zeros(0))
 
     def compare(self, belief: JointBelief, lines: LineMap, rows: Array, shared: Array = NO_SHARES) -> float:
         """Match the lines `rows` (n, 7) of a scan with the map; return the matched share of their length.
@@ -255,53 +253,16 @@ class Association(sight.SightLines, Reading):
         The lines are in the base frame by the configured mount. `shared` (n, 2, s) are their correlated errors
         (lines.sweep).
         """
-        n, places, parts = len(rows), len(lines.ids), shared.shape[2]
-        if n > self._lines or places > self._places or parts > self._parts:
-            self._allocate(n, places, parts)
-        share: float = self.look(belief, lines.table(), rows, shared if parts else NO_SHARES)
+        share: float = self.look(belief, lines.table(), rows, shared)
         return share
-
-    def _allocate(self, n: int, places: int, parts: int) -> None:
-        n = self._lines = max(self._lines, int(RESERVE_FACTOR * n) + 1)
-        places = self._places = max(self._places, int(RESERVE_FACTOR * places) + 1)
-        parts = self._parts = max(self._parts, parts)
-        free, whole = self.seat.free, [np.zeros(n, np.intp) for _ in range(5)]
-        self._rows = np.zeros((n, 7))
-        self.hold_lines(self._rows, *whole)
-        pairs, walls = (
-            np.zeros((n * places, sight.PAIR_COLUMNS)),
-            np.zeros((places, sight.WALL_COLUMNS + 2 * free)),
-        )
-        self.hold_pairs(pairs, walls, np.zeros((places, 4)), np.zeros((6, 3)), np.zeros(3), self._offset)
-        self.hold_shares(np.zeros((n, 2, parts)), np.zeros((2 * n, parts)))
-        self._bent = Loosening(np.zeros(2 * n, np.intp), np.zeros(2 * n))
-        self.hold_states(self._bent)
-
-    def in_base(self) -> Array:
-        """Return a copy (n, 7) of the measured lines in the base frame, by the estimated mount."""
-        return self._rows[: self.lines].copy()
-
-    def mount_offset(self) -> tuple[float, float, float]:
-        """Return x, y [m], yaw [rad] that convert lines from the configured to the estimated mount."""
-        x, y, yaw = self._offset.tolist()
-        return x, y, yaw
 
     def new(self) -> list[int]:
         """Return the indices of the lines to add to the map: unmatched, and near no map line."""
-        return [i for i in range(self.lines) if self.is_new(i)]
+        return list(filter(self.is_new, range(self.lines)))
 
     def rows_used(self) -> list[int]:
         """Return the rows of Measurements.z that hold the matched lines of this scan."""
         return [self.row + i for i in range(self.lines) if self.is_matched(i)]
-
-    def bend(self, belief: JointBelief, uneven: tuple[float, float], most: tuple[float, float]) -> None:
-        """Add process noise to the matched lines, since their walls are uneven.
-
-        Variances of (rho, beta) grow by at most `most` [m^2, rad^2] per scan, and not beyond `uneven` [m^2,
-        rad^2].
-        """
-        self.bends(belief, *uneven, *most)
-        belief.loosen_all(self._bent)
 
 
 def associate(
@@ -320,18 +281,11 @@ def associate(
 # ---- tidying ----
 
 
-def untidy(lines: LineMap, belief: JointBelief, scan: int) -> bool:
-    """Return whether `prune` or `merge_doubles` may change the map."""
-    n = len(lines)
-    return sight.untidy(belief, lines.table(), MAY_BE_ONE, scan, np.empty((n, 4)), np.empty(n, np.intp))
-
-
 def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
     """Remove lines that were rarely seen in TRIAL_SCANS scans: people, poles, bad fits."""
-    walls = lines.table()
-    gone = np.array([j for j in range(len(lines)) if sight.worthless(walls, j, scan, MAY_BE_ONE)], np.int64)
-    if len(gone):
-        belief.remove(lines.drop(gone))
+    rare = (lines.hits < MIN_HITS) & (scan - lines.born > TRIAL_SCANS) & (lines.born > 0)
+    if rare.any():
+        belief.remove(lines.drop(np.flatnonzero(rare)))
 
 
 def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array) -> None:
@@ -343,10 +297,10 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
     R = np.diag(np.maximum(FLAT_SIGMAS**2, 2.0 * uneven))
     recent = np.flatnonzero(scan - lines.seen <= TRIAL_SCANS)[::-1]
     while len(recent):
-        values = lines.values(belief)
-        recent = recent[[len(_near(lines, values, j)) > 0 for j in recent.tolist()]]
-        pairs = ((j, i) for j in recent.tolist() if (i := _double_of(lines, belief, j, R)) is not None)
-        found = next(pairs, None)
+        near = _near(lines, lines.values(belief), recent)
+        recent, near = recent[near.any(axis=1)], near[near.any(axis=1)]
+        doubles = (_double_of(lines, belief, j, i, R) for j, i in zip(recent.tolist(), near, strict=True))
+        found = next(((j, i) for j, i in zip(recent.tolist(), doubles, strict=True) if i is not None), None)
         if found is None:
             return
         j, i = found
@@ -354,19 +308,27 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
         recent = recent[recent < j]
 
 
-def _near(lines: LineMap, values: Array, j: int) -> Ints:
-    """Return the indices (k,) of lines that may be the same wall as line j, by their positions."""
-    rows, found = np.concatenate((values, lines.anchor), axis=1), np.empty(len(lines), np.intp)
-    return found[: sight.neighbours(rows, lines.table(), j, MAY_BE_ONE, found)]
+def _near(lines: LineMap, values: Array, which: Ints) -> NDArray[np.bool_]:
+    """Return which lines (J,) may be the same wall as the lines `which` (k,), by their positions, (k, J)."""
+    rho, beta, x, y = np.concatenate((values, lines.anchor), axis=1).T
+    own = which[:, None]
+    with np.errstate(invalid="ignore"):  # an infinite angle gives NaN, which is near none
+        c, s = np.cos(beta[own]), np.sin(beta[own])
+        dx, dy = x[own] - x, y[own] - y
+        along = dy * np.cos(beta) - dx * np.sin(beta)
+        apart = np.maximum(lines.lo, lines.lo[own] + along) - np.minimum(lines.hi, lines.hi[own] + along)
+        near = np.abs(se2.wrap_all(beta - beta[own])) < DOUBLE_ANGLE_RAD
+        near &= np.abs(rho - (rho[own] + dx * c + dy * s)) <= DOUBLE_OFFSET_M
+    return np.asarray(near & (apart <= MAX_GAP_M) & (own != np.arange(len(lines))))
 
 
-def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | None:
-    """Return the index of the line that is most likely the same wall as line j; None without one."""
+def _double_of(lines: LineMap, belief: JointBelief, j: int, near: NDArray[np.bool_], R: Array) -> int | None:
+    """Return which of the lines `near` (J,) is most likely the same wall as line j; None if none is."""
     values = lines.values(belief)
     best, found = DOUBLE_D2, None
-    for i in _near(lines, values, j).tolist():
+    for i in np.flatnonzero(near).tolist():
         y, H, _, _ = _difference(lines, values, i, j)
-        columns = _columns(lines, i, j)
+        columns = lines.states(np.array([i, j]))
         S = H @ belief.covariance[np.ix_(columns, columns)] @ H.T + R
         d2 = float(y @ np.linalg.solve(S, y))
         if d2 < best:
@@ -389,15 +351,10 @@ def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, A
     return y, H, float(lines.lo[j] + along), float(lines.hi[j] + along)
 
 
-def _columns(lines: LineMap, i: int, j: int) -> Ints:
-    a, b = int(lines.column[i]), int(lines.column[j])
-    return np.array([a, a + 1, b, b + 1])
-
-
 def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:
     """Correct the state by the equality of lines i and j; keep line i with the extent of both."""
     y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
-    belief.know(y.tolist(), R.tolist(), _columns(lines, i, j).tolist(), H.tolist())
+    belief.know(y.tolist(), R.tolist(), lines.states(np.array([i, j])).tolist(), H.tolist())
     lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
     lines.hits[i] += lines.hits[j]
     lines.seen[i] = max(lines.seen[i], lines.seen[j])
@@ -433,5 +390,6 @@ def moved_mount(mount: Mount, belief: JointBelief) -> Pose:
 
     It is x [m], y [m], yaw [rad].
     """
-    x, y, yaw = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.configured))).tolist()
-    return x, y, yaw
+    (x, y, yaw), (x0, y0, yaw0) = mount.now(belief), mount.configured
+    c, s = math.cos(yaw - yaw0), math.sin(yaw - yaw0)
+    return x - c * x0 + s * y0, y - s * x0 - c * y0, yaw - yaw0

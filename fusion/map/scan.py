@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints, Measurements
-from locfuse.fusion.lines.extract import LINE_COLUMNS, rows_of
+from locfuse.fusion.lines.extract import LINE_COLUMNS, of_rows, rows_of
 from locfuse.fusion.se2 import wrap_all
 
 LINES_AT_ONCE = 4096  # lines converted at a time, to save memory
@@ -41,8 +41,7 @@ class Scan(msgspec.Struct, frozen=True, eq=False):
     @property
     def R(self) -> Array:
         """Return the covariances of (r, psi), (k, 2, 2) [m^2, rad^2]."""
-        R: Array = self.rows[:, (2, 3, 3, 4)].reshape(-1, 2, 2)
-        return R
+        return of_rows(self.rows)[1]
 
     @property
     def ends(self) -> Array:

@@ -55,7 +55,6 @@ from .line_map import (
     moved_mount,
     prune,
     seat_of,
-    untidy,
 )
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, MapWithPath, find_closure, is_unknown
 from .scan import LineReader, Scan, Standing
@@ -122,7 +121,7 @@ class LineTracker(Model):
         self._of: Measurements | None = None  # the measurements of the next two:
         self._first: list[int] = []
         self._t: list[float] = []
-        self._walls = ((0.0, 0.0),) * 3  # variances [m^2, rad^2]: of uneven walls, least, largest increase
+        self._walls = (np.zeros(2),) * 3  # variances [m^2, rad^2]: of uneven walls, least, largest increase
 
     def blocks(self) -> list[Block]:
         """Return the states of the laser's mount, if it is estimated."""
@@ -178,7 +177,7 @@ class LineTracker(Model):
         shared = self._shared(m, first, last)
         found = self._sight
         share = found.compare(belief, self.map, rows, shared)
-        scan = self._seen = _in_base(rows, None if self.mount is None else found.mount_offset())
+        scan = self._seen = self._scan_in_base(belief)
         if self.guard is not None:
             again = partial(associate, rows, self.map, belief, found, shared)
             slipped = partial(beyond_wheels, m, self._fitted, i)
@@ -200,7 +199,7 @@ class LineTracker(Model):
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
             uneven, floor = self.wall_noise(m)
-            self._walls = _pair(uneven), _pair(floor), _pair(bend(uneven))
+            self._walls = uneven, floor, bend(uneven)
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
@@ -211,7 +210,9 @@ class LineTracker(Model):
 
     def _scan_in_base(self, belief: Any) -> Scan:
         """Return the present scan in the base frame, by the estimated mount."""
-        return _in_base(self._rows, None if self.mount is None else moved_mount(self.mount, belief))
+        if self.mount is None:
+            return Scan(self._rows)
+        return Scan(rows_in_base(self._rows, *moved_mount(self.mount, belief)))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Update the map by scan i: extend matched lines, and add new lines (mode `grow`, or first scan)."""
@@ -240,17 +241,17 @@ class LineTracker(Model):
         """Add variance of uneven walls; in mode `grow` add new lines, remove rare lines, merge duplicates."""
         uneven, floor, bent = self._walls
         if uneven[0] > 0.0 or uneven[1] > 0.0:
-            found.bend(belief, uneven, bent)
+            self.map.loosen(belief, uneven, bent, np.flatnonzero(self.map.seen == self._scan))
         if self.mode == "grow":
-            if found.new_lines():
+            if new := found.new():
                 scan = self._scan_in_base(belief)
-                for k in found.new():
+                for k in new:
                     self._add(scan, k, belief)
-            if self._scan % TIDY_EVERY_SCANS == 0 and untidy(self.map, belief, self._scan):
+            if self._scan % TIDY_EVERY_SCANS == 0:
                 prune(self.map, belief, self._scan)
-                merge_doubles(self.map, belief, self._scan, np.array(uneven))
+                merge_doubles(self.map, belief, self._scan, uneven)
         if floor[0] > 0.0 or floor[1] > 0.0:
-            self.map.keep_floor(belief, floor)
+            self.map.loosen(belief, floor)
 
     def wall_noise(self, m: Measurements) -> tuple[Array, Array]:
         """Return the process noise of seen lines and the least variance of all lines, (2,) each [m^2, rad^2].
@@ -583,16 +584,3 @@ class AtlasTracker(LineTracker):
             closed = f"{loops} revisited place{'s' if loops > 1 else ''}" if loops else "no revisited place"
             words.append(f"{n} submaps, {closed}")
         return words
-
-
-def _pair(values: Array) -> tuple[float, float]:
-    a, b = values.tolist()
-    return a, b
-
-
-def _in_base(rows: Array, offset: tuple[float, float, float] | None) -> Scan:
-    """Return the scan of lines `rows` (k, 7), corrected from the configured to the estimated mount.
-
-    `offset` (x [m], y [m], yaw [rad]) is the correction in the base frame; None: the mount is exact.
-    """
-    return Scan(rows if offset is None else rows_in_base(rows, *offset))

@@ -83,7 +83,7 @@ def test_a_new_line_goes_with_the_mount_that_it_was_seen_by(
     z = line_from(pose, line, anchor)
     C = np.array([[1e-3, 2e-4], [2e-4, 5e-4]])
     seen = compared(mount, belief, model.map, rows_of(z[None], C[None], np.array([[-0.5, 1.5]])))
-    model._add(Scan(seen.in_base()), 0, belief)
+    model._add(Scan(np.array(seen.rows)[:1]), 0, belief)
     seen_by_laser = by_laser(z, TOLD)
     middle = model.map.anchor[0]
 

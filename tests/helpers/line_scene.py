@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -88,17 +88,13 @@ def side_of(pair: Pair, z: Array) -> float:
 class Sighted(Association):
     """An association whose room can be looked into."""
 
-    def hold_lines(self, rows: Any, match: Any, best: Any, rival: Any, near: Any, order: Any) -> None:
-        self._columns = match, best, rival, near
-        super().hold_lines(rows, match, best, rival, near, order)
-
-    def hold_pairs(self, pairs: Any, *others: Any) -> None:
-        self._table = pairs
-        super().hold_pairs(pairs, *others)
+    def in_base(self) -> Array:
+        """Return the measured lines (n, 7) in the base frame, by the estimated mount."""
+        return np.array(self.rows)[: self.lines]
 
     def column(self, k: int) -> list[int]:
         """Of every line: the pair that matches, the best, whether it has a rival, whether it is near."""
-        values: list[int] = self._columns[k][: self.lines].tolist()
+        values: list[int] = np.array((self.match, self.best, self.rival, self.near)[k])[: self.lines].tolist()
         return values
 
     pair_of = property(lambda self: self.column(0))
@@ -118,7 +114,7 @@ class Sighted(Association):
                 symmetric(p[7:10]),
                 *p[[10, 11, 12, 13, 14, 18]].tolist(),
             )
-            for p in self._table[: self.found].copy()
+            for p in np.array(self.pairs)[: self.found]
         ]
 
     def matched(self) -> list[Pair]:

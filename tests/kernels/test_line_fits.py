@@ -153,7 +153,7 @@ def test_a_step_and_what_it_leaves_are_those_of_least_squares(seed: int) -> None
 
 @pytest.mark.parametrize("angle", [0.0, 3.0, -3.0, math.pi, -math.pi, 4.0, -4.0, 9.0, -100.0, 1e4])
 def test_an_angle_is_wrapped_into_half_a_turn_to_either_side(angle: float) -> None:
-    found = interpreted("angles").wrapped(angle)
+    found = interpreted("places").wrapped(angle)
     assert -math.pi <= found < math.pi
     assert math.sin(found - angle) == pytest.approx(0.0, abs=1e-9)
     assert math.cos(found - angle) == pytest.approx(1.0)

@@ -183,7 +183,6 @@ def test_matches_are_those_of_the_rule(states: bool, gate: float) -> None:
         assert [None if p < 0 else (pairs[p].line, pairs[p].which) for p in found.pair_of] == where
         assert (found.ambiguous, found.is_near) == (ambiguous, near)
         assert found.new() == [i for i, p in enumerate(match) if p is None and not near[i]]
-        assert found.new_lines() == len(found.new())
         length, hit = np.ptp(Scan(found.in_base()).ends, axis=1), [p is not None for p in match]
         assert found.share() == pytest.approx(length[hit].sum() / length.sum(), abs=1e-12)
         assert found.matches() == found.accepted == sum(hit)
@@ -374,7 +373,8 @@ def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> No
         before, expected = np.diag(belief.covariance).copy(), np.diag(belief.covariance).copy()
         for c in {int(lines.column[pair.which]) for pair in found.matched()}:
             expected[c : c + 2] += np.clip(uneven - before[c : c + 2], 0.0, most)
-        found.bend(belief, uneven.tolist(), most.tolist())
+        found.extend(9)
+        lines.loosen(belief, uneven, most, np.flatnonzero(lines.seen == 9))
         np.testing.assert_allclose(np.diag(belief.covariance), expected, rtol=1e-14)
         bent += int((expected != before).sum())
     assert bent > 20

@@ -309,7 +309,7 @@ def test_a_line_that_is_seen_for_ever_stays_within_its_walls_unevenness() -> Non
         found = Association(Rules(math.inf, True, True, 0, 0, 0), seat_of(None, belief))
         found.compare(belief, walls, Scan.of(z, R, ends).rows)
         for _ in range(10 * LAG_SCANS):
-            found.bend(belief, uneven.tolist(), bend(uneven).tolist())
+            walls.loosen(belief, uneven, bend(uneven), np.array([which]))
     np.testing.assert_allclose(np.diagonal(belief.covariance)[3:], [*uneven, 4e-4, 4e-4], rtol=1e-9)
 
 

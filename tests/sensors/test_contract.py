@@ -23,7 +23,7 @@ from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import Filter, due_readings, steps_of
-from locfuse.fusion.kernels.ekf import Innovation, Loosening
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import WallColumns
 from locfuse.fusion.map.line_map import Association
 from locfuse.fusion.robot import Robot
@@ -303,7 +303,7 @@ def walked(
 def copied(model: Model) -> Model:
     """A copy without what the kernels work on, which it makes anew."""
     with pytest.MonkeyPatch.context() as patch:
-        for kernel in (Association, Loosening, WallColumns):
+        for kernel in (Association, WallColumns):
             patch.setitem(copyreg.dispatch_table, kernel, lambda _: (type(None), ()))
         return deepcopy(model)
 

@@ -1,3 +1,0 @@
-from libc.math cimport floor, pi
-
-cpdef double wrapped(double angle) noexcept

@@ -390,13 +390,14 @@ class JointBelief(ekf.State):
 
     def clone_heading(self, column: int, behind: float = 0.0) -> None:
         """Clone the present heading, minus the angle `behind` [rad], to a state (Roumeliotis and Burdick 2002)."""
+        n = self.n
         if self.events is not None:
-            by = np.zeros((1, self.n))
+            by = np.zeros((1, n))
             by[0, 2] = 1.0
             self._note_change(np.array([column]), by)
-        self.copy_pose(column, 2, 1)
-        if behind:
-            self._x[column] -= behind
+        self._x[column] = self._x[2] - behind
+        self._P[column, :n] = self._P[2, :n]
+        self._P[:n, column] = self._P[:n, 2]
         self._clones.add(column)
 
     def clone_pose(self, column: int, behind: Array | None = None) -> None:
@@ -407,7 +408,7 @@ class JointBelief(ekf.State):
             by[:, :3] = J
             self._note_change(np.arange(column, column + 3), by)
         self._kept.add(column)
-        self.copy_pose(column, 0, 3)
+        self.copy_pose(column)
         if behind is None:
             return
         n, P, at = self.n, self._P, slice(column, column + 3)
@@ -592,21 +593,6 @@ class JointBelief(ekf.State):
     def not_positive(self, greatest: float) -> None:
         """Raise LocfuseError: an innovation covariance with this largest variance is not positive definite."""
         positive(greatest)
-
-    def __deepcopy__(self, memo: object) -> JointBelief:
-        """Return an independent copy."""
-        copy = JointBelief((0.0, 0.0, 0.0), (0.0,) * 6)
-        for name, value in self.__dict__.items():
-            if name not in ("_rows", "_queue", "_flags"):
-                setattr(copy, name, _copied(value))
-        copy.n, copy.frame, copy.wheels = self.n, self.frame, self.wheels
-        copy._hold()
-        copy._let_drift()
-        return copy
-
-
-def _copied(value: Any) -> Any:
-    return value.copy() if isinstance(value, np.ndarray | dict | list | set) else value
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:

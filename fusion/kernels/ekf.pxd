@@ -61,7 +61,7 @@ cdef class State:
     cdef void mirror(self, Py_ssize_t i, Py_ssize_t first, double least)
     cpdef double fit(self, Py_ssize_t rows)
     cpdef void turn_frame(self, double dx, double dy)
-    cpdef void copy_pose(self, Py_ssize_t column, Py_ssize_t first, Py_ssize_t states)
+    cpdef void copy_pose(self, Py_ssize_t column)
     cpdef object replace(self, object columns, object values, object G)
     cdef void turn_rows(self, Py_ssize_t first, Py_ssize_t k)
     cpdef double value(self, Py_ssize_t column)

@@ -462,16 +462,16 @@ class State:
 
     # ---- clone and look ----
 
-    def copy_pose(self, column: int, first: int, states: int) -> None:
-        """Copy `states` states with covariances, from column `first` on to column `column` on (cloning)."""
+    def copy_pose(self, column: int) -> None:
+        """Copy the pose with its covariances to the states from `column` on (cloning)."""
         n = self.n
-        for i in range(states):
-            self.mean[column + i] = self.mean[first + i]
+        for i in range(3):
+            self.mean[column + i] = self.mean[i]
             for j in range(n):
-                self.P[column + i, j] = self.P[first + i, j]
+                self.P[column + i, j] = self.P[i, j]
         for i in range(n):
-            for j in range(states):
-                self.P[i, column + j] = self.P[i, first + j]
+            for j in range(3):
+                self.P[i, column + j] = self.P[i, j]
 
     def replace(self, columns: Any, values: Any, G: Any) -> None:
         """Replace states (k,): x <- values, P <- T P T', T the identity with G (k, k) for these states."""

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, Measurements
+from locfuse.fusion.data import Array, Ints, Measurements, matrices
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.kernels.ekf import Innovation, Steps
+from locfuse.fusion.kernels.ekf import Innovation, Steps, TrackColumns
 from locfuse.fusion.kernels.sight import AuditColumns
 from locfuse.fusion.sensor import Reading
 
@@ -23,6 +23,13 @@ def step(u: Sequence[float] | Array, Q: Any, dt: float = 0.0, J: Array | None = 
         whole = np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
     by = np.zeros((3, 0)) if J is None else J
     return Steps(np.array([u], np.float64), whole.reshape(1, 9), np.array([dt]), by.reshape(1, -1).copy())
+
+
+def matrix_in_map(belief: JointBelief) -> Array:
+    """Return the covariance (3, 3) of the pose in the map."""
+    pose, triangle = np.empty((1, 3)), np.empty((1, 6))
+    belief.note(0, TrackColumns(pose, triangle, np.empty((1, 0)), np.zeros(0, np.intp)))
+    return matrices(triangle[0])
 
 
 class Told(NamedTuple):

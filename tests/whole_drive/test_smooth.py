@@ -86,7 +86,7 @@ class Remembering(JointBelief):
             self.clones, self.local = [], []
         else:
             where = self._grow(3)
-            self.copy_pose(where.start, 0, 3)
+            self.copy_pose(where.start)
             self.clones.append(where.start)
             self.local.append(self.framed)
         super().predict(steps, k)

@@ -102,7 +102,9 @@ class Filter:
         self.belief = _begin(robot, list(self.models.values()))
         # innovations of one reading are correlated through these states: their joint NIS is recorded
         self._joint = any(model.joint for model in self.models.values())
-        self._in_map: JointBelief | InMap = self.belief  # the belief in the map frame
+        in_map = InMap(self.belief)
+        # what each model sees: the pose in the local frame, or in the map
+        self._views = {s: self.belief if model.local else in_map for s, model in self.models.items()}
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         self._learning = {s for s, m in self.models.items() if type(m).learn is not Model.learn}
         mapping = [s for s in self._sensors if self.models[s].maps]
@@ -141,7 +143,7 @@ class Filter:
     def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:
         """Compute and record the innovations of reading i; return the accepted ones and their number of rows."""
         model = self.models[sensor]
-        seen = model.innovations(m, i, self.belief if model.local else self._in_map)
+        seen = model.innovations(m, i, self._views[sensor])
         if sensor in self._inflates and not isinstance(seen, Reading):
             for innovation in seen:
                 inflate(innovation, self.belief)
@@ -183,37 +185,26 @@ class Filter:
         """Let each model learn from its readings; then start a new map if the present map is full."""
         for sensor, i in due:
             if sensor in self._learning:
-                model = self.models[sensor]
-                model.learn(measurements[sensor], i, self.belief if model.local else self._in_map)
+                self.models[sensor].learn(measurements[sensor], i, self._views[sensor])
         for sensor in self._leads:
-            if self.models[sensor].begin_next_map(self.belief):
-                self._follow_frame()
+            self.models[sensor].begin_next_map(self.belief)
 
     def _begin_frame(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Begin a local frame (fusion.ekf.map_frame) at the first reading of a sensor that builds a map."""
         for sensor, i in due if self._may_begin else ():
             if sensor in self._may_begin and self.models[sensor].begins_map(measurements[sensor], i):
                 self.belief.begin_frame()
-                self._follow_frame()
                 self._may_begin = self._leads
 
     def pose(self) -> Pose:
         """Return the pose in the map: x [m], y [m], theta [rad, not wrapped]."""
-        return self._in_map.pose()
-
-    def _seen_by(self, model: Model) -> JointBelief | InMap:
-        return self.belief if model.local else self._in_map
-
-    def _follow_frame(self) -> None:
-        """Let `_in_map` convert to the map frame if a local frame exists."""
-        if self.belief.framed:
-            self._in_map = InMap(self.belief)
+        return self.belief.pose_in_map()
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
         """Return the estimates of the run, with predictions at the truth's stamps."""
         pose, triangles = self._track.recorded()
         blocks, variances = self._track.blocks(), self._track.blocks(variances=True)
-        maps = [m.lines(self._seen_by(m)) for m in self.models.values()]
+        maps = [m.lines(self._views[s]) for s, m in self.models.items()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
         loops = [loop for m in self.models.values() for loop in m.closed_loops()]
         return Estimates(
@@ -227,7 +218,7 @@ class Filter:
             block_sigmas={name: np.sqrt(np.maximum(v, 0.0)) for name, v in variances.items()},
             first_map=[line for first, _ in maps for line in first],
             final_map=[line for _, final in maps for line in final],
-            points=[point for m in self.models.values() for point in m.points(self._seen_by(m))],
+            points=[point for s, m in self.models.items() for point in m.points(self._views[s])],
             truth_pose=truth_pose,
             truth_P=truth_P,
             notes=tuple(self._notes()),
@@ -248,7 +239,7 @@ class Filter:
             metric = {s: REGISTRY[s].scale_key for s in self._sensors if REGISTRY[s].measures_metres}
             yield from (f"wheels: {words}" for words in wheel_words(self._wheels, x, P, self._sensors, metric))
         for name, model in self.models.items():
-            yield from (f"{name}: {words}" for words in model.notes(self._seen_by(model)))
+            yield from (f"{name}: {words}" for words in model.notes(self._views[name]))
 
 
 def _begin(robot: Robot, models: Sequence[Model]) -> JointBelief:

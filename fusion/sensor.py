@@ -200,12 +200,11 @@ class Model:
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Update the model (e.g. its map) with reading i, after the correction of the pose."""
 
-    def begin_next_map(self, belief: Any) -> bool:
-        """Start a new map if the present one is full; return whether a new map was started.
+    def begin_next_map(self, belief: Any) -> None:
+        """Start a new map if the present one is full.
 
         Called after all readings of an update time, only for a model that `leads`. The local frame may change.
         """
-        return False
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
         """Return the map after the first scan and the map at the end, for the report."""

@@ -108,11 +108,6 @@ class JointBelief(ekf.State):
         self._lost = lost
         self._mark_kept()
 
-    def triangle(self) -> Triangle:
-        """Return the upper triangle of the pose covariance."""
-        triangle: Triangle = self.located()[1]
-        return triangle
-
     def matrix(self) -> Array:
         """Return the pose covariance, (3, 3)."""
         return self._P[:3, :3].copy()

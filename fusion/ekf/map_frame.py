@@ -36,7 +36,6 @@ class InMap:
     def __init__(self, belief: Any) -> None:
         self.belief, self.column, self.value = belief, belief.column, belief.value
         self.pose: Callable[[], Pose] = belief.pose_in_map
-        self.located = partial(belief.located, True)
         self.compare = partial(belief.compare, in_map=True)
         self.variance = partial(belief.variance, in_map=True)
 
@@ -58,16 +57,6 @@ class InMap:
     def theta(self) -> float:
         """Return the heading in the map [rad], not wrapped."""
         return self.pose()[2]
-
-    def triangle(self) -> Triangle:
-        """Return the upper triangle of the covariance of the pose in the map."""
-        triangle: Triangle = self.located()[1]
-        return triangle
-
-    def matrix(self) -> Array:
-        """Return the covariance (3, 3) of the pose in the map."""
-        xx, xy, xt, yy, yt, tt = self.triangle()
-        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
 
 def in_map_P(G: Array, q: Array, P: Array) -> Array:

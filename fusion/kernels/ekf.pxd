@@ -67,8 +67,7 @@ cdef class State:
     cpdef double value(self, Py_ssize_t column)
     cpdef pose(self)
     cpdef pose_in_map(self)
-    cpdef located(self, bint in_map=*)
-    cdef void locate(self, bint in_map)
+    cdef void locate(self)
     cpdef void note(self, Py_ssize_t k, TrackColumns track)
 
 cpdef double bent(double tt)

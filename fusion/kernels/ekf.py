@@ -539,21 +539,15 @@ class State:
         )
         return x, y, self.mean[2] + self.mean[G + 2]
 
-    def located(self, in_map: bool = False) -> tuple[Any, Any]:
-        """Return the pose (local or in the map) and its covariance's upper triangle xx, xy, xt, yy, yt, tt."""
-        self.locate(in_map)
-        found = [self.small[MAX_NUMBERS + 2, j] for j in range(9)]
-        return tuple(found[:3]), tuple(found[3:])
-
-    def locate(self, in_map: bool) -> None:
-        """Compute pose and covariance triangle, local or in the map.
+    def locate(self) -> None:
+        """Compute pose and covariance triangle in the map.
 
         p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + bent r r', where
         C = cov(q, G), with the derivatives of fusion.ekf.map_frame.
         """
         o, P, small = MAX_NUMBERS + 2, self.P, self.small
         qx, qy, qt = self.mean[0], self.mean[1], self.mean[2]
-        if not in_map or self.frame < 0:
+        if self.frame < 0:
             small[o, 0], small[o, 1], small[o, 2] = qx, qy, qt
             small[o, 3], small[o, 4], small[o, 5] = P[0, 0], P[0, 1], P[0, 2]
             small[o, 6], small[o, 7], small[o, 8] = P[1, 1], P[1, 2], P[2, 2]
@@ -582,7 +576,7 @@ class State:
 
     def note(self, k: int, track: TrackColumns) -> None:
         """Write row k of a track: the pose in the map with its covariance, and the recorded states."""
-        self.locate(True)
+        self.locate()
         o = MAX_NUMBERS + 2
         for j in range(3):
             track.pose[k, j] = self.small[o, j]

@@ -358,30 +358,29 @@ class AtlasTracker(LineTracker):
 
     # ---- from one map to the next ----
 
-    def begin_next_map(self, belief: JointBelief) -> bool:
-        """Leave a full submap and begin the next one; return whether a submap was begun."""
+    def begin_next_map(self, belief: JointBelief) -> None:
+        """Leave a full submap and begin the next one."""
         if self.guard is not None and self.guard.gives_up():
             self._leave(belief, connected=False)  # the next scan begins a submap of unknown pose
             self.guard.leave()
             self._full = False
-            return False
+            return
         full, self._full = self._full, False
         if not full:
-            return False
+            return
         back = self._neighbour(belief)
         if back is not None:
             self._leave(belief, connected=False)
             self._return_to(back, belief)
-            return True
+            return
         recent = np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
         if not len(recent) or not self._may_begin_next(recent, belief):
-            return False  # no wall connects both submaps yet, or the heading is too uncertain
+            return  # no wall connects both submaps yet, or the heading is too uncertain
         shared = shared_walls(self.map, recent, belief)
         self._leave(belief, connected=True)
         belief.begin_frame()
         self._enter(np.array(belief.pose()), belief)
         begin_submap(shared, self.map, belief, self._scan)
-        return True
 
     def _leave(self, belief: JointBelief, connected: bool) -> None:
         """Freeze the present submap, and remove its lines from the state.

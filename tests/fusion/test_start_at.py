@@ -13,6 +13,7 @@ from commands import locfuse, ok
 from msgspec.structs import replace
 from present import present
 from rewrite_log import rewritten
+from rows import matrix_in_map
 from worlds import World, instants
 
 import locfuse as api
@@ -202,7 +203,7 @@ def positive_throughout(drive: Drive, robot: Robot, sensors: list[str]) -> Filte
     run = Filter(robot, sensors)
     for _ in instants(run, drive, *sensors):
         belief = run.belief
-        for P in (belief.covariance, run._in_map.matrix()):
+        for P in (belief.covariance, matrix_in_map(run.belief)):
             assert np.isfinite(P).all()
             assert np.linalg.eigvalsh(correlation(P))[0] > -ROUNDING
     return run
@@ -239,7 +240,7 @@ def test_a_robot_at_rest_without_floors_keeps_a_positive_covariance(mode: str, s
     robot = replace(robot, start=StartSettings(x=1.5, y=1.5, sigma_theta_deg=2.0, sigma_xy=0.1))
     run = positive_throughout(drive, robot, ["lrf"])
     np.testing.assert_allclose(run.pose(), (1.5, 1.5, 0.0), atol=1e-3)
-    assert run._in_map.matrix()[2, 2] > 0.999 * np.radians(2.0) ** 2
+    assert matrix_in_map(run.belief)[2, 2] > 0.999 * np.radians(2.0) ** 2
 
 
 def test_a_covariance_beyond_the_square_of_a_float_refuses_the_reading() -> None:

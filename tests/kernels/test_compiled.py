@@ -29,7 +29,7 @@ NAMES = sorted(path.stem for path in KERNELS.glob("*.pxd"))
 OBJECTS = re.compile(r"PyFloat_(From|As)Double|PyLong_From|PyNumber_|PyObject_RichCompare")
 MADE = r"\s*def |.*[A-Z]\w+\("  # how Python calls a method, and records that are made, are of objects
 # what these take or give are Python's own: tuples of a sensor, more room, a pose
-METHODS = "compare|write_row|replace|make_room|variance|of|noise_of|pose|pose_in_map|located|room_for|judge"
+METHODS = "compare|write_row|replace|make_room|variance|of|noise_of|pose|pose_in_map|room_for|judge"
 METHODS += "|correct_queued|state_rows"
 BORDER = re.compile(rf"_({METHODS})\(")
 TRANSLATE = """

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,13 +22,14 @@ from locfuse.fusion.data import RELOCALISED, SLIP, Array, Jump
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 
-from .line_map import Association, LineMap
+from .line_map import Association
 from .place_search import behind_walls, find_pose, walls_of
 from .scan import Scan
 from .slips import (
     SLIP_SIGMA_M,
     SLIP_SIGMA_RAD,
     SMALL_RAD,
+    PresentScan,
     RecentScans,
     Seen,
     Series,
@@ -73,10 +74,6 @@ KNOWN_HEADING_SIGMA_RAD = math.radians(10.0)  # rad: largest standard deviation 
 SAME_PLACE_M, SAME_PLACE_RAD = 0.12, math.radians(4.0)  # m, rad: largest differences of two equal poses
 MAX_LOST_SCANS = 60  # scans (along 12 m) without relocalisation, after which a new submap begins
 
-Again = Callable[[], Association]  # associates the present scan with the present belief
-# (3,) m, m, rad: motion by scan matching minus that by wheel odometry; None: not known
-Slipped = Callable[[], Array | None]
-
 
 class Guard:
     """Checks the agreement of scans and map during one run."""
@@ -108,44 +105,32 @@ class Guard:
         """Store the pose after the correction by a scan; wheel odometry predicts from this pose."""
         self._corrected = pose
 
-    def _fits(self, t: float, share: float, pose: Pose, scan: Scan, next_id: int) -> bool:
-        """Return whether enough of a scan matches to use the scan; store it in this case.
-
-        `pose` is the predicted pose, `next_id` the id of the next map line.
-        """
+    def _fits(self, present: PresentScan, share: float) -> bool:
+        """Return whether enough of a scan matches to use the scan; store it in this case."""
         if self._lost_from is not None or self._suspicion is not None or not share >= MIN_MATCHED_SHARE:
             return False
-        self._now = t
-        self._before.append((t, self._by_wheels(pose), scan))
+        self._now = present.t
+        self._before.append((present.t, self._by_wheels(present.belief.pose()), present.scan))
         if share >= GOOD_SHARE:
-            self._good = (t, next_id)
+            self._good = (present.t, present.lines.next_id)
         self._since, self._jumped = None, False
         self._series.reset()
         return True
 
-    def watch(
-        self,
-        t: float,
-        scan: Scan,
-        share: float,
-        found: Association,
-        lines: LineMap,
-        belief: JointBelief,
-        again: Again,
-        slipped: Slipped,
-    ) -> tuple[Association, bool]:
+    def watch(self, present: PresentScan, share: float, found: Association) -> tuple[Association, bool]:
         """Check how a scan agrees with the map; correct slips, and detect and relocate a lost robot.
 
         Return the association of the scan to use, and whether the scan may correct pose and map. `share` is the
         share of the scan's line length that matches the map by the association `found`.
         """
+        t, scan, belief = present.t, present.scan, present.belief
         moved = share < GOOD_SHARE and self._moved(belief.pose())
         if not moved:
             self._slide.reset()
-        elif self._correct_slide(share, lines, belief, again, slipped):
-            found = again()
+        elif self._correct_slide(present, share):
+            found = present.again()
             share = found.share()
-        if self._fits(t, share, belief.pose(), scan, lines.next_id):
+        if self._fits(present, share):
             return found, True
         dt, self._now = t - self._now, t
         now = (t, self._by_wheels(belief.pose()), scan)
@@ -153,54 +138,52 @@ class Guard:
         self._before.append(now)
         if self._lost_from is not None:
             _add_lost_noise(belief, dt)
-            return self._search(t, scan, found, lines, belief, again)
+            return self._search(present, found)
         if share >= MIN_MATCHED_SHARE:
             self._series.reset()
         turn, suspected = None, self._suspicion is not None
         if self._suspicion is not None:
-            turn = self._test_suspicion(self._suspicion, scan, share, lines, belief, again, slipped)
+            turn = self._test_suspicion(self._suspicion, present, share)
         elif moved and share < SLIP_MAX_SHARE and _view(scan) >= MIN_SLIP_VIEW_RAD:
-            turn = self._suspected(scan, lines, belief, again, slipped)
+            turn = self._suspected(present)
             suspected = turn is not None or self._suspicion is not None
         if suspected and share < SLIP_MAX_SHARE and self._series.add(now, before):
-            self._lose(self._series.begun, lines, belief)
-            return again(), False
+            self._lose(self._series.begun, present)
+            return present.again(), False
         if turn is not None:
             belief.shift((0.0, 0.0, turn), SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2)
             self._jumps.append(Jump(t, SLIP, (0.0, 0.0, turn)))
             self._since, self._jumped = None, False
-            return again(), True
-        usable = self._is_usable(before, now, share, lines, belief)
-        return again(), usable and self._suspicion is None
+            return present.again(), True
+        usable = self._is_usable(before, now, share, present)
+        return present.again(), usable and self._suspicion is None
 
-    def _correct_slide(
-        self, share: float, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped
-    ) -> bool:
+    def _correct_slide(self, present: PresentScan, share: float) -> bool:
         """Correct a forward slip of both wheels once consecutive scans show it; return whether it was done.
 
         At an obstacle or on a smooth floor, walls parallel to the motion still match. Walls across the motion
         match after the correction by scan matching. Several consecutive scans must show the slip.
         """
-        slide = self._slide
+        slide, belief = self._slide, present.belief
         if self._lost_from is not None or self._suspicion is not None:
             slide.reset()
             return False
 
         def more_matches(sigma: float) -> bool:
             with tried(belief, (0.0, 0.0, 0.0), sigma**2, 0.0):
-                return bool(again().share() >= share + MIN_SLIDE_GAIN)
+                return bool(present.again().share() >= share + MIN_SLIDE_GAIN)
 
         shown = slide.begun or any(more_matches(sigma) for sigma in SLIDE_SIGMAS_M)
-        step = slipped() if shown else None
+        step = present.slipped() if shown else None
         if step is None or abs(step[2]) > SLIP_SIGMA_RAD or not self._is_ahead(step, belief.pose()):
             slide.reset()
             return False
-        found = slide.add(step, lines.next_id)
+        found = slide.add(step, present.lines.next_id)
         if found is None:
             return False
         off, first_line = found
         x, y = se2.rotated(np.array(belief.theta), off).tolist()
-        _forget_since(first_line, lines, belief)
+        _forget_since(first_line, present)
         belief.shift((x, y, 0.0), SLIP_SIGMA_M**2, 0.0)
         self._note_slide(x, y)
         return True
@@ -219,80 +202,66 @@ class Guard:
             self._jumps.pop()
         self._jumps.append(Jump(self._now, SLIP, (x, y, 0.0)))
 
-    def _suspected(
-        self, scan: Scan, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped
-    ) -> float | None:
+    def _suspected(self, present: PresentScan) -> float | None:
         """Search for a heading slip that explains a scan; return it [rad] if small and confirmed, else None.
 
         Scan matching confirms a small slip. A slip of SMALL_RAD or more is stored as a suspicion, which the next
         scans test.
         """
-        turn = slip_turn(scan, lines, belief, again)
+        turn = slip_turn(present)
         if turn is None:
             return None
         if abs(turn) >= SMALL_RAD:
             self._suspicion = Suspicion(turn)
             return None
-        step = slipped()
+        step = present.slipped()
         return turn if step is not None and agree(float(step[2]), turn) else None
 
-    def _test_suspicion(
-        self,
-        suspicion: Suspicion,
-        scan: Scan,
-        kept: float,
-        lines: LineMap,
-        belief: JointBelief,
-        again: Again,
-        slipped: Slipped,
-    ) -> float | None:
+    def _test_suspicion(self, suspicion: Suspicion, present: PresentScan, kept: float) -> float | None:
         """Match a scan at both headings of a suspected slip; return the slip [rad] once enough scans confirm it.
 
         Scan matching measures the turn without the map. If it succeeds, the slip by the map must agree with it.
         """
-        suspicion.add(kept, with_slip(belief, suspicion.turn, again).share())
+        suspicion.add(kept, with_slip(present, suspicion.turn).share())
         if not suspicion.decided:
             return None
-        step = slipped()
+        step = present.slipped()
         self._suspicion, by_scans = None, None if step is None else float(step[2])
         if by_scans is not None and abs(by_scans) < SLIP_SIGMA_RAD:
             return None
-        turns = [turn for turn in (suspicion.turn, slip_turn(scan, lines, belief, again)) if turn is not None]
+        turns = [turn for turn in (suspicion.turn, slip_turn(present)) if turn is not None]
         if by_scans is not None:
             turns = [by_scans, *(turn for turn in turns if agree(by_scans, turn))]
-        shares = [with_slip(belief, turn, again).share() for turn in turns]
+        shares = [with_slip(present, turn).share() for turn in turns]
         best = int(np.argmax(shares))
         return turns[best] if suspicion.confirmed(shares[best] - kept, by_scans is not None) else None
 
-    def _is_usable(
-        self, before: Sequence[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief
-    ) -> bool:
+    def _is_usable(self, before: Sequence[Seen], now: Seen, share: float, present: PresentScan) -> bool:
         """Return whether a scan with few matches may correct pose and map; repeated disagreement sets `lost`."""
-        t, _, scan = now
-        if _view(scan) < MIN_VIEW_RAD:  # a doorway or clutter: too few walls to contradict the map
+        if _view(present.scan) < MIN_VIEW_RAD:  # a doorway or clutter: too few walls to contradict the map
             return not self._jumped
         if self._jumped:
             self._jumped = not continues(self._before_jump, now)
         elif share < SLIP_MAX_SHARE and _walls_jumped(before, now):
             self._jumped, self._before_jump = True, before
         if self._jumped:
-            return self._disagree(t, lines, belief)
-        if share >= AGREEING_SHARE or not _sees_through(scan, lines, belief):
+            return self._disagree(present)
+        if share >= AGREEING_SHARE or not _sees_through(present):
             self._since = None
             return True
-        return self._disagree(t, lines, belief)
+        return self._disagree(present)
 
-    def _lose(self, since: float, lines: LineMap, belief: JointBelief) -> None:
+    def _lose(self, since: float, present: PresentScan) -> None:
         """Mark the robot as lost since the last good scan; drop the map lines added after this scan."""
-        well, _ = self._good
+        belief, (well, first_line) = present.belief, self._good
         self._lost_from = max(min(since, well), since - MAX_BACKDATE_S)
         if self._intervals and self._lost_from <= self._intervals[-1][1]:  # the last relocalisation was wrong
             self._lost_from = min(self._lost_from, self._intervals.pop()[0])
         belief.lost, self._suspicion = True, None
-        _forget_since(self._good[1], lines, belief)
+        _forget_since(first_line, present)
         self._trail.forget()
         self._tried = 0
-        belief.place((belief.x, belief.y, belief.theta), LOST_SIGMA_M**2, math.pi**2 / 3.0)
+        belief.place(belief.pose(), LOST_SIGMA_M**2, math.pi**2 / 3.0)
 
     def _by_wheels(self, here: Pose) -> Pose:
         """Return the robot's pose by wheel odometry alone, without the corrections by scans.
@@ -342,35 +311,34 @@ class Guard:
         self._jumped = False
         belief.lost = False
 
-    def _disagree(self, t: float, lines: LineMap, belief: JointBelief) -> bool:
+    def _disagree(self, present: PresentScan) -> bool:
         if self._since is None:
-            self._since, self._scans = t, 0
+            self._since, self._scans = present.t, 0
         self._scans += 1
-        if t - self._since >= MIN_DISAGREEMENT_S and self._scans >= MIN_DISAGREEMENT_SCANS:
-            self._lose(self._since, lines, belief)
+        if present.t - self._since >= MIN_DISAGREEMENT_S and self._scans >= MIN_DISAGREEMENT_SCANS:
+            self._lose(self._since, present)
         return False
 
-    def _search(
-        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, again: Again
-    ) -> tuple[Association, bool]:
-        if not self._trail.note(np.array([belief.x, belief.y, belief.theta]), scan):
+    def _search(self, present: PresentScan, found: Association) -> tuple[Association, bool]:
+        belief = present.belief
+        if not self._trail.note(np.array(belief.pose()), present.scan):
             return found, False  # the robot has not moved since the last search
         self._tried += 1
-        pose = find_pose(scan, lines, belief, self._trail)
+        pose = find_pose(present.scan, present.lines, belief, self._trail)
         if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
             return found, False
         before = in_map(belief)
         belief.place(pose, PLACED_SIGMA_M**2, PLACED_SIGMA_RAD**2)
-        self._jumps.append(jump(t, RELOCALISED, before, in_map(belief)))
-        self._found(t, belief)
-        return again(), True
+        self._jumps.append(jump(present.t, RELOCALISED, before, in_map(belief)))
+        self._found(present.t, belief)
+        return present.again(), True
 
     def _confirmed(self, pose: Pose, belief: JointBelief) -> bool:
         """Return whether enough consecutive scans, connected by wheel odometry, agree on the found pose.
 
         A scan of a few walls fits somewhere by chance; several scans from different positions rarely do.
         """
-        here = np.array([belief.x, belief.y, belief.theta])
+        here = np.array(belief.pose())
         if self._place is not None:
             there, place, times = self._place
             off = np.array(pose) - se2.compose(np.array(place), se2.between(there, here))
@@ -406,11 +374,11 @@ class Guard:
         return words
 
 
-def _forget_since(first: int, lines: LineMap, belief: JointBelief) -> None:
+def _forget_since(first: int, present: PresentScan) -> None:
     """Remove the map lines with ids >= `first` from map and state, unless no line would remain."""
-    gone = np.flatnonzero(lines.ids >= first)
-    if len(gone) < len(lines):
-        belief.remove(lines.drop(gone))
+    gone = np.flatnonzero(present.lines.ids >= first)
+    if len(gone) < len(present.lines):
+        present.belief.remove(present.lines.drop(gone))
 
 
 def in_map(belief: JointBelief) -> Array:
@@ -446,12 +414,13 @@ def _view(scan: Scan) -> float:
     return float((bearings[:, 1] - bearings[:, 0]).sum())
 
 
-def _sees_through(scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
+def _sees_through(present: PresentScan) -> bool:
     """Return whether much of a scan, and several of its walls, lie behind known walls.
 
     A single wall may be seen through an open door of a known wall. Unknown areas do not contradict a scan.
     """
-    behind = behind_walls(scan, walls_of(lines, lines.values(belief)), belief.pose())
+    scan, walls = present.scan, walls_of(present.lines, present.lines.values(present.belief))
+    behind = behind_walls(scan, walls, present.belief.pose())
     length = scan.ends[:, 1] - scan.ends[:, 0]
     return bool(
         (behind * length).sum() >= MIN_THROUGH_SHARE * length.sum() and (behind > 0.5).sum() >= MIN_WALLS_BEHIND

@@ -16,6 +16,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import numpy as np
 
@@ -117,6 +118,18 @@ def _subsampled(slips: Array) -> Array:
 
 
 Seen = tuple[float, Pose, Scan]  # time [s], pose by wheel odometry alone, scan
+
+
+class PresentScan(NamedTuple):
+    """A scan that is compared with the map, and what can be tried with it."""
+
+    t: float  # s
+    scan: Scan  # in the base frame
+    lines: LineMap
+    belief: JointBelief
+    again: Callable[[], Association]  # associates the scan with the present belief
+    # (3,) m, m, rad: motion by scan matching minus that by wheel odometry; None: not known
+    slipped: Callable[[], Array | None]
 
 
 class Series:
@@ -229,26 +242,25 @@ def continues(
     return any(expected_share(scan, old, step, slip) >= share for old, step in steps)
 
 
-def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[], Association]) -> float | None:
+def slip_turn(present: PresentScan) -> float | None:
     """Return the heading change [rad] with which most of the scan matches the map; None without one.
 
-    Each heading is tried with the full data association, on the shifted belief. `again` associates the scan with
-    the present belief.
+    Each heading is tried with the full data association, on the shifted belief.
     """
-    recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT_SCANS)
+    recent = np.flatnonzero(present.lines.seen.max(initial=0) - present.lines.seen <= RECENT_SCANS)
     least, found = MIN_SLIP_SHARE, None
-    for turn in _turns(scan, lines, recent, belief):
-        association = with_slip(belief, turn, again)
+    for turn in _turns(present.scan, present.lines, recent, present.belief):
+        association = with_slip(present, turn)
         share = association.share()
         if share >= least and association.matches() >= 2:
             least, found = share + 1e-9, turn
     return found
 
 
-def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]) -> Association:
-    """Return the association of the present scan after a heading change of `turn` [rad]."""
-    with tried(belief, (0.0, 0.0, turn), SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2):
-        return again()
+def with_slip(present: PresentScan, turn: float) -> Association:
+    """Return the association of the scan after a heading change of `turn` [rad]."""
+    with tried(present.belief, (0.0, 0.0, turn), SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2):
+        return present.again()
 
 
 @contextmanager

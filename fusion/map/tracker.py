@@ -58,6 +58,7 @@ from .line_map import (
 )
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, MapWithPath, find_closure, is_unknown
 from .scan import LineReader, Scan, Standing
+from .slips import PresentScan
 from .small_maps import (
     FrozenMap,
     begin_submap,
@@ -181,9 +182,8 @@ class LineTracker(Model):
         if self.guard is not None:
             again = partial(associate, rows, self.map, belief, found, shared)
             slipped = partial(beyond_wheels, m, self._fitted, i)
-            found, self._usable = self.guard.watch(
-                self._t[i], scan, share, found, self.map, belief, again, slipped
-            )
+            present = PresentScan(self._t[i], scan, self.map, belief, again, slipped)
+            found, self._usable = self.guard.watch(present, share, found)
         if not self._usable:
             self._standing.forget()
             return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]

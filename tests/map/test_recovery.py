@@ -24,6 +24,7 @@ from locfuse.fusion.map.slips import (
     DECIDING_SCANS,
     MIN_GAIN,
     SURE_GAIN,
+    PresentScan,
     RecentScans,
     Slide,
     Suspicion,
@@ -220,7 +221,7 @@ def test_a_scan_that_fits_ends_a_slip_ahead(monkeypatch: pytest.MonkeyPatch) -> 
     slide.add(np.array([0.1, 0.0, 0.0]), 4)
     asked: Any = (lines, belief, pytest.fail, pytest.fail)
     found = Association.__new__(Association)
-    assert guard.watch(0.1, scan, 1.0, found, *asked) == (found, True)
+    assert guard.watch(PresentScan(0.1, scan, *asked), 1.0, found) == (found, True)
     assert not slide.begun
 
 

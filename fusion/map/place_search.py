@@ -31,7 +31,7 @@ from .anchors import Anchors
 from .line_map import MIN_HITS, LineMap
 from .scan import Scan
 from .slips import RecentScans
-from .small_maps import as_scan
+from .small_maps import FrozenMap, as_scan
 from .way import Way
 
 MIN_SKEW_RAD = math.radians(25.0)  # least angle between two walls that determine a pose
@@ -252,19 +252,12 @@ class Closure(NamedTuple):
     walls: int  # number of matched walls
 
 
-class MapWithPath(NamedTuple):
-    """Lines and path of a submap, in its own frame."""
-
-    lines: LineMap  # no line is a state
-    way: Way
-
-
-def find_closure(there: MapWithPath, here: MapWithPath, expected: Array, P: Array) -> Closure | None:
+def find_closure(there: FrozenMap, here: FrozenMap, expected: Array, P: Array) -> Closure | None:
     """Return the pose of submap `here` in submap `there`; None if no pose or several match.
 
     `expected` (3,) is the expected pose with covariance P (3, 3).
     """
-    scan = as_scan(here.lines, MIN_HITS)
+    scan = as_scan(here.lines)
     known = np.flatnonzero(there.lines.hits >= MIN_HITS)
     if min(len(scan.z), len(known)) < MAP_MIN_WALLS:
         return None
@@ -314,7 +307,7 @@ def rival_spread(rivals: Array) -> Array:
     return P
 
 
-def contradicted(there: MapWithPath, here: MapWithPath, pose: Array) -> bool:
+def contradicted(there: FrozenMap, here: FrozenMap, pose: Array) -> bool:
     """Return whether scans of one submap see through walls of the other, more than through walls of their own.
 
     Map walls extend over their doors, so scans see through all walls a little.
@@ -333,9 +326,7 @@ def _mean_occluded(way: Way, frame: Array, walls: Array) -> float:
     return float(np.mean(list(seen)))
 
 
-def _refined(
-    pose: Array, scan: Scan, there: MapWithPath, known: Ints, expected: Array, P: Array
-) -> Closure | None:
+def _refined(pose: Array, scan: Scan, there: FrozenMap, known: Ints, expected: Array, P: Array) -> Closure | None:
     """Refine the pose of a scan in a map: Gauss-Newton over pairs of equal walls, with a prior."""
     prior = np.linalg.inv(P + np.diag((1e-6, 1e-6, 1e-8)))
     x = pose.copy()
@@ -353,7 +344,7 @@ def _refined(
 
 
 def _same_walls(
-    x: Array, scan: Scan, there: MapWithPath, known: Ints, near: float, turned: float
+    x: Array, scan: Scan, there: FrozenMap, known: Ints, near: float, turned: float
 ) -> tuple[Array, Array, Array, Array]:
     """Return Jacobian (2p, 3) by the pose x, residuals and weights (2p,) of p walls seen in scan and map.
 

@@ -15,7 +15,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 
-from .line_map import COLUMN_NAMES, LineMap
+from .line_map import COLUMN_NAMES, MIN_HITS, LineMap
 from .scan import Scan
 from .way import Way
 
@@ -93,11 +93,13 @@ class FrozenMap(NamedTuple):
     joint: Array  # (2J, 2J) joint covariance of (rho, beta), line by line
 
 
-def frozen(lines: LineMap, belief: JointBelief) -> LineMap:
-    """Return a copy of the lines with their present values and covariances, independent of the belief."""
+def frozen(anchor: int, lines: LineMap, way: Way, origin: Array, belief: JointBelief) -> FrozenMap:
+    """Return a copy of the present submap with its present values and covariances, independent of the belief."""
     own = {name: getattr(lines, name).copy() for name in COLUMN_NAMES if name != "P"}
     own |= {"column": np.full(len(lines), -1, np.int64), "value": np.array(lines.values(belief))}
-    return LineMap(**own, next_id=lines.next_id, P=np.array(lines.covariances(belief)))
+    kept = LineMap(**own, next_id=lines.next_id, P=np.array(lines.covariances(belief)))
+    at = lines.states(np.s_[:])
+    return FrozenMap(anchor, kept, way, _box_of(kept, way), origin, belief.covariance[np.ix_(at, at)])
 
 
 def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
@@ -107,35 +109,22 @@ def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
     lines.column = first_column + 2 * np.arange(len(kept))
 
 
-def joint_covariance(lines: LineMap, belief: JointBelief) -> Array:
-    """Return the joint covariance (2J, 2J) of (rho, beta) of all lines."""
-    at = lines.states(np.s_[:])
-    P: Array = belief.covariance[np.ix_(at, at)]
-    return P
-
-
-def box_of(lines: LineMap, way: Way) -> tuple[Array, Array]:
-    """Return the least and the greatest x, y [m] of lines and path, (2,) each."""
-    points = np.vstack(
-        (ends_of(lines, lines.value).reshape(-1, 2), *[sight.pose[None, :2] for sight in way.sights])
-    )
+def _box_of(lines: LineMap, way: Way) -> tuple[Array, Array]:
+    """Return the least and the greatest x, y [m] of frozen lines and a path, (2,) each."""
+    rho, beta = lines.value[:, :1], lines.value[:, 1]
+    n = np.stack((np.cos(beta), np.sin(beta)), axis=-1)
+    tangent, foot = np.stack((-n[:, 1], n[:, 0]), axis=-1), lines.anchor + rho * n
+    ends = (foot + extent[:, None] * tangent for extent in (lines.lo, lines.hi))
+    points = np.vstack((*ends, *(sight.pose[None, :2] for sight in way.sights)))
     return points.min(axis=0), points.max(axis=0)
 
 
-def ends_of(lines: LineMap, values: Array) -> Array:
-    """Return both end points of every line, (J, 2, 2) [m]; values (J, 2) are (rho, beta) about the anchors."""
-    n = np.stack((np.cos(values[:, 1]), np.sin(values[:, 1])), axis=-1)
-    tangent = np.stack((-n[:, 1], n[:, 0]), axis=-1)
-    foot = lines.anchor + values[:, :1] * n
-    return np.stack((foot + lines.lo[:, None] * tangent, foot + lines.hi[:, None] * tangent), axis=1)
-
-
-def as_scan(lines: LineMap, least_hits: int) -> Scan:
+def as_scan(lines: LineMap) -> Scan:
     """Convert frozen lines to a scan taken at the origin of their frame.
 
-    Only lines seen at least `least_hits` times are used; (r, psi) of the scan is (rho, beta) about the origin.
+    Only lines seen at least MIN_HITS times are used; (r, psi) of the scan is (rho, beta) about the origin.
     """
-    at, values, P = np.flatnonzero(lines.hits >= least_hits), lines.value, lines.P
+    at, values, P = np.flatnonzero(lines.hits >= MIN_HITS), lines.value, lines.P
     c, s = np.cos(values[at, 1]), np.sin(values[at, 1])
     ax, ay = lines.anchor[at].T
     along = ay * c - ax * s

@@ -56,16 +56,14 @@ from .line_map import (
     prune,
     seat_of,
 )
-from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, MapWithPath, find_closure, is_unknown
+from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, find_closure, is_unknown
 from .scan import LineReader, Scan, Standing
 from .slips import PresentScan
 from .small_maps import (
     FrozenMap,
     begin_submap,
-    box_of,
     frozen,
     heading_among,
-    joint_covariance,
     shared_walls,
     thaw,
 )
@@ -388,10 +386,7 @@ class AtlasTracker(LineTracker):
         `connected`: the next submap begins at the robot's pose and shares walls with this one.
         """
         self._add_absolute_edge(belief)
-        lines = frozen(self.map, belief)
-        box = box_of(lines, self._way)
-        joint = joint_covariance(self.map, belief)
-        self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
+        self._frozen.append(frozen(self._at, self.map, self._way, self._origin, belief))
         if connected:
             belief.loosen(np.arange(3), ADDED_P_SHARE * np.diagonal(belief.matrix()) + MIN_ADDED_VARIANCES)
             if self._along is not None:
@@ -502,10 +497,10 @@ class AtlasTracker(LineTracker):
 
     def _search(self, t: float, belief: JointBelief) -> None:
         """Search for the present submap in the frozen ones, and close loops."""
-        here = MapWithPath(frozen(self.map, belief), self._way)
+        here = frozen(self._at, self.map, self._way, self._origin, belief)
         at, beside = self._at, self._anchors.beside(self._at)
         known = {e.of if e.to == at else e.to for e in self._loops if at in (e.of, e.to)}
-        low, high = box_of(here.lines, here.way)
+        low, high = here.box
         corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
         for old in self._frozen:
             k = old.anchor
@@ -519,7 +514,7 @@ class AtlasTracker(LineTracker):
             there = se2.transform(expected, corners)
             if (there.min(axis=0) > old.box[1] + slack).any() or (there.max(axis=0) < old.box[0] - slack).any():
                 continue
-            found = find_closure(MapWithPath(old.lines, old.way), here, expected, P)
+            found = find_closure(old, here, expected, P)
             if self._looks.add(k, found, unknown, self._anchors):
                 assert found is not None
                 self._close(t, old, at, found, belief)

@@ -16,8 +16,8 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.map.anchors import Anchors, Edge, inverted
 from locfuse.fusion.map.line_map import LineMap
-from locfuse.fusion.map.place_search import MapWithPath, find_closure, rival_spread
-from locfuse.fusion.map.small_maps import begin_submap, heading_among, shared_walls
+from locfuse.fusion.map.place_search import find_closure, rival_spread
+from locfuse.fusion.map.small_maps import FrozenMap, begin_submap, heading_among, shared_walls
 from locfuse.fusion.map.way import Way
 from locfuse.fusion.scan_matching.solve import NOWHERE
 
@@ -181,7 +181,7 @@ def test_the_heading_among_walls_is_what_is_left_of_it_once_they_are_given() -> 
 SIGMA = np.diag(np.square((0.02, math.radians(0.3))))
 
 
-def map_of(walls: Array, frame: Array) -> MapWithPath:
+def map_of(walls: Array, frame: Array) -> FrozenMap:
     """Walls (k, 4) as a map seen from `frame` (3,), every one from the left of its direction."""
     lines = LineMap()
     back = se2.inverse(frame)
@@ -192,7 +192,7 @@ def map_of(walls: Array, frame: Array) -> MapWithPath:
         beta = math.atan2(along[1], along[0]) - math.pi / 2
         lines.append(middle, np.array([0.0, beta]), SIGMA, -1, (-half, half), 0)
     lines.hits = np.full(len(walls), 20)
-    return MapWithPath(lines, Way())
+    return FrozenMap(0, lines, Way(), (np.zeros(2), np.zeros(2)), np.zeros(3), np.zeros((0, 0)))
 
 
 def corridor(doors: float) -> Array:

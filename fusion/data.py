@@ -7,7 +7,7 @@ frames are REP-103 (x forward, y left, counter-clockwise).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
@@ -239,6 +239,10 @@ class Motions(msgspec.Struct, frozen=True):
     Q: Array  # (n, 3, 3) its covariance, in the frame of the interval's start
     J: Array  # (n, 3, p) du/d(wheel parameters), p = 0 where none are estimated
 
+    def corrected(self, wheels: Array | None) -> Array:
+        """Return the motions (n, 3) with corrections (p,) of the wheel parameters; None: without."""
+        return self.u if wheels is None else self.u + self.J @ wheels
+
 
 class Truth(msgspec.Struct, frozen=True):
     """Reference poses of the body frame or of a tracked body point."""
@@ -270,6 +274,20 @@ class Drive(msgspec.Struct, frozen=True):
     repairs: tuple[str, ...] = ()  # notes of the wheels, without the prefix "wheels: " that they have in `notes`
     # absent sensor -> settings that may make it usable
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def at_truth(
+        self, predict: Callable[[Ints, Motions], tuple[Array, Array]]
+    ) -> tuple[Array | None, Array | None]:
+        """Return poses (q, 3) and covariances (q, 3, 3) at the truth's stamps; NaN outside the drive.
+
+        `predict` computes them by the update times (q,) before the stamps and the motions from there.
+        """
+        if self.truth_motions is None or self.truth_instant is None:
+            return None, None
+        pose, P = predict(np.maximum(self.truth_instant, 0), self.truth_motions)
+        outside = self.truth_instant < 0
+        pose[outside], P[outside] = np.nan, np.nan
+        return pose, P
 
     def lacks(self, sensor: str) -> LocfuseError:
         """Return the error for a sensor that has no measurements in this drive."""
@@ -439,6 +457,20 @@ def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return (first, last) index of each run of consecutive true values in flags (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(flags, np.int8), [0]))))
     return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+
+
+def spaced(*series: tuple[Array, float]) -> Ints:
+    """Return the indices of chosen values: each differs from the one chosen before by a limit or more.
+
+    A series is (values (n,), limit); a difference in one of the series is enough. The first value is chosen.
+    """
+    limits = [limit for _, limit in series]
+    chosen, last = list[int](), tuple[float, ...]()
+    for k, now in enumerate(zip(*(values.tolist() for values, _ in series), strict=True)):
+        if not chosen or any(abs(a - b) >= limit for a, b, limit in zip(now, last, limits, strict=True)):
+            chosen.append(k)
+            last = now
+    return np.array(chosen, np.int64)
 
 
 def result_name(configuration: str, smoothed: bool) -> str:

@@ -23,7 +23,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Measurements, Motions, matrices
+from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, matrices
 from .progress import say_done
 from .robot import Robot
 from .sensor import GATE, Model, Reading
@@ -257,20 +257,18 @@ def _begin(robot: Robot, models: Sequence[Model]) -> JointBelief:
 def _at_truth(
     drive: Drive, pose: Array, triangles: Array, wheels: Array | None
 ) -> tuple[Array | None, Array | None]:
-    """Return poses (q, 3) and covariances (q, 3, 3), predicted at the truth's stamps; NaN outside the drive."""
-    if drive.truth_motions is None or drive.truth_instant is None:
-        return None, None
-    n, motions = len(drive.truth_instant), drive.truth_motions
-    out, spread = np.empty((n, 3)), np.empty((n, 3, 3))
-    for at in (slice(a, a + STAMPS_AT_ONCE) for a in range(0, n, STAMPS_AT_ONCE)):
-        k = np.maximum(drive.truth_instant[at], 0)
-        u = motions.u[at]
-        if wheels is not None:
-            u = u + np.einsum("nij,nj->ni", motions.J[at], wheels[k])
-        out[at], spread[at] = predicted(pose[k], matrices(triangles[k]), u, motions.Q[at])
-    outside = drive.truth_instant < 0
-    out[outside], spread[outside] = np.nan, np.nan
-    return out, spread
+    """Return poses (q, 3) and covariances (q, 3, 3), predicted at the truth's stamps (Drive.at_truth)."""
+
+    def predict(instant: Ints, motions: Motions) -> tuple[Array, Array]:
+        out, spread = np.empty((len(instant), 3)), np.empty((len(instant), 3, 3))
+        for at in (slice(a, a + STAMPS_AT_ONCE) for a in range(0, len(instant), STAMPS_AT_ONCE)):
+            k, u = instant[at], motions.u[at]
+            if wheels is not None:
+                u = u + np.einsum("nij,nj->ni", motions.J[at], wheels[k])
+            out[at], spread[at] = predicted(pose[k], matrices(triangles[k]), u, motions.Q[at])
+        return out, spread
+
+    return drive.at_truth(predict)
 
 
 def inflate(seen: Innovation, state: State) -> None:

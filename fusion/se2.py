@@ -132,6 +132,14 @@ def rotation(theta: Array) -> Array:
     return out
 
 
+def lever(x: Array, y: Array) -> Array:
+    """Return derivatives (..., 3, 3) of poses that move by x, y (...) [m] per radian of their heading."""
+    out = np.zeros((*np.shape(x), 3, 3))
+    out[..., (0, 1, 2), (0, 1, 2)] = 1.0
+    out[..., 0, 2], out[..., 1, 2] = x, y
+    return out
+
+
 def rotated(theta: Array, v: Array) -> Array:
     """Return vectors v (..., 2) rotated by angles theta (...) [rad]."""
     c, s = np.cos(theta), np.sin(theta)

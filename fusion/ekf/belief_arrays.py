@@ -19,6 +19,7 @@ from locfuse.fusion.kernels import ekf
 from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.sensor import Block, Equation, Reading, positive
 
+from .equations import eq6_noise
 from .events import (
     Added,
     Before,
@@ -33,7 +34,6 @@ from .events import (
     Source,
     Undone,
     by_others,
-    in_map,
     undone,
 )
 from .map_frame import Pose, Triangle, by_frame
@@ -156,8 +156,9 @@ class JointBelief(ekf.State):
         before, start = self._before(), self.pose()
         self.move(steps, k)
         Q, J = (np.array(part) for part in steps.noise_of(k))
-        noise = in_map(Q.reshape(3, 3), start[2])  # noise of the motion, in the map's axes
-        coupling = se2.rotation(np.array(start[2])) @ J.reshape(3, -1) if self.wheels >= 0 else None
+        W = se2.rotation(np.array(start[2]))
+        noise = eq6_noise(W, Q.reshape(3, 3))
+        coupling = W @ J.reshape(3, -1) if self.wheels >= 0 else None
         back = None
         if self.events.backward:
             rows = np.concatenate((POSE, *(columns for columns, _ in self._drift))).astype(np.int64)

@@ -32,11 +32,7 @@ def eq6_noise(W: Array, Q: Array) -> Array:
 
 def eq7_A(x: Array, x_next: Array) -> Array:
     """Eq. 7: derivative (..., 3, 3) of a later pose x_next (..., 3) by an earlier one x (..., 3)."""
-    A = np.zeros((*np.shape(x)[:-1], 3, 3))
-    A[..., 0, 0] = A[..., 1, 1] = A[..., 2, 2] = 1.0
-    A[..., 0, 2] = x[..., 1] - x_next[..., 1]
-    A[..., 1, 2] = x_next[..., 0] - x[..., 0]
-    return A
+    return se2.lever(x[..., 1] - x_next[..., 1], x_next[..., 0] - x[..., 0])
 
 
 def predicted(x: Array, P: Array, u: Array, Q: Array) -> tuple[Array, Array]:

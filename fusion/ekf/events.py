@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 
-from .equations import eq6_noise, eq7_A
+from .equations import eq7_A
 from .map_frame import Pose
 
 RIDGE_VARIANCE = 1e-12  # added to a covariance with unit diagonal; much smaller eigenvalues count as zero
@@ -206,8 +205,3 @@ def _solved(P: Array, B: Array) -> Array:
             break
         solved = solved + np.linalg.solve(ridged, rest)
     return np.asarray(scale[:, None] * solved, np.float64)
-
-
-def in_map(Q: Array, theta: float) -> Array:
-    """Convert a motion's covariance (3, 3) from the frame of its start to the map's axes."""
-    return eq6_noise(se2.rotation(np.array(theta)), Q)

@@ -72,7 +72,4 @@ def in_map_P(G: Array, q: Array, P: Array) -> Array:
 def by_frame(G: Array, q: Array) -> Array:
     """Return the derivative J_G = d(G o q)/dG, (n, 3, 3)."""
     r = se2.rotated(G[:, 2], q[:, :2])
-    J = np.zeros((len(G), 3, 3))
-    J[:] = np.eye(3)
-    J[:, 0, 2], J[:, 1, 2] = -r[:, 1], r[:, 0]
-    return J
+    return se2.lever(-r[:, 1], r[:, 0])

@@ -162,11 +162,8 @@ class PrintedFilter:
         """Return the estimates at the drive's update times and at the truth's stamps."""
         drive = self.drive
         pose, P = self.at(drive.t)
-        truth_pose = truth_P = None
-        if drive.truth is not None and drive.truth_instant is not None:
-            truth_pose, truth_P = self.at(drive.truth.t)
-            outside = drive.truth_instant < 0
-            truth_pose[outside], truth_P[outside] = np.nan, np.nan
+        truth = drive.truth
+        truth_pose, truth_P = (None, None) if truth is None else drive.at_truth(lambda *_: self.at(truth.t))
         lines = [line for part in self.parts.values() if isinstance(part, LineRows) for line in part.lines()]
         return Estimates(
             configuration=name,

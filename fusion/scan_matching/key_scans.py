@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, Measurements, Points
+from locfuse.fusion.data import Array, Ints, Measurements, Points, spaced
 
 from .clouds import Clouds, clouds_of
 from .match import Matches, Targets, match, sources_of
@@ -47,24 +47,11 @@ def key_scans(m: Measurements) -> KeyScans:
     return known
 
 
-def spaced(way: Array, heading: Array, stride: float, turn: float) -> Ints:
-    """Return the indices of key poses, each `stride` [m] of path or `turn` [rad] after the key pose before.
-
-    `way` [m] and `heading` [rad] are path length and heading at all poses, (n,) each.
-    """
-    chosen, last_way, last_heading = [], -np.inf, 0.0
-    for k, (s, theta) in enumerate(zip(way.tolist(), heading.tolist(), strict=True)):
-        if s - last_way >= stride or abs(theta - last_heading) >= turn:
-            chosen.append(k)
-            last_way, last_heading = s, theta
-    return np.array(chosen, dtype=np.int64)
-
-
 def _match_keys(m: Measurements, points: Points) -> KeyScans:
     u = points.moved(m.t[:-1], m.t[1:])
     way = np.append(0.0, np.cumsum(np.hypot(*u[:, :2].T)))
     heading = np.append(0.0, np.cumsum(u[:, 2]))
-    readings = spaced(way, heading, STRIDE_M, TURN_RAD)
+    readings = spaced((way, STRIDE_M), (heading, TURN_RAD))
     clouds = clouds_of(m, readings)
     targets, sources = Targets(clouds), sources_of(clouds)
     turned = np.append(0.0, np.cumsum(np.abs(u[:, 2])))

@@ -17,11 +17,11 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import CONFIDENCE, chi_square
 from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, stretches
+from locfuse.fusion.scan_matching.clouds import Columns
 
 from .motion import Wheels
 
@@ -131,7 +131,7 @@ class Sigma(NamedTuple):
     theta: float  # rad
 
 
-class Pieces(msgspec.Struct, frozen=True):
+class Pieces(Columns, frozen=True):
     """Straight or turning pieces of drives: errors of wheels against truth, derivatives and covariances."""
 
     kind: Ints  # (n,)
@@ -142,15 +142,6 @@ class Pieces(msgspec.Struct, frozen=True):
     Q_delta: Array  # (n, 3, 3) covariance per delta
     T: Array  # (n, 3, 3) covariance of the truth
     dof: Ints  # (n,) number of components of e that the truth measures
-
-    def take(self, keep: NDArray[np.bool_]) -> Pieces:
-        """Return the pieces selected by a mask (n,)."""
-        return Pieces(*(getattr(self, name)[keep] for name in self.__struct_fields__))
-
-    @classmethod
-    def joined(cls, parts: Sequence[Pieces]) -> Pieces:
-        """Return the pieces of several drives as one table."""
-        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in cls.__struct_fields__))
 
     @property
     def prior(self) -> Array:
@@ -190,7 +181,7 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
     # poses of an odometry: no wheels to correct
     sideways = any(drive.wheels.twist[:, 1].any() for drive in drives)
     for _ in range(1 if sideways else 3):  # Gauss-Newton: a track error of 10 % is not linear in the turn
-        found = Pieces.joined([find_pieces(drive, moved) for drive in drives])
+        found = Pieces.joined(*(find_pieces(drive, moved) for drive in drives))
         used = without_outliers(found)
         if len(used.e) < MIN_PIECES:
             raise LocfuseError(_too_few(len(used.e)), role="calibrate")

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.data import Array, Ints, LocfuseError, spaced
 
 from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE, Residuals
 from .motion import Wheels
@@ -122,10 +122,8 @@ class Intervals(msgspec.Struct, frozen=True):
         """Return covariances (n, 3, 3) of the motions `predicted` by parameters p (7,), for wheel noise of 1 m."""
         wheels = replace(corrected(self.motion.wheels, p[:3]), noise=1.0)
         found = wheels.between(self.t_from + p[6], self.t_to + p[6])
-        J = np.broadcast_to(np.eye(3), found.Q.shape).copy()
-        lever = se2.rotated(found.u[:, 2], np.broadcast_to(p[3:5], (len(J), 2)))
-        J[:, 0, 2], J[:, 1, 2] = -lever[:, 1], lever[:, 0]
-        J = se2.rotation(np.array(-p[5])) @ J
+        x, y = se2.rotated(found.u[:, 2], np.broadcast_to(p[3:5], (len(found.u), 2))).T
+        J = se2.rotation(np.array(-p[5])) @ se2.lever(-y, x)
         out: Array = J @ found.Q @ J.transpose(0, 2, 1)
         return out
 
@@ -245,16 +243,12 @@ def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
     return float(rest @ rest)
 
 
-def _cut(t: Array, pose: Array) -> tuple[Array, Array]:
+def _cut(t: Array, pose: Array) -> tuple[Ints, Ints]:
     """Return the indices of the first and the last scan of every interval, (n,) each."""
-    cuts, at = [0], 0
     way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
     turn = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(pose[:, 2])))))
-    for k in range(1, len(t)):
-        if way[k] - way[at] >= WAY_M or turn[k] - turn[at] >= TURN_RAD or t[k] - t[at] >= SPAN_S:
-            cuts.append(k)
-            at = k
-    return np.array(cuts[:-1], np.int64), np.array(cuts[1:], np.int64)
+    cuts = spaced((way, WAY_M), (turn, TURN_RAD), (t, SPAN_S))
+    return cuts[:-1], cuts[1:]
 
 
 def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:

@@ -222,12 +222,7 @@ def silences(t: Array, rolled: Array, turn: Array) -> Array:
 
 def dead_reckoning(twist: Array) -> Array:
     """Paper eq. 3 with exact arcs: poses (n+1, 3) after body twists (n, 3), from (0, 0, 0)."""
-    theta = np.concatenate(([0.0], np.cumsum(twist[:, 2])))
-    step = se2.exp(twist)
-    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
-    x = np.cumsum(c * step[:, 0] - s * step[:, 1])
-    y = np.cumsum(s * step[:, 0] + c * step[:, 1])
-    return np.column_stack((np.append(0.0, x), np.append(0.0, y), theta))
+    return se2.chain(se2.exp(twist))
 
 
 # ---- share of a sensor's readings that a motion explains ----

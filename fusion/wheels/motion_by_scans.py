@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, LocfuseError, Stream
+from locfuse.fusion.data import Array, Ints, LocfuseError, Stream, spaced
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, left_out
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser, equal_scans, points_in_base
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
@@ -146,7 +146,7 @@ def _block(scans: ThinnedScans, rows: Ints, velocity: Velocity, way: _Way) -> tu
         return _predict(velocity, scans.t[rows], way, rows)
     targets, sources = Targets(clouds), sources_of(clouds)
     t = scans.t[rows]
-    ends = _spaced(t)
+    ends = np.union1d(spaced((t, MIN_PAIR_S)), len(t) - 1)
     dt = np.diff(t[ends])
     velocities, spread, fits = _match_in_sequence(targets, sources, ends, dt, velocity)
     twists = np.stack([v.v for v in velocities])
@@ -160,15 +160,6 @@ def _block(scans: ThinnedScans, rows: Ints, velocity: Velocity, way: _Way) -> tu
     way.blind[rows[1:]] = np.logical_not(fits)[pair]
     last = int(key[-1])
     return velocities[pair[last - 1]], (last or len(rows) - 1)
-
-
-def _spaced(t: Array) -> Ints:
-    """Return indices of the first and last scan and, between them, of scans MIN_PAIR_S [s] apart or more."""
-    chosen = [0]
-    for k in range(1, len(t)):
-        if k == len(t) - 1 or t[k] - t[chosen[-1]] >= MIN_PAIR_S:
-            chosen.append(k)
-    return np.array(chosen)
 
 
 def _predict(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velocity, int]:

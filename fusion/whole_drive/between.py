@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, Measurements
+from locfuse.fusion.data import Array, Drive, Ints, Measurements, spaced
 from locfuse.fusion.scan_matching.clouds import Clouds, Columns, clouds_of, merged
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import good
@@ -128,9 +128,7 @@ def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: A
     P_a = P[a]
     P_b = by_lever(P[b], arm[:, 1], -arm[:, 0])
     cross = after[np.minimum(a, max(len(after) - 1, 0))] if len(after) else np.zeros_like(P_a)
-    L = np.broadcast_to(np.eye(3), cross.shape).copy()
-    L[:, 0, 2], L[:, 1, 2] = arm[:, 1], -arm[:, 0]
-    cross = cross @ L.transpose(0, 2, 1)
+    cross = cross @ se2.lever(arm[:, 1], -arm[:, 0]).transpose(0, 2, 1)
     only_one = (a == b)[:, None, None]
     cross = np.where(only_one, P_a, cross)
     turn = se2.rotation(x[a, 2])
@@ -184,12 +182,8 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
     after = np.searchsorted(t, t[instants] + REST_S, side="right") - 1
     moved = (way[after] > way[before]) | (turned[after] > turned[before])
     moved[readings], moved[: readings[0]], moved[readings[-1] :] = False, False, False
-    chosen, last = [], -np.inf
-    for i in np.flatnonzero(moved).tolist():
-        if t[instants[i]] - last >= GAP_S:
-            chosen.append(i)
-            last = t[instants[i]]
-    return np.array(chosen, dtype=np.int64)
+    chosen = np.flatnonzero(moved)
+    return chosen[spaced((t[instants[chosen]], GAP_S))]
 
 
 def points_of(m: Measurements, chosen: Ints) -> Clouds:
@@ -231,8 +225,7 @@ def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
     """
     xi = se2.compose(found.alone, se2.inverse(u))
     xi[:, 2] = guess[:, 2] + se2.wrap_all(xi[:, 2] - guess[:, 2])
-    L = np.broadcast_to(np.eye(3), (len(u), 3, 3)).copy()
-    L[:, 0, 2], L[:, 1, 2] = -u[:, 1], u[:, 0]
+    L = se2.lever(-u[:, 1], u[:, 0])
     return xi, np.where(good(found)[:, None, None], L.transpose(0, 2, 1) @ found.information @ L, 0.0)
 
 

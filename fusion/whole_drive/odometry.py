@@ -51,7 +51,7 @@ class Odometry(msgspec.Struct, frozen=True):
 
         `wheels` are corrections of the wheel parameters, None without.
         """
-        u = motions.u if wheels is None else motions.u + motions.J @ wheels
+        u = motions.corrected(wheels)
         pose = se2.compose(self.pose[k], u)
         Q = motions.Q if self.left_out is None else motions.Q + evenly(u, self.left_out)
         return Odometry(pose, self.C[k] + at_origin(self.pose[k], u, Q), self.left_out)
@@ -67,17 +67,9 @@ def odometry_of(drive: Drive, lag: float = 0.0, wheels: Array | None = None) -> 
     if lag:
         t = np.clip(drive.t + lag, drive.wheels.t[0], drive.wheels.t[-1])
         motions = drive.wheels.between(np.append(t[:1], t[:-1]), t, motions.J.shape[2] > 0)
-    u = motions.u if wheels is None else motions.u + motions.J @ wheels
-    pose = dead_reckoned(u)
-    before = np.concatenate((pose[:1], pose[:-1]))
-    return Odometry(pose, np.cumsum(at_origin(before, u, motions.Q), axis=0))
-
-
-def dead_reckoned(u: Array) -> Array:
-    """Return the poses (n, 3) after consecutive motions u (n, 3) that start at (0, 0, 0)."""
-    theta = np.cumsum(u[:, 2])
-    step = se2.rotated(np.append(0.0, theta[:-1]), u[:, :2])
-    return np.column_stack((np.cumsum(step, axis=0), theta))
+    u = motions.corrected(wheels)
+    pose = se2.chain(u)
+    return Odometry(pose[1:], np.cumsum(at_origin(pose[:-1], u, motions.Q), axis=0))
 
 
 def evenly(u: Array, variances: Array) -> Array:
@@ -106,7 +98,6 @@ def moved(C: Array, frame: Array) -> Array:
 
 def by_lever(C: Array, x: Array, y: Array) -> Array:
     """Return covariances C (n, 3, 3) after adding the heading error times x (n,), y (n,) [m] to x and y."""
-    L = np.broadcast_to(np.eye(3), C.shape).copy()
-    L[:, 0, 2], L[:, 1, 2] = x, y
+    L = se2.lever(x, y)
     out: Array = L @ C @ L.transpose(0, 2, 1)
     return out

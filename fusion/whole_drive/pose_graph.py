@@ -16,11 +16,10 @@ from msgspec.structs import replace
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.checks.lag import worth_saying
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements, spaced
 from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
-from locfuse.fusion.scan_matching.key_scans import spaced
 from locfuse.fusion.scan_matching.match import Targets, sources_of
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
 from locfuse.fusion.wheels.states import WHEELS
@@ -80,14 +79,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     def at_truth(self) -> tuple[Array | None, Array | None]:
         """Return pose (q, 3) and covariance (q, 3, 3) at the stamps of the ground truth; NaN outside the drive."""
-        drive = self.drive
-        if drive.truth_motions is None or drive.truth_instant is None:
-            return None, None
-        k = np.maximum(drive.truth_instant, 0)
-        pose, P = self._between(self.odometry.grown(k, drive.truth_motions, self.wheels), k)
-        outside = drive.truth_instant < 0
-        pose[outside], P[outside] = np.nan, np.nan
-        return pose, P
+        return self.drive.at_truth(lambda k, u: self._between(self.odometry.grown(k, u, self.wheels), k))
 
     def _between(self, stamps: Odometry, k: Ints) -> tuple[Array, Array]:
         return bridged(self.odometry, stamps, k, *self._from_start)
@@ -190,7 +182,7 @@ def whole_drive(
     wheels = None if estimated is None else estimated[-1]
     odometry = odometry_of(drive, lag, wheels)
     driven, headings = odometry.way()[drive.instant[LASER]], odometry.pose[drive.instant[LASER], 2]
-    readings = spaced(driven, headings, KEY_WAY_M, KEY_TURN_RAD)
+    readings = spaced((driven, KEY_WAY_M), (headings, KEY_TURN_RAD))
     if len(readings) < MIN_KEYS:
         return None
     keys = drive.instant[LASER][readings]
@@ -320,7 +312,7 @@ class GraphStart(msgspec.Struct, frozen=True):
         u, C = odometry.between(np.array([0]), np.array([key]))
         at_key = se2.compose(pose, u[0])
         turn, (x, y) = se2.rotation(pose[2]), at_key[:2] - pose[:2]
-        F = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        F = se2.lever(-y, x)
         P_at_key: Array = F @ P @ F.T + turn @ by_lever(C, -u[:, 1], u[:, 0])[0] @ turn.T
         return cls(pose, P, at_key, P_at_key, P @ F.T)
 

@@ -12,12 +12,13 @@ the map modes "first-scan" and "consider".
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, UsageError, upper_triangles
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Motions, UsageError, upper_triangles
 from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
 from locfuse.fusion.ekf.events import (
     Added,
@@ -118,8 +119,7 @@ def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
     """Run the backward pass over the recorded `events` of a filter run; map and audits stay the filter's."""
     back = Backward(drive, filtered, events)
     back.run(events)
-    wheels = back.blocks.get(WHEELS)
-    truth_pose, truth_P = between_instants(drive, events, back, None if wheels is None else wheels[-1])
+    truth_pose, truth_P = drive.at_truth(partial(between_instants, drive, events, back))
     return replace(
         filtered,
         pose=back.pose,
@@ -235,29 +235,26 @@ class Backward:
 
 
 def between_instants(
-    drive: Drive, events: Events, back: Backward, wheels: Array | None
-) -> tuple[Array | None, Array | None]:
-    """Return smoothed poses (q, 3) and covariances (q, 3, 3) at the truth's stamps; NaN outside the drive.
+    drive: Drive, events: Events, back: Backward, k: Ints, motions: Motions
+) -> tuple[Array, Array]:
+    """Return smoothed poses (q, 3) and covariances (q, 3, 3) after motions (q) from the update times k (q,).
 
     Between two update times the odometry error is interpolated (a Brownian bridge): the motion up to the stamp
     gets the share of the error of the whole interval that its noise has. All is linearised in the local frame
     about the filter's poses: sideways the noise is micrometres, less than the error of another linearisation. Then
     the result is converted to the map frame.
     """
-    if drive.truth_motions is None or drive.truth_instant is None:
-        return None, None
-    k = np.maximum(drive.truth_instant, 0)
     after = np.minimum(k + 1, len(drive.t) - 1)
-    u, v = drive.truth_motions.u, drive.motions.u[after]
-    if wheels is not None:  # (3,) wheel states; their variance is negligible over a part of an interval
-        u, v = u + drive.truth_motions.J @ wheels, v + drive.motions.J[after] @ wheels
+    states = back.blocks.get(WHEELS)
+    wheels = None if states is None else states[-1]  # their variance is negligible over a part of an interval
+    u, v = motions.corrected(wheels), drive.motions.corrected(wheels)[after]
     assert events.final is not None
     starts = [event.start for event in events.list if isinstance(event, Moved)]
     start = np.array([*starts[1:], events.final.x[:3]])[k]  # start of every motion, and the end of the last
     at, end = eq5_x(start, u), eq5_x(start, v)
     to_at, to_end, on = eq7_A(start, at), eq7_A(start, end), eq7_A(at, end)
     turn = se2.rotation(start[:, 2])
-    Q = eq6_noise(turn, drive.truth_motions.Q)
+    Q = eq6_noise(turn, motions.Q)
     whole = eq6_noise(turn, drive.motions.Q[after])
     share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=MIN_EIGENVALUE_SHARE, hermitian=True)
     share[k == after] = 0.0
@@ -270,10 +267,7 @@ def between_instants(
     own += share @ back.arrived_P[after, :, :3] @ share.transpose(0, 2, 1)
     own += cross + cross.transpose(0, 2, 1) + Q - share @ on @ Q
     P[:, :3, :3], P[:, :3, 3:], P[:, 3:, :3] = own, to_frame, to_frame.transpose(0, 2, 1)
-    placed, P = se2.compose(back.frame[k], out), in_map_P(back.frame[k], out, P)
-    outside = drive.truth_instant < 0
-    placed[outside], P[outside] = np.nan, np.nan
-    return placed, P
+    return se2.compose(back.frame[k], out), in_map_P(back.frame[k], out, P)
 
 
 def _apply(M: Array, x: Array) -> Array:

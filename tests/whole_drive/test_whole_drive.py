@@ -14,12 +14,11 @@ from rows import readings
 
 import locfuse
 from locfuse.fusion import se2
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Ints, UsageError
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Ints, UsageError, spaced
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
-from locfuse.fusion.scan_matching.key_scans import spaced
 from locfuse.fusion.sensors.compass import CompassSettings
 from locfuse.fusion.sensors.gps import GpsSettings
 from locfuse.fusion.whole_drive import between, closures
@@ -234,7 +233,7 @@ def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() 
     drive, truth = ring_drive(3)
     odometry = odometry_of(drive)
     scans = drive.instant["lrf"]
-    readings = spaced(odometry.way()[scans], odometry.pose[scans, 2], KEY_WAY_M, KEY_TURN_RAD)
+    readings = spaced((odometry.way()[scans], KEY_WAY_M), (odometry.pose[scans, 2], KEY_TURN_RAD))
     keys = drive.instant["lrf"][readings]
     slip = np.zeros_like(odometry.pose)
     for k in keys[20:60:4] + 2:  # 6 degrees at once, just behind ten of the keys

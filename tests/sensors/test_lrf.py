@@ -23,10 +23,9 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.map.line_map import LineMap
-from locfuse.fusion.map.sonar_echo import Cone, nearest_echo
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.sonar import Sonar, SonarSettings, likelier
+from locfuse.fusion.sensors.sonar import Cone, Sonar, SonarSettings, likelier, nearest_echo
 from locfuse.fusion.streams import merged
 from locfuse.sample_logs import load as scenarios
 from locfuse.sample_logs.record import in_memory

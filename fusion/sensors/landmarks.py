@@ -51,16 +51,15 @@ from locfuse.fusion.streams import parts_of
 from .points import (
     MIN_JUDGED,
     GrowingPoints,
+    IdReadings,
     Point,
     PointsModel,
     PointsSettings,
     Row,
     by_instant,
     detector_at,
-    nothing_usable,
-    often_seen,
     predict,
-    usable,
+    used,
 )
 
 # ---- messages of detectors as one table: message, id, range, bearing ----
@@ -231,6 +230,7 @@ class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True,
 
     table: ClassVar[str] = "landmarks"
     what: ClassVar[str] = "landmarks"
+    they: ClassVar[str] = "they"
 
     topics: tuple[str, ...] = ()  # several cameras: each its topic
     # topic -> x, y [m], yaw, down [deg]
@@ -247,12 +247,6 @@ class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True,
     range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; not set: found
 
     positive: ClassVar[tuple[str, ...]] = (*PointsSettings.positive, "sigma_bearing_deg", "sigma_range_offset")
-
-
-NO_MAP_NOTE = (
-    "no landmarks.map is set: where the landmarks stand is estimated (grow); with --set landmarks.map=FILE, "
-    "a .csv of id, x, y, they also say where the robot is in the room"
-)
 
 
 class Landmarks(Sensor):
@@ -310,13 +304,7 @@ class Landmarks(Sensor):
         valid = np.asarray(plausible(seen.bearings))
         if seen.ranges is not None:
             valid = valid & plausible(seen.ranges) & (seen.ranges > 0.0)
-        keep = usable(seen.t_ns, seen.ids, camera, valid, settings, dropped)
-        if len(seen.ids) and not keep.any():
-            raise nothing_usable(stream.topic, seen.ids, settings)
-        notes = [NO_MAP_NOTE] if settings.map is None else []
-        if settings.grows:
-            keep, left_out = often_seen(seen.ids, keep, stream.topic, settings, dropped)
-            notes += left_out
+        keep, notes = used(IdReadings(stream.topic, seen.t_ns, seen.ids, camera, valid), settings, dropped)
         ids, parts = seen.ids[keep], [wrap_all(seen.bearings[keep])]
         turn = math.radians(settings.sigma_bearing_deg)
         sigmas = np.array([turn, settings.sigma_range])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
 
     table: ClassVar[str]  # its table in robot.toml
     what: ClassVar[str]  # what the points are, as a plural
+    they: ClassVar[str]  # what measures them, in a note
 
     file: str | None = None  # .csv beside the log, whose first line names t, id and what is measured
     map: str | dict[str, Point] | None = None  # .csv of id, x, y [m], or {"6" = [x, y]}; not set, "grow": made
@@ -60,22 +61,52 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
             raise LocfuseError(f"{self.table}.map: id {key!r} is no whole number", role=self.table) from None
 
 
-def usable(
-    t_ns: Ints,
-    ids: Ints,
-    detector: Ints,
-    valid: NDArray[np.bool_],
-    settings: PointsSettings,
-    dropped: dict[str, int],
-) -> NDArray[np.bool_]:
+class IdReadings(NamedTuple):
+    """Readings (n,) of points with ids, of one stream."""
+
+    topic: str
+    t_ns: Ints
+    ids: Ints
+    detector: Ints  # index of the detector, where there are several
+    valid: NDArray[np.bool_]  # whether the numbers of a reading can be measurements
+
+
+def used(
+    seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """Return which readings (n,) are used, and notes on the map; count the others in `dropped` by reason.
+
+    Used are valid readings of ids in the map, or of ids that are often seen where the map is estimated. Raises
+    LocfuseError if there are none.
+    """
+    keep = _usable(seen, settings, dropped)
+    if len(seen.ids) and not keep.any():
+        found = ", ".join(map(str, sorted(set(seen.ids.tolist()))[:MAX_NAMED]))
+        have = ", ".join(map(str, sorted(settings.places)[:MAX_NAMED])) or "none"
+        of_map = "" if settings.grows else f" of the map's {settings.what}; the map has {have}"
+        raise LocfuseError(f"{seen.topic} has no usable reading{of_map}: it sees ids {found}", role=settings.table)
+    if not settings.grows:
+        return keep, []
+    keep, left_out = _often_seen(seen, keep, settings, dropped)
+    if settings.map is not None:
+        return keep, left_out
+    no_map = (
+        f"no {settings.table}.map is set: where the {settings.what} stand is estimated (grow); with --set "
+        f"{settings.table}.map=FILE, a .csv of id, x, y, {settings.they} also say where the robot is in the room"
+    )
+    return keep, [no_map, *left_out]
+
+
+def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) -> NDArray[np.bool_]:
     """Return which readings (n,) are valid, in the map, and unique in id and time; count the others by reason.
 
     Two readings of one id by one detector at one time are both left out: a reflection, or two points with one id.
     """
+    ids, valid = seen.ids, seen.valid
     unwanted = np.isin(ids, settings.ignore)
     numbered = (ids >= 0) & ~unwanted
     known = numbered if settings.grows else numbered & np.isin(ids, list(settings.places))
-    triples = np.stack((t_ns, ids, detector), axis=-1)
+    triples = np.stack((seen.t_ns, ids, seen.detector), axis=-1)
     _, place, counts = np.unique(triples, axis=0, return_inverse=True, return_counts=True)
     twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
     count_dropped(dropped, not_finite=~valid, no_id=valid & (ids < 0), ignored=valid & unwanted)
@@ -84,29 +115,19 @@ def usable(
     return keep
 
 
-def nothing_usable(topic: str, ids: Ints, settings: PointsSettings) -> LocfuseError:
-    """Return the error for a topic without a usable reading."""
-    seen = ", ".join(map(str, sorted(set(ids.tolist()))[:MAX_NAMED]))
-    have = ", ".join(map(str, sorted(settings.places)[:MAX_NAMED])) or "none"
-    of_map = "" if settings.grows else f" of the map's {settings.what}; the map has {have}"
-    return LocfuseError(f"{topic} has no usable reading{of_map}: it sees ids {seen}", role=settings.table)
-
-
-def often_seen(
-    ids: Ints, keep: NDArray[np.bool_], topic: str, settings: PointsSettings, dropped: dict[str, int]
+def _often_seen(
+    seen: IdReadings, keep: NDArray[np.bool_], settings: PointsSettings, dropped: dict[str, int]
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Return which readings (n,) belong to frequently seen points, and notes on the ids left out.
 
     Every point is two states. An id that is seen once or twice (false detections, ids of a tracker) adds no
     information about the robot's pose. At most MAX_POINTS ids are used, the most frequent ones.
     """
-    names, which, counts = np.unique(ids[keep], return_inverse=True, return_counts=True)
+    names, which, counts = np.unique(seen.ids[keep], return_inverse=True, return_counts=True)
     often = counts >= MIN_SEEN
     if len(names) and not often.any():
-        raise LocfuseError(
-            f"{topic}: none of its {len(names)} ids is seen {MIN_SEEN} times, as a map of {settings.what} needs",
-            role=settings.table,
-        )
+        few = f"none of its {len(names)} ids is seen {MIN_SEEN} times"
+        raise LocfuseError(f"{seen.topic}: {few}, as a map of {settings.what} needs", role=settings.table)
     most = np.zeros(len(names), dtype=bool)
     most[np.argsort(-counts, kind="stable")[:MAX_POINTS]] = True
     taken, words = keep.copy(), []

@@ -32,15 +32,14 @@ from locfuse.fusion.streams import count_dropped
 
 from .points import (
     GrowingPoints,
+    IdReadings,
     Point,
     PointsModel,
     PointsSettings,
     by_instant,
     detector_at,
-    nothing_usable,
-    often_seen,
     predict,
-    usable,
+    used,
 )
 
 STRETCHES_S = (5.0, 10.0, 20.0, 40.0, 80.0)  # initial parts of the drive, the shortest unambiguous one is used
@@ -60,10 +59,6 @@ AHEAD, LEFT, SPREAD = "anchor_ahead", "anchor_left", "anchor_sigma"
 REUSED_SIGMA_FACTOR = 3.0  # on the sigma of a place or start by ranges that the filter uses again
 MIN_SPREAD_M = 0.1
 EXACT_M = 1e-6  # sigma of a given offset
-NO_MAP_NOTE = (
-    "no ranges.map is set: where the anchors stand is estimated (grow); with --set ranges.map=FILE, a .csv of "
-    "id, x, y, the ranges also say where the robot is in the room"
-)
 
 
 class RangeFit(NamedTuple):
@@ -207,6 +202,7 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
 
     table: ClassVar[str] = "ranges"
     what: ClassVar[str] = "anchors"
+    they: ClassVar[str] = "the ranges"
 
     fields: tuple[str, str] | None = None  # of the topic's messages: which hold id and range [m]
     sigma: float = 0.1  # m
@@ -252,12 +248,10 @@ class Ranges(Sensor):
         columns = cast("dict[str, Array]", stream.columns(*self.reads[RANGES]))
         ids, z = np.asarray(columns["id"]).astype(np.int64), np.asarray(columns["range"], np.float64)
         dropped = dict(stream.dropped)
-        keep = usable(stream.t_ns, ids, np.zeros_like(ids), plausible(z) & (z > 0.0), settings, dropped)
-        if len(ids) and not keep.any():
-            raise nothing_usable(stream.topic, ids, settings)
-        notes, extra = list[str](), dict[str, Array]()
+        valid = np.asarray(plausible(z) & (z > 0.0))
+        seen = IdReadings(stream.topic, stream.t_ns, ids, np.zeros_like(ids), valid)
+        (keep, notes), extra = used(seen, settings, dropped), dict[str, Array]()
         if settings.grows:
-            keep, notes = often_seen(ids, keep, stream.topic, settings, dropped)
             t = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
             guesses, unclear = _places_of(t, ids, z, keep, settings, wheels)
             count_dropped(dropped, place_unknown=keep & np.isnan(guesses[:, 0]))
@@ -269,7 +263,7 @@ class Ranges(Sensor):
                     fixes=("ranges.map=anchors.csv",),
                     hint="Give their map, a .csv of id, x, y: --set ranges.map=anchors.csv",
                 )
-            notes = [*([NO_MAP_NOTE] if settings.map is None else []), *notes, *unclear]
+            notes += unclear
             extra = dict(zip((AHEAD, LEFT, SPREAD), guesses[keep].T, strict=True))
         t, first = by_instant(stream.t_ns[keep], epoch_ns, settings.time_offset)
         n = int(keep.sum())

@@ -24,7 +24,6 @@ COLUMNS_AT_ONCE = 384  # columns of the covariance computed at once, to save mem
 # prior standard deviations of the systematic errors of a drive: heading drift along the path, and yaw error of the
 # laser mount (the robot seems to move sideways). Without these states the map would be bent
 SYSTEMATIC_SIGMAS = (np.radians(0.1), np.radians(1.0))  # rad per metre; rad
-MAX_DENSE_STATES = 3600  # states up to which the dense inverse is faster
 
 
 class Edges(Columns, frozen=True):
@@ -132,9 +131,9 @@ class Normal:
             down.append(np.repeat(block.at, block.at.shape[1], axis=1).ravel())
             across.append(np.tile(block.at, (1, block.at.shape[1])).ravel())
         where = (np.concatenate(down), np.concatenate(across))
-        self._H = coo_matrix((np.concatenate(data), where), shape=(n, n)).tocsc()
+        H = coo_matrix((np.concatenate(data), where), shape=(n, n)).tocsc()
         how = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        self._lu = splu(self._H, **how)
+        self._lu = splu(H, **how)
 
     def step(self) -> Array:
         """Return the Gauss-Newton step (n,) of the state."""
@@ -159,8 +158,6 @@ class Normal:
 
     def chain(self, n: int) -> tuple[Array, Array]:
         """Return the covariances of poses (n, 3, 3), and cross covariances with the next pose (n - 1, 3, 3)."""
-        if self.n <= MAX_DENSE_STATES:
-            return self._dense(n)
         own, after = np.empty((n, 3, 3)), np.empty((max(n - 1, 0), 3, 3))
         for first in range(0, n, COLUMNS_AT_ONCE // 3):
             last = min(first + COLUMNS_AT_ONCE // 3, n)
@@ -169,23 +166,9 @@ class Normal:
                 own[k] = found[3 * k : 3 * k + 3, k - first]
                 if k + 1 < n:
                     after[k] = found[3 * k + 3 : 3 * k + 6, k - first].T
+        if not (np.diagonal(own, axis1=1, axis2=2) > 0.0).all():
+            raise np.linalg.LinAlgError("the normal equations have no covariance")
         return 0.5 * (own + own.transpose(0, 2, 1)), after
-
-    def _dense(self, n: int) -> tuple[Array, Array]:
-        """Return the covariances of `chain`, from the inverse of H as a dense matrix.
-
-        It is inverted in place to save memory.
-        """
-        from scipy.linalg import cho_factor
-        from scipy.linalg.lapack import dpotri
-
-        factor, _ = cho_factor(self._H.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
-        P, _ = dpotri(factor, lower=1, overwrite_c=1)
-        blocks = P[: 3 * n, : 3 * n].T.reshape(n, 3, n, 3)  # a view: by columns, then by rows
-        k = np.arange(n)
-        own = blocks[k, :, k, :]
-        own = np.triu(own) + np.triu(own, 1).transpose(0, 2, 1)
-        return own, blocks[k[:-1], :, k[1:], :]
 
 
 class OtherTerms(Protocol):

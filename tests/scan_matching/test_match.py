@@ -183,16 +183,6 @@ def test_poses_and_covariances_equal_dense_least_squares() -> None:
     np.testing.assert_allclose(after[3], dense[3, :, 4, :], rtol=2e-3, atol=1e-9)
 
 
-def test_the_sparse_and_the_dense_way_to_covariances_agree(monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    _, edges = ring(np.random.default_rng(2), 0.05)
-    _, normal = Problem(START).solve(started(edges), edges)
-    dense = normal.chain(N)
-    monkeypatch.setattr("locfuse.fusion.scan_matching.solve.MAX_DENSE_STATES", 0)
-    sparse = normal.chain(N)
-    for one, other in zip(dense, sparse, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)
-
-
 def test_information_that_is_negative_gives_no_covariance() -> None:
     _, edges = ring(np.random.default_rng(3), 0.05)
     x, _ = Problem(START).solve(started(edges), edges)

@@ -66,25 +66,21 @@ class Longest:
     @property
     def notes(self) -> tuple[str, ...]:
         """Return notes for the user: on ranges that count as no return, and on invalid limits."""
-        return (
-            *((self._no_return_note(),) if self.no_return is not None else ()),
-            *((self._limits_note(),) if self._unlimited else ()),
-        )
-
-    def _limits_note(self) -> str:
-        near, far = self._limits
-        return (
-            f"range_max is {far:g} m and range_min {near:g} m in {self._unlimited} of {self._scans} scans: these "
-            "limits are not filled in, and every finite range above 0 is used. If the laser sees less far, set "
-            "lrf.range_max in m"
-        )
-
-    def _no_return_note(self) -> str:
-        share = self.count / self._read
-        return (
-            f"{share:.{0 if share > 0.02 else 1}%} of its ranges are exactly {self.value:g} m, the longest: "
-            f"read as no return (to keep them: --set lrf.range_max={np.ceil(self.value):g})"
-        )
+        words = []
+        if self.no_return is not None:
+            share = self.count / self._read
+            words.append(
+                f"{share:.{0 if share > 0.02 else 1}%} of its ranges are exactly {self.value:g} m, the longest: "
+                f"read as no return (to keep them: --set lrf.range_max={np.ceil(self.value):g})"
+            )
+        if self._unlimited:
+            near, far = self._limits
+            words.append(
+                f"range_max is {far:g} m and range_min {near:g} m in {self._unlimited} of {self._scans} scans: "
+                "these limits are not filled in, and every finite range above 0 is used. If the laser sees less "
+                "far, set lrf.range_max in m"
+            )
+        return tuple(words)
 
 
 def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:

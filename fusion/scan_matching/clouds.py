@@ -84,8 +84,13 @@ def clouds_of(m: Measurements, readings: Ints) -> Clouds:
     if m.points is None:
         return Clouds.of_scans([np.zeros((0, 2))] * len(readings), np.zeros(2))
     origin = m.points.mount[:2]
-    near = (points[np.hypot(*(points - origin).T) < MAX_RANGE_M] for points in m.points.read(readings))
-    return Clouds.of_scans([p[:: max(1, -(-len(p) // MAX_BEAMS))] for p in near], origin)
+    return Clouds.of_scans([few(points, origin, MAX_BEAMS) for points in m.points.read(readings)], origin)
+
+
+def few(points: Array, origin: Array, most: int) -> Array:
+    """Return at most `most` points (k, 2) of a scan within MAX_RANGE_M of the laser's `origin`, evenly thinned."""
+    near: Array = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]  # False for NaN: no return
+    return near[:: max(1, -(-len(near) // most))]
 
 
 def normals(xy: Array, owner: Ints, origin: Array) -> Array:

@@ -28,7 +28,7 @@ from locfuse.fusion.data import Array, Ints, LocfuseError, Stream, spaced
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, left_out
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser, equal_scans, points_in_base
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
-from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
+from locfuse.fusion.scan_matching.clouds import Clouds, few
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, overlap, sources_of
 from locfuse.fusion.sensor import WheelMotion
 
@@ -378,14 +378,7 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -
             at = rows[group]
             xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
             for row, p in zip(at.tolist(), xy, strict=True):
-                points[row] = _thinned(p, laser.mount[:2]).astype(np.float32)
+                points[row] = few(p, laser.mount[:2], MAX_POINTS).astype(np.float32)
     return ThinnedScans(
         np.maximum.accumulate(t), points, laser.mount[:2], skewed
     )  # scans of different durations overlap
-
-
-def _thinned(points: Array, origin: Array) -> Array:
-    """Return at most about MAX_POINTS of the points (k, 2) within MAX_RANGE_M of the laser, evenly thinned."""
-    near = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]  # False for NaN: no return
-    thinned: Array = near[:: max(1, -(-len(near) // MAX_POINTS))]
-    return thinned

@@ -23,7 +23,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser
-from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
+from locfuse.fusion.scan_matching.clouds import Clouds, few
 from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, sources_of
 
 from .motion_by_scans import STANDING
@@ -211,5 +211,4 @@ def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:
     """
     plain = laser._replace(mount=np.zeros(3), deskew=False)
     scans = ScanPoints(stream, SCAN_FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
-    near = (p[np.hypot(*p.T) < MAX_RANGE_M] for p in scans.read(np.arange(len(rows))))
-    return [p[:: max(1, -(-len(p) // most))] for p in near]
+    return [few(points, np.zeros(2), most) for points in scans.read(np.arange(len(rows)))]

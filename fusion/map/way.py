@@ -21,8 +21,7 @@ from locfuse.fusion.data import Array, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.key_scans import key_scans
-from locfuse.fusion.scan_matching.neighbours import by_wheels
+from locfuse.fusion.scan_matching.neighbours import by_wheels, key_scans
 from locfuse.fusion.scan_matching.solve import Edges, Problem, relative
 from locfuse.fusion.sensor import Equation
 

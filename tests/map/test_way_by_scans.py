@@ -15,8 +15,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.map import way as way_module
 from locfuse.fusion.map.way import DRIFT_RAD_PER_M, MIN_KEYS, WayByScans, compared, end_of_way
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.key_scans import MATCH_WIDTH, key_scans
-from locfuse.fusion.scan_matching.neighbours import by_wheels
+from locfuse.fusion.scan_matching.neighbours import MATCH_WIDTH, by_wheels, key_scans
 from locfuse.fusion.scan_matching.solve import Edges
 from locfuse.fusion.sensors.lrf import LrfSettings
 

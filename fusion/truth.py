@@ -135,9 +135,7 @@ def _in_plane(where: Array, settings: TruthSettings) -> Array:
     finite = where[plausible(where).all(axis=1)]
     origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
     xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))
-    c, s = math.cos(math.radians(settings.east_deg)), math.sin(math.radians(settings.east_deg))
-    turned: Array = xy @ np.array([[c, s], [-s, c]])
-    return turned
+    return se2.rotated(np.array(math.radians(settings.east_deg)), xy)
 
 
 def body_poses(truth: Truth, t: Array) -> Array:

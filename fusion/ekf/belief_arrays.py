@@ -373,9 +373,7 @@ class JointBelief(ekf.State):
     def place(self, pose: Pose, xy: float, theta: float) -> None:
         """Set the pose to (3,) with variances xy [m^2] and theta [rad^2], independent of other states."""
         behind = self._behind()
-        if self.events is not None:
-            back = by_others(self._before(), POSE) if self.events.backward else None
-            self.events.add(Changed(POSE, np.zeros((3, self.n)), np.diag((xy, xy, theta)), back))
+        self._note_change(POSE, np.zeros((3, self.n)), np.diag((xy, xy, theta)))
         self._x[:3] = pose
         self._P[:3, : self.n] = 0.0
         self._P[: self.n, :3] = 0.0
@@ -400,9 +398,7 @@ class JointBelief(ekf.State):
         """Clone to three states the present pose, or the pose with the coordinates `behind` (3,) in its frame."""
         J = np.eye(3) if behind is None else by_frame(self._x[None, :3], behind[None])[0]
         if self.events is not None:
-            by = np.zeros((3, self.n))
-            by[:, :3] = J
-            self._note_change(np.arange(column, column + 3), by)
+            self._note_change(np.arange(column, column + 3), np.hstack((J, np.zeros((3, self.n - 3)))))
         self._kept.add(column)
         self.copy_pose(column)
         if behind is None:
@@ -524,11 +520,12 @@ class JointBelief(ekf.State):
             return Before(self.state, self.covariance)
         return Before(self.state.copy(), self.covariance.copy())
 
-    def _note_change(self, rows: Ints, by: Array) -> None:
-        """Record that the states `rows` become linear functions of states."""
+    def _note_change(self, rows: Ints, by: Array, noise: Array | None = None) -> None:
+        """Record that the states `rows` (r,) become linear functions of states, plus `noise` (r, r)."""
         if self.events is not None:
             back = by_others(self._before(), rows) if self.events.backward else None
-            self.events.add(Changed(rows, by, np.zeros((len(rows), len(rows))), back))
+            none = np.zeros((len(rows), len(rows)))
+            self.events.add(Changed(rows, by, none if noise is None else noise, back))
 
     def _note_turn(self, dx: float, dy: float) -> None:
         """Record a correction of the map frame by (dx, dy) [m] with its rotation (State.turn_frame)."""

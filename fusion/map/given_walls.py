@@ -88,12 +88,8 @@ def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
 
 def _shifted(cells: Mask, rows: int, columns: int) -> Mask:
     """Return for every cell the value of its neighbour at an offset; False outside the grid."""
-    out = np.zeros_like(cells)
     n, m = cells.shape
-    to = (slice(max(0, -rows), n - max(0, rows)), slice(max(0, -columns), m - max(0, columns)))
-    of = (slice(max(0, rows), n + min(0, rows)), slice(max(0, columns), m + min(0, columns)))
-    out[to] = cells[of]
-    return out
+    return np.pad(cells, 1)[1 + rows : 1 + rows + n, 1 + columns : 1 + columns + m]
 
 
 def _chains(starts: Ints, ends: Ints) -> list[list[int]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any, cast
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from locfuse.fusion.change import jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
+from locfuse.fusion.data import Array, LocfuseError, Ragged, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 
@@ -38,23 +38,14 @@ MAX_OFF_STEPS = 3.0  # increments: smaller differences are wrong counts of beams
 
 def driver(stream: Stream) -> list[Finding]:
     """Return findings on faults of a laser's driver, from the first scans of a stream."""
-    parts = [columns for _, columns in _sample(stream, SAMPLE_SCANS)]
+    parts = list(_sample(stream, SAMPLE_SCANS))
     if not parts:
         return []
     column = {k: np.concatenate([np.asarray(p[k]) for p in parts]) for k in parts[0] if k != "ranges"}
     lengths = np.concatenate([cast("Ragged", p["ranges"]).lengths for p in parts])
-    held = _in_words(_unreturned(*_ranges(parts)))
+    held = unreturned(stream)
     found = [Finding("lrf", "no return", f"ranges without a return: {held}")] if held else []
     return [*found, *_angles(column, lengths), *_in_turn(column), *of_angles(stream)]
-
-
-def _ranges(parts: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
-    """Return all ranges (n,) [m] of the columns of scans, and the range limit of each (n,) [m]."""
-    if not parts:
-        return np.empty(0), np.empty(0)
-    ranges = [cast("Ragged", p["ranges"]) for p in parts]
-    values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
-    return values, np.concatenate([np.repeat(limits(p)[1], r.lengths) for p, r in zip(parts, ranges, strict=True)])
 
 
 def of_angles(stream: Stream) -> list[Finding]:
@@ -120,7 +111,7 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
     difference of both sides by 1 - 2 cos(a) (r0^2 + r2^2) / (r0 + r2)^2 times the offset; a scale error does not.
     """
     laser, add = laser_of(settings), 0.0
-    sampled = [scans for _, columns in _sample(stream, FIRST_SCANS) for _, scans in equal_scans(columns)]
+    sampled = [scans for columns in _sample(stream, FIRST_SCANS) for _, scans in equal_scans(columns)]
     for _ in range(2):  # linearised at 0, then at the first solution
         parts = [
             bends
@@ -188,7 +179,7 @@ def scatter_more(shown: float | None, sigma: float) -> bool:
 
 def ranges_sigma(stream: Stream, settings: LrfSettings) -> float | None:
     """Return the noise of one range [m] by neighbouring ranges on walls; None if it is not Gaussian."""
-    found = [scatter(columns) for _, columns in _sample(stream, SAMPLE_SCANS)]
+    found = [scatter(columns) for columns in _sample(stream, SAMPLE_SCANS)]
     each = np.abs(np.concatenate(found)) if found else np.empty(0)
     if len(each) < MIN_TRIPLES:
         return None
@@ -221,8 +212,8 @@ def _bend(before: Array, here: Array, after: Array, cos: Array | float) -> Array
     return bend
 
 
-def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
-    """Yield rows and columns of scans, evenly sampled from the first `last` scans.
+def _sample(stream: Stream, last: int) -> Iterator[dict[str, Any]]:
+    """Yield columns of scans, evenly sampled from the first `last` scans.
 
     Scans with more than MAX_BEAMS beams are left out.
     """
@@ -231,36 +222,33 @@ def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
         ranges = cast("Ragged", columns["ranges"])
         use = np.flatnonzero(((seen + np.arange(len(rows))) % every == 0) & (ranges.lengths <= MAX_BEAMS))
         if len(use) == len(rows):
-            yield rows, columns
+            yield columns
         elif len(use):
             values = np.concatenate([ranges[i] for i in use.tolist()])
             first = np.append(0, np.cumsum(ranges.lengths[use]))
             numbers = {k: np.asarray(v)[use] for k, v in columns.items() if k != "ranges"}
-            yield rows[use], {**numbers, "ranges": Ragged(values, first)}
+            yield {**numbers, "ranges": Ragged(values, first)}
         seen += len(rows)
         if seen >= last:
             return
 
 
-def unreturned(stream: Stream, least: float) -> str:
+def unreturned(stream: Stream, least: float = 0.0) -> str:
     """Return the shares of ranges without a return in words; "" if together they are not above `least`."""
-    shares = _unreturned(*_ranges([columns for _, columns in _sample(stream, SAMPLE_SCANS)]))
-    return _in_words(shares) if sum(shares.values()) > least else ""
-
-
-def _unreturned(values: Array, far: Array) -> dict[str, float]:
-    """Return the shares of ranges (n,) [m] without a return: inf, NaN, zero, or beyond range_max `far` (n,)."""
-    if not len(values):
-        return {}
-    return {
+    parts = list(_sample(stream, SAMPLE_SCANS))
+    ranges = [cast("Ragged", p["ranges"]) for p in parts]
+    if not sum(int(r.lengths.sum()) for r in ranges):
+        return ""
+    values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
+    far = np.concatenate([np.repeat(limits(p)[1], r.lengths) for p, r in zip(parts, ranges, strict=True)])
+    shares = {
         "inf": np.isinf(values).mean(),
         "NaN": np.isnan(values).mean(),
         "zero": (values == 0.0).mean(),
         "beyond range_max": ((values > far) & np.isfinite(values)).mean(),
     }
-
-
-def _in_words(shares: Mapping[str, float]) -> str:
+    if sum(shares.values()) <= least:
+        return ""
     return ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -27,7 +26,17 @@ from locfuse.fusion.truth import body_poses
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
-from .lag import PART_COUNT, SAID_SIGMAS, HeadingReference, Lag, by_wheels, find_lag
+from .lag import (
+    MAX_READINGS,
+    MIN_READINGS,
+    PART_COUNT,
+    SAID_SIGMAS,
+    HeadingReference,
+    Lag,
+    by_wheels,
+    find_lag,
+    headings,
+)
 from .truth import MIN_START_ERROR_M, MIN_START_ERROR_RAD
 
 WINDOW_S = 1.0  # s over which distances are compared
@@ -186,15 +195,15 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
     contain a part of the wheels' lag.
     """
     wheels, truth = drive.wheels, drive.truth
-    turned = _headings(drive.measurements)
+    turned = headings(drive.measurements)
     base = LASER if wheels.matched is not None else "wheels"  # if scans give the motion
     found = {(name, base): find_lag(*h, by_wheels(wheels)) for name, h in turned.items() if name != base}
     by_run = next((e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost), None)
     for one, other in combinations(turned, 2):
         found[one, other] = _between_two(turned[one], turned[other], wheels)
     if by_run is not None:
-        headings = Truth("", by_run.t, by_run.pose[:, :2], by_run.pose[:, 2])
-        of_run = {s: lag for s, lag in lags_by_truth(drive, headings).items() if s != LASER}
+        path = Truth("", by_run.t, by_run.pose[:, :2], by_run.pose[:, 2])
+        of_run = {s: lag for s, lag in lags_by_truth(drive, path).items() if s != LASER}
         found = {pair: lag for pair, lag in found.items() if not {LASER, *of_run}.issuperset(pair)}
         found |= {(s, LASER): _of_a_run(lag, found.get((LASER, base))) for s, lag in of_run.items()}
     if truth is not None:
@@ -235,9 +244,8 @@ def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: W
 
     Each sensor is the reference for the other once; the lag with the smaller sigma counts.
     """
-    spans = [(float(t[0]), float(t[-1])) for t, _ in (one, other)]
-    there = find_lag(*one, HeadingReference(partial(_interpolated, *other), spans[1], wheels.heading))
-    back = find_lag(*other, HeadingReference(partial(_interpolated, *one), spans[0], wheels.heading))
+    there = find_lag(*one, HeadingReference.of(*other, wheels))
+    back = find_lag(*other, HeadingReference.of(*one, wheels))
     found = [there, None if back is None else back._replace(offset=-back.offset)]
     return min((lag for lag in found if lag is not None), key=lambda lag: lag.sigma, default=None)
 
@@ -324,7 +332,7 @@ def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:
     reference = _by_headings(drive, truth)
     if reference is None:
         return {}
-    found = {name: find_lag(*heading, reference) for name, heading in _headings(drive.measurements).items()}
+    found = {name: find_lag(*heading, reference) for name, heading in headings(drive.measurements).items()}
     return {name: lag._replace(against="truth") for name, lag in found.items() if lag is not None}
 
 
@@ -346,10 +354,7 @@ def _by_headings(drive: Drive, truth: Truth | None) -> HeadingReference | None:
     """Return the truth's headings as the reference for a lag; None without headings."""
     if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
         return None
-    span = (float(truth.t[0]), float(truth.t[-1]))
-    return HeadingReference(
-        partial(_interpolated, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading, wanders=False
-    )
+    return HeadingReference.of(truth.t, np.unwrap(truth.theta), drive.wheels, wanders=False)
 
 
 def truth_lag(drive: Drive) -> Lag | None:
@@ -389,29 +394,7 @@ def way_lag(truth: Truth, drive: Drive) -> Lag | None:
     return Lag(float(lags[best]), scores[best], scores[int(np.argmin(np.abs(lags)))], spread=spread)
 
 
-MIN_READINGS = 20  # readings
-MAX_READINGS = 3000  # that are used: five minutes of a 10 Hz laser
-
-
 def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict[str, Lag]:
     """Return the lag of each sensor's clock relative to the wheels', from the first readings of the drive."""
-    found = {name: find_lag(*heading, by_wheels(wheels)) for name, heading in _headings(measurements).items()}
+    found = {name: find_lag(*heading, by_wheels(wheels)) for name, heading in headings(measurements).items()}
     return {name: lag for name, lag in found.items() if lag is not None}
-
-
-def _headings(measurements: Mapping[str, Measurements]) -> dict[str, tuple[Array, Array]]:
-    """Return times (n,) [s] and headings (n,) [rad] of each sensor that measures turns."""
-    found = {}
-    for name, m in measurements.items():
-        first = m.take(np.arange(min(len(m.t), MAX_READINGS)))
-        if len(m.t) < MIN_READINGS or (heading := REGISTRY[name].heading(first)) is None:
-            continue
-        t, angle = heading
-        known = np.isfinite(angle)
-        if known.sum() >= MIN_READINGS:
-            found[name] = t[known], angle[known]
-    return found
-
-
-def _interpolated(t: Array, heading: Array, at: Array) -> Array:
-    return np.interp(at, t, heading)

@@ -14,14 +14,15 @@ needed: the residuals are the lag times the turning rate. That is ten times more
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, Measurements
+from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
 WINDOW_S = 1.0  # s over which turning is compared
@@ -38,6 +39,7 @@ MIN_SAID_LAG_S, SAID_SIGMAS = 0.01, 4.0  # s, sigmas: a smaller lag is not repor
 MIN_RMS_TURN_RAD = math.radians(3.0)  # smallest rms turn per window
 MIN_CORRELATION = 0.8
 MIN_WINDOWS = 20  # windows
+MIN_READINGS, MAX_READINGS = 20, 3000  # that are used: five minutes of a 10 Hz laser
 STRETCH_COUNT = 16  # of the drive, over which residuals are summed, for errors that are correlated
 MIN_SIGMA_S = 5e-4  # s, as turning rates are differences over 0.1 s
 MAX_RESIDUAL_CORRELATION = 0.5  # of neighbouring residuals: with more they show no lag
@@ -54,6 +56,11 @@ class HeadingReference(NamedTuple):
     span: tuple[float, float]  # s
     wheels: Heading  # headings with little noise from reading to reading, for turning rates
     wanders: bool = True  # whether its errors accumulate, as those of wheels or of scan matching do
+
+    @classmethod
+    def of(cls, t: Array, heading: Array, wheels: Wheels, wanders: bool = True) -> HeadingReference:
+        """Return headings (n,) [rad, unwrapped] at t (n,) [s] as a reference."""
+        return cls(lambda at: np.interp(at, t, heading), (float(t[0]), float(t[-1])), wheels.heading, wanders)
 
 
 class Lag(NamedTuple):
@@ -92,6 +99,20 @@ class _Turns(NamedTuple):
 class _Fit(NamedTuple):
     lag: float  # s
     sigma: float  # s, its standard deviation
+
+
+def headings(measurements: Mapping[str, Measurements]) -> dict[str, tuple[Array, Array]]:
+    """Return times (n,) [s] and headings (n,) [rad] of each sensor that measures turns, by its first readings."""
+    found = {}
+    for name, m in measurements.items():
+        first = m.take(np.arange(min(len(m.t), MAX_READINGS)))
+        if len(m.t) < MIN_READINGS or (heading := REGISTRY[name].heading(first)) is None:
+            continue
+        t, angle = heading
+        known = np.isfinite(angle)
+        if known.sum() >= MIN_READINGS:
+            found[name] = t[known], angle[known]
+    return found
 
 
 def by_wheels(wheels: Wheels) -> HeadingReference:

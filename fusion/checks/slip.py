@@ -18,17 +18,16 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Drive, stretches
-from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
+from .lag import headings
 
 SHORT_S, LONG_S = 0.5, 2.0  # s: windows over which turns are compared
 MAX_STRETCH = 1.5  # of a window: readings further apart are across a gap
 MIN_WINDOWS = 15  # long ones without overlap: their variance is then known to a third
 MIN_EXPECTED_RAD = math.radians(0.05)  # smallest expected sigma in a long window: below it the robot stood
 MIN_EXPECTED_M = 1e-4  # likewise, of distances
-MAX_READINGS = 3000
 MAX_FACTOR = 3.0  # on the variance, either way: smaller factors are no finding
 DOUBT_SIGMAS = 2.0  # sigmas by which the factor must exceed that
 # --- of both wheels that slip together
@@ -44,7 +43,7 @@ class WheelSlip(NamedTuple):
     factor: float  # by which `wheels.noise` should be multiplied
     seen: float  # rad, over LONG_S: observed 1 sigma of turns by slip
     expected: float  # rad, the same by `wheels.noise`
-    by: str  # reference: a sensor, or several that agree: "compass and lrf"
+    by: str = ""  # reference: a sensor, or several that agree: "compass and lrf"
     agreed: bool = False  # whether several sensors show about the same
     sigma: float = 0.0  # of the factor, by the sensor's own noise
     ahead: tuple[float, float] | None = None  # m, over LONG_S: observed and expected, if by distances
@@ -82,11 +81,8 @@ def slip(drive: Drive) -> WheelSlip | None:
     """
     if drive.wheels.matched is not None or drive.wheels.noise <= 0.0:
         return None
-    found = []
-    for name, m in drive.measurements.items():
-        heading = REGISTRY[name].heading(m.take(np.arange(min(len(m.t), MAX_READINGS))))
-        one = None if heading is None else _by(name, *heading, drive.wheels)
-        found += [one] if one is not None else []
+    seen = [_by(name, *heading, drive.wheels) for name, heading in headings(drive.measurements).items()]
+    found = [one for one in seen if one is not None]
     less = [s for s in found if s.factor < 1.0 / MAX_FACTOR]
     if len(less) > 1 and len(less) == len(found):
         names = " and ".join(s.by for s in less)
@@ -102,33 +98,28 @@ def beside_path(found: WheelSlip, drive: Drive, t: Array, pose: Array) -> WheelS
     """
     begin = np.unique(np.floor(t / STEP_S)) * STEP_S
     short, long = (_distances(drive.wheels, begin, t, pose, window) for window in (SHORT_S, LONG_S))
-    growth = None if short is None or long is None else _growth(short, long, MIN_EXPECTED_M)
-    if growth is None or long is None or growth[0] <= found.factor:
+    growth = _growth(short, long, MIN_EXPECTED_M)
+    if growth is None or growth.factor <= found.factor:
         return found
-    factor, sigma = growth
-    return found._replace(
-        factor=factor, sigma=sigma, ahead=(math.sqrt(factor * long.expected), long.expected**0.5)
-    )
+    return found._replace(factor=growth.factor, sigma=growth.sigma, ahead=(growth.seen, growth.expected))
 
 
 def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> WheelSlip | None:
-    known = np.isfinite(heading)
-    if len(np.unique(heading[known])) < 2:
+    if np.ptp(heading) == 0.0:
         return None  # scans without lines
-    short, long = (_turns(t[known], heading[known], window, wheels) for window in (SHORT_S, LONG_S))
-    found = None if short is None or long is None else _growth(short, long, MIN_EXPECTED_RAD)
-    if found is None or long is None:
-        return None
-    factor, sigma = found
-    return WheelSlip(factor, math.sqrt(factor * long.expected), math.sqrt(long.expected), name, sigma=sigma)
+    short, long = (_turns(t, heading, window, wheels) for window in (SHORT_S, LONG_S))
+    growth = _growth(short, long, MIN_EXPECTED_RAD)
+    return growth and growth._replace(by=name)
 
 
-def _growth(short: _Spread, long: _Spread, least: float) -> tuple[float, float] | None:
-    """Return the ratio of observed to expected growth of variance from short to long windows, and its sigma.
+def _growth(short: _Spread | None, long: _Spread | None, least: float) -> WheelSlip | None:
+    """Return the slip by the observed over the expected growth of variance from short to long windows.
 
-    None if the expected slip in a long window is below `least` [m or rad], or if nothing grows, since other noise
-    then hides the slip.
+    Its `seen` and `expected` are in the unit of the windows [m or rad]. None if the expected slip in a long window
+    is below `least`, or if nothing grows, since other noise then hides the slip.
     """
+    if short is None or long is None:
+        return None
     growth = long.expected - short.expected
     if growth < least**2 * (1.0 - SHORT_S / LONG_S):
         return None
@@ -138,7 +129,8 @@ def _growth(short: _Spread, long: _Spread, least: float) -> tuple[float, float] 
     if factor <= 0.0:
         return None
     # white noise: the variance of a variance of n values is 2 / n of its square
-    return factor, math.sqrt(sum(2.0 * s.seen[1] ** 2 / s.number for s in (short, long))) / growth
+    sigma = math.sqrt(sum(2.0 * s.seen[1] ** 2 / s.number for s in (short, long))) / growth
+    return WheelSlip(factor, math.sqrt(factor * long.expected), math.sqrt(long.expected), sigma=sigma)
 
 
 def _turns(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:

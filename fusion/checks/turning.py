@@ -24,6 +24,7 @@ from locfuse.fusion.wheels.odometry import BODY_READS
 from locfuse.fusion.wheels.sources import joint_names
 
 from .finding import Finding, Least
+from .lag import headings
 from .laser import WallMotion, laser_motion
 
 MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth, on wheels
@@ -37,7 +38,6 @@ MIN_TRACK_ERROR, MIN_SIGMAS = 0.04, 4.0  # smallest reported relative error of t
 SEVERE_TRACK_ERROR = 0.06
 WORTH_SAYING = Least(MIN_TRACK_ERROR, MIN_SIGMAS)
 MIN_ROLL_SPREAD_M = 1e-3  # m per window
-MAX_READINGS = 3000
 GYRO_SCALE_SIGMA = 0.01  # 1 sigma of a gyro's scale
 CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of path for a direction of travel; rad of a piece
 MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per turn of the wheels: limits for a track
@@ -58,15 +58,10 @@ class Turning(msgspec.Struct, frozen=True):
 def turnings(drive: Drive) -> dict[str, Turning]:
     """Return the fit of turns by wheel distances, for each sensor that measures turns."""
     found = {}
-    for name, m in drive.measurements.items():
-        sensor = REGISTRY[name]
-        heading = sensor.heading(m.take(np.arange(min(len(m.t), MAX_READINGS)))) if len(m.t) >= 20 else None
-        if heading is None:
-            continue
-        t, own = heading
+    for name, (t, own) in headings(drive.measurements).items():
         # turns of exactly zero so far: scans without matching lines
-        unknown = np.cumsum(np.diff(own, prepend=np.nan) == 0.0) if sensor.heading_holds else np.zeros(len(t))
-        turning = explain(t, own, drive.wheels, unknown.astype(np.float64))
+        unknown = np.cumsum(np.diff(own, prepend=np.nan) == 0.0) * float(REGISTRY[name].heading_holds)
+        turning = explain(t, own, drive.wheels, unknown)
         if turning is not None:
             found[name] = turning
     return found

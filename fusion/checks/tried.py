@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import NamedTuple, Protocol
 
 import msgspec
@@ -283,9 +284,9 @@ class Advice(msgspec.Struct, frozen=True):
         return max((name for name in before if name in after), key=lambda name: gain(before[name], after[name]))
 
 
-def together(one: Fixes, other: Fixes) -> Fixes:
-    """Return two sets of settings merged; for a key in both, the second value wins."""
-    return tuple(f"{key}={value}" for key, value in by_key((*one, *other)).items())
+def together(*sets: Fixes) -> Fixes:
+    """Return sets of settings merged; of several values for one key, the last one wins."""
+    return tuple(f"{key}={value}" for key, value in by_key(chain(*sets)).items())
 
 
 def keys(fixes: Iterable[str]) -> set[str]:
@@ -346,13 +347,10 @@ def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Adv
         if runaway:
             open_ |= {a.finding.role: _without_fix(a) for a in new if _key(a) in runaway}
             helped = [a for a in helped if _key(a) not in runaway]
-            kept = ()
-            for advice in helped:
-                kept = together(kept, advice.fixes)
+            kept = together(*(a.fixes for a in helped))
             break
         helped += new
-        for advice in new:
-            kept = together(kept, advice.fixes)
+        kept = together(kept, *(a.fixes for a in new))
         case = look(kept)
     names = {a.finding.role for a in helped}
     helped = [_with_rest(a) if _key(a) in rests else a for a in helped]
@@ -385,6 +383,11 @@ def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
 def _with_rest(advice: Advice) -> Advice:
     words = f"{advice.finding.brief}; under the fix it is still measured off: something else is wrong too"
     return replace(advice, finding=replace(advice.finding, message=words, source="", hint=""))
+
+
+def _with_fix(advice: Advice, fixes: Fixes, pairs: Mapping[str, tuple[Marks, Marks]]) -> Advice:
+    before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
+    return replace(advice, fixes=fixes, before=before, after=after)
 
 
 def _without_fix(advice: Advice) -> Advice:
@@ -450,13 +453,10 @@ def _beside_another(
                 continue
             now = {*done, _key(advice)}
             others = [a for a in _first_that_helps(case, beside, trial, now) if a.helps]
-            both = beside
-            for other in others:
-                both = together(both, other.fixes)
+            both = together(beside, *(other.fixes for other in others))
             pairs = scored(kept, both, advice.judges, trial)
             if others and pairs and not _any_worsened(pairs, case.kept(advice.finding.role)):
-                before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
-                return [replace(advice, fixes=fixes, before=before, after=after), *others]
+                return [_with_fix(advice, fixes, pairs), *others]
     return []
 
 
@@ -523,13 +523,10 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
         sure = (candidate.proven or by_prediction) and not worse
         shown = candidate.measured and bool(pairs) and (shape or sure)
         if shown or any(improves(*pair) for pair in pairs.values()):
-            before = {name: pair[0] for name, pair in pairs.items()}
-            after = {name: pair[1] for name, pair in pairs.items()}
-            advice = replace(unfixed, fixes=fixes, before=before, after=after)
-            if any(
-                leaves(*pair) for pair in scored(kept, together(kept, fixes), candidate.guards, trial).values()
-            ):
+            guards = scored(kept, together(kept, fixes), candidate.guards, trial)
+            if any(leaves(*pair) for pair in guards.values()):
                 continue
+            advice = _with_fix(unfixed, fixes, pairs)
             options += [advice] if (shown and not shape) or worth(advice) > 0.0 else []
     return max(options, key=worth, default=replace(unfixed, harmless=harmless))
 
@@ -541,12 +538,11 @@ def judged_pairs(
     pairs: dict[str, tuple[Marks, Marks]] = {}
     settled = chance_alone = False
     for name in candidate.judges:
-        before, after = trial(kept, (name,)), trial(together(kept, fixes), (name,))
-        if name not in before or name not in after:
+        found = scored(kept, together(kept, fixes), (name,), trial)
+        if not found:
             return {}
-        if shape:
-            before, after = ({name: scores[name].of_shape()} for scores in (before, after))
-        one, other = readable(before[name], after[name])
+        before, after = found[name]
+        one, other = readable(*((before.of_shape(), after.of_shape()) if shape else (before, after)))
         # after one error fell to less than half, others may get worse by chance
         right = candidate.measured and turns_right(one, other)
         chance = name in candidate.minor or settled or right

@@ -11,7 +11,7 @@ import numpy as np
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, MountedSettings, to_a_tenth_of
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.se2 import wrap
+from locfuse.fusion.se2 import laid_on, wrap
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS
 
@@ -138,20 +138,17 @@ def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
 def path_scale(e: Estimates, drive: Drive) -> float | None:
     """Return size of the true path / size of a laser-only run's path; None without truth or if the shapes differ.
 
-    Least squares of a similarity transform (Umeyama, PAMI 1991) in complex numbers. The size of the path follows
-    the laser's distance scale, since walls determine it.
+    The size of the path follows the laser's distance scale, since walls determine it.
     """
     if drive.truth is None or e.truth_pose is None:
         return None
     found = np.isfinite(e.truth_pose[:, 0]) & np.isfinite(drive.truth.xy[:, 0])
     if found.sum() < MIN_TRUTH:
         return None
-    own, truth = (xy[found] @ np.array([1.0, 1.0j]) for xy in (e.truth_pose[:, :2], drive.truth.xy))
-    own, truth = own - own.mean(), truth - truth.mean()
-    along, squares = float(abs(np.vdot(own, truth))), float(np.vdot(own, own).real)
-    if along**2 < MIN_EXPLAINED_SHARE * squares * float(np.vdot(truth, truth).real):
-        return None
-    return along / squares
+    own, truth = e.truth_pose[found, :2], drive.truth.xy[found]
+    _, scale = laid_on(own, truth)
+    explained = scale**2 * float(own.var(axis=0).sum())
+    return None if explained < MIN_EXPLAINED_SHARE * float(truth.var(axis=0).sum()) else scale
 
 
 def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:

@@ -151,6 +151,10 @@ class _PosePairs(NamedTuple):
     xy: Array  # (q, 2) truth of the tracked point
     theta: Array | None  # (q,) truth
 
+    def tracked(self, truth: Truth) -> Array:
+        """Return the estimated positions (q, 2) [m] of the point that the truth tracks."""
+        return se2.transform(self.pose, np.broadcast_to(np.array(truth.point), self.xy.shape))
+
 
 def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evaluation:
     """Return errors, ANEES and NIS of one configuration."""
@@ -171,8 +175,8 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
     if truth is None or pairs is None or len(pairs.t) == 0:
         return found
     if align != "none":
-        pairs = aligned(pairs, truth.point, align)
-    estimate_xy = se2.transform(pairs.pose, np.broadcast_to(np.array(truth.point), pairs.xy.shape))
+        pairs = aligned(pairs, truth, align)
+    estimate_xy = pairs.tracked(truth)
     deviation = estimate_xy - pairs.xy
     heading = None if pairs.theta is None else se2.wrap_all(pairs.pose[:, 2] - pairs.theta)
     sigma, nees = _expected(pairs, deviation, heading, truth)
@@ -213,9 +217,8 @@ def shape_error(estimates: Estimates, drive: Drive) -> float | None:
     pairs = None if drive.truth is None else _pairs(estimates, drive.truth)
     if drive.truth is None or pairs is None or len(pairs.t) == 0:
         return None
-    pairs = aligned(pairs, drive.truth.point, "se2")
-    point = np.broadcast_to(np.array(drive.truth.point), pairs.xy.shape)
-    return float(np.sqrt(np.square(se2.transform(pairs.pose, point) - pairs.xy).sum(axis=1).mean()))
+    pairs = aligned(pairs, drive.truth, "se2")
+    return float(np.sqrt(np.square(pairs.tracked(drive.truth) - pairs.xy).sum(axis=1).mean()))
 
 
 def _pairs(estimates: Estimates, truth: Truth) -> _PosePairs:
@@ -229,14 +232,13 @@ def _pairs(estimates: Estimates, truth: Truth) -> _PosePairs:
     )
 
 
-def aligned(pairs: _PosePairs, point: tuple[float, float], align: Align) -> _PosePairs:
+def aligned(pairs: _PosePairs, truth: Truth, align: Align) -> _PosePairs:
     """Return the pairs with the estimated poses and covariances moved rigidly onto the truth.
 
     "origin": the first pose onto the truth's first pose (only the position, where the truth has no heading).
     "se2": least squares over all positions (Umeyama 1991 without scale).
     """
-    body = np.broadcast_to(np.array(point), pairs.xy.shape)
-    p = se2.transform(pairs.pose, body)
+    p = pairs.tracked(truth)
     if align == "origin":
         turn = 0.0 if pairs.theta is None else float(pairs.theta[0] - pairs.pose[0, 2])
         a, b = p[0], pairs.xy[0]

@@ -36,8 +36,14 @@ USED_VERDICTS = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated")
 
 
 def events_of_drive(drive: Drive) -> list[Event]:
-    """Return the standstills of the robot as events."""
-    return [Event(a, b, REST, f"at rest for {b - a:.1f} s") for a, b in rests(drive)]
+    """Return as events the intervals of at least MIN_REST_S without wheel motion."""
+    u = drive.motions.u
+    if len(u) != len(drive.t):
+        return []  # a result read back from its files
+    still = (np.hypot(u[:, 0], u[:, 1]) < REST_STEP_M) & (np.abs(u[:, 2]) < REST_STEP_RAD)
+    still[0] = False  # the first instant ends no interval
+    rests = [(float(drive.t[first - 1]), float(drive.t[last])) for first, last in stretches(still)]
+    return [Event(a, b, REST, f"at rest for {b - a:.1f} s") for a, b in rests if b - a >= MIN_REST_S]
 
 
 def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
@@ -70,19 +76,6 @@ def _step(jump: Jump) -> str:
     """Return the kind and the size of a pose jump as text."""
     x, y, turn = jump.step
     return f"{JUMPS[jump.kind]}: moved {math.hypot(x, y):.2f} m, turned {math.degrees(turn):+.1f}°"
-
-
-def rests(drive: Drive) -> Iterator[tuple[float, float]]:
-    """Yield (start, end) [s] of every interval of at least MIN_REST_S without wheel motion."""
-    u = drive.motions.u
-    if len(u) != len(drive.t):
-        return  # a result read back from its files
-    still = (np.hypot(u[:, 0], u[:, 1]) < REST_STEP_M) & (np.abs(u[:, 2]) < REST_STEP_RAD)
-    still[0] = False  # the first instant ends no interval
-    for first, last in stretches(still):
-        start, end = float(drive.t[first - 1]), float(drive.t[last])
-        if end - start >= MIN_REST_S:
-            yield start, end
 
 
 def _refusals(sensor: str, m: Measurements, t: Array, audit: Audit, name: str) -> Iterator[Event]:

@@ -290,17 +290,12 @@ class Figures(msgspec.Struct):
             return WHEELS
         return table + DRIFT if table == self.drift and name == drift_key(table) else table
 
-    def tables(self) -> dict[str, dict[str, float]]:
-        """Return the present noise settings as tables of robot.toml."""
+    def robot(self, robot: Robot) -> Robot:
+        """Return a robot with the present noise settings."""
         tables: dict[str, dict[str, float]] = {}
         for key, value in self.values().items():
             table, _, name = key.partition(".")
             tables.setdefault(table, {})[name] = value
-        return tables
-
-    def robot(self, robot: Robot) -> Robot:
-        """Return a robot with the present noise settings."""
-        tables = self.tables()
         wheels = msgspec.structs.replace(robot.wheels, **tables.pop("wheels"))
         settings = {s: msgspec.structs.replace(c, **tables.get(s, {})) for s, c in robot.sensors.items()}
         return replace(robot, wheels=wheels, sensors=settings)

@@ -132,9 +132,12 @@ class Bench:
         self._measured_at = dict.fromkeys(used, 0.0)
         self._again: list[str] = []
 
-    def trial(self, trial: TuneLog, figures: Figures) -> TuneLog:
-        """Return a log with these noise settings."""
-        d = trial.drive
+    def now(self) -> list[TuneLog]:
+        """Return the logs with the present noise settings."""
+        return [self._now(t) for t in self.trials]
+
+    def _now(self, trial: TuneLog) -> TuneLog:
+        d, figures = trial.drive, self.figures
         scaled = {
             s: rescaled(m, math.exp(figures.factors.get(s, 0.0) - self._measured_at[s]))
             for s, m in d.measurements.items()
@@ -144,10 +147,6 @@ class Bench:
         to_truth = None if d.truth_motions is None else _with_more_noise(d.truth_motions, more)
         drive = replace(d, motions=_with_more_noise(d.motions, more), truth_motions=to_truth, measurements=scaled)
         return trial._replace(drive=drive, robot=figures.robot(trial.robot))
-
-    def now(self) -> list[TuneLog]:
-        """Return the logs with the present noise settings."""
-        return [self.trial(t, self.figures) for t in self.trials]
 
     def bring_near(self, progress: Progress) -> None:
         """Scale each sigma by the sensor's own innovations until most measurements are accepted."""

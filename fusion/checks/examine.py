@@ -22,11 +22,10 @@ from locfuse.fusion.wheels.repairs import gaps_of
 from .clocks import EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
-from .laser import laser_motion, of_laser, of_radius
+from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_offset, of_scatter, unreturned
-from .sweep import of_sweep
 from .truth import SIZE, metre, of_size, of_truth, of_unit, wheels_metre
-from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
+from .turning import MIRROR, Turning, clock_offset, of_track, of_turning, turnings
 
 MIN_DURATION_S = 5.0  # of a drive by which sensors are judged
 MIN_READINGS = 10  # readings from which a sensor is judged
@@ -75,8 +74,7 @@ def examine(
     found += [] if tilts else of_iron(drive, robot, streams)
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if "lrf" in drive.measurements and not any(o.role in {"lrf", "wheels"} for o in turning):
-        t = aligned(drive.measurements["lrf"], by_sensor.get("lrf"))
-        found += of_sweep(streams["lrf"], drive, robot, t)
+        found += of_sweep(streams["lrf"], drive, robot, clock_offset("lrf", by_sensor))
     if wrong_wheels:
         return found  # other checks need correct wheels
     unit = of_unit(drive)
@@ -120,25 +118,24 @@ def _scales(
 
     Their fixes are computed to be set together: each is right only if the others are set too.
     """
-    named = {} if least is None else {"least": least}
-    motion, lrf = None, drive.measurements.get("lrf")
-    if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
-        motion = laser_motion(lrf, aligned(lrf, by_sensor.get("lrf")), drive, robot)
+    motion = None
+    if not any(o.role == "lrf" for o in turning):
+        motion = laser_motion(drive, robot, clock_offset("lrf", by_sensor))
         t = drive.wheels.t
         if motion is not None and _straight(drive.wheels.heading(t), drive.wheels.driven(t)):
             motion = motion._replace(scale_sigma=math.inf)
     size = of_size(drive, motion)
     if size:
         drive = replace(drive, truth=None)  # nothing can be held against such a truth
-    factor, scaled = metre(drive, robot, **named)
+    factor, scaled = metre(drive, robot, least)
     by_truth = wheels_metre(drive) is not None
-    radius = [] if by_truth else of_radius(motion, robot, **named)
+    radius = [] if by_truth else of_radius(motion, robot, least)
     if radius and least is None:
         return [*size, *radius]  # the cause of both wrong track and wrong range scale
-    track = of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, **named)
+    track = of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, least)
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
-    return [*size, *radius, *scaled, *track, *of_laser(motion, robot, factor, by_truth=by_truth, **named)]
+    return [*size, *radius, *scaled, *track, *of_laser(motion, robot, factor, least, by_truth)]
 
 
 def _refused(drive: Drive) -> list[Finding]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from msgspec.structs import replace
@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Drive, Ints, Measurements
+from locfuse.fusion.data import Array, Drive, Ints, Measurements, Stream
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding, Least
@@ -30,7 +31,7 @@ MAX_PAIR_TIME_S = 4.0  # s between the two scans
 MAX_PAIRS = 1500
 # difference from the wheels' motion, beyond which it is another wall
 MAX_WALL_TURN_RAD, MAX_WALL_SHIFT_M = math.radians(8.0), 0.25
-MIN_WALLS = 60  # walls seen twice
+MIN_SCANS, MIN_WALLS = 20, 60  # scans; walls seen twice
 MAX_ITERATIONS = 3  # of the pairing
 # first guesses if the configured yaw does not fit
 OTHER_YAWS_RAD = (math.pi, 0.5 * math.pi, -0.5 * math.pi)
@@ -78,12 +79,15 @@ class WallMotion(NamedTuple):
     bump: tuple[float, float] | None = None  # s, rad: time and size of a step of its yaw
 
 
-def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> WallMotion | None:
-    """Return laser scale, laser yaw error and turn ratio from walls seen in two scans; None with too few walls.
+def laser_motion(drive: Drive, robot: Robot, offset: float) -> WallMotion | None:
+    """Return laser scale, laser yaw error and turn ratio from walls seen in two scans; None with too few of them.
 
-    `t` (n,) [s] are the times of the readings on the wheels' clock.
+    `offset` [s] is added to the laser's times: the wheels' clock.
     """
-    settings = robot.settings("lrf")
+    m = drive.measurements.get("lrf")
+    if m is None or len(m.t) <= MIN_SCANS:
+        return None
+    settings, t = robot.settings("lrf"), m.t + offset
     mount = np.array([settings.x, settings.y])
     found = _looking(m, t, drive, mount, 0.0)
     if found is None or found.rest > MAX_REST:  # walls pair wrongly if it looks backward or sideways
@@ -94,9 +98,9 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> WallM
     if found is None:
         return None
     walls, scale, yaw = found.walls, found.scale, se2.wrap(found.yaw)
-    scale_sigma, yaw_sigma = _spread(fitted, walls, 2) if found.rest < MAX_TELLING_REST else (math.inf, math.inf)
-    turns = turned(walls)
-    turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
+    sigmas = _spread(fitted, walls) if found.rest < MAX_TELLING_REST else np.array(math.inf)
+    scale_sigma, yaw_sigma = np.broadcast_to(sigmas, 2).tolist()
+    turns, turns_sigma = turned(walls), float(_spread(turned, walls))
     by_slips = slip_sigma(drive.wheels, t)
     bump = bumped(walls, scale)
     return WallMotion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y), by_slips, bump)
@@ -184,11 +188,11 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
     return replace(m, z=np.stack((own + np.cos(psi) * mount[0] + np.sin(psi) * mount[1], psi), axis=-1))
 
 
-def of_radius(motion: WallMotion | None, robot: Robot, least: Least = WORTH_SAYING) -> list[Finding]:
+def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = None) -> list[Finding]:
     """Return a finding on the wheel radius if distances and turns of the wheels are wrong by the same factor.
 
     A wrong range scale does not change turns, a wrong track does not change distances: a wrong radius changes
-    both. For a caller that tries the fix (other limits than WORTH_SAYING) both factors together must be
+    both. For a caller that tries the fix (it gives the limits, `least`) both factors together must be
     significant, and nearer to each other than to 1; if they differ significantly, the distances determine the
     radius.
     """
@@ -203,7 +207,7 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least = WORTH_SAYI
     weights = 1.0 / np.square(sigmas)
     factor, sigma = float(scales @ weights / weights.sum()), float(weights.sum() ** -0.5)
     off, apart = np.abs(scales - 1.0), abs(float(scales[0] - scales[1]))
-    tried = least != WORTH_SAYING
+    tried, least = least is not None, least or WORTH_SAYING
     alike = apart < least.sigmas * math.hypot(*sigmas)
     near = apart < (1.0 if tried else MAX_RADIUS_MISFIT) * float(off.min())
     known = (sigma, sigma) if tried else sigmas
@@ -223,7 +227,7 @@ def of_laser(
     motion: WallMotion | None,
     robot: Robot,
     metre: float = 1.0,
-    least: Least = WORTH_SAYING,
+    least: Least | None = None,
     by_truth: bool = False,
 ) -> list[Finding]:
     """Return findings on the laser's distance scale and yaw.
@@ -233,7 +237,7 @@ def of_laser(
     """
     if motion is None:
         return []
-    settings = robot.settings("lrf")
+    settings, least = robot.settings("lrf"), least or WORTH_SAYING
     if motion.bump is not None:
         t, change = motion.bump
         words = (
@@ -246,15 +250,8 @@ def of_laser(
             f"walls come nearer as they would with a yaw of {math.degrees(yaw):.0f} deg, not of "
             f"{settings.yaw_deg:.0f} deg as configured"
         )
-        return [
-            Finding(
-                "lrf",
-                "yaw",
-                words,
-                (f"lrf.yaw_deg={math.degrees(yaw):.1f}",),
-                abs(motion.yaw) > SEVERE_YAW_ERROR_RAD,
-            )
-        ]
+        fix = f"lrf.yaw_deg={math.degrees(yaw):.1f}"
+        return [Finding("lrf", "yaw", words, (fix,), abs(motion.yaw) > SEVERE_YAW_ERROR_RAD)]
     scale = motion.scale * metre
     if abs(scale - 1.0) < least.error + least.sigmas * motion.scale_sigma:
         return []
@@ -321,9 +318,7 @@ def _slope(walls: WallPairs, rows: NDArray[np.bool_]) -> float | None:
     return float((turn * by_wheels).sum()) / squares
 
 
-def _spread(
-    estimate: Callable[[WallPairs], tuple[float, ...] | None], walls: WallPairs, numbers: int
-) -> list[float]:
+def _spread(estimate: Callable[[WallPairs], Any], walls: WallPairs) -> Array:
     """Return the standard errors of `estimate(walls)`: one stretch of the drive is left out at a time (jackknife).
 
     Pairs of scans overlap, so they are not independent. In turns a mount that is off by SIGMA_M looks like another
@@ -335,9 +330,9 @@ def _spread(
     moved = [walls._replace(y=walls.y + SIGMA_M * nearer) for nearer in _by_mount(walls).T]
     found = [estimate(some) for some in (walls, *moved)]
     if any(f is None for f in found):
-        return [math.inf] * numbers
-    whole, x, y = np.array(found).reshape(-1, numbers)
-    spread: list[float] = np.sqrt(errors**2 + (x - whole) ** 2 + (y - whole) ** 2).tolist()
+        return np.array(math.inf)
+    whole, x, y = np.array(found)
+    spread: Array = np.sqrt(errors**2 + (x - whole) ** 2 + (y - whole) ** 2)
     return spread
 
 
@@ -400,3 +395,63 @@ def who_is_right(robot: Robot, scale: float, fix: str) -> str:
         return f". If the odometry is right, set {fix}; if lrf is, the odometry has a wrong wheel radius"
     track = "" if wheels.track is None else f" and wheels.track={wheels.track / scale:.4g}"
     return f". If the wheels are right, set {fix}; if lrf is, wheels.radius={wheels.radius / scale:.4g}{track}"
+
+
+# ---- the order in which the beams are measured ----
+
+MIN_RATE_RADPS = 0.3  # rad/s between the turn rates of two scans: equal smear shows nothing
+MIN_PAIRS = 60  # walls seen at such different turn rates
+MAX_MISFIT_RATIO = 0.65  # of the misfit in the other order over the one as configured
+RATE_STEP_S = 0.1  # s over which the turn rate is taken
+ORDERS = {"forward": "backward", "backward": "forward"}
+
+
+def of_sweep(stream: Stream, drive: Drive, robot: Robot, offset: float) -> list[Finding]:
+    """Return a finding if walls seen while turning fit clearly better in the reverse order of the beams.
+
+    Deskewing with `time_increment` corrects a scan for the robot's turn; in the wrong order of beams it doubles
+    the error. A driver may reverse the ranges but leave time_increment positive. `offset` [s] is added to the
+    laser's times: the wheels' clock.
+    """
+    settings = cast("LrfSettings", robot.settings("lrf"))
+    increment = np.asarray(stream.columns("time_increment")["time_increment"])
+    if not settings.deskew or not len(drive.measurements["lrf"].t) or not increment.any():
+        return []
+    settings = replace(settings, time_offset=settings.time_offset + offset)
+    other = ORDERS[settings.sweep]
+    now = _misfit(stream, drive, settings)
+    then = None if now is None else _misfit(stream, drive, replace(settings, sweep=other))
+    if now is None or then is None or then > MAX_MISFIT_RATIO * now:
+        return []
+    first = "last" if other == "backward" else "first"
+    words = (
+        f"the directions of walls seen in turns are wrong by {math.degrees(now):.1f}°, but by "
+        f"{math.degrees(then):.1f}° if each scan begins with its {first} beam: it sweeps {other}"
+    )
+    return [Finding("lrf", "sweep", words, (f"lrf.sweep={other}",), True)]
+
+
+def _misfit(stream: Stream, drive: Drive, settings: LrfSettings) -> float | None:
+    """Return the median difference [rad] of wall directions seen at different turn rates; None for few walls.
+
+    The effect of a slightly wrong clock, proportional to the difference of the rates, is subtracted.
+    """
+    m: Measurements = Lrf().measure(stream, settings, drive.wheels, drive.epoch_ns)
+    walls = seen_twice(m, m.t, drive, np.array([settings.x, settings.y]))
+    rate = _rate(drive.wheels, walls.t) - _rate(drive.wheels, walls.since)
+    off = walls.turn - walls.by_wheels
+    use = (np.abs(rate) > MIN_RATE_RADPS) & (np.abs(off) < MAX_WALL_TURN_RAD)
+    for _ in range(3):
+        if use.sum() < MIN_PAIRS:
+            return None
+        late = float(rate[use] @ off[use]) / float(rate[use] @ rate[use])
+        rest = np.abs(off - late * rate)
+        misfit = float(np.median(rest[use]))
+        use &= rest < 3.0 / MAD_OF_NORMAL * misfit
+    return misfit
+
+
+def _rate(wheels: Wheels, t: Array) -> Array:
+    """Return the wheels' turn rates [rad/s] at t (k,) [s]."""
+    begin, end = (np.clip(t + s, wheels.t[0], wheels.t[-1]) for s in (-0.5 * RATE_STEP_S, 0.5 * RATE_STEP_S))
+    return (wheels.heading(end) - wheels.heading(begin)) / RATE_STEP_S

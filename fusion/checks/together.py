@@ -36,8 +36,8 @@ from .tried import (
     worsens_alone,
     worsens_far,
 )
-from .truth import axle_path, swing, wheels_metre
-from .turning import aligned, observed_track, turnings, turns_by_truth
+from .truth import swing, wheels_metre
+from .turning import clock_offset, observed_track, turnings, turns_by_truth
 
 LASER, CLOCK = "lrf", "time_offset"
 AFFECT_ALL = {"wheels", "truth"}  # roles whose settings affect every configuration
@@ -148,10 +148,9 @@ Looks = Callable[[Sequence[Fixes]], Mapping[str, Mapping[Fixes, Look]]]  # setti
 def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> LogEstimates:
     """Return the estimates of settings and clock lags by one drive and its filter `runs`."""
     wheels, found = robot.wheels, dict[str, Number]()
-    by_sensor, lrf = turnings(drive), drive.measurements.get(LASER)
-    motion = None
-    if lrf is not None and len(lrf.t) > 20 and drive.wheels.matched is None and turns_by_truth(drive) is None:
-        motion = laser_motion(lrf, aligned(lrf, by_sensor.get(LASER)), drive, robot)
+    by_sensor, motion = turnings(drive), None
+    if drive.wheels.matched is None and turns_by_truth(drive) is None:
+        motion = laser_motion(drive, robot, clock_offset(LASER, by_sensor))
     track = observed_track(wheels.track or 0.0, drive, by_sensor, motion)
     if track is not None and wheels.track and wheels.radius:
         slips = 0.0 if motion is None else track[0] * motion.by_slips
@@ -159,7 +158,7 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> LogEsti
     scale = wheels_metre(drive)
     if scale is not None and wheels.radius:
         found["wheels.radius"] = Number(wheels.radius * scale[0], wheels.radius * scale[1], wheels.radius)
-    swings = None if drive.truth is None else swing(drive.truth, drive, axle_path(drive.truth, drive.wheels))
+    swings = None if drive.truth is None else swing(drive.truth, drive)
     if swings is not None and drive.truth is not None:
         for i, key in enumerate(("truth.x", "truth.y")):
             found[key] = Number(float(swings.x[i]), float(swings.sigma[i]), drive.truth.point[i])

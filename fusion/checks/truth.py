@@ -60,7 +60,7 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     if truth is None or few:
         return few
     jumps = _jumps(drive) or _steps(truth, drive)
-    swings = swing(truth, drive, axle_path(truth, drive.wheels))
+    swings = swing(truth, drive)
     point = of_point(truth, swings)
     # jumps and a wrong tracked point would look like a wrong start
     creep = of_creep(swings)
@@ -190,7 +190,7 @@ def jumps_of(drive: Drive) -> Jumps | None:
     truth = drive.truth
     if truth is None or len(truth.t) < MIN_READINGS:
         return None
-    limit = step_limits(truth, drive)
+    limit = JUMP_FACTOR * np.diff(drive.wheels.driven(truth.t)) + MIN_JUMP_M + 6.0 * truth.sigma
     number = int((np.hypot(*np.diff(truth.xy, axis=0).T) > limit).sum())
     if not number:
         return None
@@ -253,7 +253,7 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     if truth is None or motion is None or drive.wheels.matched is not None:
         return []
     # chords do not do: noise makes them longer, and so does a tracked point off the axle
-    found = swing(truth, drive, axle_path(truth, drive.wheels))
+    found = swing(truth, drive)
     if found is None:
         return []
     factor, sigma = float(found.x[2]), float(found.sigma[2])
@@ -276,12 +276,6 @@ def unusable(drive: Drive) -> Finding | None:
         return None
     words = f"{jumps.words}. Set truth.max_speed, or truth.sigma if this is its noise"
     return Finding("truth", JUMP, words, (), True)
-
-
-def step_limits(truth: Truth, drive: Drive) -> Array:
-    """Return the longest plausible steps (n - 1,) [m] of the truth, by the wheels' motion."""
-    limit: Array = JUMP_FACTOR * np.diff(drive.wheels.driven(truth.t)) + MIN_JUMP_M + 6.0 * truth.sigma
-    return limit
 
 
 def wheels_metre(drive: Drive) -> tuple[float, float] | None:
@@ -307,16 +301,17 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     return float(np.median(ratio)), 1.25 * float(np.std(parts, ddof=1)) / math.sqrt(STRETCH_COUNT)
 
 
-def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
+def metre(drive: Drive, robot: Robot, least: Least | None = None) -> tuple[float, list[Finding]]:
     """Return the factor that corrects the wheels' distances, and a finding if it differs from 1 significantly.
 
-    The factor is truth distance / wheel distance; it is 1 if unknown or if the difference is smaller than `least`.
+    The factor is truth distance / wheel distance; it is 1 if unknown or if the difference is smaller than `least`
+    (without one: WORTH_SAYING).
     """
     found = wheels_metre(drive)
     by_driver = robot.wheels.is_of_driver
     if found is None or drive.wheels.matched is not None or (robot.wheels.radius is None and not by_driver):
         return 1.0, []
-    factor, sigma = found
+    (factor, sigma), least = found, least or WORTH_SAYING
     if abs(factor - 1.0) < least.error + least.sigmas * sigma:
         return 1.0, []
     words = (
@@ -345,12 +340,14 @@ class Swing(NamedTuple):
     sigma: Array  # (4,)
 
 
-def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
+def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None:
     """Fit tracked point, path scale and sideways motion to the truth; None if the robot hardly turns.
 
     With p(t) = base + R(theta) l, a step of the point is that of the base's `path` (n, 2) [m] at the truth's
-    stamps, times a factor and turned by a small angle, plus (R(theta') - R(theta)) l. `path` is NaN where unknown.
+    stamps, times a factor and turned by a small angle, plus (R(theta') - R(theta)) l. `path` is NaN where unknown;
+    by default it is that of the axle by the wheels.
     """
+    path = axle_path(truth, drive.wheels) if path is None else path
     if path is None or truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
         return None
     wheels = drive.wheels
@@ -407,7 +404,7 @@ def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
     if len(rows) < 2:
         return []
     by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
-    found = swing(by_laser, drive, axle_path(by_laser, drive.wheels))
+    found = swing(by_laser, drive)
     way = float(drive.wheels.driven(drive.wheels.t[-1]))
     if found is None or way <= 0.0:
         return []

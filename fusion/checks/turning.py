@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Measurements, Stream
+from locfuse.fusion.data import Array, Drive, Stream
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
@@ -174,24 +174,22 @@ def _exchanged(
     words = f"the wheels turn against {' and '.join(others)}"
     if stream.msgtype in BODY_READS:
         return Finding("wheels", SWAPPED, f"{words}: the odometry turns the wrong way round", (), True)
-    if _backward(drive, robot, by_sensor.get("lrf")):
+    if _backward(drive, robot, by_sensor):
         fixes = (f"wheels.mirrored={BOTH_TURNED[robot.wheels.mirrored]}",)
         return Finding("wheels", SWAPPED, f"{words}: both wheels count backward", fixes, True)
     return Finding("wheels", SWAPPED, f"{words}: left and right are swapped", _swapped(robot.wheels, stream), True)
 
 
-def _backward(drive: Drive, robot: Robot, turning: Turning | None) -> bool:
+def _backward(drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning]) -> bool:
     """Return whether forward wheel distances have the wrong sign, by the truth's headings, else by walls."""
-    wheels, truth, lrf = drive.wheels, drive.truth, drive.measurements.get("lrf")
+    wheels, truth = drive.wheels, drive.truth
     if truth is not None and truth.theta is not None:
         middle = 0.5 * (truth.t[1:] + truth.t[:-1])
         theta = np.interp(middle, truth.t, np.unwrap(truth.theta))
         moved = se2.rotated(-theta, np.diff(truth.xy, axis=0))[:, 0]
         return float(moved @ wheels.relative(truth.t[:-1], truth.t[1:])[:, 0]) < 0.0
-    if lrf is None:
-        return False
     turned = Wheels.from_twists(wheels.t, wheels.twist * [1.0, 1.0, -1.0], wheels.track, wheels.noise)
-    motion = laser_motion(lrf, aligned(lrf, turning), replace(drive, wheels=turned), robot)
+    motion = laser_motion(replace(drive, wheels=turned), robot, clock_offset("lrf", by_sensor))
     return motion is not None and abs(motion.yaw) > 0.5 * math.pi
 
 
@@ -226,7 +224,7 @@ def of_track(
     by_sensor: Mapping[str, Turning],
     motion: WallMotion | None,
     metre: float = 1.0,
-    least: Least = WORTH_SAYING,
+    least: Least | None = None,
 ) -> list[Finding]:
     """Return a finding if the track is wrong by the truth, else by walls, the compass or a gyro.
 
@@ -246,7 +244,7 @@ def of_track(
     off = track / (metre * configured) - 1.0
     sigma = max(own, track * (0.0 if motion is None else motion.by_slips))
     # a caller that tries the fix needs no margin for slip
-    slips = sigma if least == WORTH_SAYING else 0.0
+    slips, least = 0.0 if least else sigma, least or WORTH_SAYING
     if abs(off) < max(least.error + least.sigmas * own / track, least.sigmas * slips / track):
         return []
     sure = abs(off) > max(SEVERE_TRACK_ERROR, MIN_TRACK_ERROR + MIN_SIGMAS * own / track)
@@ -384,6 +382,6 @@ def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Finding]:
     return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, fix)}",), False)]
 
 
-def aligned(m: Measurements, turning: Turning | None) -> Array:
-    """Return a sensor's times (n,) on the wheels' clock."""
-    return m.t + (turning.offset if turning is not None else 0.0)
+def clock_offset(sensor: str, by_sensor: Mapping[str, Turning]) -> float:
+    """Return the time [s] to add to a sensor's stamps for the wheels' clock, by its turns; 0 if unknown."""
+    return by_sensor[sensor].offset if sensor in by_sensor else 0.0

@@ -61,8 +61,8 @@ def rolled(drive: Drive, ways: Array, track: float = TRACK) -> Drive:
 
 def seen(drive: Drive, m: Measurements | None = None) -> WallMotion | None:
     """What the laser's walls say of a drive, or readings `m` instead of its own."""
-    m = m or drive.measurements["lrf"]
-    return laser_motion(m, m.t, drive, robot())
+    drive = drive if m is None else replace(drive, measurements={**drive.measurements, "lrf": m})
+    return laser_motion(drive, robot(), 0.0)
 
 
 # the laser's walls
@@ -100,8 +100,7 @@ def test_walls_that_come_nearer_by_less_than_their_noise_tell_neither_metre_nor_
     """A depth camera on a robot that mostly turns on the spot."""
     options = LogOptions(sets=(f"lrf.yaw_deg={yaw_deg}",), quiet=True)
     loaded = load([real_log("strangers/odometry_in_tf.bag")], options)
-    m = loaded.drive.measurements["lrf"]
-    motion = present(laser_motion(m, m.t, loaded.drive, loaded.robot))
+    motion = present(laser_motion(loaded.drive, loaded.robot, 0.0))
     assert motion.walls > 100
     assert of_laser(motion, loaded.robot) == []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import Said, cdr, header
-from commands import locfuse, ok
+from commands import locfuse, ok, refused, report_in, reported
 from rewrite_log import rewritten
 from rooms import ARENA, scan
 from wheel_bags import log_of, odometry, stamps
@@ -43,17 +42,12 @@ def faulty(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def report(folder: Path, name: str = "report.json") -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / name).read_text())
-    return found
-
-
 def test_two_faults_are_named_with_their_values(faulty: Path) -> None:
-    fixes = dict(fix.split("=") for fix in report(faulty)["fixes"])
+    fixes = dict(fix.split("=") for fix in report_in(faulty)["fixes"])
     assert float(fixes["lrf.time_offset"]) == pytest.approx(0.0, abs=0.015)
     assert float(fixes["compass.offset_deg"]) == pytest.approx(-65.0, abs=1.0)
-    assert {f["role"] for f in report(faulty)["findings"] if f["fixes"]} == {"lrf", "compass"}
-    for finding in report(faulty)["findings"]:
+    assert {f["role"] for f in report_in(faulty)["findings"] if f["fixes"]} == {"lrf", "compass"}
+    for finding in report_in(faulty)["findings"]:
         if finding["fixes"]:
             tried = finding["tried"]
             assert tried["after"]["position_rmse_m"] < 0.9 * tried["before"]["position_rmse_m"]
@@ -67,23 +61,21 @@ def test_a_wrong_start_is_corrected_before_a_clock_is_judged_by_its_errors(log: 
     assert second["tried"]["before"]["position_rmse_m"] < 0.5  # no longer the metres of the start
 
 
-def test_obeying_helps_and_is_not_advised_again(log: Path, faulty: Path, tmp_path: Path) -> None:
+def test_obeying_helps_and_is_not_advised_again(log: Path, faulty: Path) -> None:
     files = ("--robot", faulty / "robot.toml", "--robot", faulty / "fixes.toml")
-    ok("compare", log, *files, "-o", tmp_path / "out", "--write", "json", "-q")
-    before, after = (report(f)["configurations"]["all"]["position_rmse_m"] for f in (faulty, tmp_path / "out"))
-    assert after < 0.5 * before
-    assert not report(tmp_path / "out")["fixes"]
+    again = reported("compare", log, *files)
+    before = report_in(faulty)["configurations"]["all"]["position_rmse_m"]
+    assert again.rows["all"]["position_rmse_m"] < 0.5 * before
+    assert not again.report["fixes"]
 
 
-def test_run_gives_the_same_findings_as_compare(log: Path, faulty: Path, tmp_path: Path) -> None:
-    ok("run", log, *options(*FAULTS), "-o", tmp_path / "out", "--write", "json", "-q")
-    assert report(tmp_path / "out", "run.json")["findings"] == report(faulty)["findings"]
+def test_run_gives_the_same_findings_as_compare(log: Path, faulty: Path) -> None:
+    assert reported("run", log, *options(*FAULTS)).report["findings"] == report_in(faulty)["findings"]
 
 
 def test_fixes_of_an_earlier_result_go_and_fixes_that_are_given_stay(log: Path, faulty: Path) -> None:
-    given = locfuse("compare", log, "--robot", faulty / "fixes.toml", "-o", faulty, "-q")
-    assert given.exit_code == 2
-    assert "fixes.toml is an input and would be replaced" in given.stderr
+    refusal = refused("compare", log, "--robot", faulty / "fixes.toml", "-o", faulty, "-q", code=2)
+    assert "fixes.toml is an input and would be replaced" in refusal
     out = faulty.parent / "again"
     out.mkdir()
     for name in ("fixes.toml", "report.json"):
@@ -94,7 +86,7 @@ def test_fixes_of_an_earlier_result_go_and_fixes_that_are_given_stay(log: Path, 
 
 
 def test_the_report_begins_with_the_answer(faulty: Path) -> None:
-    headline = report(faulty)["headline"]
+    headline = report_in(faulty)["headline"]
     assert headline.startswith("As configured the best is the ")
     assert "Set the fixes first." in headline
     assert headline in (faulty / "report.md").read_text()
@@ -227,8 +219,7 @@ def standing(path: Path) -> Path:
 
 def test_compare_and_info_say_that_it_does_not_move_and_offer_no_fix(tmp_path: Path) -> None:
     log = standing(tmp_path / "x.mcap")
-    ok("compare", log, "-o", tmp_path / "out", "--write", "json")
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    report = reported("compare", log).report
     assert report["headline"] == f"T{SAID[1:]}."
     assert not report["findings"]
     assert report["reference"] is None
@@ -252,9 +243,7 @@ def test_a_lost_chunk_is_said_and_charged_to_no_sensor(log: Path, tmp_path: Path
     assert not found["fixes"]
     severe = [f for f in product.info(cut)["findings"] if f["severe"]]
     assert [f["message"] for f in severe] == [hole["message"]]
-    refused = locfuse("calibrate", cut)
-    assert refused.exit_code == 1
-    assert "nothing was recorded from 23.4 s" in refused.stderr
+    assert "nothing was recorded from 23.4 s" in refused("calibrate", cut)
 
 
 def test_a_start_that_is_metres_off_voids_the_errors_and_blames_no_sensor(log: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import Done, locfuse, ok
+from commands import Done, locfuse, ok, report_in, reported
 from mcap.writer import Writer
 from rewrite_log import rewritten
 
@@ -21,27 +21,15 @@ def compared(plain: tuple[Done, Path]) -> Path:
     return plain[1]
 
 
-def report_of(folder: Path) -> dict[str, Any]:
-    report: dict[str, Any] = json.loads((folder / "report.json").read_text())
-    return report
-
-
 def test_compare_says_what_each_sensor_bought(compared: Path) -> None:
-    report = report_of(compared)
+    report = report_in(compared)
     rmse = {name: c["position_rmse_m"] for name, c in report["configurations"].items()}
     assert {"odometry", "compass", "lrf", "all"} <= set(rmse)
     assert rmse["all"] < 0.2 * rmse["odometry"]
     for name in rmse:
         assert (compared / f"{name}.tum").is_file()
-    for key in (
-        "position_rmse_m",
-        "position_max_m",
-        "final_position_error_m",
-        "heading_rmse_deg",
-        "anees",
-        "duration_s",
-    ):
-        assert report["configurations"]["all"][key] is not None
+    figures = "position_rmse_m position_max_m final_position_error_m heading_rmse_deg anees duration_s"
+    assert None not in [report["configurations"]["all"][key] for key in figures.split()]
     assert {"accepted", "rejected", "absent", "nis"} <= set(report["configurations"]["all"]["sensors"]["lrf"])
     assert len(report["input"]["sha256"]) == 64
 
@@ -60,10 +48,8 @@ def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, senso
     ok("run", LOG, "--sensors", sensors, "--no-advice", "--write", "all", "-o", tmp_path / "out")
     a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / f"{sensors}.tum")
     np.testing.assert_allclose(a, b, atol=1e-9)
-    one = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"][sensors]
-    assert one["position_rmse_m"] == pytest.approx(
-        report_of(compared)["configurations"][sensors]["position_rmse_m"], abs=1e-9
-    )
+    one, other = (report_in(out)["configurations"][sensors] for out in (tmp_path / "out", compared))
+    assert one["position_rmse_m"] == pytest.approx(other["position_rmse_m"], abs=1e-9)
     header = (tmp_path / "out" / "trajectory.csv").read_text().split("\n", 1)[0]
     assert header == "t,x,y,theta,P_xx,P_xy,P_xt,P_yy,P_yt,P_tt"
 
@@ -71,17 +57,17 @@ def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, senso
 def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared: Path, tmp_path: Path) -> None:
     log = rewritten(tmp_path / "shuffled.mcap", seed=3)
     ok("compare", log, "--no-advice", "-o", tmp_path / "out")
-    assert report_of(tmp_path / "out")["configurations"] == report_of(compared)["configurations"]
+    assert report_in(tmp_path / "out")["configurations"] == report_in(compared)["configurations"]
     for name in ("odometry.tum", "all.tum", "truth.tum"):
         assert (tmp_path / "out" / name).read_bytes() == (compared / name).read_bytes()
 
 
 def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_path: Path) -> None:
-    topic = report_of(compared)["truth"]["topic"]
+    topic = report_in(compared)["truth"]["topic"]
     log = rewritten(tmp_path / "untrue.mcap", seed=None, without=topic)
     done = ok("compare", log, "--no-advice", "--no-reference", "-v", "-o", tmp_path / "out")
     assert "--set truth.topic=" in done.stderr
-    ranking = report_of(tmp_path / "out")["prediction"]["ranking"]
+    ranking = report_in(tmp_path / "out")["prediction"]["ranking"]
     scores = {r["configuration"]: r["gain_nats"] for r in ranking if r["gain_nats"] is not None}
     printed = dict(re.findall(r"^(\w+) .*? ([+-][\d.]+)\b", done.stdout, re.MULTILINE))
     assert {name: float(text) for name, text in printed.items()} == pytest.approx(scores, abs=0.005)
@@ -90,7 +76,7 @@ def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_pat
     without = (tmp_path / "out" / "all.tum").read_text().splitlines()
     assert len(without) > 500
     assert set(without) <= with_truth
-    assert report_of(tmp_path / "out")["configurations"]["all"]["position_rmse_m"] is None
+    assert report_in(tmp_path / "out")["configurations"]["all"]["position_rmse_m"] is None
 
 
 BAD = [
@@ -193,9 +179,9 @@ def test_bad_input_gets_one_clear_line_and_nothing_is_written(
     assert not out.exists()
 
 
-def test_json_on_stdout_is_the_report(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "--json", "-o", tmp_path / "out")
-    assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "run.json").read_text())
+def test_json_on_stdout_is_the_report() -> None:
+    done = reported("run", LOG, "--no-advice", "--sensors", "odometry", "--json")
+    assert json.loads(done.stdout) == done.report
 
 
 def test_write_chooses_the_outputs(tmp_path: Path) -> None:
@@ -204,21 +190,19 @@ def test_write_chooses_the_outputs(tmp_path: Path) -> None:
     assert written - {"timing.json", "fixes.toml"} == {"report.json", "robot.toml"}
 
 
-def test_alignment_is_said_and_ends_consistency_figures(tmp_path: Path) -> None:
-    ok("run", LOG, "--no-advice", "--sensors", "odometry", "--align", "se2", "-o", tmp_path / "out")
-    figures = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"]["odometry"]
+def test_alignment_is_said_and_ends_consistency_figures() -> None:
+    words = ("--no-advice", "--sensors", "odometry", "--align", "se2")
+    figures = reported("run", LOG, *words).rows["odometry"]
     assert figures["align"] == "se2"
     assert figures["anees"] is None
 
 
 def test_the_audit_accounts_for_every_measurement(tmp_path: Path) -> None:
-    words = ("--sensors", "compass,lrf", "--audit", tmp_path / "audit.csv", "--no-advice")
-    ok("run", LOG, *words, "-o", tmp_path / "out")
+    done = reported("run", LOG, "--sensors", "compass,lrf", "--audit", tmp_path / "audit.csv", "--no-advice")
     rows = [line.split(",") for line in (tmp_path / "audit.csv").read_text().splitlines()]
     head, rows = rows[0], rows[1:]
     assert head[:5] == ["t", "sensor", "measurement", "verdict", "landmark"]
-    report = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"]["compass+lrf"]["sensors"]
-    for sensor, figures in report.items():
+    for sensor, figures in done.rows["compass+lrf"]["sensors"].items():
         counted = [r[3] for r in rows if r[1] == sensor]
         assert {v: counted.count(v) for v in figures["verdicts"]} == figures["verdicts"]
     assert [float(r[0]) for r in rows] == sorted(float(r[0]) for r in rows)

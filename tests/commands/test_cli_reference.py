@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import Done, locfuse, ok
+from commands import Done, locfuse, ok, refused, report_in, reported
 from present import present
 
 from locfuse.cli.analysis.gates import Gates
@@ -16,20 +16,8 @@ from locfuse.cli.analysis.settings import GateOptions
 from locfuse.formats.report.changes import changes, remarks
 
 LOG = "rounded_triangle"
-WORDS = (
-    "compare",
-    LOG,
-    "-v",
-    "--write",
-    "all",
-    "--sensors",
-    "odometry",
-    "--sensors",
-    "compass",
-    "--sensors",
-    "lrf",
-    "--no-advice",
-)
+SENSORS = [word for name in ("odometry", "compass", "lrf") for word in ("--sensors", name)]
+WORDS = ("compare", LOG, "-v", "--write", "all", *SENSORS, "--no-advice")
 NO_TRUTH = ("--set", "truth.topic=none")
 
 
@@ -40,13 +28,8 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Done, Path]:
     return done, out
 
 
-def report(out: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((out / "report.json").read_text())
-    return found
-
-
 def test_the_report_names_the_reference_and_what_judged_each_result(judged: tuple[Done, Path]) -> None:
-    found = report(judged[1])
+    found = report_in(judged[1])
     assert found["truth"] is None
     assert found["reference"]["sensors"] == ["compass", "lrf", "camera"]
     assert found["reference"]["left_out"] == []
@@ -74,7 +57,7 @@ def test_every_page_says_that_it_is_a_reference(judged: tuple[Done, Path]) -> No
 
 
 def test_a_verdict_names_the_reference_that_the_sensor_has_no_part_in(judged: tuple[Done, Path]) -> None:
-    words = report(judged[1])["verdicts"]["compass"]["words"]
+    words = report_in(judged[1])["verdicts"]["compass"]["words"]
     assert words.startswith("Against a reference without it (lrf and camera, 1 sigma ")
 
 
@@ -84,12 +67,12 @@ def failed(report: dict[str, Any], gate: str) -> list[str]:
 
 def test_a_gate_on_truth_fails_on_a_reference_unless_it_says_so(judged: tuple[Done, Path]) -> None:
     plain, meant = "compass.position_rmse_m > 5", "reference.compass.position_rmse_m > 5"
-    (line,) = failed(report(judged[1]), plain)
+    (line,) = failed(report_in(judged[1]), plain)
     assert f"errors are against a reference, not truth; if that is meant: {meant}" in line
-    assert failed(report(judged[1]), meant) == []
-    (line,) = failed(report(judged[1]), "reference.compass.position_rmse_m > 0.01")
+    assert failed(report_in(judged[1]), meant) == []
+    (line,) = failed(report_in(judged[1]), "reference.compass.position_rmse_m > 0.01")
     assert ": it is 0.09" in line
-    assert failed(report(judged[1]), "compass.sensors.compass.accepted < 1") == []
+    assert failed(report_in(judged[1]), "compass.sensors.compass.accepted < 1") == []
 
 
 def test_truth_and_reference_are_never_mixed_by_a_gate_or_a_baseline(
@@ -103,29 +86,28 @@ def test_truth_and_reference_are_never_mixed_by_a_gate_or_a_baseline(
     gate, other = [line for line in done.stderr.splitlines() if line.startswith("gate: ")]
     assert "no reference judged this log" in gate
     assert "its errors are against a reference of compass+lrf+camera, these against truth" in other
-    assert Gates.read(GateOptions(baseline=baseline)).failures(report(judged[1])) == []
+    assert Gates.read(GateOptions(baseline=baseline)).failures(report_in(judged[1])) == []
 
 
 def test_it_can_be_left_out_and_is_refused_where_there_is_truth(tmp_path: Path) -> None:
     words = ("compare", LOG, "-v", "--sensors", "odometry", "--no-advice", "--write", "json")
-    done = ok(*words, *NO_TRUTH, "--no-reference", "-o", tmp_path / "out")
-    found = report(tmp_path / "out")
+    done = reported(*words, *NO_TRUTH, "--no-reference")
+    found = done.report
     assert found["reference"] is None
     assert found["configurations"]["odometry"]["position_rmse_m"] is None
     assert "--no-reference" in found["repeat"]
     assert "or measure against the solution of the whole drive: --reference" in done.stderr
-    done = locfuse(*words, "--reference", "-o", tmp_path / "truth")
-    assert done.exit_code == 2
-    assert "this log has a truth, /ground_truth/pose" in done.stderr
+    refusal = refused(*words, "--reference", "-o", tmp_path / "truth", code=2)
+    assert "this log has a truth, /ground_truth/pose" in refusal
 
 
 def test_another_estimate_is_held_against_the_reference_too(judged: tuple[Done, Path]) -> None:
-    error = present(report(judged[1])["configurations"]["tracker"]["position_rmse_m"])
+    error = present(report_in(judged[1])["configurations"]["tracker"]["position_rmse_m"])
     assert error < 0.01  # it is the truth
 
 
 def test_results_by_truth_and_by_reference_side_by_side_say_so(judged: tuple[Done, Path]) -> None:
-    by_reference = report(judged[1])
+    by_reference = report_in(judged[1])
     by_truth = {**by_reference, "reference": None, "truth": {"topic": "/truth"}}
     found = changes(by_truth, by_reference)
     (line,) = [r for r in remarks(found) if r.startswith("errors cannot be compared")]
@@ -138,15 +120,15 @@ def test_results_by_truth_and_by_reference_side_by_side_say_so(judged: tuple[Don
 SMOOTH_LOG = "rounded_rectangle"
 
 
-def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> None:
-    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth", "--no-advice")
-    done = ok("compare", SMOOTH_LOG, *words, "-o", tmp_path / "out")
-    found = json.loads((tmp_path / "out" / "report.json").read_text())["configurations"]
+def test_compare_smooths_every_configuration_with_sensors() -> None:
+    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth", "--no-advice", "--write", "json,tum")
+    done = reported("compare", SMOOTH_LOG, *words)
+    found = done.rows
     assert list(found) == ["odometry", "lrf", "lrf-smoothed"]
     assert [c["smoothed"] for c in found.values()] == [False, False, True]
     assert [c["configuration"] for c in found.values()] == ["odometry", "lrf", "lrf"]
     assert found["lrf-smoothed"]["position_rmse_m"] < found["lrf"]["position_rmse_m"]
-    assert (tmp_path / "out" / "lrf-smoothed.tum").is_file()
+    assert (done.out / "lrf-smoothed.tum").is_file()
     assert "reference" not in done.stderr
 
 
@@ -166,20 +148,14 @@ def test_run_writes_the_smoothed_drive_beside_the_filtered_one(tmp_path: Path) -
     assert rows[:, [4, 7, 9]].mean() < before[:, [4, 7, 9]].mean()
 
 
-def rows(*words: object) -> list[str]:
-    done = ok("compare", SMOOTH_LOG, "--to", 15, "--no-advice", "--write", "json", "--json", *words)
-    return list(json.loads(done.stdout)["configurations"])
-
-
-def test_what_has_a_laser_is_smoothed_unasked(tmp_path: Path) -> None:
-    of = ("--sensors", "odometry", "--sensors", "compass", "--sensors", "lrf", "--sensors", "lrf@2Hz")
+def test_what_has_a_laser_is_smoothed_unasked() -> None:
+    of = ("compare", SMOOTH_LOG, "--to", 15, "--no-advice", *SENSORS, "--sensors", "lrf@2Hz")
     plain = ["odometry", "compass", "lrf", "lrf@2Hz"]
-    assert rows(*of, "-o", tmp_path / "a") == [*plain, "lrf-smoothed"]
-    assert rows(*of, "--no-smooth", "-o", tmp_path / "b") == plain
-    assert rows(*of, "--jitter", 1, "-o", tmp_path / "c") == plain
-    assert rows(*of, "--set", "lrf.map=consider", "-o", tmp_path / "d") == plain
-    repeated = json.loads((tmp_path / "b" / "report.json").read_text())["repeat"]
-    assert "--no-smooth" in repeated
+    assert list(reported(*of).rows) == [*plain, "lrf-smoothed"]
+    for words in (("--no-smooth",), ("--jitter", 1), ("--set", "lrf.map=consider")):
+        done = reported(*of, *words)
+        assert list(done.rows) == plain
+        assert words[0] != "--no-smooth" or "--no-smooth" in done.report["repeat"]
 
 
 def test_a_fleet_and_a_sweep_are_not_smoothed_unasked(tmp_path: Path) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse, ok
+from commands import locfuse, ok, report_in, reported
 from evo.core import metrics, sync
 from evo.tools import file_interface
 
@@ -29,9 +28,8 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def compared(out: Path, *words: Any) -> tuple[dict[str, Any], str]:
     how = ("--sensors", "compass", "-o", out, "--write", "json,tum,html", "--no-advice", "-v")
-    done = ok("compare", SAMPLE, *how, *words)
-    found: dict[str, Any] = json.loads((out / "report.json").read_text())["configurations"]
-    return found, done.stderr
+    done = reported("compare", SAMPLE, *how, *words)
+    return done.rows, done.stderr
 
 
 def test_our_own_trajectory_gives_our_own_figures(ours: Path, tmp_path: Path) -> None:
@@ -39,7 +37,7 @@ def test_our_own_trajectory_gives_our_own_figures(ours: Path, tmp_path: Path) ->
     for key in ERRORS:
         assert found["mine"][key] == pytest.approx(found["compass"][key], abs=1e-9), key
     assert found["mine"]["anees"] is None  # a .tum says no covariance
-    headline = json.loads((tmp_path / "o/report.json").read_text())["headline"]
+    headline = report_in(tmp_path / "o")["headline"]
     assert headline.startswith("With the compass: position error")  # an estimate is no sensor to keep
     assert "another frame" not in stderr
 

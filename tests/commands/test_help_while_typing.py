@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from commands import locfuse, ok
+from commands import locfuse, ok, refused
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
 from locfuse.formats.report.table import written
@@ -113,9 +113,8 @@ def test_calibrate_keeps_what_people_wrote_beside_the_numbers(tmp_path: Path) ->
 def test_a_truth_beside_the_log_is_a_table_of_poses(tmp_path: Path) -> None:
     page = tmp_path / "README.md"
     page.write_text("# no poses")
-    done = locfuse("compare", LOG, "--truth", page, "-o", tmp_path / "out")
-    assert done.exit_code == 2
-    assert f"--truth {page}: a .tum, or a .csv" in done.stderr
+    refusal = refused("compare", LOG, "--truth", page, "-o", tmp_path / "out", code=2)
+    assert f"--truth {page}: a .tum, or a .csv" in refusal
 
 
 def test_a_sensor_is_explained() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import locfuse, ok
+from commands import locfuse, ok, refused
 from hostile import crashed_recording, sample
 
 from locfuse.formats.container import rosbag2_sqlite
@@ -170,10 +170,7 @@ VIRTUAL = "CREATE VIRTUAL TABLE messages USING fts5(id, topic_id, timestamp, dat
     ],
 )
 def test_what_a_database_computes_is_not_read(tmp_path: Path, script: str, words: str) -> None:
-    done = locfuse("info", database(tmp_path / "f.db3", script))
-    assert done.exit_code == 1
-    assert words in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    assert words in refused("info", database(tmp_path / "f.db3", script))
 
 
 def endless(path: Path) -> Iterator[tuple[TimeLimit, sqlite3.Connection]]:
@@ -230,10 +227,9 @@ def test_where_all_messages_are_lost_the_file_is_named_and_not_the_wheels(record
     copied(recording, "ALTER TABLE messages RENAME COLUMN data TO payload")
     robot = recording.parent / "robot.toml"
     robot.write_bytes(sample()[1])
-    done = locfuse("run", recording, "-o", recording.parent / "o", "--robot", robot)
-    assert done.exit_code == 1
-    assert "messages on /joint_states can be read" in done.stderr
-    assert "damaged place of the database" in done.stderr
+    refusal = refused("run", recording, "-o", recording.parent / "o", "--robot", robot)
+    assert "messages on /joint_states can be read" in refusal
+    assert "damaged place of the database" in refusal
 
 
 class DamagedForTwo:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse, ok
+from commands import locfuse, refused, reported
 from msgspec.structs import replace
 from present import present
 from rewrite_log import rewritten
@@ -150,26 +150,11 @@ def test_without_a_truth_it_starts_where_the_wheels_lead(tmp_path: Path) -> None
 
 
 def test_the_commands_take_it_and_refuse_what_holds_nothing(tmp_path: Path) -> None:
-    words = (
-        "compare",
-        SAMPLE,
-        "--no-advice",
-        "--sensors",
-        "odometry",
-        "-o",
-        tmp_path / "o",
-        "--write",
-        "json",
-        "--overwrite",
-    )
-    ok(*words, "--from", 10, "--to", 25)
-    report = json.loads((tmp_path / "o" / "report.json").read_text())
-    assert report["configurations"]["odometry"]["duration_s"] == pytest.approx(15.0, abs=0.1)
-    done = locfuse(*words, "--from", 1000)
-    assert done.exit_code == 1
-    assert "the drive lasts from 0 to" in done.stderr
-    done = locfuse(*words, "--from", 25, "--to", 10)
-    assert done.exit_code == 2
+    words = ("compare", SAMPLE, "--no-advice", "--sensors", "odometry", "-o", tmp_path / "o", "--overwrite")
+    figures = reported(*words, "--from", 10, "--to", 25).rows["odometry"]
+    assert figures["duration_s"] == pytest.approx(15.0, abs=0.1)
+    assert "the drive lasts from 0 to" in refused(*words, "--from", 1000)
+    refused(*words, "--from", 25, "--to", 10, code=2)
     with pytest.raises(LocfuseError, match="nothing moves there"):
         api.load(SAMPLE, between=(1000.0, None))
 

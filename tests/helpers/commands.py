@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import pickle
+import tempfile
 import threading
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -21,6 +24,48 @@ def ok(*words: Any) -> Done:
     done = locfuse(*words)
     assert done.exit_code == 0, done.stderr
     return done
+
+
+def refused(*words: Any, code: int | None = 1) -> str:
+    """Run what must fail with this code (None: with 1 or 2), and return its one line."""
+    done = locfuse(*words)
+    assert done.exit_code in ((1, 2) if code is None else (code,)), done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr.startswith("locfuse: ")
+    return done.stderr
+
+
+class Reported(NamedTuple):
+    """What `compare` or `run` says: its report and its output."""
+
+    report: dict[str, Any]
+    stdout: str
+    stderr: str
+    out: Path  # the folder of results
+
+    @property
+    def rows(self) -> dict[str, Any]:
+        """The figures of every configuration."""
+        found: dict[str, Any] = self.report["configurations"]
+        return found
+
+
+def reported(*words: Any, code: int = 0) -> Reported:
+    """Run `compare` or `run`; what the words do not name is a folder of its own with nothing but the report."""
+    if "-o" not in words:
+        words = (*words, "-o", Path(tempfile.mkdtemp(dir=experiment.scratch())) / "out")
+    if "--write" not in words:
+        words = (*words, "--write", "json")
+    done, out = locfuse(*words), Path(words[words.index("-o") + 1])
+    assert done.exit_code == code, done.stderr
+    return Reported(report_in(out), done.stdout, done.stderr, out)
+
+
+def report_in(folder: Path) -> dict[str, Any]:
+    """The report.json or run.json of a folder of results."""
+    (file,) = folder.glob("*[nt].json")
+    found: dict[str, Any] = json.loads(file.read_text())
+    return found
 
 
 # --- the jobs of a fleet, run in this process one after the other, or counted

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from bags import T0, S, Said
-from commands import locfuse
+from commands import reported
 from pose_streams import reckoned
 from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, messages, turned
 
@@ -79,9 +78,6 @@ def sets(*pairs: str) -> tuple[str, ...]:
 
 def compared(log: Path, truth: Path, *words: Any, code: int = 0) -> tuple[dict[str, Any], str]:
     """The configurations that `compare` reports, and what it says on the way."""
-    out = log.parent / "out"
-    given = ("--no-advice", "-v", "-o", out, "--overwrite", "--write", "json,html", "--truth", truth)
-    done = locfuse("compare", log, *GEOMETRY, *given, *words)
-    assert done.exit_code == code, done.stderr
-    found: dict[str, Any] = json.loads((out / "report.json").read_text())["configurations"]
-    return found, " ".join(done.stderr.split())
+    given = ("--no-advice", "-v", "--write", "json,html", "--truth", truth)
+    done = reported("compare", log, *GEOMETRY, *given, *words, code=code)
+    return done.rows, " ".join(done.stderr.split())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
-from commands import ok
+from commands import ok, reported
 from msgspec.structs import replace
 
 import locfuse as api
@@ -53,22 +52,18 @@ def robot(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("track", "rmse"), [(0.155, 0.599), (0.173, 0.069)])
-def test_odometry_reproduces_the_known_error(tmp_path: Path, robot: Path, track: float, rmse: float) -> None:
-    out = tmp_path / "out"
-    words = ("--robot", robot, "--set", f"wheels.track={track}", "-o", out)
-    ok("run", LOG, "--no-advice", "--sensors", "odometry", *words)
-    report = json.loads((out / "run.json").read_text())
-    assert report["configurations"]["odometry"]["position_rmse_m"] == pytest.approx(rmse, rel=0.02)
-    assert report["input"]["dropped"]["wheels"] == {"repeat": 61}
+def test_odometry_reproduces_the_known_error(robot: Path, track: float, rmse: float) -> None:
+    words = ("--robot", robot, "--set", f"wheels.track={track}")
+    done = reported("run", LOG, "--no-advice", "--sensors", "odometry", *words)
+    assert done.rows["odometry"]["position_rmse_m"] == pytest.approx(rmse, rel=0.02)
+    assert done.report["input"]["dropped"]["wheels"] == {"repeat": 61}
 
 
 @pytest.mark.parametrize(("track", "most"), [(0.155, 0.08), (0.173, 0.09)])
-def test_wall_lines_correct_the_drive(tmp_path: Path, robot: Path, track: float, most: float) -> None:
-    out = tmp_path / "out"
-    ok("compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", f"wheels.track={track}", "-o", out)
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert set(report["configurations"]) == {"odometry", "lrf", "lrf-smoothed"}
-    assert report["configurations"]["lrf"]["position_rmse_m"] <= most
+def test_wall_lines_correct_the_drive(robot: Path, track: float, most: float) -> None:
+    rows = reported("compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", f"wheels.track={track}").rows
+    assert set(rows) == {"odometry", "lrf", "lrf-smoothed"}
+    assert rows["lrf"]["position_rmse_m"] <= most
 
 
 # where the wheels are states too, the mount must be known: on a small floor it takes part of their error
@@ -104,24 +99,24 @@ def test_without_the_laser_s_scale_the_track_is_not_identifiable(tmp_path: Path,
         )
 
 
-def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:
+def test_our_error_is_evos_error(robot: Path) -> None:
     """evo_ape tum without alignment pairs our rows at the truth's stamps and must find the same error."""
     from evo.core import metrics, sync
     from evo.tools import file_interface
 
     # evo compares poses of one body: here the tracked point is the axle itself
-    ok("compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", "truth.x=0", "-o", tmp_path / "out")
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    words = ("--no-advice", "--robot", robot, *CURED, "--set", "truth.x=0", "--write", "json,tum")
+    done = reported("compare", LOG, *words)
     for name in ("odometry", "lrf"):
-        truth = file_interface.read_tum_trajectory_file(str(tmp_path / "out" / "truth.tum"))
-        estimate = file_interface.read_tum_trajectory_file(str(tmp_path / "out" / f"{name}.tum"))
+        truth = file_interface.read_tum_trajectory_file(str(done.out / "truth.tum"))
+        estimate = file_interface.read_tum_trajectory_file(str(done.out / f"{name}.tum"))
         pair = sync.associate_trajectories(truth, estimate, max_diff=1e-6)
         ape = metrics.APE(metrics.PoseRelation.translation_part)
         ape.process_data(pair)
-        ours = report["configurations"][name]
+        ours = done.rows[name]
         assert ape.get_statistic(metrics.StatisticsType.rmse) == pytest.approx(ours["position_rmse_m"], abs=1e-6)
         assert ape.get_statistic(metrics.StatisticsType.max) == pytest.approx(ours["position_max_m"], abs=1e-6)
-        assert len(pair[0].timestamps) == report["truth"]["used"]
+        assert len(pair[0].timestamps) == done.report["truth"]["used"]
 
 
 # --- a building: relation errors as they are defined, and the growing map on the first minutes of a real one

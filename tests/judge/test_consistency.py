@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import small_drive
-from commands import ok
+from commands import Reported, reported
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from present import present
@@ -228,15 +226,13 @@ def test_only_errors_of_a_regular_claim_count() -> None:
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
-    out = tmp_path_factory.mktemp("out") / "out"
+def report() -> Reported:
     words = ("--to", "32", "--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
-    done = ok("compare", "rounded_rectangle", *words, "-o", out)
-    return json.loads((out / "report.json").read_text()), done.stdout, out
+    return reported("compare", "rounded_rectangle", *words)
 
 
-def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, Any], str, Path]) -> None:
-    found, stdout, out = report
+def test_the_report_carries_verdicts_figures_and_words(report: Reported) -> None:
+    found, stdout, _, out = report
     mine = found["configurations"]["all"]["sensors"]["compass"]["consistency"]
     assert {"verdict", "words", "nis_bounds", "bias_sigma", "whiteness", "scale"} <= set(mine)
     assert mine["verdict"] == "biased"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
 from pathlib import Path
@@ -27,7 +26,7 @@ from bags import (
     shuffled,
     write,
 )
-from commands import ok
+from commands import reported
 from mcap.writer import CompressionType, Writer
 
 from locfuse import sample_logs
@@ -377,11 +376,10 @@ def test_a_copy_has_the_identity_of_the_log_and_another_log_has_another(raw: Pat
     assert identity_of(files_of([other])).digest != known.digest
 
 
-def test_every_byte_is_hashed_where_all_were_read_or_the_user_asks(tmp_path: Path) -> None:
-    words = ("--sensors", "odometry", "--write", "json", "--no-advice", "-q")
+def test_every_byte_is_hashed_where_all_were_read_or_the_user_asks() -> None:
     log = sample_logs.path("rounded_rectangle")
-    ok("compare", "rounded_rectangle", *words, "-o", tmp_path / "a", "--hash")
-    source = json.loads((tmp_path / "a" / "report.json").read_text())["input"]
+    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--no-advice", "--hash")
+    source = reported(*words).report["input"]
     assert source["sha256"] == hashlib.sha256(log.read_bytes()).hexdigest()
     assert source["identity"] == identity_of(files_of([log])).digest
     assert source["size"] == log.stat().st_size

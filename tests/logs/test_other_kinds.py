@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import Said, cdr, header, write
-from commands import locfuse, ok
+from commands import locfuse, reported
 from wheel_bags import custom, odometry, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
@@ -156,10 +155,8 @@ def test_the_last_message_says_the_whole_way_at_the_stamps_of_its_poses(tmp_path
 
 def test_a_path_is_judged_as_an_estimate_and_judges_as_truth(tmp_path: Path) -> None:
     log = write(tmp_path / "x.mcap", sorted([*odometry(PATH_T, PATH_POSES), *growing()], key=lambda m: m.log_time))
-    out = tmp_path / "out"
-    named = ("--set", "truth.topic=/slam/path", "--estimate", "slam=/slam/path", "--no-advice", "--write", "json")
-    ok("compare", log, *named, "-o", out)
-    rows = json.loads((out / "report.json").read_text())["configurations"]
+    named = ("--set", "truth.topic=/slam/path", "--estimate", "slam=/slam/path")
+    rows = reported("compare", log, *named, "--no-advice").rows
     assert rows["slam"]["position_rmse_m"] == pytest.approx(0.0, abs=1e-9)
     assert rows["odometry"]["position_rmse_m"] == pytest.approx(0.0, abs=1e-3)
     assert rows["odometry"]["heading_rmse_deg"] == pytest.approx(0.0, abs=math.degrees(1e-3))

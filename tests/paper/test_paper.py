@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import small_drive
-from commands import locfuse, ok
+from commands import ok, refused, reported
 from msgspec.structs import replace
 
 from locfuse.cli.session import paper
@@ -227,53 +226,32 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Path) -> None:
-    done = ok(
-        "compare", log, "-v", "--no-advice", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper"
-    )
+def test_the_preset_is_said_and_recorded_and_reproduces(log: Path) -> None:
+    done = reported("compare", log, "-v", "--no-advice", "--preset", "paper")
     assert "note: preset paper" in done.stderr
-    report = json.loads((tmp_path / "paper" / "report.json").read_text())
+    report = done.report
     assert report["settings"]["preset"] == "paper"
     assert report["settings"]["camera"]["chain"] == "paper"
     assert "no equation" in report["absent"]["sonar"]
     assert list(report["configurations"]) == ["odometry", "compass", "lrf", "all"]
-    robot = tmp_path / "paper" / "robot.toml"
-    ok("compare", log, "--no-advice", "--robot", robot, "--write", "json", "-o", tmp_path / "again")
-    same = json.loads((tmp_path / "again" / "report.json").read_text())
-    assert same["configurations"] == report["configurations"]
-    ok(
-        "run",
-        log,
-        "--no-advice",
-        "--robot",
-        robot,
-        "--preset",
-        "default",
-        "--sensors",
-        "lrf",
-        "-o",
-        tmp_path / "ours",
-    )
-    figures = json.loads((tmp_path / "ours" / "run.json").read_text())["configurations"]["lrf"]
-    assert figures["position_rmse_m"] != report["configurations"]["lrf"]["position_rmse_m"]
+    words = (log, "--no-advice", "--robot", done.out / "robot.toml")
+    assert reported("compare", *words).rows == done.rows
+    ours = reported("run", *words, "--preset", "default", "--sensors", "lrf").rows["lrf"]
+    assert ours["position_rmse_m"] != done.rows["lrf"]["position_rmse_m"]
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones(log: Path, tmp_path: Path) -> None:
-    done = locfuse("run", log, "--preset", "papr", "-o", tmp_path / "out")
-    assert done.exit_code == 2
+    refused("run", log, "--preset", "papr", "-o", tmp_path / "out", code=2)
     robot = tmp_path / "robot.toml"
     robot.write_text('preset = "papr"\n')
-    done = locfuse("run", log, "--robot", robot, "-o", tmp_path / "out")
-    assert done.exit_code == 1
-    assert "choose from default, paper" in done.stderr
+    assert "choose from default, paper" in refused("run", log, "--robot", robot, "-o", tmp_path / "out")
 
 
 def test_the_printed_filter_refuses_a_given_map_and_does_not_pass_it_by(tmp_path: Path) -> None:
     hall = tmp_path / "hall.json"
     hall.write_text(line_map.encode((), "nowhere"))
-    done = locfuse("run", "rounded_rectangle", "--map", hall, "--preset", "paper", "-o", tmp_path / "out")
-    assert done.exit_code == 2
-    assert "leave --preset paper out" in done.stderr
+    words = ("run", "rounded_rectangle", "--map", hall, "--preset", "paper", "-o", tmp_path / "out")
+    assert "leave --preset paper out" in refused(*words, code=2)
 
 
 def test_a_drive_of_more_steps_than_memory_is_refused_in_one_line() -> None:
@@ -370,6 +348,4 @@ def test_the_walls_of_figure_14_are_those_of_the_scenario(found: paper.Repeated)
 
 def test_a_folder_that_holds_something_else_is_refused_before_any_work(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
-    done = locfuse("paper", "-o", tmp_path)
-    assert done.exit_code == 1
-    assert done.stderr.count("\n") == 1
+    refused("paper", "-o", tmp_path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import shutil
@@ -11,7 +10,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from commands import ok
+from commands import reported
 
 import locfuse as api
 from locfuse import sample_logs
@@ -35,9 +34,7 @@ def report(log: Path) -> dict[str, Any]:
 
 
 def compared(log: Path | str, out: Path, *words: str) -> dict[str, Any]:
-    ok("compare", log, *words, "--no-advice", "-o", out, "--write", "json", "-q")
-    found: dict[str, Any] = json.loads((out / "report.json").read_text())
-    return found
+    return reported("compare", log, *words, "--no-advice", "-o", out).report
 
 
 def test_the_command_gives_the_same_figures_and_names_no_path(

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from bags import S, drive, real_log, write
-from commands import locfuse, ok
+from commands import locfuse, ok, refused
 from hostile import Put
 from hostile import write as sample_write
 from mcap.reader import NonSeekingReader, make_reader
@@ -329,11 +329,10 @@ def test_a_clock_that_starts_at_zero_a_second_after_the_stamps_is_exported(tmp_p
 
 def test_times_that_no_ros_stamp_holds_are_refused_in_one_line(tmp_path: Path) -> None:
     log = sample_write(tmp_path / "f.mcap", lambda put: put._replace(log_time=put.log_time + 10**18))
-    done = locfuse("run", log, "--no-advice", "-o", tmp_path / "o", "--order", "recorded", "--export", "mcap")
-    assert done.exit_code == 1
-    assert "January 2038" in done.stderr.splitlines()[-1]
+    words = ("run", log, "--no-advice", "-o", tmp_path / "o", "--order", "recorded")
+    assert "January 2038" in refused(*words, "--export", "mcap")
     assert not (tmp_path / "o").exists()
-    assert locfuse("run", log, "--no-advice", "-o", tmp_path / "o", "--order", "recorded").exit_code in {0, 3}
+    assert locfuse(*words).exit_code in {0, 3}
 
 
 @pytest.mark.parametrize(("shift_s", "does"), [(5e8, "ends"), (-5e9, "begins")])

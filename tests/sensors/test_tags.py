@@ -136,7 +136,8 @@ def test_poses_of_tags_hold_the_robot(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("cameras", "left"), [(ONE, 0.3), (TWO, 0.12)])
 def test_pixels_are_bearings_by_their_own_camera(cameras: dict[str, Array], left: float, tmp_path: Path) -> None:
     files = written(tmp_path, APRIL, april(np.random.default_rng(4)), cameras, 0.0)
-    found, _ = compared(*files, *sets(BEARINGS, f"landmarks.map={map_file(tmp_path)}"))
+    words = (*sets(BEARINGS, f"landmarks.map={map_file(tmp_path)}"), "-o", tmp_path / "out")
+    found, _ = compared(*files, *words)
     assert found["landmarks"]["position_rmse_m"] < left * found["odometry"]["position_rmse_m"]
     assert "innovation of bearing" in (tmp_path / "out/report.html").read_text()
 

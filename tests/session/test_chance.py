@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import small_drive
-from commands import ok
+from commands import reported
 
 from locfuse import sample_logs
 from locfuse.cli.session.jitter import Jittered, add_ranges
@@ -79,19 +77,18 @@ def test_the_range_holds_the_drive_itself_and_every_run() -> None:
     assert report["jitter"]["runs"] == 3
 
 
-def test_compare_reports_ranges_everywhere_and_says_how_to_get_them_again(tmp_path: Path) -> None:
+def test_compare_reports_ranges_everywhere_and_says_how_to_get_them_again() -> None:
     log = sample_logs.path("rounded_rectangle")
     words = ("--sensors", "odometry", "--sensors", "compass", "--jitter", "2", "--no-advice")
-    done = ok("compare", log, "-v", *words, "-o", tmp_path / "out", "--write", "json,md,html")
-    report = json.loads((tmp_path / "out/report.json").read_text())
-    for values in report["configurations"].values():
+    done = reported("compare", log, "-v", *words, "--write", "json,md,html")
+    for values in done.rows.values():
         low, high = values["jitter"]["position_rmse_m"]
         assert low <= values["position_rmse_m"] <= high
-    assert report["configurations"]["odometry"]["jitter"]["path_moved_m"] < 0.01  # no reading to lose
-    low, high = report["configurations"]["compass"]["jitter"]["position_rmse_m"]
+    assert done.rows["odometry"]["jitter"]["path_moved_m"] < 0.01  # no reading to lose
+    low, high = done.rows["compass"]["jitter"]["position_rmse_m"]
     assert low < high < 1.2 * low
-    assert "--jitter 2" in report["repeat"]
+    assert "--jitter 2" in done.report["repeat"]
     assert "fused 2 times more" in done.stderr
     assert "under jitter" in done.stdout
     for page in ("report.md", "report.html"):
-        assert "under jitter" in (tmp_path / "out" / page).read_text()
+        assert "under jitter" in (done.out / page).read_text()

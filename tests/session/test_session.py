@@ -117,16 +117,8 @@ def test_without_audits_the_files_are_the_same(session: locfuse.Session, by_comm
 
 
 def test_a_run_writes_the_commands_files_byte_for_byte(session: locfuse.Session, tmp_path: Path) -> None:
-    words = (
-        "--sensors",
-        "compass,lrf",
-        "--smooth",
-        "--audit",
-        tmp_path / "a.csv",
-        "--save-map",
-        tmp_path / "a.json",
-    )
-    ok("run", LOG, "--to", TO, *words, "-o", tmp_path / "a")
+    files = ("--audit", tmp_path / "a.csv", "--save-map", tmp_path / "a.json", "-o", tmp_path / "a")
+    ok("run", LOG, "--to", TO, "--sensors", "compass,lrf", "--smooth", *files)
     run = session.run(["compass", "lrf"], smooth=True)
     run.write(tmp_path / "b")
     run.write_audit(tmp_path / "b.csv")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import real_log
-from commands import locfuse, ok
+from commands import locfuse, ok, reported
 
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.wheels.calibrate_by_gyro import calibrate_by_gyro
@@ -84,10 +84,7 @@ def test_a_robot_that_skids_gets_its_track_and_ratio_without_truth(tmp_path: Pat
     assert values["time_offset_s"] == pytest.approx(0.0, abs=0.04)
     truth = ("--set", "truth.topic=/icp_pose", "--align", "origin", "--no-advice")
     words = ("--robot", tmp_path / "robot.toml", "--set", "wheels.radius=0.30", "--sensors", "odometry")
-    ok("run", log, *words, *truth, "-o", tmp_path / "out")
-    report = json.loads((tmp_path / "out/run.json").read_text())
-    assert report["configurations"]["odometry"]["position_rmse_m"] < 1.0
+    assert reported("run", log, *words, *truth).rows["odometry"]["position_rmse_m"] < 1.0
     placed = ("--set", "start.theta_deg=-73.1", "--set", "truth.time_offset=-0.07", "--set", "truth.sigma=0.0023")
-    locfuse("run", log, *words, *truth[:2], *placed, "--no-advice", "-o", tmp_path / "placed")
-    report = json.loads((tmp_path / "placed/run.json").read_text())
-    assert 0.5 < report["configurations"]["odometry"]["anees"] < 2.0
+    odometry = reported("run", log, *words, *truth[:2], *placed, "--no-advice").rows["odometry"]
+    assert 0.5 < odometry["anees"] < 2.0

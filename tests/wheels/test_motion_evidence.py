@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import real_log
-from commands import locfuse, ok
+from commands import locfuse, reported
 from laser_room import ROOM, circle, ranges_of, scan_stream, scans_of
 from present import present
 from wheel_bags import chosen, joint_states, log_of, odometry, poses_in, stamps, twists
@@ -166,12 +166,10 @@ def test_poses_that_are_not_the_robots_void_every_figure(
     topic: str, frame: str, words: str, tmp_path: Path
 ) -> None:
     log = log_of(tmp_path / "x.mcap", poses_in(frame, T, TRUTH, topic))
-    done = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
-    assert done.exit_code == 3
+    done = reported("compare", log, code=3)
     assert words in done.stderr
-    report = json.loads((tmp_path / "out/report.json").read_text())
-    assert report["headline"].startswith("No verdict on this log: wheels:")
-    assert report["validity"][0]["void"]
+    assert done.report["headline"].startswith("No verdict on this log: wheels:")
+    assert done.report["validity"][0]["void"]
     info = locfuse("info", log, "--check", "--no-advice")
     assert info.exit_code == 3
     assert "truth.topic" not in info.stdout
@@ -194,9 +192,9 @@ def test_where_no_sensor_is_beside_the_odometry_init_does_not_name_tune(tmp_path
     assert locfuse("compare", log, "--robot", robot, "-o", tmp_path / "out").exit_code == 0
 
 
-def test_wheels_within_their_noise_do_not_lose_to_scan_matching(tmp_path: Path) -> None:
-    locfuse("compare", "rounded_rectangle", "--sensors", "odometry", "-o", tmp_path / "out", "--write", "json")
-    assert "by matching the scans" not in (tmp_path / "out/report.json").read_text()
+def test_wheels_within_their_noise_do_not_lose_to_scan_matching() -> None:
+    report = reported("compare", "rounded_rectangle", "--sensors", "odometry", "--no-advice").report
+    assert "by matching the scans" not in json.dumps(report)
 
 
 def test_poses_of_the_robot_are_taken_before_a_marker_and_a_setpoint(tmp_path: Path) -> None:
@@ -250,11 +248,10 @@ def test_bags_of_strangers_without_a_motion_of_the_robot_are_refused(bag: str, t
     assert done.stderr.startswith("void: wheels: /")
 
 
-def test_the_scans_of_a_robot_whose_controller_was_recorded_give_its_path(tmp_path: Path) -> None:
+def test_the_scans_of_a_robot_whose_controller_was_recorded_give_its_path() -> None:
     log = real_log("strangers/controller_twist.bag")
-    ok("run", log, "--sensors", "lrf", "--align", "origin", "--no-advice", "-o", tmp_path / "out")
-    report = json.loads((tmp_path / "out/run.json").read_text())
-    assert report["configurations"]["lrf"]["position_rmse_m"] < 0.03
+    lrf = reported("run", log, "--sensors", "lrf", "--align", "origin", "--no-advice").rows["lrf"]
+    assert lrf["position_rmse_m"] < 0.03
 
 
 def test_speeds_along_the_frame_of_the_poses_turn_nothing_and_no_reading_is_lost_to_swapped_stamps() -> None:
@@ -284,16 +281,16 @@ def wheels_and_laser(path: Path) -> Path:
 
 def test_wheels_whose_size_nobody_says_come_first_in_headline_and_next(tmp_path: Path) -> None:
     log = wheels_and_laser(tmp_path / "x.mcap")
-    done = locfuse("compare", log, "-v", "-o", tmp_path / "out", "--write", "json,md", "--no-advice")
-    report = json.loads((tmp_path / "out/report.json").read_text())
+    done = reported("compare", log, "-v", "--write", "json,md", "--no-advice")
+    report = done.report
     assert report["headline"].startswith(
         "Wheel angles are in /joint_states but radius and track are unknown: "
         f"`locfuse init {log} -o robot.toml` asks for them."
     )
-    assert "scan matching" in report["configurations"]
-    assert "odometry" not in report["configurations"]
+    assert "scan matching" in done.rows
+    assert "odometry" not in done.rows
     assert "odometry" not in json.dumps(report["verdicts"]) + report["headline"]
-    assert "scan matching" in (tmp_path / "out/report.md").read_text()
+    assert "scan matching" in (done.out / "report.md").read_text()
     assert "scan matching" in done.stdout
     assert "of the same scans, which count twice" in done.stderr
     info = locfuse("info", log).stdout
@@ -324,8 +321,7 @@ def test_encoders_that_are_told_a_wrong_track_do_not_lose_to_scan_matching_witho
 ) -> None:
     log = wheels_and_laser(tmp_path / "x.mcap")
     told = ("--set", "wheels.radius=0.05", "--set", f"wheels.track={track}", "--set", "lrf.x=0.0")
-    ok("compare", log, *told, "-o", tmp_path / "out", "--write", "json", "--sensors", "odometry")
-    report = json.loads((tmp_path / "out/report.json").read_text())
+    report = reported("compare", log, *told, "--sensors", "odometry").report
     words = [note for note in report["notes"] if "by matching the scans" in note]
     assert bool(words) == said
     if said:

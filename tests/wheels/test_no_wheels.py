@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import real_log, write
-from commands import locfuse, ok
+from commands import locfuse, ok, reported
 from laser_room import PERIOD, ROOM, circle, ranges_of, scan_stream, scans_of
 from msgspec.structs import replace
 from ring_drive import box
@@ -250,10 +250,8 @@ def test_a_recording_for_rerun_holds_a_drive_without_wheels(tmp_path: Path) -> N
     assert (tmp_path / "x.rrd").stat().st_size > 10_000
 
 
-def test_a_real_log_of_a_laser_alone_is_used(tmp_path: Path) -> None:
-    log = real_log("strangers/laser_only")
-    ok("compare", log, "--no-advice", "-o", tmp_path / "out", "--write", "json")
-    lrf = json.loads((tmp_path / "out/report.json").read_text())["configurations"]["lrf"]
+def test_a_real_log_of_a_laser_alone_is_used() -> None:
+    lrf = reported("compare", real_log("strangers/laser_only"), "--no-advice").rows["lrf"]
     assert lrf["sensors"]["lrf"]["accepted"] > 500
 
 

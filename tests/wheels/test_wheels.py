@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse, ok
+from commands import refused, reported
 from pose_streams import odometry_stream, reckoned
 from wheel_bags import (
     CREATE,
@@ -273,13 +272,11 @@ def test_steps_are_of_ticks_where_they_miss_whole_numbers_by_a_fiftieth_at_most(
 # --- other messages, as logs
 
 
-def run(tmp_path: Path, log: Path, *words: str) -> tuple[dict[str, Any], Array, str]:
-    done = ok(
-        "run", log, "-v", "--no-advice", "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words
-    )
-    tum = np.loadtxt(tmp_path / "out" / "trajectory.tum")
+def run(log: Path, *words: str) -> tuple[dict[str, Any], Array, str]:
+    done = reported("run", log, "-v", "--no-advice", "--sensors", "odometry", "--write", "json,tum", *words)
+    tum = np.loadtxt(done.out / "trajectory.tum")
     theta = 2 * np.arctan2(tum[-1, 6], tum[-1, 7])
-    return json.loads((tmp_path / "out" / "run.json").read_text()), np.array([*tum[-1, 1:3], theta]), done.stderr
+    return done.report, np.array([*tum[-1, 1:3], theta]), done.stderr
 
 
 def assert_pose(found: Array, wanted: Array, atol: float) -> None:
@@ -296,7 +293,7 @@ def test_create_ticks_are_read_also_over_the_end_of_32_bits(
     wrapped = (ticks + 2**31) % 2**32 - 2**31
     rows = [{"ticks_left": int(a), "ticks_right": int(b)} for a, b in wrapped.tolist()]
     log = custom(tmp_path / "create.mcap", "/wheel_ticks", CREATE, CREATE_TEXT, t, rows)
-    _, pose, _ = run(tmp_path, log, *GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
+    _, pose, _ = run(log, *GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
     assert_pose(pose, pose_of(ticks * 2 * np.pi / TICKS), 1e-6)
 
 
@@ -305,10 +302,8 @@ def test_turtlebot3_encoders_are_read(tmp_path: Path, truth: tuple[Array, Array]
     ticks = np.round(angle * 4096 / (2 * np.pi)).astype(np.int64)
     rows = [{"left_encoder": int(a), "right_encoder": int(b)} for a, b in ticks.tolist()]
     log = custom(tmp_path / "tb3.mcap", "/sensor_state", TURTLE, TURTLE_TEXT, t, rows)
-    done = locfuse("run", log, "-o", tmp_path / "no", *GEOMETRY)
-    assert done.exit_code == 1
-    assert "--set wheels.ticks_per_revolution=4096" in done.stderr
-    _, pose, _ = run(tmp_path, log, *GEOMETRY, "--set", "wheels.ticks_per_revolution=4096")
+    assert "--set wheels.ticks_per_revolution=4096" in refused("run", log, "-o", tmp_path / "no", *GEOMETRY)
+    _, pose, _ = run(log, *GEOMETRY, "--set", "wheels.ticks_per_revolution=4096")
     assert_pose(pose, pose_of(ticks * 2 * np.pi / 4096), 1e-6)
 
 
@@ -340,7 +335,7 @@ def test_two_unsynchronised_topics_are_one_pair_of_wheels(
         numbers(left, kind, t, [v[0] for v in values]),
         numbers(right, kind, late, [v[1] for v in values]),
     )
-    report, pose, stderr = run(tmp_path, log, *how)
+    report, pose, stderr = run(log, *how)
     assert_pose(pose, pose_of(angle), 2e-3)
     assert report["input"]["topics"]["wheels"] == left
     assert "not synchronised" in stderr
@@ -353,15 +348,12 @@ def test_a_pair_can_be_named_and_half_a_pair_is_one_clear_line(tmp_path: Path, t
         numbers("/m1", "Float64", t, angle[:, 0].tolist()),
         numbers("/m2", "Float64", t, angle[:, 1].tolist()),
     )
-    done = locfuse("run", log, *GEOMETRY, "-o", tmp_path / "a")
-    assert done.exit_code == 1
-    done = locfuse("run", log, *GEOMETRY, "--set", "wheels.left_topic=/m1", "-o", tmp_path / "a")
-    assert done.exit_code == 1
-    assert "--set wheels.right_topic=" in done.stderr
-    done = locfuse("run", log, *GEOMETRY, "--set", "wheels.topic=/m1", "-o", tmp_path / "a")
-    assert "--set wheels.left_topic=/m1" in done.stderr
+    words = ("run", log, *GEOMETRY, "-o", tmp_path / "a")
+    refused(*words)
+    assert "--set wheels.right_topic=" in refused(*words, "--set", "wheels.left_topic=/m1")
+    assert "--set wheels.left_topic=/m1" in refused(*words, "--set", "wheels.topic=/m1")
     named = ("--set", "wheels.left_topic=/m1", "--set", "wheels.right_topic=/m2")
-    _, pose, _ = run(tmp_path, log, *GEOMETRY, *named)
+    _, pose, _ = run(log, *GEOMETRY, *named)
     assert_pose(pose, pose_of(angle), 1e-6)
 
 
@@ -374,7 +366,7 @@ def test_ticks_beat_the_joints_of_an_arm(tmp_path: Path, truth: tuple[Array, Arr
         numbers("/left_ticks", "Int32", t, ticks[:, 0].tolist()),
         numbers("/right_ticks", "Int32", t, ticks[:, 1].tolist()),
     )
-    report, pose, _ = run(tmp_path, log, *GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
+    report, pose, _ = run(log, *GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
     assert report["input"]["topics"]["wheels"] == "/left_ticks"
     assert_pose(pose, pose_of(ticks * 2 * np.pi / TICKS), 1e-6)
 

@@ -1,7 +1,9 @@
 """What holds for all tests: what programs print does not depend on the terminal, and they can be interrupted."""
 
 import os
+import pickle
 import signal
+import threading
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any
@@ -30,6 +32,20 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
 
     out = tmp_path_factory.mktemp("plain") / "out"
     return ok("compare", "rounded_rectangle", "-o", out), out
+
+
+@pytest.fixture
+def jobs_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Start no process for a fleet's jobs; a job still arrives as the bytes that a process would read."""
+    from locfuse.cli.fleet import process
+
+    one_at_a_time = threading.Lock()
+
+    def here(job: Any, _folder: str) -> Any:
+        with one_at_a_time:
+            return process.outcome(pickle.loads(pickle.dumps(job)))
+
+    monkeypatch.setattr(process, "_in_a_process", here)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import counted_jobs, jobs_here, locfuse, ok
+from commands import counted_jobs, locfuse, ok
 
 import locfuse as api
 from benchmarks.advice_cases import OFFSET, SCENARIO
 from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log
 
+pytestmark = pytest.mark.usefixtures("jobs_in_this_process")
 LIGHT = (*SCENARIO, "camera.enabled=false", "lrf.enabled=false")
 RIGHT = ("--set", OFFSET)
 
@@ -26,11 +27,6 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for seed, place in enumerate(places):
         write_log(scenario_of("rounded_rectangle", LIGHT), 40 + seed, on_truth, place)
     return places
-
-
-@pytest.fixture(autouse=True)
-def no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs_here(monkeypatch)
 
 
 def summary(folder: Path) -> dict[str, Any]:

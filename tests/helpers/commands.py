@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import pickle
 import tempfile
-import threading
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,20 +64,6 @@ def report_in(folder: Path) -> dict[str, Any]:
     (file,) = folder.glob("*[nt].json")
     found: dict[str, Any] = json.loads(file.read_text())
     return found
-
-
-# --- the jobs of a fleet, run in this process one after the other, or counted
-
-
-def jobs_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start no process from now on; a job still arrives as the bytes that a process would read."""
-    one_at_a_time = threading.Lock()
-
-    def here(job: Job, _folder: str) -> JobOutcome:
-        with one_at_a_time:
-            return process.outcome(pickle.loads(pickle.dumps(job)))
-
-    monkeypatch.setattr(process, "_in_a_process", here)
 
 
 def counted_jobs(monkeypatch: pytest.MonkeyPatch) -> list[str]:

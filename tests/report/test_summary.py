@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from bags import S, drive, write
-from commands import jobs_here, locfuse, ok
+from commands import locfuse, ok, refused
 
 from locfuse.cli.analysis.grouping import logs_of, results_of
 from locfuse.cli.session.summary import summarised
@@ -170,24 +170,20 @@ def test_several_logs_give_a_summary_and_a_folder_each(drives: list[Path], summa
     assert found["logs"].keys() == {d.stem for d in drives}
 
 
+@pytest.mark.usefixtures("jobs_in_this_process")
 def test_a_summary_is_replaced_and_a_foreign_folder_is_not(
-    drives: list[Path], summary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drives: list[Path], summary: Path, tmp_path: Path
 ) -> None:
-    jobs_here(monkeypatch)
     before = (summary / "summary.json").read_bytes()
     done = ok("compare", *drives, "-o", summary, "--write", "json", "--json")
     assert (summary / "summary.json").read_bytes() == before == done.stdout.encode()
     (tmp_path / "chapter1.tex").write_text("precious")
-    done = locfuse("compare", *drives, "-o", tmp_path)
-    assert done.exit_code == 1
-    assert "--overwrite" in done.stderr
+    assert "--overwrite" in refused("compare", *drives, "-o", tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["chapter1.tex"]
 
 
-def test_a_gate_that_one_log_fails_fails_the_summary(
-    drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    jobs_here(monkeypatch)
+@pytest.mark.usefixtures("jobs_in_this_process")
+def test_a_gate_that_one_log_fails_fails_the_summary(drives: list[Path], tmp_path: Path) -> None:
     words = ("--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
     done = locfuse("compare", *drives, *words, "--fail-if", "odometry.position_rmse_m > 0.0001")
     assert done.exit_code == 4
@@ -210,9 +206,7 @@ def test_results_are_set_side_by_side(drives: list[Path], summary: Path, tmp_pat
 
 
 def test_logs_and_results_are_not_mixed(drives: list[Path], summary: Path) -> None:
-    done = locfuse("compare", drives[0], summary / drives[0].stem)
-    assert done.exit_code == 2
-    assert "either logs or results" in done.stderr
+    assert "either logs or results" in refused("compare", drives[0], summary / drives[0].stem, code=2)
     with pytest.raises(UsageError):
         results_of([str(drives[0]), str(summary / drives[0].stem)])
     assert results_of([str(summary / drives[0].stem)]) is None
@@ -232,16 +226,12 @@ def test_what_needs_a_log_is_refused_beside_results_and_not_passed_by(
     summary: Path, drives: list[Path], option: tuple[str, ...]
 ) -> None:
     results = [summary / drive.stem for drive in drives[:2]]
-    done = locfuse("compare", *results, *option)
-    assert done.exit_code == 2
-    assert f"{option[0]} is for logs" in done.stderr
+    assert f"{option[0]} is for logs" in refused("compare", *results, *option, code=2)
 
 
 def test_a_broken_result_is_refused_in_one_line(summary: Path, drives: list[Path], tmp_path: Path) -> None:
     (tmp_path / "report.json").write_text('{"configurations": 3}')
-    done = locfuse("compare", summary / drives[0].stem, tmp_path)
-    assert done.exit_code == 1
-    assert "not a report of locfuse" in done.stderr
+    assert "not a report of locfuse" in refused("compare", summary / drives[0].stem, tmp_path)
 
 
 def test_numbered_recordings_that_overlap_in_time_are_logs_of_their_own(drives: list[Path]) -> None:
@@ -269,10 +259,8 @@ def test_numbered_recordings_that_follow_each_other_are_one_log(tmp_path: Path) 
     assert logs_of([str(p) for p in (*parts, other)]) == [[str(p) for p in parts], [str(other)]]
 
 
-def test_equal_names_get_folders_of_their_own(
-    drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    jobs_here(monkeypatch)
+@pytest.mark.usefixtures("jobs_in_this_process")
+def test_equal_names_get_folders_of_their_own(drives: list[Path], tmp_path: Path) -> None:
     twin = tmp_path / "again" / drives[0].name
     twin.parent.mkdir()
     shutil.copy(drives[0], twin)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import jobs_here, locfuse, ok
+from commands import locfuse, ok, reported
 from lock_step import simulated
 from msgspec.structs import replace
-from trap_logs import COMPASS, SCAN, TRUTH, WHEELS, Drive, seconds
-from traps import elsewhere, late, pitched_imu, short_metre, upside_down
+from trap_logs import COMPASS, SCAN, TRUTH, WHEELS, Change, Drive, recorded, seconds
+from traps import changed, each, elsewhere, field, late, pitched_imu, short_metre, upside_down
 
 from locfuse.cli.analysis.load import start_error
 
@@ -20,9 +21,7 @@ from locfuse.cli.analysis.load import start_error
 @pytest.fixture(scope="module")
 def hanging(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A laser that is mounted upside-down."""
-    drive = Drive()
-    upside_down(drive)
-    return drive.record(tmp_path_factory.mktemp("hanging") / "log.mcap")
+    return recorded(tmp_path_factory.mktemp("hanging"), upside_down)
 
 
 def test_info_check_says_what_its_fix_did(hanging: Path) -> None:
@@ -35,30 +34,22 @@ def test_info_check_says_what_its_fix_did(hanging: Path) -> None:
     assert "--set lrf.flipped=true" in line
 
 
-def test_without_advice_nothing_is_fused_again(hanging: Path, tmp_path: Path) -> None:
+def test_without_advice_nothing_is_fused_again(hanging: Path) -> None:
     assert "tried by fusing" not in locfuse("info", hanging, "--check", "--no-advice").stdout
-    words = ("--no-advice", "-o", tmp_path / "out", "--write", "json")
-    assert locfuse("compare", hanging, *words).exit_code == 3  # lost, and said so
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["findings"] is None
-    assert not (tmp_path / "out" / "fixes.toml").exists()
+    done = reported("compare", hanging, "--no-advice", code=3)  # lost, and said so
+    assert done.report["findings"] is None
+    assert not (done.out / "fixes.toml").exists()
 
 
 def test_a_sensor_that_cannot_be_used_is_judged_by_no_run(tmp_path: Path) -> None:
-    drive = Drive()
-    pitched_imu(drive)
-    done = locfuse("info", drive.record(tmp_path / "log.mcap"), "--check")
+    done = locfuse("info", recorded(tmp_path, pitched_imu), "--check")
     assert done.exit_code == 3
     assert "gravity says that it is mounted" in done.stdout
 
 
 @pytest.mark.parametrize("command", ["run", "compare"])
 def test_quiet_commands_that_exit_with_3_say_why_on_one_line(command: str, tmp_path: Path) -> None:
-    drive = Drive()
-    elsewhere(drive)
-    log = drive.record(tmp_path / "log.mcap")
-    done = locfuse(command, log, "-q", "--no-advice", "-o", tmp_path / "out", "--write", "json")
-    assert done.exit_code == 3
+    done = reported(command, recorded(tmp_path, elsewhere), "-q", "--no-advice", code=3)
     (line,) = done.stderr.splitlines()
     assert line.startswith("void: the truth starts 3.26 m from where the drive starts")
 
@@ -84,31 +75,23 @@ def test_a_truth_that_begins_metres_later_has_begun_where_the_robot_is_by_then()
     assert start_error(vague, replace(drive, truth=replace(moved, sigma=2.0))) is None
 
 
-@pytest.mark.parametrize("command", [("run",), ("compare",), ("info", "--check")])
-def test_a_truth_that_jumps_all_the_time_judges_nothing(command: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_truth_that_jumps_all_the_time_judges_nothing(tmp_path: Path) -> None:
     """A tracker that takes one of two bodies for the robot, in turn, ten times a second."""
-    drive = Drive()
-    drive.each(
-        TRUTH,
-        lambda m: m._replace(
-            fields={**m.fields, "pose.position.x": m.fields["pose.position.x"] + 4.0 * (int(seconds(m) * 10) % 2)}
-        ),
-    )
-    log = drive.record(tmp_path / "log.mcap")
-    written = () if command[0] == "info" else ("--no-advice", "-o", tmp_path / "out", "--write", "json")
-    done = locfuse(*command, log, *written)
+    log = recorded(tmp_path, each(TRUTH, lambda m: changed(
+        m, **{"pose.position.x": m.fields["pose.position.x"] + 4.0 * (int(seconds(m) * 10) % 2)})))  # fmt: skip
+    done = locfuse("info", log, "--check")
     assert done.exit_code == 3
-    assert "by more than the wheels rolled" in done.stdout + done.stderr
-    if written:
-        (file,) = (tmp_path / "out").glob("*[nt].json")  # run.json or report.json
-        report = json.loads(file.read_text())
-        assert {v["code"] for v in report["validity"] if v["void"]} == {"jump"}
-        assert all(v["drift_5m"] is None for v in report["configurations"].values())
-        assert all(v["void"]["figures"]["position_rmse_m"] > 0.5 for v in report["configurations"].values())
+    assert "by more than the wheels rolled" in done.stdout
+    for command in ("run", "compare"):
+        found = reported(command, log, "--no-advice", code=3)
+        assert "by more than the wheels rolled" in found.stdout + found.stderr
+        assert {v["code"] for v in found.report["validity"] if v["void"]} == {"jump"}
+        assert all(v["drift_5m"] is None for v in found.rows.values())
+        assert all(v["void"]["figures"]["position_rmse_m"] > 0.5 for v in found.rows.values())
 
 
-def test_several_logs_of_which_one_is_void_exit_with_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs_here(monkeypatch)
+@pytest.mark.usefixtures("jobs_in_this_process")
+def test_several_logs_of_which_one_is_void_exit_with_3(tmp_path: Path) -> None:
     void = Drive()
     elsewhere(void)
     logs = [d.record(tmp_path / f"{name}.mcap") for name, d in (("right", Drive()), ("void", void))]
@@ -123,11 +106,8 @@ def test_several_logs_of_which_one_is_void_exit_with_3(tmp_path: Path, monkeypat
 
 
 def test_where_every_error_is_void_no_sensor_gets_a_verdict_and_the_start_is_the_fix(tmp_path: Path) -> None:
-    drive = Drive()
-    elsewhere(drive)
-    done = locfuse("compare", drive.record(tmp_path / "log.mcap"), "-o", tmp_path / "out", "--write", "json")
-    assert done.exit_code == 3
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    done = reported("compare", recorded(tmp_path, elsewhere), code=3)
+    report = done.report
     assert {v["verdict"] for v in report["verdicts"].values()} == {"no verdict"}
     assert len(report["verdicts"]) > 1
     assert done.stdout.count("All errors of this log are void.") == 1  # once for all sensors
@@ -135,52 +115,43 @@ def test_where_every_error_is_void_no_sensor_gets_a_verdict_and_the_start_is_the
     assert {fix.split("=")[0] for fix in report["fixes"]} >= {"start.x", "start.y", "start.theta_deg"}
 
 
+def wheels_and_truth(drive: Drive) -> None:
+    drive.drop(COMPASS, SCAN)
+    del drive.tables["compass"], drive.tables["lrf"]
+
+
 def test_a_log_with_wheels_and_truth_alone_gets_the_fix_of_its_start(tmp_path: Path) -> None:
-    drive = Drive()
-    elsewhere(drive)
-    drive.drop("/compass", "/scan")
-    for sensor in ("compass", "lrf"):
-        drive.tables.pop(sensor, None)
-    log = drive.record(tmp_path / "log.mcap")
-    locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert list(report["configurations"]) == ["odometry"]
-    assert {fix.split("=")[0] for fix in report["fixes"]} >= {"start.x", "start.y", "start.theta_deg"}
-    fixed = ("--robot", tmp_path / "out" / "robot.toml", "--robot", tmp_path / "out" / "fixes.toml")
-    ok("compare", log, *fixed, "-o", tmp_path / "again", "--write", "json")
-    again = json.loads((tmp_path / "again" / "report.json").read_text())
-    assert again["configurations"]["odometry"]["position_rmse_m"] < 0.5
+    log = recorded(tmp_path, elsewhere, wheels_and_truth)
+    done = reported("compare", log, code=3)
+    assert list(done.rows) == ["odometry"]
+    assert {fix.split("=")[0] for fix in done.report["fixes"]} >= {"start.x", "start.y", "start.theta_deg"}
+    fixed = ("--robot", done.out / "robot.toml", "--robot", done.out / "fixes.toml")
+    assert reported("compare", log, *fixed).rows["odometry"]["position_rmse_m"] < 0.5
 
 
 def test_info_init_and_compare_set_a_late_truth_and_measure_the_start_by_its_clock(tmp_path: Path) -> None:
     """With the wheels alone beside it no third clock shows which is late: all three commands take the truth's."""
-    drive = Drive()
-    elsewhere(drive)
-    late(TRUTH, 0.5)(drive)
-    drive.drop("/compass", "/scan")
-    for sensor in ("compass", "lrf"):
-        drive.tables.pop(sensor, None)
-    log, file = drive.record(tmp_path / "log.mcap"), tmp_path / "robot.toml"
+    log, file = recorded(tmp_path, elsewhere, late(TRUTH, 0.5), wheels_and_truth), tmp_path / "robot.toml"
     assert "--set truth.time_offset=" in ok("info", log).stdout.partition("\nnext\n")[2]
     ok("init", log, "-o", file)
-    locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
-    fixes = dict(f.split("=") for f in json.loads((tmp_path / "out" / "report.json").read_text())["fixes"])
+    fixes = dict(fix.split("=") for fix in reported("compare", log, code=3).report["fixes"])
     robot = tomllib.loads(file.read_text())
     assert robot["truth"]["time_offset"] == pytest.approx(float(fixes["truth.time_offset"]), abs=0.02)
     assert robot["truth"]["time_offset"] == pytest.approx(-0.5, abs=0.05)
     assert robot["start"]["theta_deg"] == pytest.approx(float(fixes["start.theta_deg"]), abs=1.0)
-    ok("compare", log, "--robot", file, "-o", tmp_path / "again", "--write", "json")
-    again = json.loads((tmp_path / "again" / "report.json").read_text())["fixes"]
+    again = reported("compare", log, "--robot", file).report["fixes"]
     assert not any(fix.startswith(("start.", "truth.time_offset")) for fix in again)
 
 
-def rare(topic: str, step: int) -> Drive:
-    """A drive with every so many messages of a topic only."""
-    drive = Drive()
-    kept = drive.on(topic)[::step]
-    drive.drop(topic)
-    drive.add(kept)
-    return drive
+def rare(topic: str, step: int) -> Change:
+    """Only every so many messages of a topic."""
+
+    def change(drive: Drive) -> None:
+        kept = drive.on(topic)[::step]
+        drive.drop(topic)
+        drive.add(kept)
+
+    return change
 
 
 @pytest.mark.parametrize(
@@ -193,106 +164,67 @@ def rare(topic: str, step: int) -> Drive:
 def test_what_is_too_rare_judges_nothing_and_no_sensor_is_charged(
     tmp_path: Path, topic: str, step: int, words: str
 ) -> None:
-    log = rare(topic, step).record(tmp_path / "log.mcap")
+    log = recorded(tmp_path, rare(topic, step))
     said = locfuse("info", log).stdout.partition("would spoil an estimate\n")[2].partition("\n\n")[0]
     assert said.splitlines()[0].startswith(f"  {words}")
     assert all(line.startswith("    fix: --set truth.topic=none") for line in said.splitlines()[1:])
-    done = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
-    assert done.exit_code == 3
+    done = reported("compare", log, code=3)
     assert done.stdout.startswith(f"No verdict on this log: {words}")
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert not report["findings"]
-    assert {v["verdict"] for v in report["verdicts"].values()} == {"no verdict"}
+    assert not done.report["findings"]
+    assert {v["verdict"] for v in done.report["verdicts"].values()} == {"no verdict"}
 
 
 def test_readings_of_another_year_are_named_with_the_offset_and_not_used(tmp_path: Path) -> None:
-    drive = Drive()
-    late(SCAN, -1e8)(drive)
-    done = locfuse("compare", drive.record(tmp_path / "log.mcap"), "-o", tmp_path / "out", "--write", "json")
+    done = reported("compare", recorded(tmp_path, late(SCAN, -1e8)))
     assert "not used: lrf: none of its 183 readings lies within the 30.4 s of the drive" in done.stderr
     assert "set lrf.time_offset=99999999.9" in done.stderr
 
 
 def test_a_drive_of_two_seconds_judges_no_sensor(tmp_path: Path) -> None:
-    drive = Drive()
-    drive.messages = [m for m in drive.messages if seconds(m) < 2.0]
-    log = drive.record(tmp_path / "log.mcap")
+    topics = (WHEELS, COMPASS, SCAN, TRUTH)
+    log = recorded(tmp_path, *(each(topic, lambda m: m if seconds(m) < 2.0 else None) for topic in topics))
     assert "too short to judge a sensor" in ok("info", log).stdout
     assert "too short to judge a sensor" in ok("init", log, "-o", tmp_path / "robot.toml").stderr
-    done = ok("compare", log, "-o", tmp_path / "out", "--write", "json")
-    assert done.stdout.startswith("The drive lasts 2.0 s")
+    assert reported("compare", log).stdout.startswith("The drive lasts 2.0 s")
 
 
 def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_before(tmp_path: Path) -> None:
     """Its ranges are 0.9 times the distances: what puts them right is 1 / 0.9."""
-    drive = Drive()
-    short_metre(drive)
-    words = ("-o", tmp_path / "out", "--write", "json,md,html")
-    done = locfuse("compare", drive.record(tmp_path / "log.mcap"), *words)
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    fixes = dict(fix.split("=") for fix in report["fixes"])
+    done = reported("compare", recorded(tmp_path, short_metre), "--write", "json,md,html")
+    fixes = dict(fix.split("=") for fix in done.report["fixes"])
     assert float(fixes["lrf.range_scale"]) == pytest.approx(1.0 / 0.9, abs=0.01)
-    doubts = [v for v in report["validity"] if not v["void"]]
+    doubts = [v for v in done.report["validity"] if not v["void"]]
     assert any(v["message"].startswith("lrf: ") and "lrf.range_scale" in v["message"] for v in doubts)
-    for text in (done.stdout, (tmp_path / "out" / "report.md").read_text()):
+    for text in (done.stdout, (done.out / "report.md").read_text()):
         assert text.index("Warning: lrf") < text.index("rmse")
         assert text.count("too short by the truth") == 1  # not as a finding again
-    assert "<strong>Warning:</strong> <span" in (tmp_path / "out" / "report.html").read_text()
+    assert "<strong>Warning:</strong> <span" in (done.out / "report.html").read_text()
 
 
-def test_where_either_may_be_wrong_init_names_both_and_chooses_none(tmp_path: Path) -> None:
-    drive = Drive()
-    short_metre(drive)
-    drive.drop(TRUTH, COMPASS)
-    log, out = drive.record(tmp_path / "log.mcap"), tmp_path / "robot.toml"
-    told = ok("init", log, "-o", out).stderr
-    assert "still wrong: lrf: it measures 9.6% too short by the wheels" in told
-    assert f"next: locfuse compare {log} --robot {out}\n" in told
+NO_FIELD = field(COMPASS, **dict.fromkeys(("magnetic_field.x", "magnetic_field.y"), math.nan))
+EMPTY = [
+    *((field(SCAN, ranges=lambda r, v=value: np.full(len(r), v, np.float32)), "lrf",
+       f"no line in {{n}} of {{n}} readings: its ranges are 100% {words}. Check the sensor", 0)
+      for value, words in ((math.nan, "NaN"), (math.inf, "inf"), (0.0, "zero"))),
+    (NO_FIELD, "compass", "none of {n} readings can be used: {n} hold NaN or Inf. Check the sensor", 3),
+]  # fmt: skip
 
 
-EMPTY = {"nan": "NaN", "inf": "inf", "0": "zero"}
-
-
-@pytest.mark.parametrize("value", EMPTY)
-def test_a_laser_whose_scans_are_empty_is_named_by_info_and_compare_alike(value: str, tmp_path: Path) -> None:
-    drive = Drive()
-    drive.field(SCAN, ranges=lambda r: np.full(len(r), float(value), np.float32))
-    log, n = drive.record(tmp_path / "log.mcap"), len(drive.on(SCAN))
-    words = f"lrf: no line in {n} of {n} readings: its ranges are 100% {EMPTY[value]}. Check the sensor"
-    assert words in ok("info", log).stdout
-    told = ok("compare", log, "-o", tmp_path / "out", "--write", "json").stdout
-    assert words in told
-    assert "lrf no verdict" in told
+@pytest.mark.parametrize(("change", "sensor", "words", "code"), EMPTY, ids=["nan", "inf", "zero", "compass"])
+def test_a_sensor_whose_readings_are_empty_is_named_by_info_and_compare_alike(
+    change: Change, sensor: str, words: str, code: int, tmp_path: Path
+) -> None:
+    log, n = recorded(tmp_path, change), len(Drive().on({"lrf": SCAN, "compass": COMPASS}[sensor]))
+    assert f"{sensor}: {words.format(n=n)}" in ok("info", log).stdout
+    told = reported("compare", log, code=code).stdout
+    assert f"{sensor}: {words.format(n=n)}" in told
+    assert f"{sensor} no verdict" in told
     assert "lrf.range_scale" not in told
-
-
-def test_a_compass_that_gives_no_number_is_named_by_info_and_compare(tmp_path: Path) -> None:
-    drive = Drive()
-    drive.field(COMPASS, **dict.fromkeys(("magnetic_field.x", "magnetic_field.y"), float("nan")))
-    log, n = drive.record(tmp_path / "log.mcap"), len(drive.on(COMPASS))
-    words = f"compass: none of {n} readings can be used: {n} hold NaN or Inf. Check the sensor"
-    assert words in ok("info", log).stdout
-    told = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json").stdout
-    assert words in told
-    assert "compass no verdict" in told
-
-
-def test_a_laser_of_which_no_scan_falls_in_the_drive_is_told_its_offset(tmp_path: Path) -> None:
-    drive = Drive()
-    drive.drop(TRUTH, COMPASS)
-    log, n = drive.record(tmp_path / "log.mcap"), len(drive.on(SCAN))
-    words = ("--set", "lrf.time_offset=1000", "-o", tmp_path / "out", "--write", "json")
-    told = ok("compare", log, *words).stderr
-    assert f"not used: lrf: none of its {n} readings lies within" in told
-    assert "set lrf.time_offset=" in told
 
 
 @pytest.mark.parametrize("command", ["run", "compare"])
 def test_stamps_that_stand_still_get_recording_times_and_no_other_fix(command: str, tmp_path: Path) -> None:
-    drive = Drive()
-    drive.each(SCAN, lambda m: m._replace(stamp_ns=m.stamp_ns // 10**9 * 10**9))
-    log = drive.record(tmp_path / "log.mcap")
-    told = locfuse(command, log, "-o", tmp_path / "out", "--write", "json").stdout
-    (file,) = (tmp_path / "out").glob("*.json")
-    assert json.loads(file.read_text())["fixes"] == ["order=recorded"]
-    assert "Fix (not tried): --set order=recorded" in told
+    log = recorded(tmp_path, each(SCAN, lambda m: m._replace(stamp_ns=m.stamp_ns // 10**9 * 10**9)))
+    done = reported(command, log)
+    assert done.report["fixes"] == ["order=recorded"]
+    assert "Fix (not tried): --set order=recorded" in done.stdout

@@ -90,6 +90,14 @@ class Drive:
         return path
 
 
+def recorded(folder: Path, *changes: Change) -> Path:
+    """The drive with these changes as a log in a folder."""
+    drive = Drive()
+    for change in changes:
+        change(drive)
+    return drive.record(folder / "log.mcap")
+
+
 def seconds(m: RawMessage) -> float:
     """When a message was taken, s after the start."""
     return (m.stamp_ns - EPOCH_NS) / S

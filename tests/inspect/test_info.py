@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from bags import T0, S, Said, cdr, definition, drive, header, real_log, write
-from commands import Done, locfuse, ok
+from commands import Done, locfuse, ok, refused
 from laser_room import circle, scans_of
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from trap_logs import COMPASS, PICTURES, SCAN, TRUTH, WHEELS, Drive
-from traps import ROLLED, decoded, imu, raw, short_metre
+from trap_logs import COMPASS, PICTURES, SCAN, TRUTH, WHEELS, Drive, recorded
+from traps import ROLLED, decoded, field, gyro, imu, raw, short_metre, without_compass
 
 import locfuse as api
 from locfuse import sample_logs
@@ -175,9 +176,7 @@ def test_the_next_command_is_one_that_cures(tmp_path: Path) -> None:
 
 def test_of_two_ways_to_set_a_distance_none_is_called_the_fix(tmp_path: Path) -> None:
     """As `compare`, which offers neither; with truth it is known who is right."""
-    made = Drive()
-    short_metre(made)
-    log = made.record(tmp_path / "log.mcap")
+    log = recorded(tmp_path, short_metre)
     assert "fix: --set lrf.range_scale=1.1" in locfuse("info", log).stdout
     alone = locfuse("info", log, "--set", "truth.topic=none").stdout
     (line,) = (x for x in alone.splitlines() if x.startswith("  lrf: it measures"))
@@ -185,7 +184,11 @@ def test_of_two_ways_to_set_a_distance_none_is_called_the_fix(tmp_path: Path) ->
     assert "if lrf is, wheels.radius=0.04" in line
     assert "fix: --set lrf.range_scale" not in alone
     assert "\nrange_scale = 1.1" in locfuse("init", log).stdout
-    alone = locfuse("init", log, "--set", "truth.topic=none").stdout
+    robot = tmp_path / "robot.toml"
+    told = locfuse("init", log, "--set", "truth.topic=none", "-o", robot).stderr
+    assert "still wrong: lrf: it measures 9.6% too short by the wheels" in told
+    assert "next: locfuse compare" in told
+    alone = robot.read_text()
     assert "\n# range_scale = 1.1" in alone
     assert "\nrange_scale" not in alone
     assert "wheels.radius=0.04" in alone
@@ -203,9 +206,8 @@ def test_a_run_that_is_lost_is_said_by_info_as_by_compare(tmp_path: Path) -> Non
 
 
 def test_a_dead_encoder_is_named_though_nothing_cures_it(tmp_path: Path) -> None:
-    tour = Drive()
-    tour.field(WHEELS, position=lambda p: np.array([p[0], 1.0]))
-    done = locfuse("info", tour.record(tmp_path / "x.mcap"), "--check")
+    dead = field(WHEELS, position=lambda p: np.array([p[0], 1.0]))
+    done = locfuse("info", recorded(tmp_path, dead), "--check")
     assert done.exit_code == 3
     assert re.search(r"wheels: the right wheel never turns while the other rolls [\d.]+ m", done.stdout)
     assert "fix:" not in done.stdout
@@ -351,9 +353,8 @@ def test_preview_needs_no_landmark_and_says_which_pictures_there_are(tmp_path: P
     assert (tmp_path / "p" / "000000-raw.png").stat().st_size > 0
     assert picture.shape == (240, 240, 3)
     tour.add([m._replace(topic="/other/compressed") for m in tour.on(PICTURES)])
-    two = locfuse("info", tour.record(tmp_path / "two.mcap"), "--preview", tmp_path / "p")
-    assert two.exit_code == 1
-    assert "has 2 topics of pictures; choose one with --set camera.topic=" in two.stderr
+    refusal = refused("info", tour.record(tmp_path / "two.mcap"), "--preview", tmp_path / "p")
+    assert "has 2 topics of pictures; choose one with --set camera.topic=" in refusal
     none = locfuse("info", write(tmp_path / "none.mcap", drive(20)), "--preview", tmp_path / "p")
     assert "no topic of none holds pictures" in none.stderr
 
@@ -473,16 +474,8 @@ def test_scans_that_begin_at_two_angles_in_turn_are_named(tmp_path: Path) -> Non
 # --- an IMU is bolted to the robot once: what turns its gyro turns its compass
 
 
-def written(folder: Path) -> Path:
-    drive = Drive()
-    imu(drive, ROLLED, orientation=True)
-    drive.drop(COMPASS)
-    del drive.tables["compass"]
-    return drive.record(folder / "imu.mcap")
-
-
 def test_roll_and_pitch_given_for_one_hold_for_the_other(tmp_path: Path) -> None:
-    log = written(tmp_path)
+    log = recorded(tmp_path, partial(imu, R=ROLLED, orientation=True), without_compass)
     for given, other in (("gyro", "compass"), ("compass", "gyro")):
         robot = api.load(log, sets={f"{given}.roll_deg": 90.0}).robot
         assert robot.settings(other).roll_deg == 90.0
@@ -491,8 +484,5 @@ def test_roll_and_pitch_given_for_one_hold_for_the_other(tmp_path: Path) -> None
 
 
 def test_sensors_of_other_frames_keep_their_own(tmp_path: Path) -> None:
-    drive = Drive()
-    imu(drive, ROLLED, orientation=False)
-    log = drive.record(tmp_path / "apart.mcap")
-    robot = api.load(log, sets={"gyro.roll_deg": 90.0}).robot
+    robot = api.load(recorded(tmp_path, gyro(ROLLED)), sets={"gyro.roll_deg": 90.0}).robot
     assert robot.settings("compass").roll_deg == 0.0

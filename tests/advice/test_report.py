@@ -139,6 +139,7 @@ def test_without_truth_the_places_seen_twice_judge_the_smoothed_path(
 
 SURE = Finding("lrf", "lag", "late (correlation 0.9 as stamped, 0.99 shifted). It is the laser's", severe=True)
 LATE = Advice(Finding("lrf", "lag", "stamps look 0.1 s late"), ("lrf.time_offset=-0.1",))
+AGAIN = Advice(Finding("lrf", "lag", "stamps look 0.01 s early"), ("lrf.time_offset=-0.09",))
 HIGH = Advice(Finding("lrf", "too high", "noise is set too high"), ("lrf.sigma_range=0.01",))
 LOW = Advice(Finding("lrf", "anees", "errors are 2 times what is claimed"), ("lrf.sigma_range=0.04",))
 
@@ -150,23 +151,18 @@ def finding(*advice: Advice) -> Any:
     return found
 
 
-def test_steps_that_set_different_things_are_told_one_after_the_other() -> None:
-    found = finding(LATE, HIGH)
-    assert found["message"] == "stamps look 0.1 s late; after this fix: noise is set too high"
-    assert found["fixes"] == ["lrf.time_offset=-0.1", "lrf.sigma_range=0.01"]
-
-
-def test_a_step_that_is_set_otherwise_by_a_later_one_is_not_told() -> None:
-    found = finding(HIGH, LOW)
-    assert found["message"] == "errors are 2 times what is claimed"
-    assert found["fixes"] == ["lrf.sigma_range=0.04"]
-
-
-def test_a_value_that_was_measured_again_is_told_once_with_its_last_value() -> None:
-    again = Advice(Finding("lrf", "lag", "stamps look 0.01 s early"), ("lrf.time_offset=-0.09",))
-    found = finding(LATE, again)
-    assert found["message"] == "stamps look 0.1 s late"
-    assert found["fixes"] == ["lrf.time_offset=-0.09"]
+@pytest.mark.parametrize(
+    ("steps", "message", "fixes"),
+    [
+        ((LATE, HIGH), "stamps look 0.1 s late; after this fix: noise is set too high", LATE.fixes + HIGH.fixes),
+        ((HIGH, LOW), LOW.finding.message, LOW.fixes),
+        ((LATE, AGAIN), LATE.finding.message, AGAIN.fixes),
+    ],
+    ids=["of different things: one after the other", "set otherwise later: not told", "measured again: told once"],
+)
+def test_several_steps_become_one_message(steps: tuple[Advice, ...], message: str, fixes: tuple[str, ...]) -> None:
+    found = finding(*steps)
+    assert (found["message"], found["fixes"]) == (message, list(fixes))
 
 
 def test_a_value_that_ends_far_from_the_first_is_told_with_what_was_found_last() -> None:

@@ -53,6 +53,11 @@ def truth_of(drive: Drive) -> Truth:
     return present(drive.truth)
 
 
+def with_truth(drive: Drive, **fields: Any) -> Drive:
+    """The drive under a truth of which some fields are others."""
+    return replace(drive, truth=replace(truth_of(drive), **fields))
+
+
 def rolled(drive: Drive, ways: Array, track: float = TRACK) -> Drive:
     """The drive of wheels that rolled (n, 2) m from reading to reading and are said to stand `track` apart."""
     left, right = np.vstack(([0.0, 0.0], np.cumsum(ways, axis=0))).T
@@ -247,9 +252,9 @@ def test_headings_that_the_robot_does_not_drive_along_do_not_tell_where_it_start
     healthy = drive(16, robot(), laps=1.5)
     truth = truth_of(healthy)
     assert truth.theta is not None
-    turned = replace(truth, theta=truth.theta + math.radians(8.0))
+    turned = with_truth(healthy, theta=truth.theta + math.radians(8.0))
     elsewhere = replace(robot(), start=replace(robot().start, theta_deg=math.degrees(START[2]) + 20.0))
-    found = of_truth(replace(healthy, truth=turned), elsewhere)
+    found = of_truth(turned, elsewhere)
     fixes = told([f for f in found if f.code == "start"])
     assert fixes["start.theta_deg"] == pytest.approx(math.degrees(START[2]), abs=4.0)
     assert fixes["start.sigma_theta_deg"] == pytest.approx(8.0, abs=0.5)
@@ -274,7 +279,7 @@ def test_wheels_whose_turns_are_noisy_make_no_body_point(x: float, y: float, see
     assert truth.theta is not None
     c, s = np.cos(truth.theta), np.sin(truth.theta)
     point = np.stack((x * c - y * s, x * s + y * c), axis=-1)
-    found = of_truth(replace(noisy, truth=replace(truth, xy=truth.xy + point)), robot())
+    found = of_truth(with_truth(noisy, xy=truth.xy + point), robot())
     if x:
         assert told(found) == pytest.approx({"truth.x": x, "truth.y": y}, abs=0.05)
     else:
@@ -285,8 +290,8 @@ def found_of(healthy: Drive, xy: Array, theta: Array | None = None) -> dict[str,
     """What is found by kind where the truth's places move by xy (n, 2) and its headings by theta (n,)."""
     truth = truth_of(healthy)
     assert truth.theta is not None
-    moved = replace(truth, xy=truth.xy + xy, theta=truth.theta + (0.0 if theta is None else theta))
-    return {f.code: told([f]) for f in of_truth(replace(healthy, truth=moved), robot())}
+    moved = with_truth(healthy, xy=truth.xy + xy, theta=truth.theta + (0.0 if theta is None else theta))
+    return {f.code: told([f]) for f in of_truth(moved, robot())}
 
 
 def test_a_marker_six_centimetres_off_the_axle_is_found_to_three_millimetres() -> None:
@@ -299,14 +304,10 @@ def test_a_marker_six_centimetres_off_the_axle_is_found_to_three_millimetres() -
 
 def test_wheels_that_creep_sideways_are_named_by_the_truth() -> None:
     healthy = drive(18, robot(), laps=1.5)
-    truth = truth_of(healthy)
-    assert truth.theta is not None
-    step = np.diff(truth.xy, axis=0)
-    aside = 0.02 * np.stack((-step[:, 1], step[:, 0]), axis=-1)
-    (found,) = of_truth(
-        replace(healthy, truth=replace(truth, xy=truth.xy + np.pad(aside, ((1, 0), (0, 0))).cumsum(axis=0))),
-        robot(),
-    )
+    xy = truth_of(healthy).xy
+    step = np.diff(xy, axis=0)
+    aside = np.pad(0.02 * np.stack((-step[:, 1], step[:, 0]), axis=-1), ((1, 0), (0, 0)))
+    (found,) = of_truth(with_truth(healthy, xy=xy + aside.cumsum(axis=0)), robot())
     assert (found.role, found.code, found.fixes) == ("wheels", "sideways", ())
     aside_deg = float(found.message.partition("drives ")[2].partition("°")[0])
     assert aside_deg == pytest.approx(math.degrees(0.02), abs=0.1)
@@ -350,9 +351,8 @@ def test_a_healthy_truth_is_not_mentioned() -> None:
 def test_a_truth_that_does_not_move_measures_no_wheels(place: float) -> None:
     healthy = drive(1, robot())
     assert wheels_metre(healthy) is not None
-    truth = truth_of(healthy)
     rng = np.random.default_rng(1)
-    still = replace(healthy, truth=replace(truth, xy=place * rng.integers(0, 3, truth.xy.shape)))
+    still = with_truth(healthy, xy=place * rng.integers(0, 3, truth_of(healthy).xy.shape))
     assert wheels_metre(still) is None
     assert metre(still, robot()) == (1.0, [])
 
@@ -381,7 +381,7 @@ def test_a_truth_whose_size_wheels_and_laser_both_deny_is_wrong(truth: float, wh
     """Where only the wheels are wrong, the laser denies them; where both are right, a small error is no reason."""
     healthy = drive(4, robot(), laps=3.0)
     own = rolled(healthy, wheels * healthy.wheels.rolled, TRACK * wheels)
-    scaled = replace(own, truth=replace(truth_of(own), xy=truth * truth_of(own).xy))
+    scaled = with_truth(own, xy=truth * truth_of(own).xy)
     found = of_size(scaled, seen(scaled))
     assert [(f.role, f.code, f.fixes, f.severe) for f in found] == ([("truth", SIZE, (), True)] if named else [])
     scales = _scales(scaled, robot(), turnings(scaled), (), None)
@@ -395,7 +395,7 @@ def test_a_truth_with_a_jump_in_more_than_one_of_a_hundred_steps_judges_nothing(
     assert jumps_of(healthy) is None
     truth = truth_of(healthy)
     moved = 4.0 * (np.arange(len(truth.t)) // every % 2)
-    found = present(jumps_of(replace(healthy, truth=replace(truth, xy=truth.xy + moved[:, None]))))
+    found = present(jumps_of(with_truth(healthy, xy=truth.xy + moved[:, None])))
     assert (found.number, found.steps) == ((len(truth.t) - 1) // every, len(truth.t) - 1)
     assert found.unusable is spoil
 
@@ -405,8 +405,7 @@ def test_a_truth_with_a_jump_in_more_than_one_of_a_hundred_steps_judges_nothing(
 )
 def test_a_truth_that_is_not_in_metres_is_named_by_its_unit(factor: float, unit: str | None) -> None:
     healthy = drive(1, robot())
-    truth = truth_of(healthy)
-    scaled = replace(healthy, truth=replace(truth, xy=factor * truth.xy))
+    scaled = with_truth(healthy, xy=factor * truth_of(healthy).xy)
     found = of_unit(scaled)
     assert [(f.role, f.code, f.fixes, f.severe) for f in found] == ([("truth", UNIT, (), True)] if unit else [])
     assert unit is None or f"its unit looks like {unit}." in found[0].message

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -165,24 +164,11 @@ def test_a_compass_that_is_too_noisy_to_see_slips_calls_none_unusual(seed: int) 
 WHEELS_ALONE = ("compass.enabled=false", "camera.enabled=false", "lrf.enabled=false")
 
 
-def found(log: Path, *sets: str, headings: bool) -> list[Finding]:
-    loaded = load(log, sets=sets).loaded
+def found(one: Session, *sets: str, headings: bool) -> list[Finding]:
+    loaded = load(str(one.log.paths[0]), sets=sets).loaded
     truth = present(loaded.drive.truth)
     drive = loaded.drive if headings else replace(loaded.drive, truth=replace(truth, theta=None))
     return of_turning(drive, loaded.robot, {}, {"wheels": loaded.stream("wheels")})
-
-
-@pytest.mark.parametrize("headings", [False, True])
-def test_exchanged_wheels_are_named_by_their_joints_and_right_ones_are_not(tmp_path: Path, headings: bool) -> None:
-    log = tmp_path / "wheels.mcap"
-    write_log(scenario_of("rounded_rectangle", WHEELS_ALONE), 3000, on_truth, log)
-    assert found(log, headings=headings) == []
-    joints = load(log).loaded.stream("wheels").columns("name")["name"][0]
-    left, right = (next(j for j in joints if side in j) for side in ("left", "right"))
-    exchanged = (f"wheels.left={right}", f"wheels.right={left}")
-    (one,) = found(log, *exchanged, headings=headings)
-    assert (one.code, one.severe) == ("swapped", True)
-    assert set(one.fixes) == {f"wheels.left={left}", f"wheels.right={right}"}
 
 
 @pytest.fixture(scope="module")
@@ -190,6 +176,19 @@ def wheels_alone(tmp_path_factory: pytest.TempPathFactory) -> Session:
     log = tmp_path_factory.mktemp("wheels") / "wheels.mcap"
     write_log(scenario_of("rounded_rectangle", WHEELS_ALONE), 3000, on_truth, log)
     return load(log)
+
+
+@pytest.mark.parametrize("headings", [False, True])
+def test_exchanged_wheels_are_named_by_their_joints_and_right_ones_are_not(
+    wheels_alone: Session, headings: bool
+) -> None:
+    assert found(wheels_alone, headings=headings) == []
+    joints = wheels_alone.loaded.stream("wheels").columns("name")["name"][0]
+    left, right = (next(j for j in joints if side in j) for side in ("left", "right"))
+    exchanged = (f"wheels.left={right}", f"wheels.right={left}")
+    (one,) = found(wheels_alone, *exchanged, headings=headings)
+    assert (one.code, one.severe) == ("swapped", True)
+    assert set(one.fixes) == {f"wheels.left={left}", f"wheels.right={right}"}
 
 
 def of_mirrored(one: Session, y: int, theta: int | None, sensors: dict[str, Turning], kind: str = "") -> Finding:

@@ -19,26 +19,24 @@ SOURCE = Path(__file__).parents[2] / "cli" / "facade" / "__init__.py"
 FUNCTIONS = ("compare", "evaluate", "fuse", "info", "load", "open_log", "simulate", "smooth")
 
 
-def test_the_import_loads_nothing_heavy_and_a_name_loads_its_own() -> None:
-    code = (
-        "import sys, locfuse\n"
-        "heavy = {'numpy', 'cv2', 'rerun', 'rich', 'msgspec', 'mcap', 'rosbags', 'click'} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-        "locfuse.load\n"
-        "assert 'numpy' in sys.modules and not {'rerun', 'rich', 'click', 'matplotlib'} & set(sys.modules)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+NOTHING_HEAVY = (
+    "import sys, locfuse\n"
+    "heavy = {'numpy', 'cv2', 'rerun', 'rich', 'msgspec', 'mcap', 'rosbags', 'click'} & set(sys.modules)\n"
+    "assert not heavy, heavy\n"
+    "locfuse.load\n"
+    "assert 'numpy' in sys.modules and not {'rerun', 'rich', 'click', 'matplotlib'} & set(sys.modules)\n"
+)
+LITTLE_MORE_THAN_CLICK = (
+    "import sys, click\n"
+    "alone = len(sys.modules)\n"
+    "from locfuse.cli.main import main\n"
+    "try:\n    main(['--help'])\nexcept SystemExit as e:\n    assert e.code == 0\n"
+    "assert len(sys.modules) < 1.5 * alone, sorted(sys.modules)\n"
+)
 
 
-def test_help_loads_little_more_than_click() -> None:
-    code = (
-        "import sys, click\n"
-        "alone = len(sys.modules)\n"
-        "from locfuse.cli.main import main\n"
-        "try:\n    main(['--help'])\nexcept SystemExit as e:\n    assert e.code == 0\n"
-        "assert len(sys.modules) < 1.5 * alone, sorted(sys.modules)\n"
-    )
+@pytest.mark.parametrize("code", [NOTHING_HEAVY, LITTLE_MORE_THAN_CLICK], ids=["import", "help"])
+def test_the_import_and_the_help_load_little(code: str) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -37,6 +37,10 @@ def trace(name: str, sensors: tuple[str, ...] | None = None, **how: bool) -> pal
     return palette.Trace(name, of_name if sensors is None else sensors, **how)
 
 
+PAPERS = {n: trace(n) for n in ("odometry", "compass", "lrf", "camera", "all")}
+INKS = palette.colours(PAPERS, SENSORS)
+
+
 # --- colours as people see them: colour blindness simulated, distances that the eye tells apart, contrast
 
 # Machado, Oliveira, Fernandes 2009: severity 1.0, on linear RGB
@@ -95,9 +99,7 @@ def contrast(a: str, b: str) -> float:
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("vision", VISION)
 def test_the_papers_five_configurations_and_the_truth_stay_apart(theme: str, vision: str) -> None:
-    traces = {n: trace(n) for n in ("odometry", "compass", "lrf", "camera", "all")}
-    inks = palette.colours(traces, SENSORS)
-    labs = {n: oklab(VISION[vision] @ linear_rgb(getattr(inks[n], theme))) for n in (*traces, "truth")}
+    labs = {n: oklab(VISION[vision] @ linear_rgb(getattr(c, theme))) for n, c in INKS.items()}
     for a, b in combinations(labs, 2):
         assert np.linalg.norm(labs[a] - labs[b]) > 0.09, (a, b)  # just noticeable: 0.02
 
@@ -410,13 +412,10 @@ def test_the_colours_of_a_scale_are_told_apart_and_grow_evenly_in_lightness(them
 def test_thin_lines_stay_apart_too(theme: str, vision: str) -> None:
     """A line of 1.5 px covers three quarters of a pixel and half of its neighbours: its colour is mixed with the
     page's, and so are their distances. What is too close then must be broken in another way."""
-    sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "camera": ("camera",), "all": ("lrf", "gps")}
-    traces = {name: palette.Trace(name, sensors) for name, sensors in sets.items()}
-    inks = palette.colours(traces, colours())
     paper = linear_rgb(page(theme))
-    seen = {n: 0.625 * linear_rgb(getattr(inks[n], theme)) + 0.375 * paper for n in (*traces, "truth")}
+    seen = {n: 0.625 * linear_rgb(getattr(c, theme)) + 0.375 * paper for n, c in INKS.items()}
     labs = {n: oklab(VISION[vision] @ rgb) for n, rgb in seen.items()}
     for a, b in combinations(labs, 2):
         apart = np.linalg.norm(labs[a] - labs[b])
-        broken = [{"truth": "dots"}.get(n) or traces[n].look for n in (a, b)]
+        broken = [{"truth": "dots"}.get(n) or PAPERS[n].look for n in (a, b)]
         assert apart > 0.03 or broken[0] != broken[1], (a, b, apart)  # just noticeable: 0.02

@@ -16,7 +16,7 @@ import pytest
 from lock_step import simulated
 
 from benchmarks import accuracy, advice, advice_logs, experiment, faults
-from benchmarks.advice_cases import CASES, CLEAN, RIGHT
+from benchmarks.advice_cases import CASES, CLEAN
 from benchmarks.building import relation_errors
 from benchmarks.fuzz_parsers import PARSERS, corpus, fuzz_parser, wrong
 from locfuse.cli.analysis.robot_tables import make_robot, table_types
@@ -149,10 +149,6 @@ def test_advice_is_judged_by_what_it_names_covers_up_and_closes(
 ) -> None:
     found = judged(case, *findings, **more)
     assert {key: found[key] for key in expected} == expected
-
-
-def test_a_clean_drive_has_the_right_settings() -> None:
-    assert CASES["none"].sets == CASES["none"].right == RIGHT
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from scipy import stats
 from textbook import correlated
 
 from locfuse.cli.analysis.verdicts import _by_itself, credit_values, verdicts
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.bootstrap import (
     RESAMPLE_COUNT,
@@ -101,11 +101,15 @@ def test_a_sensor_gets_its_verdict(compass: dict[str, float], verdicts: set[str]
     assert found.sensors["lrf"].verdict in HELP
 
 
-def test_without_every_subset_only_the_effect_alone_is_known() -> None:
+def of_sets(*sets: tuple[str, ...], truth: bool = True) -> dict[frozenset[str], Evaluation]:
+    """The errors of one drive with these sets of sensors."""
     robot = small_drive.robot()
-    drive = small_drive.drive(1, robot)
-    judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in ((), ("compass",), ("lrf",))}
-    found = present(credit(judged, SENSORS))
+    drive = small_drive.drive(1, robot, truth=truth)
+    return {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in sets}
+
+
+def test_without_every_subset_only_the_effect_alone_is_known() -> None:
+    found = present(credit(of_sets((), ("compass",), ("lrf",)), SENSORS))
     assert not found.complete
     assert found.sensors["lrf"].credit is None
     assert found.sensors["lrf"].last is None
@@ -124,9 +128,7 @@ def test_without_every_subset_only_the_effect_alone_is_known() -> None:
 def test_a_sensor_is_judged_by_sets_that_differ_by_it_alone_and_not_at_all_where_there_are_none(
     sets: tuple[tuple[str, ...], ...], beside: dict[str, tuple[str, ...] | None], words: str
 ) -> None:
-    robot = small_drive.robot()
-    drive = small_drive.drive(1, robot)
-    judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in sets}
+    judged = of_sets(*sets)
     found = present(credit(judged, SENSORS))
     assert list(found.sensors) == list(beside)
     for sensor, others in beside.items():
@@ -141,10 +143,7 @@ def test_a_sensor_is_judged_by_sets_that_differ_by_it_alone_and_not_at_all_where
 
 
 def test_there_is_no_credit_without_truth() -> None:
-    robot = small_drive.robot()
-    drive = small_drive.drive(1, robot, truth=False)
-    judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in ((), ("compass",))}
-    assert credit(judged, ("compass",)) is None
+    assert credit(of_sets((), ("compass",), truth=False), ("compass",)) is None
 
 
 def test_over_several_logs_the_interval_is_students() -> None:

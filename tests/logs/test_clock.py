@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,41 +33,30 @@ def error(clock: RowTimes, truth: Ints) -> float:
     return float(np.abs(clock.t_ns - truth).max()) / S
 
 
-def test_a_healthy_stream_keeps_its_stamps() -> None:
+@pytest.mark.parametrize(
+    ("made", "order", "words"),
+    [
+        (lambda stamp: None, "auto", "log time (no header)"),
+        (lambda stamp: np.full_like(stamp, T0), "auto", "all 200 header stamps are the same"),
+        (np.zeros_like, "auto", "all header stamps are zero"),
+        (lambda stamp: stamp - T0 + S, "recorded", ""),  # of another clock
+    ],
+)
+def test_where_stamps_date_nothing_log_time_is_the_time(made: Any, order: str, words: str) -> None:
     log_time, stamp = recording()
-    clock = settle(log_time, stamp)
-    np.testing.assert_array_equal(clock.t_ns, stamp)
-    assert (clock.words, clock.repaired, clock.dropped, clock.notes) == ("header stamps", {}, {}, ())
-
-
-def test_without_a_header_log_time_is_the_time() -> None:
-    log_time, _ = recording()
-    clock = settle(log_time, None)
+    clock = settle(log_time, made(stamp), order)
     np.testing.assert_array_equal(clock.t_ns, log_time)
-    assert clock.words == "log time (no header)"
+    assert words in clock.words
 
 
-def test_stamps_that_are_all_the_same_date_nothing() -> None:
-    log_time, stamp = recording()
-    clock = settle(log_time, np.full_like(stamp, T0))
-    np.testing.assert_array_equal(clock.t_ns, log_time)
-    assert "all 200 header stamps are the same" in clock.words
-    together = settle(np.full(3, T0), np.full(3, T0 - S))  # readings of one moment
-    assert together.by_stamps
+def test_readings_of_one_moment_are_dated_by_their_stamps() -> None:
+    assert settle(np.full(3, T0), np.full(3, T0)).by_stamps
 
 
 def test_repeated_stamps_do_not_count_in_the_delay_of_recording_times() -> None:
     log_time, stamp = recording()
     clock = settle(log_time, stamp[np.arange(200) // 4 * 4], order="recorded")
     assert error(clock, stamp) < 0.006  # the jitter of the delay, 5 ms
-
-
-def test_repeated_stamps_are_kept() -> None:
-    log_time, stamp = recording()
-    stamp[7] = stamp[6]
-    clock = settle(log_time, stamp)
-    np.testing.assert_array_equal(clock.t_ns, stamp)
-    assert not clock.repaired
 
 
 @pytest.mark.parametrize(
@@ -146,38 +136,37 @@ def test_moving_stamps_into_their_order_is_isotonic_regression() -> None:
     np.testing.assert_allclose(in_order(stamp) - T0, expected, atol=1.0)
 
 
-def test_a_clock_that_is_set_back_for_good_goes_on() -> None:
+@pytest.mark.parametrize(("since", "by", "of_larger"), [(200, -15 * S, 0), (100, 500 * S, 500 * S)])
+def test_a_clock_that_is_set_for_good_goes_on(since: int, by: int, of_larger: int) -> None:
     """As when a simulation is reset: the smaller part is dated on the clock of the larger one."""
     log_time, truth = recording(300)
-    stamp = truth.copy()
-    stamp[200:] -= truth[200] - 5 * S
+    stamp = truth + by * (np.arange(300) >= since)
     clock = settle(log_time, stamp)
     assert (np.diff(clock.t_ns) >= 0).all()
-    assert error(clock, truth) < 0.011
+    assert error(clock, truth + of_larger) < 0.011
     assert clock.repaired == {"off the stream's clock": 100}
 
 
-def test_a_clock_that_jumps_ahead_for_good_goes_on() -> None:
-    log_time, truth = recording(300)
-    stamp = truth.copy()
-    stamp[100:] += 500 * S
-    clock = settle(log_time, stamp)
-    assert error(clock, truth + 500 * S) < 0.011
-    assert clock.repaired == {"off the stream's clock": 100}
+def stalled(log_time: Ints, stamp: Ints) -> tuple[Ints, Ints]:
+    """The recording stalls and catches up."""
+    return np.where((np.arange(300) >= 100) & (np.arange(300) < 160), log_time[160], log_time), stamp
 
 
-def test_a_recording_that_stalls_and_catches_up_keeps_its_stamps() -> None:
-    log_time, stamp = recording(300)
-    log_time[100:160] = log_time[160]
+def paused(log_time: Ints, stamp: Ints) -> tuple[Ints, Ints]:
+    later = 100 * S * (np.arange(300) >= 150)
+    return log_time + later, stamp + later
+
+
+def repeated(log_time: Ints, stamp: Ints) -> tuple[Ints, Ints]:
+    return log_time, stamp[np.append(np.arange(7), np.arange(6, 299))]
+
+
+@pytest.mark.parametrize("change", [lambda *times: times, stalled, paused, repeated])
+def test_a_stream_without_faults_keeps_its_stamps(change: Any) -> None:
+    log_time, stamp = change(*recording(300))
     clock = settle(np.sort(log_time), stamp)
     np.testing.assert_array_equal(clock.t_ns, stamp)
-
-
-def test_a_pause_of_the_whole_recording_is_no_fault() -> None:
-    log_time, stamp = recording(300)
-    log_time[150:] += 100 * S
-    stamp[150:] += 100 * S
-    assert settle(log_time, stamp).words == "header stamps"
+    assert (clock.words, clock.repaired, clock.dropped, clock.notes) == ("header stamps", {}, {}, ())
 
 
 def test_a_slow_simulation_is_one_clock() -> None:
@@ -199,23 +188,11 @@ def test_stamps_that_are_mostly_unusable_give_way_to_recording_times() -> None:
     )
 
 
-def test_all_stamps_zero_is_log_time() -> None:
-    log_time, _ = recording()
-    clock = settle(log_time, np.zeros(200, np.int64))
-    np.testing.assert_array_equal(clock.t_ns, log_time)
-
-
 def test_order_recorded_takes_log_time_less_the_median_delay() -> None:
     log_time, stamp = recording()
     clock = settle(log_time, stamp, "recorded")
     assert (np.diff(clock.t_ns) == np.diff(log_time)).all()
     assert np.median(clock.t_ns - stamp) == pytest.approx(0, abs=1)
-
-
-def test_order_recorded_with_another_clock_takes_log_time_itself() -> None:
-    log_time, stamp = recording()
-    clock = settle(log_time, stamp - T0 + S, "recorded")
-    np.testing.assert_array_equal(clock.t_ns, log_time)
 
 
 def test_order_stamp_sorts_the_rows_and_drops_what_has_no_stamp() -> None:

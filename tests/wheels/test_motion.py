@@ -218,16 +218,21 @@ def wanderer(seed: int, silence: tuple[float, float]) -> tuple[Wheels, Wheels]:
     return whole, gappy
 
 
-@pytest.mark.parametrize("seconds", [2.0, 5.0, 12.0])
-def test_where_a_robot_went_while_its_wheels_were_silent_lies_within_three_sigma(seconds: float) -> None:
-    a, b = np.array([20.0]), np.array([20.0 + seconds])
+def in_silence(until: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and sigmas (200, 3) of the motion from 20 s `until` a time, in a silence from 20 s to its `end`."""
+    a, b = np.array([20.0]), np.array([until])
     errors, sigmas = [], []
     for seed in range(200):
-        whole, gappy = wanderer(seed, (a[0], b[0]))
+        whole, gappy = wanderer(seed, (20.0, end))
         told, true = gappy.between(a, b), whole.between(a, b)
         errors.append(np.abs(told.u - true.u)[0])
         sigmas.append(np.sqrt(np.diag(told.Q[0])))
-    error, sigma = np.array(errors), np.array(sigmas)
+    return np.array(errors), np.array(sigmas)
+
+
+@pytest.mark.parametrize("seconds", [2.0, 5.0, 12.0])
+def test_where_a_robot_went_while_its_wheels_were_silent_lies_within_three_sigma(seconds: float) -> None:
+    error, sigma = in_silence(20.0 + seconds, 20.0 + seconds)
     assert (error[:, :2] < 3.0 * sigma[:, :2]).all()
     assert np.sqrt((error[:, :2] ** 2).mean()) > 0.2 * np.sqrt((sigma[:, :2] ** 2).mean())  # and not by much
     assert error[:, 2].max() < 1e-9  # how far it turned is the difference of the sums
@@ -235,15 +240,9 @@ def test_where_a_robot_went_while_its_wheels_were_silent_lies_within_three_sigma
 
 
 def test_halfway_through_a_silence_the_heading_lies_within_three_sigma_too() -> None:
-    a, b = np.array([20.0]), np.array([23.0])
-    errors, sigmas = [], []
-    for seed in range(200):
-        whole, gappy = wanderer(seed, (20.0, 26.0))
-        told, true = gappy.between(a, b), whole.between(a, b)
-        errors.append(abs(told.u - true.u)[0, 2])
-        sigmas.append(math.sqrt(told.Q[0, 2, 2]))
-    assert (np.array(errors) < 3.0 * np.array(sigmas)).all()
-    assert max(errors) > 0.3
+    error, sigma = in_silence(23.0, 26.0)
+    assert (error[:, 2] < 3.0 * sigma[:, 2]).all()
+    assert error[:, 2].max() > 0.3
 
 
 def test_of_no_time_nothing_is_summed_and_what_comes_behind_is_as_ever() -> None:

@@ -14,8 +14,9 @@ from rows import readings
 
 import locfuse
 from locfuse.fusion import se2
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Ints, UsageError, spaced
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, Ints, UsageError, spaced
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
@@ -469,6 +470,12 @@ def references() -> References:
     return present(References.of(session().drive, session().robot, {}, {"compass": 10.0}))
 
 
+def judged(found: References, *sensors: str) -> tuple[Evaluation, Reference]:
+    """Judge a run with these sensors by the references."""
+    e = fuse(session().drive, session().robot, sensors)
+    return found.judged(evaluate(e, session().drive), e, "none")
+
+
 def only(*sensors: str) -> Drive:
     drive = session().drive
     return replace(drive, measurements={s: m for s, m in drive.measurements.items() if s in sensors})
@@ -508,41 +515,34 @@ def test_a_log_with_truth_needs_no_reference() -> None:
 
 
 def test_a_sensor_is_judged_by_the_others_and_all_of_them_by_all() -> None:
-    found = references()
     for sensors, judge in [
         ((), ("compass", "lrf", "camera")),
         (("compass",), ("lrf", "camera")),
         (("camera",), ("compass", "lrf")),
         (("compass", "lrf", "camera"), ("compass", "lrf", "camera")),
     ]:
-        e = fuse(session().drive, session().robot, sensors)
-        _, reference = found.judged(evaluate(e, session().drive), e, "none")
-        assert reference.sensors == judge
+        assert judged(references(), *sensors)[1].sensors == judge
 
 
 def test_errors_by_reference_are_those_by_truth_where_the_reference_is_exact_enough() -> None:
     """Held against the sample log's truth, which the reference has not seen."""
     with_truth = locfuse.load("rounded_triangle")
     for sensors in [(), ("compass",), ("camera",)]:
-        e = fuse(session().drive, session().robot, sensors)
-        judged, _ = references().judged(evaluate(e, session().drive), e, "none")
+        by_reference, _ = judged(references(), *sensors)
         true = evaluate(fuse(with_truth.drive, with_truth.robot, sensors), with_truth.drive)
-        assert judged.figures["position_rmse_m"] == pytest.approx(true.figures["position_rmse_m"], rel=0.05)
+        assert by_reference.figures["position_rmse_m"] == pytest.approx(true.figures["position_rmse_m"], rel=0.05)
 
 
 def test_a_laser_better_than_the_reference_without_it_is_judged_by_all_which_it_shares() -> None:
-    e = fuse(session().drive, session().robot, ("lrf",))
-    judged, reference = references().judged(evaluate(e, session().drive), e, "none")
+    by_reference, reference = judged(references(), "lrf")
     assert reference.left_out == ()
-    error = present(judged.figures["position_rmse_m"])
+    error = present(by_reference.figures["position_rmse_m"])
     assert error < references().solved[frozenset({"compass", "camera"})].sigma
 
 
 def test_sensors_that_contradict_each_other_do_not_judge_each_other() -> None:
     found = replace(references(), contradict=[("compass", "lrf")])
-    e = fuse(session().drive, session().robot, ("compass",))
-    _, reference = found.judged(evaluate(e, session().drive), e, "none")
-    assert reference.left_out == ()
+    assert judged(found, "compass")[1].left_out == ()
 
 
 def test_the_one_that_contradicts_all_others_is_judged_by_them_and_judges_nobody() -> None:
@@ -550,9 +550,7 @@ def test_the_one_that_contradicts_all_others_is_judged_by_them_and_judges_nobody
     assert found.outlier == "compass"
     assert found.whole.left_out == ("compass",)
     for sensor, judge in [("compass", ("lrf", "camera")), ("camera", ("lrf", "camera"))]:
-        e = fuse(session().drive, session().robot, (sensor,))
-        _, reference = found.judged(evaluate(e, session().drive), e, "none")
-        assert reference.sensors == judge
+        assert judged(found, sensor)[1].sensors == judge
 
 
 def test_a_reference_is_solved_with_the_noise_that_residuals_show() -> None:

@@ -36,7 +36,7 @@ from locfuse.fusion.checks.laser_ranges import OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.slip import of_spins
-from locfuse.fusion.checks.tried import Candidate, Fixes, together
+from locfuse.fusion.checks.tried import Candidate, Fixes, keys, together
 from locfuse.fusion.checks.truth import (
     CREEP,
     POINT,
@@ -206,11 +206,11 @@ class Evidence(NoiseFindings):
         named = {(f.role, f.code) for f in probed}
         mounts = [] if no_mount else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
-        # a state's sigma is valid only in a consistent or underconfident run; without truth, a mount state absorbs
-        # errors of the wheels: a yaw their sideways motion, and a position their scales, unless these are states
+        # a state's sigma is valid only in a consistent or underconfident run; without truth a mount state absorbs
+        # errors of the wheels: yaw their sideways motion, x that of turns, y their scales unless these are states
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
-        shown = found if by_truth else [f for f in probed if not any(".yaw" in fix for fix in f.fixes)]
+        shown = found if by_truth else [f for f in probed if keys(f.fixes) == {f"{f.role}.y"}]
         seen = [self._unless_open(f) for f in self.doctor if f.code not in {CLOCK, START}]
         # a sensor whose readings are all rejected gets no candidate
         known = [self._seen(f) for f in seen if (f.fixes or f.code in KEYLESS) and self.judges(f.role)]
@@ -305,7 +305,7 @@ class Evidence(NoiseFindings):
             probe = probe_of(robot, sensor)
             if not probe or not REGISTRY[sensor].placed:
                 continue
-            shown = drive.truth is None and any(f.role == sensor for f in self._mounts_found)
+            shown = drive.truth is None and any((f.role, f.code) == (sensor, MOUNT) for f in self._mounts_found)
             if not self._looks_wrong(sensor) and sensor not in self._beyond_prior and not shown:
                 continue
             probed = self.trial.under((*self.fixes, *probe))

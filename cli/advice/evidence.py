@@ -216,7 +216,9 @@ class Evidence(NoiseFindings):
         known = [self._seen(f) for f in seen if (f.fixes or f.code in KEYLESS) and self.judges(f.role)]
         sharper = [
             replace(
-                self._candidate(f, (f.fixes,), True), measured=f.role in fine and (f.code != MOUNT or f in shown)
+                self._candidate(f, (f.fixes,), True),
+                measured=f.role in fine and (f.code != MOUNT or f in shown),
+                proven=not by_truth and f.role in fine and f in shown,
             )
             for f in found
             if f.fixes

@@ -38,7 +38,7 @@ def trace(name: str, sensors: tuple[str, ...] | None = None, **how: bool) -> pal
 
 
 PAPERS = {n: trace(n) for n in ("odometry", "compass", "lrf", "camera", "all")}
-INKS = palette.colours(PAPERS, SENSORS)
+INKS = {n: c for n, c in palette.colours(PAPERS, SENSORS).items() if n in {*PAPERS, "truth"}}
 
 
 # --- colours as people see them: colour blindness simulated, distances that the eye tells apart, contrast

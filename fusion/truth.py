@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from shlex import quote
 from typing import cast
 
 import numpy as np
@@ -105,7 +106,7 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
     if body not in known:
         fix = f"truth.body={known[0]}" if known else ""
         said = f"{topic} tracks {', '.join(known) or 'nothing'}" + (f", not {body}" if body is not None else "")
-        hint = f"Choose one with --set {fix}" if fix else ""
+        hint = f"Choose one with --set {quote(fix)}" if fix else ""
         raise LocfuseError(f"{said}.", role="truth", fixes=(fix,) if fix and len(known) == 1 else (), hint=hint)
     place = np.array([row.index(body) if body in row else -1 for row in rows])
     held = place >= 0

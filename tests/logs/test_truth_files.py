@@ -119,7 +119,7 @@ def test_one_of_several_mocap_bodies_is_read_by_its_name(tmp_path: Path) -> None
     """Bodies change places, carry markers, and are hidden now and then."""
     rows = []
     for i, xy in enumerate(PATH):
-        bodies = [body("cart", xy + 5.0, 2)] + ([body("robot", xy, i % 3)] if i % 7 else [])
+        bodies = [body("a cart", xy + 5.0, 2)] + ([body("robot", xy, i % 3)] if i % 7 else [])
         rows.append({"rigidbodies": bodies[:: (-1) ** i]})
     log = open_log([custom(tmp_path / "x.mcap", "/rigid_bodies", BODIES, BODIES_TEXT, T, rows)])
     stream = log.stream("/rigid_bodies")
@@ -129,7 +129,7 @@ def test_one_of_several_mocap_bodies_is_read_by_its_name(tmp_path: Path) -> None
     assert truth.theta is not None
     np.testing.assert_allclose(truth.theta, 0.6, atol=1e-12)
     assert dropped == {"other_bodies": int((~seen).sum())}
-    with pytest.raises(LocfuseError, match=r"tracks cart, robot\.(.|\n)*truth\.body=cart"):
+    with pytest.raises(LocfuseError, match=r"tracks a cart, robot\.(.|\n)*--set 'truth\.body=a cart'"):
         read_truth(stream, TruthSettings(), 0)
 
 

@@ -43,6 +43,7 @@ from locfuse.fusion.sensor import Reading
 
 COLUMN_NAMES = ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born")
 NO_SHARES = np.zeros((0, 2, 0))
+RHO_BETA = np.arange(2)  # state columns of a line, after its first
 TIDY_EVERY_SCANS = 10  # scans
 MIN_HITS = 4
 TRIAL_SCANS = 15  # scans within which a new line must be seen MIN_HITS times
@@ -128,12 +129,13 @@ class LineMap(msgspec.Struct):
         self,
         belief: JointBelief,
         least: Array,
-        most: float | Array = np.inf,
+        most: Array | None = None,
         which: Ints | slice = np.s_[:],
     ) -> None:
         """Raise the variances [m^2, rad^2] of lines `which` to at least `least` (2,), by at most `most` (2,)."""
         at = self.states(which)
-        added = np.minimum(least - belief.covariance.diagonal()[at].reshape(-1, 2), most).ravel()
+        added = least - belief.covariance.diagonal()[at].reshape(-1, 2)
+        added = (added if most is None else np.minimum(added, most)).ravel()
         (lacking,) = (added > 0.0).nonzero()
         if len(lacking):
             belief.loosen(at[lacking], added[lacking])
@@ -150,7 +152,7 @@ class LineMap(msgspec.Struct):
 
     def states(self, which: Ints | slice) -> Ints:
         """Return the state columns of the lines `which` (k,): rho and beta line by line, (2k,)."""
-        return (self.column[which][:, None] + np.arange(2)).reshape(-1)
+        return (self.column[which][:, None] + RHO_BETA).reshape(-1)
 
     def lines(self, belief: JointBelief) -> list[MapLine]:
         """Return all lines in the map frame, as (rho, beta) about its origin (paper's form)."""
@@ -197,7 +199,7 @@ class LineMap(msgspec.Struct):
         out = np.zeros((5, 5))
         out[:2, :2], out[2:, 2:] = P, belief.frame_covariance()
         if belief.framed and self.column[j] >= 0:
-            own, frame = self.column[j] + np.arange(2), belief.frame + np.arange(3)
+            own, frame = self.column[j] + RHO_BETA, belief.frame + np.arange(3)
             out[:2, 2:] = belief.covariance[np.ix_(own, frame)]
             out[2:, :2] = out[:2, 2:].T
         return out

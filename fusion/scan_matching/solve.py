@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, LocfuseError
 
 from .clouds import Columns
 
@@ -157,7 +157,10 @@ class Normal:
         return found.reshape(len(poses), 3, len(poses), 3)
 
     def chain(self, n: int) -> tuple[Array, Array]:
-        """Return the covariances of poses (n, 3, 3), and cross covariances with the next pose (n - 1, 3, 3)."""
+        """Return the covariances of poses (n, 3, 3), and cross covariances with the next pose (n - 1, 3, 3).
+
+        Raises LocfuseError if a variance is negative.
+        """
         own, after = np.empty((n, 3, 3)), np.empty((max(n - 1, 0), 3, 3))
         for first in range(0, n, COLUMNS_AT_ONCE // 3):
             last = min(first + COLUMNS_AT_ONCE // 3, n)
@@ -167,7 +170,10 @@ class Normal:
                 if k + 1 < n:
                     after[k] = found[3 * k + 3 : 3 * k + 6, k - first].T
         if not (np.diagonal(own, axis1=1, axis2=2) > 0.0).all():
-            raise np.linalg.LinAlgError("the normal equations have no covariance")
+            raise LocfuseError(
+                f"the matches of scans do not fix the {n} poses of the whole drive (a variance is negative);",
+                hint="leave smoothing out with --no-smooth",
+            )
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
 

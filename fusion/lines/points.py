@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from itertools import chain
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import msgspec
@@ -114,6 +113,7 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
     wheels: WheelMotion
     rows: Ints  # (n,)
     _last: list[Block] = msgspec.field(default_factory=list)  # last used block, at most one
+    _next: list[Iterator[Block]] = msgspec.field(default_factory=list)  # the blocks after it, at most one iterator
 
     @property
     def mount(self) -> Array:
@@ -140,8 +140,7 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
         rows = self.rows[readings]
         wanted = np.unique(rows)
         found: dict[int, Array] = {}
-        blocks = self.stream.blocks(*self.fields, rows=SCANS_PER_BLOCK)
-        for block in chain(tuple(self._last), blocks):  # callers often read neighbouring scans next
+        for block in self._blocks(int(wanted[0]) if len(wanted) else 0):
             at, columns = block
             if not np.isin(at, wanted).any():
                 continue
@@ -159,3 +158,17 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
             if len(found) == len(wanted):
                 break
         return [found.get(row, np.zeros((0, 2))) for row in rows.tolist()]
+
+    def _blocks(self, first: int) -> Iterator[Block]:
+        """Yield the last used block, those after it unless row `first` lies before it, and all from the beginning.
+
+        Callers often read the same or later scans next, and a walk from the beginning unpacks the file up to them.
+        """
+        if last := tuple(self._last):
+            yield last[0]
+            if first >= last[0][0][0]:
+                for block in self._next[0]:  # "yield from" would close it together with this generator
+                    yield block
+        self._next[:] = [self.stream.blocks(*self.fields, rows=SCANS_PER_BLOCK)]
+        for block in self._next[0]:
+            yield block

@@ -202,6 +202,10 @@ def test_scans_beside_the_last_ones_are_not_read_again() -> None:
         assert stream.read == read, readings
     assert points.take(np.array([3])).read(np.array([0]))[0].shape == (RAYS, 2)
     assert stream.read == 6
+    # later ones: the reader goes on from where it stopped; earlier ones: from the beginning
+    for reading, read in ((5, 7), (11, 8), (6, 10)):
+        np.testing.assert_allclose(np.hypot(*points.read(np.array([reading]))[0].T), RANGES[reading], rtol=1e-12)
+        assert stream.read == read, reading
 
 
 # --- scans compared by the thousand against the same comparison one by one

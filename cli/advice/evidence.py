@@ -87,7 +87,7 @@ class Evidence(NoiseFindings):
             or bool(self.wrong)
             or self._worse_than_odometry()
             or bool(self._mounts_found)
-            or bool(self._beyond_prior)
+            or bool(self._other_mounts)
             or bool(self._distances)
             or bool(self._biases_again)
             or self._slips_unusually
@@ -206,19 +206,20 @@ class Evidence(NoiseFindings):
         named = {(f.role, f.code) for f in probed}
         mounts = [] if no_mount else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
-        # a state's sigma is valid only in a consistent or underconfident run; without truth a mount state absorbs
-        # errors of the wheels: yaw their sideways motion, x that of turns, y their scales unless these are states
+        # The sigma of a state is valid only in a consistent or underconfident run. Without truth, a mount state
+        # also absorbs errors of the wheels. Sideways motion looks like yaw, another centre of turns like x, and
+        # wrong scales look like y. A probe has the scales as states, so its y is the laser's own.
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
-        shown = found if by_truth else [f for f in probed if keys(f.fixes) == {f"{f.role}.y"}]
+        confirmed = [] if by_truth else [f for f in probed if f.role in fine and keys(f.fixes) == {f"{f.role}.y"}]
         seen = [self._unless_open(f) for f in self.doctor if f.code not in {CLOCK, START}]
         # a sensor whose readings are all rejected gets no candidate
         known = [self._seen(f) for f in seen if (f.fixes or f.code in KEYLESS) and self.judges(f.role)]
         sharper = [
             replace(
                 self._candidate(f, (f.fixes,), True),
-                measured=f.role in fine and (f.code != MOUNT or f in shown),
-                proven=not by_truth and f.role in fine and f in shown,
+                measured=(f.role in fine and (by_truth or f.code != MOUNT)) or f in confirmed,
+                proven=f in confirmed,
             )
             for f in found
             if f.fixes
@@ -307,8 +308,7 @@ class Evidence(NoiseFindings):
             probe = probe_of(robot, sensor)
             if not probe or not REGISTRY[sensor].placed:
                 continue
-            shown = drive.truth is None and any((f.role, f.code) == (sensor, MOUNT) for f in self._mounts_found)
-            if not self._looks_wrong(sensor) and sensor not in self._beyond_prior and not shown:
+            if not self._looks_wrong(sensor) and sensor not in self._other_mounts:
                 continue
             probed = self.trial.under((*self.fixes, *probe))
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
@@ -325,11 +325,12 @@ class Evidence(NoiseFindings):
         ]
 
     @cached_property
-    def _beyond_prior(self) -> set[str]:
-        """Sensors whose estimated mount differs from the configured one by more than its prior sigma allows."""
+    def _other_mounts(self) -> set[str]:
+        """Sensors whose mount a run without truth estimated differently, even beyond its prior sigma."""
         if self.loaded.drive.truth is not None:
             return set()  # errors to the truth judge the mount instead
-        return {e.sensors[0] for e in self.runs_alone() if beyond_prior(self.loaded.robot, e.sensors[0], e)}
+        far = {e.sensors[0] for e in self.runs_alone() if beyond_prior(self.loaded.robot, e.sensors[0], e)}
+        return far | {f.role for f in self._mounts_found if f.code == MOUNT}
 
     def _scaled(self) -> Iterator[Finding]:
         """Yield the finding on the laser's range scale, by the length of the path with the laser alone."""

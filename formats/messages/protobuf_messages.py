@@ -27,7 +27,7 @@ from locfuse.formats.columns import nested
 from locfuse.fusion.data import Ints
 
 from .cdr import MalformedError
-from .fields import LENGTH, OR, resolve
+from .fields import resolve
 from .json_messages import NUMBER, TIME, column
 from .schema import Decoded, Many, MessageDecoder, Node, Scalar, SchemaError, Structure, Text, refuse_many_fields
 
@@ -229,7 +229,7 @@ class ProtobufDecoder(MessageDecoder):
     def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
         parts = {path: resolve(self.message, path) for path in fields}
-        wanted = _wanted(fields)
+        wanted = nested({part.path: NOTHING for found in parts.values() for part in found})
         good, bad = np.ones(len(start), bool), Counter[str]()
         objects: list[dict[str, Value]] = []
         for i, (at, n) in enumerate(zip(start.tolist(), length.tolist(), strict=True)):
@@ -239,12 +239,6 @@ class ProtobufDecoder(MessageDecoder):
                 good[i] = False
                 bad[str(problem)] += 1
         return Decoded(good, {path: column(objects, path, part) for path, part in parts.items()}, bad)
-
-
-def _wanted(fields: Sequence[str]) -> Wanted:
-    """Return dotted field paths as a tree, name -> subtree, with all names of alternatives "a|b"."""
-    paths = (path.removesuffix(f".{LENGTH}") for field in fields for path in field.split(OR))
-    return nested({path: {} for path in paths})
 
 
 class _Reader:

@@ -40,6 +40,7 @@ def files() -> Any:
     part.field.add(name="x", number=1, type=KINDS.TYPE_DOUBLE, label=1)
     part.field.add(name="text", number=7, type=KINDS.TYPE_STRING, label=1)
     part.field.add(name="row", number=3, type=KINDS.TYPE_FLOAT, label=3)
+    part.field.add(name="length", number=9, type=KINDS.TYPE_DOUBLE, label=1)  # a number, of no array
     number = 0
     for name in NUMBERS:
         kind = getattr(KINDS, f"TYPE_{name.upper()}")
@@ -143,9 +144,8 @@ def test_arrays_inside_an_array_say_how_long_each_is() -> None:
 
 def test_a_type_that_holds_itself_ends_there() -> None:
     assert not [path for path in FIELDS if path.startswith("itself")]
-    assert (
-        len(FIELDS) == 3 * len(NUMBERS) + 4 + 3 + 2
-    )  # of `parts` x and text: an array in an array is asked for by name
+    # of `parts` x, text and length: an array in an array is asked for by name
+    assert len(FIELDS) == 3 * len(NUMBERS) + 4 + 4 + 3
 
 
 def test_an_unknown_field_and_one_that_lies_otherwise_are_passed_over() -> None:

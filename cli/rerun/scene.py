@@ -56,6 +56,7 @@ from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
 from locfuse.fusion.truth import TRUTH_READS, read_truth
+from locfuse.fusion.wheels.odometry import POSE
 from locfuse.fusion.wheels.read import WHEEL_READS
 
 MAX_BEAMS = 360  # drawn of a scan
@@ -269,7 +270,7 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
     """
     rows = report["configurations"]
     file_of = {n: ("smoothed" if row["smoothed"] else "trajectory") if by_run else n for n, row in rows.items()}
-    tracks = {name: _trajectory(folder, file) for name, file in file_of.items()}
+    tracks = {name: _trajectory(folder, file, by_run) for name, file in file_of.items()}
     first = next(iter(tracks.values()))
     epoch_ns = int(first.t_ns[0])
     still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
@@ -287,14 +288,28 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
     )
 
 
-def _trajectory(folder: Path, name: str) -> MadeStream:
-    """Return a trajectory: by the .csv, which has covariances, else by the .tum."""
-    for path in (folder / f"{name}.csv", folder / f"{name}.tum"):
-        if path.is_file():
-            return read_file(str(path))
-    raise LocfuseError(
-        f"{folder} lacks {name}.tum, so there is no trajectory to show; make it again without --write"
+def _trajectory(folder: Path, name: str, by_run: bool) -> MadeStream:
+    """Return a trajectory: of a run by the .csv, which has covariances, else by the .tum.
+
+    Raises ValueError if both files exist and differ.
+    """
+    endings = (".csv", ".tum") if by_run else (".tum",)
+    found = [read_file(str(path)) for e in endings if (path := folder / f"{name}{e}").is_file()]
+    if not found:
+        raise LocfuseError(
+            f"{folder} lacks {name}.tum, so there is no trajectory to show; make it again without --write"
+        )
+    if len(found) > 1 and not _same_path(*found):
+        raise ValueError(f"{name}.csv and {name}.tum are of different runs")
+    return found[0]
+
+
+def _same_path(one: MadeStream, other: MadeStream) -> bool:
+    """Return whether two trajectories have the same stamps and positions."""
+    mine, others = (
+        [np.asarray(c) for c in track.columns(*POSE[track.msgtype][:2]).values()] for track in (one, other)
     )
+    return np.array_equal(one.t_ns, other.t_ns) and np.array_equal(mine, others)
 
 
 def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> Truth | None:

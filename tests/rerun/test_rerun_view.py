@@ -92,6 +92,15 @@ def test_what_cannot_be_shown_is_said_in_one_line(tmp_path: Path, name: str, con
     assert not (tmp_path / "x.rrd").exists()
 
 
+def test_files_of_two_runs_in_one_folder_are_not_drawn_as_one(tmp_path: Path) -> None:
+    for sensors, kinds in (("lrf", "tum,csv,json"), ("compass", "tum,json")):
+        words = ("--sensors", sensors, "--write", kinds, "--no-advice", "--no-smooth", "--overwrite")
+        ok("run", LOG, "-o", tmp_path, *words)
+    assert "trajectory.csv and trajectory.tum are of different runs" in refused(
+        "view", tmp_path, "--save", tmp_path / "x.rrd"
+    )
+
+
 def test_nothing_to_look_with_is_said_before_anything_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     from locfuse.cli.rerun import viewer
 

@@ -61,7 +61,7 @@ fusion/judge/against: judge/against
 fusion/whole_drive/smooth: whole_drive/smooth
 formats/results/mcap_export formats/container/mcap_write: container/mcap_write
 formats/messages/cdr: messages/layout messages/cdr
-formats/messages/decode: messages/message_schema
+formats/logs/channels: messages/message_schema
 formats/messages/fields: messages/message_schema messages/cdr messages/kinds
 formats/messages/json_messages: messages/json_messages messages/protobuf_messages
 formats/messages/protobuf_messages: messages/protobuf_messages
@@ -71,7 +71,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     f"{file}.py": tuple(f"tests/{test.replace('/', '/test_')}{'.py' * ('/' in test)}" for test in tests.split())
     for files, _, tests in (line.partition(":") for line in TABLE.split("\n") if line)
     for file in files.split()
-} | {f"formats/container/mcap_{name}.py": MCAP for name in ("chunk", "records", "source", "survey")}
+} | {f"formats/container/mcap_{name}.py": MCAP for name in ("records", "source", "survey")}
 BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel
 Swaps = dict[type[ast.AST], type[ast.AST]]
 SWAPPED: Swaps = {

@@ -39,7 +39,8 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.fuse import fuse
 
 PLAIN = LogOptions(quiet=True)
-ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n"}
+ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n[camera]\nlandmark = [1.0, 1.0]\n"}
+ROBOT["robot.toml"] += b"centre = [8.0, 8.0]\ninner = 2.0\nouter = 7.0\n"
 
 
 @pytest.fixture(scope="module")

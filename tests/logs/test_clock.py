@@ -50,7 +50,7 @@ def test_where_stamps_date_nothing_log_time_is_the_time(made: Any, order: str, w
 
 
 def test_readings_of_one_moment_are_dated_by_their_stamps() -> None:
-    assert settle(np.full(3, T0), np.full(3, T0)).by_stamps
+    assert settle(np.full(3, T0), np.full(3, T0 - S)).by_stamps
 
 
 def test_repeated_stamps_do_not_count_in_the_delay_of_recording_times() -> None:

@@ -57,9 +57,9 @@ def without_correlation(words: str) -> str:
 
 
 def unwarned(report: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the findings that no warning says."""
-    said = [warning.finding for warning in warnings_of(report)]
-    return [f for f in report.get("findings") or () if f not in said]
+    """Return the findings that no printed warning says."""
+    printed = [report["validity"][warning.at] for warning in warnings_of(report)]
+    return [f for f in report.get("findings") or () if not any(_says(f, warning) for warning in printed)]
 
 
 def void_reasons(report: Mapping[str, Any]) -> list[str]:
@@ -118,7 +118,7 @@ def options(fixes: Sequence[str]) -> str:
 def together(report: Mapping[str, Any]) -> str | None:
     """Return a line with the options of all fixes; None if fewer than two findings have a fix."""
     fixed = [f for f in report.get("findings") or () if f["fixes"]]
-    return f"All of these together: {options(report['fixes'])}" if len(fixed) > 1 else None
+    return f"All fixes together: {options(report['fixes'])}" if len(fixed) > 1 else None
 
 
 def effect_of(tried: Mapping[str, Any], brief: bool) -> str:

@@ -89,14 +89,15 @@ def advise_on_run(one: Compared, progress: Progress, align: str) -> Advised:
 
 
 def _known(compared: Compared, trial: Trial) -> Compared | None:
-    """Store the figures of a finished comparison, and return its standard configurations.
+    """Store the figures of a finished comparison, and return it with only the standard configurations.
 
-    None if it lacks one of them, or if fixes are tried on part of the drive.
+    Return None if it lacks one of them, or if fixes are tried on part of the drive.
     """
     drive = compared.loaded.drive
-    seen = {e.name: (replace(e, audits={}), judged) for e, judged in compared.plain.values()}
+    known = trial.configurations
+    seen = {e.name: (replace(e, audits={}), judged) for e, judged in compared.plain.values() if e.name in known}
     for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
-        if e.smoothed and not e.rates:
+        if e.smoothed and not e.rates and e.configuration in known:
             trial.know(SMOOTHED, (), e.configuration, marks_of(e, judged, drive))
     if trial.loaded is not trial.whole:
         marks = {n: Marks(prediction=density) for n, density in compared.densities.items()}

@@ -305,8 +305,8 @@ def _as_configured(
         return first if base is None or others else f"{first} {_with(base, ())}: {length(errors[base])}."
     beside = "it" if len(sets[best]) == 1 else "them"
     if every in ties:
-        (adds,) = _all_do(others, "adds", "add")
-        return f"{first} {adds.capitalize()} nothing measurable beside {beside}."
+        adds = _all_do(others, "adds", "add")[0]
+        return f"{first} {adds[0].upper()}{adds[1:]} nothing measurable beside {beside}."
     if any(f["fixes"] for f in report.get("findings") or ()):
         return f"{first} With all sensors it is {length(errors[every])} before the fixes."
     bad = [s for s in others if s in _judged(report, HURTS)]
@@ -372,9 +372,9 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
     parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]
     parts += [*_all_do(good, "helps", "help"), *_all_do(bad, "hurts", "hurt")]
     if verdicts and not (good or bad):  # no sensor helps or hurts
-        unjudged = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
+        alone = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
         judge = f"{_names([*verdicts])} itself cannot be checked"
-        parts.append(judge if unjudged else "of the sensors nothing is sure")
+        parts.append(judge if alone else "of the sensors nothing is sure")
     rows = (report["configurations"][name].get("reference") or {} for name in errors)
     shared = any(row.get("shared") for row in rows)  # the reference uses sensors of the result
     agreement = " Figures with a * show agreement, not error." if shared else ""

@@ -31,7 +31,7 @@ def put(document: str) -> None:
 
 def _echo(text: str, err: bool = False) -> None:
     """Print text; if the stream is closed, drop it and all further output."""
-    plain = "NO_COLOR" in os.environ or os.environ.get("TERM") == "dumb"
+    plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
     stream = sys.stderr if err else sys.stdout
     try:
         click.echo(text, stream, nl=False, color=False if plain else None)

@@ -18,6 +18,7 @@ from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, unwarned, void_reasons
 from locfuse.formats.report.table import Table
+from locfuse.formats.visible import visible
 from locfuse.fusion.progress import heard_by
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -64,8 +65,8 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
         def begin(what: str) -> None:
             nonlocal step
-            step = what
-            status.update(what)
+            step = visible(what)
+            status.update(step)
 
         def done(share: float | None) -> None:
             status.update(step if share is None else f"{step}: {share:.0%}")

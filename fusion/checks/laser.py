@@ -2,7 +2,8 @@
 
 Between two positions of the laser, d apart, the distance of a wall with normal n changes by n.d. Over many walls
 y = a n.d + b n.(Jd) gives the laser's distance scale, 1 / sqrt(a^2 + b^2), and its yaw error. The change of the
-wall's direction is the robot's turn.
+wall's direction is the robot's turn. The same walls, seen in turns, show whether the beams of a scan are measured
+in the configured order.
 """
 
 from __future__ import annotations

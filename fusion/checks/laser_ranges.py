@@ -43,7 +43,7 @@ def driver(stream: Stream) -> list[Finding]:
         return []
     column = {k: np.concatenate([np.asarray(p[k]) for p in parts]) for k in parts[0] if k != "ranges"}
     lengths = np.concatenate([cast("Ragged", p["ranges"]).lengths for p in parts])
-    held = unreturned(stream)
+    held = _unreturned(parts, 0.0)
     found = [Finding("lrf", "no return", f"ranges without a return: {held}")] if held else []
     return [*found, *_angles(column, lengths), *_in_turn(column), *of_angles(stream)]
 
@@ -233,9 +233,12 @@ def _sample(stream: Stream, last: int) -> Iterator[dict[str, Any]]:
             return
 
 
-def unreturned(stream: Stream, least: float = 0.0) -> str:
+def unreturned(stream: Stream, least: float) -> str:
     """Return the shares of ranges without a return in words; "" if together they are not above `least`."""
-    parts = list(_sample(stream, SAMPLE_SCANS))
+    return _unreturned(list(_sample(stream, SAMPLE_SCANS)), least)
+
+
+def _unreturned(parts: list[dict[str, Any]], least: float) -> str:
     ranges = [cast("Ragged", p["ranges"]) for p in parts]
     if not sum(int(r.lengths.sum()) for r in ranges):
         return ""

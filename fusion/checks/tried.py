@@ -234,7 +234,7 @@ class Candidate(msgspec.Struct, frozen=True):
     others: tuple[str, ...] = ()  # of these, which only must not get far worse: they also depend on the wheels
     offer: bool = False  # a setting that may help, without an observation: not reported if it does not
     measured: bool = False  # value measured on the drive: without truth and by shape it need not improve a figure
-    # other logs, sensors or states agree: it need not improve a figure, with truth neither
+    # other logs, sensors or states agree with the value: even with truth it need not improve a figure
     proven: bool = False
     guards: tuple[str, ...] = ()  # configurations whose ANEES must stay in its chance range
     by_shape: bool = False  # may be judged after alignment, as the position of its map is not observed
@@ -518,7 +518,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
             break
         pairs = judged_pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
-        # a measured value need not improve a figure, but no configuration may get worse
+        # a measured value need not improve a figure, but no configuration may get worse (of a proven value: the
+        # minor ones by no more than chance)
         by_prediction = all(one.position is None for one, _ in pairs.values())
         by_chance = candidate.minor if candidate.proven else ()
         worse = any((worsens_alone if n in by_chance else worsens)(*pair) for n, pair in pairs.items())

@@ -1,7 +1,8 @@
 """Matches of consecutive scans, starting from wheel odometry, with a search for wheel slips.
 
 If the robot turns, all scans between two key scans are matched one by one, since consecutive scans show the same
-surfaces. After half a metre or half a turn, a point may be matched with a wrong surface.
+surfaces. After half a metre or half a turn, a point may be matched with a wrong surface. Also the key scans of a
+drive and the matches among them.
 """
 
 from __future__ import annotations

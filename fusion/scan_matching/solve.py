@@ -159,7 +159,7 @@ class Normal:
     def chain(self, n: int) -> tuple[Array, Array]:
         """Return the covariances of poses (n, 3, 3), and cross covariances with the next pose (n - 1, 3, 3).
 
-        Raises LocfuseError if a variance is negative.
+        Raises LocfuseError if a variance is not positive.
         """
         own, after = np.empty((n, 3, 3)), np.empty((max(n - 1, 0), 3, 3))
         for first in range(0, n, COLUMNS_AT_ONCE // 3):
@@ -171,7 +171,7 @@ class Normal:
                     after[k] = found[3 * k + 3 : 3 * k + 6, k - first].T
         if not (np.diagonal(own, axis1=1, axis2=2) > 0.0).all():
             raise LocfuseError(
-                f"the matches of scans do not fix the {n} poses of the whole drive (a variance is negative);",
+                f"the matches of scans do not fix the {n} poses of the whole drive (a variance is not positive);",
                 hint="leave smoothing out with --no-smooth",
             )
         return 0.5 * (own + own.transpose(0, 2, 1)), after

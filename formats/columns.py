@@ -1,11 +1,11 @@
-"""Columns (numbers, ragged rows, or a list of values): reading from bytes, joining, reordering, growing.
+"""Columns (numbers, ragged rows, or a list of values): reading from bytes, growing.
 
 A column has the dotted path of its field as name ("header.stamp").
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -32,38 +32,6 @@ def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:
     """Return the values (k,) of numpy type `dtype` at byte offsets `at` (k,), which need not be aligned."""
     size = np.dtype(dtype).itemsize
     return np.ndarray((max(len(data) - size + 1, 0),), dtype, data, 0, (1,))[at]
-
-
-def concat(parts: Sequence[Column]) -> Column:
-    """Concatenate columns of one kind."""
-    head = parts[0]
-    if len(parts) == 1:
-        return head
-    if isinstance(head, Ragged):
-        ragged = [part for part in parts if isinstance(part, Ragged)]
-        lengths = np.concatenate([part.lengths for part in ragged])
-        values = np.concatenate([part.values[part.first[0] : part.first[-1]] for part in ragged])
-        return Ragged(values, np.concatenate(([0], np.cumsum(lengths))))
-    if isinstance(head, list):
-        return [value for part in parts if isinstance(part, list) for value in part]
-    return np.concatenate([part for part in parts if isinstance(part, np.ndarray)])
-
-
-def take(column: Column, rows: NDArray[Any]) -> Column:
-    """Return the rows of a column with the indices `rows` (k,), in the order of these indices."""
-    if isinstance(column, list):
-        return [column[i] for i in rows.tolist()]
-    if isinstance(column, np.ndarray):
-        picked: NDArray[Any] = column[rows]
-        return picked
-    matrix = column.matrix()
-    if matrix is not None:
-        n = matrix.shape[1]
-        return Ragged(matrix[rows].ravel(), np.arange(len(rows) + 1) * n)
-    lengths = column.lengths[rows]
-    first = np.concatenate(([0], np.cumsum(lengths)))
-    at = np.repeat(column.first[rows] - first[:-1], lengths) + np.arange(first[-1])
-    return Ragged(column.values[at], first)
 
 
 def n_bytes(column: Column) -> int:

@@ -1,4 +1,4 @@
-"""Streams of recorded numbers: merge several topics, find gaps, integrate rates."""
+"""Streams of readings: join and choose rows, merge several topics, find gaps, integrate rates."""
 
 from __future__ import annotations
 
@@ -9,10 +9,55 @@ from typing import Any, cast
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from .data import Array, Block, Column, Ints, Stream
+from .data import Array, ArrayStream, Block, Column, Ints, Ragged, Stream
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # s, median periods
+
+
+def concat(parts: Sequence[Column]) -> Column:
+    """Concatenate columns of one kind."""
+    head = parts[0]
+    if len(parts) == 1:
+        return head
+    if isinstance(head, Ragged):
+        ragged = [part for part in parts if isinstance(part, Ragged)]
+        lengths = np.concatenate([part.lengths for part in ragged])
+        values = np.concatenate([part.values[part.first[0] : part.first[-1]] for part in ragged])
+        return Ragged(values, np.concatenate(([0], np.cumsum(lengths))))
+    if isinstance(head, list):
+        return [value for part in parts if isinstance(part, list) for value in part]
+    return np.concatenate([part for part in parts if isinstance(part, np.ndarray)])
+
+
+def take(column: Column, rows: NDArray[Any]) -> Column:
+    """Return the rows of a column with the indices `rows` (k,), in the order of these indices."""
+    if isinstance(column, list):
+        return [column[i] for i in rows.tolist()]
+    if isinstance(column, np.ndarray):
+        picked: NDArray[Any] = column[rows]
+        return picked
+    matrix = column.matrix()
+    if matrix is not None:
+        n = matrix.shape[1]
+        return Ragged(matrix[rows].ravel(), np.arange(len(rows) + 1) * n)
+    lengths = column.lengths[rows]
+    first = np.concatenate(([0], np.cumsum(lengths)))
+    at = np.repeat(column.first[rows] - first[:-1], lengths) + np.arange(first[-1])
+    return Ragged(column.values[at], first)
+
+
+def taken(stream: Stream, rows: Ints, *fields: str) -> ArrayStream:
+    """Return the rows with these indices (k,) of a stream, at least one, with these fields in memory."""
+    parts: list[Block] = []
+    for at, columns in stream.blocks(*fields):
+        if len(kept := np.flatnonzero(np.isin(at, rows))):
+            parts.append((at[kept], {name: take(column, kept) for name, column in columns.items()}))
+    numbers = np.concatenate([at for at, _ in parts])
+    order = np.argsort(numbers)
+    data = {name: take(concat([columns[name] for _, columns in parts]), order) for name in fields}
+    return ArrayStream(stream.topic, stream.msgtype, stream.t_ns[numbers[order]], data, stream.frame_id)
 
 
 def gap_limit(t: Array) -> float:

@@ -16,11 +16,12 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_LONG
-from locfuse.formats.columns import Growing, GrowingArray, concat, n_bytes, take
+from locfuse.formats.columns import Growing, GrowingArray, n_bytes
 from locfuse.formats.container.source import Messages
 from locfuse.formats.messages.fields import frame_path, stamp_path
 from locfuse.formats.messages.schema import Decoded, MessageDecoder
 from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, Ragged
+from locfuse.fusion.streams import concat, take
 
 from . import clock as clocks
 from . import jitter

@@ -20,8 +20,9 @@ from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
-from locfuse.formats.columns import concat, nested, take, view
+from locfuse.formats.columns import nested, view
 from locfuse.fusion.data import Column, Ints, Ragged
+from locfuse.fusion.streams import concat, take
 
 from .fields import FieldPart, resolve
 from .schema import Decoded, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text

@@ -20,9 +20,11 @@ from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Drive, Ints, Measurements, Stream
+from locfuse.fusion.lines.scans import SCAN_FIELDS
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
+from locfuse.fusion.streams import taken
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding, Least
@@ -339,7 +341,7 @@ def _spread(estimate: Callable[[WallPairs], Any], walls: WallPairs) -> Array:
 
 def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> WallPairs:
     """Return walls seen in two scans, paired by the motion of the wheels."""
-    first, second = _places(t, drive)
+    first, second = map(_evenly, _places(t, drive))
     moved = drive.wheels.relative(t[first], t[second])
     c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
     swing = np.stack((c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]), axis=-1) - mount
@@ -362,8 +364,12 @@ def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
     second = np.searchsorted(gone, gone + 1.0)
     first = np.flatnonzero(second < len(t))
     first = first[t[second[first]] - t[first] < MAX_PAIR_TIME_S]
-    every = max(1, len(first) // MAX_PAIRS)
-    return first[::every], second[first[::every]]
+    return first, second[first]
+
+
+def _evenly(places: Ints) -> Ints:
+    """Return about MAX_PAIRS of these scans, evenly chosen."""
+    return places[:: max(1, len(places) // MAX_PAIRS)]
 
 
 def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[float, float]) -> WallPairs:
@@ -419,6 +425,11 @@ def of_sweep(stream: Stream, drive: Drive, robot: Robot, offset: float) -> list[
     if not settings.deskew or not len(drive.measurements["lrf"].t) or not increment.any():
         return []
     settings = replace(settings, time_offset=settings.time_offset + offset)
+    pairs = _places((stream.t_ns - drive.epoch_ns) * np.float64(1e-9) + settings.time_offset, drive)
+    rows = np.unique(np.concatenate([_evenly(scans) for scans in pairs]))  # the others are not compared
+    if not len(rows):
+        return []
+    stream = taken(stream, rows, *SCAN_FIELDS)
     other = ORDERS[settings.sweep]
     now = _misfit(stream, drive, settings)
     then = None if now is None else _misfit(stream, drive, replace(settings, sweep=other))

@@ -14,6 +14,7 @@ from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, LocfuseError, Ragged, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
+from locfuse.fusion.streams import take
 
 from .finding import Finding
 
@@ -221,13 +222,8 @@ def _sample(stream: Stream, last: int) -> Iterator[dict[str, Any]]:
     for rows, columns in stream.blocks(*Lrf.reads[stream.msgtype], rows=SAMPLE_SCANS):
         ranges = cast("Ragged", columns["ranges"])
         use = np.flatnonzero(((seen + np.arange(len(rows))) % every == 0) & (ranges.lengths <= MAX_BEAMS))
-        if len(use) == len(rows):
-            yield columns
-        elif len(use):
-            values = np.concatenate([ranges[i] for i in use.tolist()])
-            first = np.append(0, np.cumsum(ranges.lengths[use]))
-            numbers = {k: np.asarray(v)[use] for k, v in columns.items() if k != "ranges"}
-            yield {**numbers, "ranges": Ragged(values, first)}
+        if len(use):
+            yield {name: take(column, use) for name, column in columns.items()}
         seen += len(rows)
         if seen >= last:
             return

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ring_drive import box
 from textbook import wrap
 
-from locfuse.formats.columns import take
 from locfuse.fusion import se2
 from locfuse.fusion.checks.laser_ranges import scatter
 from locfuse.fusion.data import Array, ArrayStream, Block, Measurements
@@ -29,6 +28,7 @@ from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
+from locfuse.fusion.streams import take
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.motion_by_scans import STANDING, match_scans
 

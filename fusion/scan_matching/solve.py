@@ -99,6 +99,14 @@ class Summands(msgspec.Struct, frozen=True):
     g: Array  # (k, d) right side: H dx = g
 
 
+def _not_fixed(n: int, why: str) -> LocfuseError:
+    """Return the error of n poses that matches of scans leave open."""
+    return LocfuseError(
+        f"the matches of scans do not fix the {n} poses of the whole drive ({why});",
+        hint="leave smoothing out with --no-smooth",
+    )
+
+
 class Normal:
     """Factorised normal equations at poses x and systematic errors s, which give steps and covariances.
 
@@ -133,7 +141,10 @@ class Normal:
         where = (np.concatenate(down), np.concatenate(across))
         H = coo_matrix((np.concatenate(data), where), shape=(n, n)).tocsc()
         how = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        self._lu = splu(H, **how)
+        try:
+            self._lu = splu(H, **how)
+        except RuntimeError as singular:
+            raise _not_fixed(len(x), "the normal equations are singular") from singular
 
     def step(self) -> Array:
         """Return the Gauss-Newton step (n,) of the state."""
@@ -170,10 +181,7 @@ class Normal:
                 if k + 1 < n:
                     after[k] = found[3 * k + 3 : 3 * k + 6, k - first].T
         if not (np.diagonal(own, axis1=1, axis2=2) > 0.0).all():
-            raise LocfuseError(
-                f"the matches of scans do not fix the {n} poses of the whole drive (a variance is not positive);",
-                hint="leave smoothing out with --no-smooth",
-            )
+            raise _not_fixed(n, "a variance is not positive")
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
 

@@ -191,6 +191,12 @@ def test_information_that_is_negative_gives_no_covariance() -> None:
         normal.chain(N)
 
 
+def test_poses_that_no_match_fixes_are_refused_with_the_way_out() -> None:
+    _, edges = ring(np.random.default_rng(3), 0.05)
+    with pytest.raises(LocfuseError, match=f"do not fix the {N} poses .*singular.*--no-smooth"):
+        Normal(started(edges), np.zeros(2), edges, np.zeros(len(edges)), [], 0)
+
+
 def test_jacobians_equal_finite_differences() -> None:
     truth, edges = ring(np.random.default_rng(3), 0.1)
     A, B = edges.jacobians(truth)

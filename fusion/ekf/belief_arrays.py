@@ -216,16 +216,16 @@ class JointBelief(ekf.State):
     def listen(self, seen: Sequence[Innovation | Reading]) -> None:
         """Correct only the blocks on which the innovations depend; pose and other states are considered."""
         at, _, count, *_ = self._rows
-        rows = [k for s in seen for k in range(s.first, s.first + s.numbers)]
-        named = np.unique(np.concatenate([at[k, : count[k]] for k in rows])) if rows else np.zeros(0, np.int64)
-        named = np.setdiff1d(named, np.concatenate((POSE, self._frame_columns())))
-        if not len(named):
+        kept = np.ones(self.n, bool)
+        for k in (k for s in seen for k in range(s.first, s.first + s.numbers)):
+            kept[at[k, : count[k]]] = False
+        kept[POSE] = kept[self._frame_columns()] = True
+        if kept.all():
             return
-        kept = np.setdiff1d(np.arange(self.n), named)
         waiting, self.queued = self._queue[: self.queued].copy(), 0
         for s in seen:
             self.queue_rows(s.first, s.numbers)
-        self._mark_kept(kept)
+        self._mark_kept(np.flatnonzero(kept))
         self.correct_queued()
         self._mark_kept()
         self.queued = len(waiting)

@@ -110,14 +110,24 @@ def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
     return np.where(good(found)[:, None], found.pose, u)
 
 
+_beyond: WeakKeyDictionary[Points, dict[tuple[int, int, float, float], Array | None]] = WeakKeyDictionary()
+
+
 def beyond_wheels(m: Measurements, a: int, b: int) -> Array | None:
     """Return the motion from reading a to b by scan matching minus that by the wheels, (3,) m, m, rad.
 
-    In the frame of reading a; None without a reliable match.
+    In the frame of reading a; None without a reliable match. It depends on no pose, so all runs share it.
     """
     if m.points is None or a < 0:
         return None
-    u = m.points.moved(m.t[[a]], m.t[[b]])
+    known, key = _beyond.setdefault(m.points, {}), (a, b, float(m.t[a]), float(m.t[b]))
+    if key not in known:
+        known[key] = _beyond_wheels(m, m.points, a, b)
+    return known[key]
+
+
+def _beyond_wheels(m: Measurements, points: Points, a: int, b: int) -> Array | None:
+    u = points.moved(m.t[[a]], m.t[[b]])
     clouds = clouds_of(m, np.array([a, b]))
     found = next_scans(Targets(clouds), np.array([0]), sources_of(clouds), np.array([1]), u, by_wheels(u))
     if not good(found)[0]:

@@ -21,7 +21,7 @@ from .body_topics import by_fixes
 from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
-NO_TRUTH = "none"  # truth.topic: the log's truth is left out
+LEFT_OUT = "none"  # truth.topic: the log's truth is left out
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -174,7 +174,7 @@ def _differ_in_frame(log: Log, topics: Sequence[str]) -> bool:
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:
     """Choose the ground truth's topic: the configured one, else by its name or type."""
     named = robot.truth.topic
-    if named == NO_TRUTH:
+    if named == LEFT_OUT:
         return
     if named is not None and log.find(named) is None and not insisted:
         return

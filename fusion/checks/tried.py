@@ -31,8 +31,8 @@ MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that reduces it by m
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error count as none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that no user would keep
-MAX_ANEES = 50.0  # larger values only show that the noise is wrong, and are not compared
-MAX_LOST_SHARE = 0.005  # of the drive: largest growth of the lost share
+MAX_COMPARED_ANEES = 50.0  # larger values only show that the noise is wrong, and are not compared
+MAX_LOST_GROWTH = 0.005  # of the drive: largest growth of the lost share
 WEIGHT_OF_HEADING = 0.5  # of ln heading error, relative to ln position error
 WEIGHT_OF_ANEES = 0.5  # of ln ANEES, relative to ln position error
 
@@ -55,8 +55,8 @@ class Marks(NamedTuple):
 
 
 def readable(before: Marks, after: Marks) -> tuple[Marks, Marks]:
-    """Return the figures before and after a fix, without ANEES if both ANEES exceed MAX_ANEES."""
-    if min(before.anees or 0.0, after.anees or 0.0) > MAX_ANEES:
+    """Return the figures before and after a fix, without ANEES if both ANEES exceed MAX_COMPARED_ANEES."""
+    if min(before.anees or 0.0, after.anees or 0.0) > MAX_COMPARED_ANEES:
         return before._replace(anees=None), after._replace(anees=None)
     return before, after
 
@@ -66,7 +66,7 @@ def worsens(before: Marks, after: Marks, allowed: float = MAX_LOSS, allowed_nats
 
     `allowed` is the largest relative growth of the position error, `allowed_nats` the largest loss of prediction.
     """
-    if after.lost > before.lost + MAX_LOST_SHARE:
+    if after.lost > before.lost + MAX_LOST_GROWTH:
         return True
     if before.position is not None:
         if after.position is None or after.position > before.position * (1.0 + allowed) + MAX_LOSS_M:
@@ -120,7 +120,7 @@ def worsens_smoothed(before: Marks, after: Marks) -> bool:
 
 def _only_underconfident(before: Marks, after: Marks) -> bool:
     """Return whether a fix only makes the filter underconfident (ANEES < 1), without a larger error: no harm."""
-    if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
+    if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_GROWTH:
         return False
     small = after.position <= before.position * (1.0 + MAX_CHANCE_LOSS) + MAX_LOSS_M
     return small and after.anees is not None and after.anees < 1.0
@@ -128,7 +128,7 @@ def _only_underconfident(before: Marks, after: Marks) -> bool:
 
 def worsens_far(before: Marks, after: Marks) -> bool:
     """Return whether a configuration gets worse by far more than chance explains."""
-    if after.lost > before.lost + MAX_LOST_SHARE:
+    if after.lost > before.lost + MAX_LOST_GROWTH:
         return True
     if before.position is not None:
         return after.position is None or after.position > (1.0 + MAX_RUIN) * before.position
@@ -151,7 +151,7 @@ def leaves(before: Marks, after: Marks) -> bool:
 
 def improves(before: Marks, after: Marks) -> bool:
     """Return whether a figure gets notably better by a fix; an ANEES within its chance range cannot."""
-    if before.lost - after.lost > MAX_LOST_SHARE:
+    if before.lost - after.lost > MAX_LOST_GROWTH:
         return True
     if before.position is not None and after.position is not None:
         less = before.position - after.position

@@ -27,7 +27,8 @@ MIN_EFFECT = 0.02  # an effect below 2 % counts as none, however certain
 MIN_EXPECTED_EFFECT = 0.15  # smallest effect (15 %) that counts if its interval includes zero
 MAX_UNSURE = math.log(10.0)  # largest bound of an effect's interval on the side of the opposite sign
 MIN_HARM_LAST = 0.10  # `all` is significantly 10 % better without the sensor: it hurts
-MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # overconfident: ANEES above this, and this many times the one before
+# overconfident: ANEES above this, and this many times the one before
+OVERCONFIDENT_ANEES, MAX_ANEES_RATIO = 10.0, 5.0
 MAX_CONSISTENT_ANEES = 3.0  # the covariance of a run with more is not used as evidence
 Subset = frozenset[str]
 
@@ -77,7 +78,7 @@ def unsure(effect: Effect) -> bool:
 
 def overconfident(anees: tuple[float, float] | None) -> bool:
     """Return whether a sensor makes the filter overconfident, by `anees`: ANEES (without, with) the sensor."""
-    return anees is not None and anees[1] > max(MAX_ANEES, MAX_ANEES_RATIO * anees[0])
+    return anees is not None and anees[1] > max(OVERCONFIDENT_ANEES, MAX_ANEES_RATIO * anees[0])
 
 
 def _surely(effect: Effect, sign: float) -> bool:
@@ -258,7 +259,7 @@ class _Book(msgspec.Struct, frozen=True):
             for s, a in zip(self.sets, self.anees, strict=True)
             if sensor not in s and s | {sensor} in self.sets
             for b in (self.anees[self.sets.index(s | {sensor})],)
-            if a is not None and b is not None and 0.0 < a <= MAX_ANEES
+            if a is not None and b is not None and 0.0 < a <= OVERCONFIDENT_ANEES
         ]
         return max(pairs, key=lambda p: p[1] / p[0]) if pairs else None
 

@@ -137,7 +137,7 @@ def test_which_sensor_is_kept_among_landmarks_and_how_its_ranges_are_meant(real:
 
 
 def test_whether_a_causal_result_is_to_be_trusted_and_what_is_better(real: Tools) -> None:
-    values = asked(real, "compare", log="aces/aces.mcap", sensors=["lrf"], smooth=True)["values"]
+    values = asked(real, "compare", log="halls/edmonton.mcap", sensors=["lrf"], smooth=True)["values"]
     assert not values["void"]
     assert "Use lrf-smoothed" in values["path_doubted"]  # loops are closed only in the smoothed path
     agreement = {name: v["revisit_agreement"] for name, v in values["configurations"].items()}

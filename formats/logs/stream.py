@@ -176,9 +176,10 @@ class TopicTable:
         return times[counts > 1]
 
     def sort(self, digests: Ints | None) -> None:
-        """Sort the rows by log time, sequence, digest of the bytes (n,) and file order.
+        """Sort the rows by log time, sequence, stamp, digest of the bytes (n,) and file order.
 
-        If the log times jitter, the rows stay in file order.
+        If the log times jitter, the rows stay in file order. Many recorders write no sequence: of messages that
+        they wrote at one time, stamps show the order.
         """
         log_time, sequence = self._times
         self._times = NO_TIMES
@@ -189,10 +190,10 @@ class TopicTable:
         if digests is None and (np.diff(log_time) > 0).all():
             self.log_time = log_time
             return
-        keys = (sequence, log_time) if digests is None else (digests, sequence, log_time)
-        order = np.lexsort(keys)
+        stamp = () if self.stamp is None else (np.asarray(self.columns[self.stamp]),)
+        order = np.lexsort((*(() if digests is None else (digests,)), *stamp, sequence, log_time))
         if digests is not None:
-            order = self._without_repeats(order, keys)
+            order = self._without_repeats(order, (digests, sequence, log_time))
         self._file_rows = order
         self.log_time = log_time[order]
         self.columns = {name: take(column, order) for name, column in self.columns.items()}

@@ -186,22 +186,24 @@ def cut(
 
 
 def _gap_notes(wheels: Wheels) -> list[str]:
-    """Return notes on gaps in the wheel data during which the robot moved."""
-    unknown = wheels.silence[:, 1] > 0.0
+    """Return notes on gaps in the wheel data, one for each kind of gap."""
+    unknown, long = wheels.silence[:, 1] > 0.0, np.diff(wheels.t) > gap_limit(wheels.t)
     way, turn = np.hypot(*wheels.twist[:, :2].T), np.abs(wheels.twist[:, 2])
-    moved = (np.diff(wheels.t) > gap_limit(wheels.t)) & ((way > STANDS_M) | (turn > STANDS_RAD))
+    moved = ((way > STANDS_M) | (turn > STANDS_RAD)) & ~unknown
     notes = []
-    for of_counters, silent in ((True, np.flatnonzero(unknown)), (False, np.flatnonzero(moved & ~unknown))):
-        if not len(silent):
+    for kind in (unknown, long & moved, long & ~moved & ~unknown):
+        if not (silent := np.flatnonzero(kind)).size:
             continue
         longest = silent[np.argmax(np.diff(wheels.t)[silent])]
         begin, end = wheels.t[longest], wheels.t[longest + 1]
         gaps = f"{gaps_of(len(silent), end - begin)} ({begin:.1f}-{end:.1f} s)"
-        if of_counters:
+        if unknown[longest]:
             notes.append(f"{gaps}: the path in between is unknown, so the covariance grows there")
-        else:
+        elif moved[longest]:
             moves = f"{way[longest]:.2f} m and {math.degrees(turn[longest]):.0f}°"
             notes.append(f"{gaps}: the robot moved {moves} there, which is taken for one arc")
+        else:
+            notes.append(f"{gaps}: the robot stood there")
     return notes
 
 

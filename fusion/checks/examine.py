@@ -59,7 +59,6 @@ def examine(
     found += of_data(drive, robot, streams.__getitem__)
     if any(f.code == EQUAL for f in found):
         return found  # other checks need right times
-    found += _gaps("wheels", drive.wheels.t)
     for name, m in drive.measurements.items():
         found += [*_gaps(name, m.t), *(Finding(name, "seen", note) for note in m.notes)]
         found += of_uneven_stamps(name, m.t)
@@ -154,10 +153,7 @@ def _reasons(counts: Mapping[str, int]) -> str:
 
 
 def _gaps(name: str, t: Array) -> list[Finding]:
-    """Return a finding with the gaps in a stream's times (n,) [s].
-
-    In a gap of a sensor the filter only predicts; in a gap of the wheels the whole motion counts as one arc.
-    """
+    """Return a finding with the gaps in a sensor's times (n,) [s], in which the filter only predicts."""
     found = gaps(t)
     if not found:
         return []

@@ -23,7 +23,7 @@ from . import se2
 from .data import END_OF_TIME, Array, Drive, LocfuseError, Measurements, Stream, Truth
 from .robot import Robot, StartSettings
 from .sensor import FoundStart
-from .streams import gap_limit, outside
+from .streams import count_dropped, gap_limit, outside
 from .truth import body_poses, read_truth
 
 MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # of jittered drives: largest shift of a time [s], share of readings left out
@@ -217,18 +217,26 @@ def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
 
 
 def _within(m: Measurements, wheels: Wheels) -> Measurements:
-    """Return the readings between the first and the last wheel reading, in time order; count the others."""
-    finite = np.isfinite(m.t)
-    inside = finite & (m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])
-    if inside.all() and (np.diff(m.t) >= 0.0).all():
+    """Return the readings between the first and the last wheel reading, in order, without copies; count the rest.
+
+    A copy has stamp and values of the reading before it: its message was sent or recorded twice.
+    """
+    inside = np.isfinite(m.t) & (m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])
+    if inside.all() and (np.diff(m.t) > 0.0).all():
         return m
     keep = np.flatnonzero(inside)
     keep = keep[np.argsort(m.t[keep], kind="stable")]
-    outside = int((~inside).sum())
-    if not outside:
-        return m.take(keep)
-    dropped = {**m.dropped, "outside_wheels": m.dropped.get("outside_wheels", 0) + outside}
-    return replace(m.take(keep), dropped=dropped)
+    at_once = np.flatnonzero(np.diff(m.t[keep]) == 0.0) + 1
+    copies = at_once[[_are_equal(m, *keep[[i - 1, i]].tolist()) for i in at_once]]
+    dropped = dict(m.dropped)
+    count_dropped(dropped, outside_wheels=~inside, repeat=len(copies))
+    return replace(m.take(np.delete(keep, copies)), dropped=dropped)
+
+
+def _are_equal(m: Measurements, one: int, other: int) -> bool:
+    """Return whether two readings, given by their indices, have the same values."""
+    a, b = (slice(m.first[i], m.first[i + 1]) for i in (one, other))
+    return all(np.array_equal(column[a], column[b]) for column in (m.z, *m.extra.values()))
 
 
 def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None) -> tuple[Drive, Robot]:

@@ -58,8 +58,8 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     count_dropped(dropped, not_finite=int((~finite).sum()) - dropped.get("other_bodies", 0))
     rows = np.flatnonzero(finite)
     later = np.diff(stream.t_ns[rows], prepend=-1) > 0
-    if not later.all():
-        dropped["repeat"] = int((~later).sum())
+    same = (values[rows] == values[np.roll(rows, 1)]).all(axis=1)
+    count_dropped(dropped, repeat=~later & same, same_stamp=~later & ~same)
     rows = rows[later]
     if settings.max_speed is not None and len(rows) > 2:
         t = (stream.t_ns[rows] - stream.t_ns[rows[0]]) * np.float64(1e-9)

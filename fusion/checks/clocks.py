@@ -136,6 +136,7 @@ def of_equal_stamps(drive: Drive, stream: Callable[[str], Stream]) -> list[Findi
     `stream` returns the raw readings of a role.
     """
     times = {"wheels": drive.wheels.t, **{name: m.t for name, m in drive.measurements.items()}}
+    times |= {} if drive.truth is None else {"truth": drive.truth.t}
     found = []
     for role, t in times.items():
         step, dropped = np.diff(t), drive.dropped.get(role, {})
@@ -143,12 +144,18 @@ def of_equal_stamps(drive: Drive, stream: Callable[[str], Stream]) -> list[Findi
         period = float(np.median(step[step > 0.0])) if step.any() else math.inf
         if equal <= MAX_EQUAL_SHARE * n or 0.5 * equal / n * period < MIN_SCATTER_S:
             continue
-        if len(parts_of(readings := stream(role))) == 1:
-            words = (
-                f"{readings.topic}: {equal} of {n} messages have the header stamp of the one before: these stamps "
-                "cannot be used. Let the driver stamp each message; for this log use recording times"
-            )
-            found.append(Finding(role, EQUAL, words, ("order=recorded",), severe=True))
+        part, *others = parts_of(stream(role))
+        if others:
+            continue
+        if getattr(part, "delay_s", None) is None:  # a file, without times of recording
+            words = f"{part.topic}: {equal} of {n} rows have the time of the row before. Export all decimals"
+            found.append(Finding(role, EQUAL, words, severe=True))
+            continue
+        words = (
+            f"{part.topic}: {equal} of {n} messages have the header stamp of the one before: these stamps "
+            "cannot be used. Let the driver stamp each message; for this log use recording times"
+        )
+        found.append(Finding(role, EQUAL, words, ("order=recorded",), severe=True))
     return found
 
 

@@ -165,6 +165,15 @@ def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path:
     np.testing.assert_allclose(truth.xy[1], [-meridian * math.pi / 10800, 0.0], rtol=2e-4, atol=0.01)
 
 
+def test_a_truth_file_with_times_in_whole_seconds_judges_no_sensor(tmp_path: Path) -> None:
+    error(SAMPLE, tmp_path / "own")
+    rows = [line.partition(" ") for line in (tmp_path / "own" / "truth.tum").read_text().splitlines()]
+    (tmp_path / "truth.tum").write_text("".join(f"{t.partition('.')[0]} {pose}\n" for t, _, pose in rows))
+    done = locfuse("info", SAMPLE, "--check", "--no-advice", "--truth", tmp_path / "truth.tum")
+    assert done.exit_code == 3
+    assert f"of {len(rows)} rows have the time of the row before" in done.stdout
+
+
 def streamed(path: Path, text: str | bytes) -> MadeStream:
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     return read_file(str(path))

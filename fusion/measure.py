@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse.fusion.lines.scans import frozen
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import STANDS_M, STANDS_RAD, Wheels
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -83,6 +84,7 @@ def measure(
     truth = None
     if "truth" in streams:
         truth, drops["truth"] = read_truth(streams["truth"], robot.truth, epoch_ns)
+        truth = _thawed(truth, wheels, drops["truth"])
     repairs = (*notes, *_gap_notes(wheels))
     of_sensors = (f"{name}: {note}" for name, m in measurements.items() for note in m.notes)
     return Drive(
@@ -237,6 +239,20 @@ def _are_equal(m: Measurements, one: int, other: int) -> bool:
     """Return whether two readings, given by their indices, have the same values."""
     a, b = (slice(m.first[i], m.first[i + 1]) for i in (one, other))
     return all(np.array_equal(column[a], column[b]) for column in (m.z, *m.extra.values()))
+
+
+def _thawed(truth: Truth, wheels: Wheels, dropped: dict[str, int]) -> Truth:
+    """Return the truth without copies of a pose from before the robot moved on, which are counted in `dropped`.
+
+    A tracker that loses its marker goes on to send the last pose.
+    """
+    poses = truth.xy if truth.theta is None else np.column_stack((truth.xy, truth.theta))
+    gone = frozen(np.append(False, (np.diff(poses, axis=0) == 0.0).all(axis=1)), truth.t, wheels)
+    if not gone.any():
+        return truth
+    count_dropped(dropped, repeat=gone)
+    theta = None if truth.theta is None else truth.theta[~gone]
+    return replace(truth, t=truth.t[~gone], xy=truth.xy[~gone], theta=theta)
 
 
 def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None) -> tuple[Drive, Robot]:

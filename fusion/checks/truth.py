@@ -62,11 +62,12 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive)
     point = of_point(truth, swings)
-    # jumps and a wrong tracked point would look like a wrong start
+    # jumps would look like noise; they and a wrong tracked point would look like a wrong start
     creep = of_creep(swings)
     aside = abs(float(swings.x[3])) if swings is not None and creep else 0.0
     start = [] if jumps or point else of_start(truth, drive, robot, aside)
-    return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start, *creep]
+    noise = [] if jumps else _noise(truth, drive)
+    return [*jumps, *_gaps(truth), *noise, *point, *start, *creep]
 
 
 def axle_path(truth: Truth, wheels: Wheels) -> Array | None:

@@ -28,6 +28,7 @@ from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag, worth
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.robot import Robot, StartSettings
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.calibrate import truth_sigma
 from locfuse.fusion.wheels.motion import Wheels
 
 T = np.arange(0.0, 90.0, 0.02)
@@ -335,3 +336,15 @@ def test_a_lag_by_speeds_is_known_only_if_every_part_of_the_drive_shows_it(stops
     found = present(way_lag(Truth("/truth", t, xy, None), drive))
     assert found.offset == pytest.approx(-0.2, abs=0.05)
     assert (found.spread < 0.05) == known
+
+
+def test_a_late_truth_that_moves_while_the_wheels_stand_is_not_noisy() -> None:
+    """Stop and go, 4 s each: a truth that is 1 s late moves in the first second of every stop."""
+    twist = np.zeros((len(T) - 1, 3))
+    twist[:, 0] = np.where(T[1:] % 8.0 < 4.0, 0.02 * 0.3, 0.0)
+    wheels, late = Wheels.from_twists(T, twist, 0.6, 4e-4), T[50::5]
+    x = np.interp(late - 1.0, T[1:], np.cumsum(twist[:, 0])) + np.random.default_rng(1).normal(
+        0.0, 0.001, len(late)
+    )
+    truth = Truth("/truth", late, np.stack((x, np.zeros(len(x))), axis=-1), None)
+    assert truth_sigma(truth, wheels).xy < 0.002

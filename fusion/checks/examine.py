@@ -24,7 +24,7 @@ from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_offset, of_scatter, unreturned
-from .truth import SIZE, metre, of_size, of_truth, of_unit, wheels_metre
+from .truth import SIZE, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, clock_offset, of_track, of_turning, turnings
 
 MIN_DURATION_S = 5.0  # of a drive by which sensors are judged
@@ -76,7 +76,7 @@ def examine(
         found += of_sweep(streams["lrf"], drive, robot, clock_offset("lrf", by_sensor))
     if wrong_wheels:
         return found  # other checks need correct wheels
-    unit = of_unit(drive)
+    unit = [*of_unit(drive), *of_axes(drive)]
     found += unit
     if unit or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared

@@ -67,14 +67,13 @@ def measure(
             try:
                 again = sensor.again(before[name], robot.settings(name), epoch_ns) if name in before else None
                 found = again or sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
+                t = found.t[np.isfinite(found.t)]
+                if len(t) and not ((t >= wheels.t[0]) & (t <= wheels.t[-1])).any():
+                    raise outside(t, wheels.t, name, float(robot.settings(name).time_offset))
             except LocfuseError as e:
                 # the other sensors can still be compared
                 missing[name] = e.sentence if e.role == name else str(e)
                 fixes[name] = e.fixes
-                continue
-            t = found.t[np.isfinite(found.t)]
-            if len(t) and not ((t >= wheels.t[0]) & (t <= wheels.t[-1])).any():
-                missing[name] = outside(t, wheels.t, name, float(robot.settings(name).time_offset))
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)

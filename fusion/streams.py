@@ -10,7 +10,7 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
-from .data import Array, Block, Column, Ints, Stream
+from .data import Array, Block, Column, Ints, LocfuseError, Stream
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # s, median periods
 
@@ -20,18 +20,20 @@ def gap_limit(t: Array) -> float:
     return max(MIN_GAP_S, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else MIN_GAP_S
 
 
-def outside(t: Array, of_drive: Array, role: str, offset: float | None = None) -> str:
-    """Return words on the times t (n,) [s] of a role that all lie outside the drive, and the offset to try.
+def outside(t: Array, of_drive: Array, role: str, offset: float) -> LocfuseError:
+    """Return the error that all times t (n,) [s] of a role lie outside the drive, with the offset to try.
 
-    `offset` [s] is the present time_offset; without it, the words say what to add to it.
+    `offset` [s] is the present time_offset.
     """
     begin, end = float(of_drive[0]), float(of_drive[-1])
     off = begin - float(t.min())
-    words = f"none of its {len(t)} readings lies within the {end - begin:.1f} s of the drive"
     where = f"they begin {abs(off):.1f} s {'before' if off > 0.0 else 'after'} it"
-    key = f"{role}.time_offset"
-    fix = f"add {off:.3f} to {key}" if offset is None else f"set {key}={offset + off:z.3f}"
-    return f"{words}: {where}. If both began together, {fix}; else it is another drive"
+    words = (
+        f"none of its {len(t)} readings lies within the {end - begin:.1f} s of the drive: {where}. It is another "
+        "drive or, if both began together, another clock:"
+    )
+    fix = f"{role}.time_offset={offset + off:z.3f}"
+    return LocfuseError(words, role=role, fixes=(fix,), hint=f"--set {fix}")
 
 
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:

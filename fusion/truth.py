@@ -82,6 +82,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
             point=(settings.x, settings.y),
             sigma=settings.sigma,
             sigma_theta=math.radians(settings.sigma_theta_deg),
+            time_offset=settings.time_offset,
         ),
         dropped,
     )

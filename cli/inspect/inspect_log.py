@@ -24,6 +24,7 @@ from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.cli.analysis.topics import Choice, filled, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.logs.log import Log, open_log
+from locfuse.formats.report.findings import options
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.clocks import EQUAL
@@ -168,12 +169,14 @@ def _measure(overview: Overview, progress: Progress) -> None:
 def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
     """Return a finding for each sensor that has a topic but cannot be used, unless it has a severe finding."""
     known = {f.role for f in overview.findings if f.severe}
-    drive = loaded.drive
-    return [
-        Finding(name, "unusable", why, fixes := drive.fixes.get(name, ()), bool(fixes))
-        for name, why in drive.absent.items()
-        if name in overview.choice.topics and name not in known
-    ]
+    found = []
+    for name, why in loaded.drive.absent.items():
+        if name in overview.choice.topics and name not in known:
+            fixes = loaded.drive.fixes.get(name, ())
+            hint = options(fixes) if why.endswith(options(fixes)) else ""
+            words = why.removesuffix(hint).rstrip()
+            found.append(Finding(name, "unusable", words, fixes, bool(fixes), hint=hint))
+    return found
 
 
 def _maps(overview: Overview) -> list[Finding]:

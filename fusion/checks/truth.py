@@ -17,7 +17,7 @@ from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
 from locfuse.fusion.wheels.motion import STANDS_M, Wheels
 from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 
-from .finding import Finding, Least
+from .finding import Finding, Least, of_error
 from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right
 
 UNIT, AXES, JUMP, FEW = "unit", "axes", "jump", "few"  # codes of the findings on an unusable truth
@@ -223,7 +223,7 @@ def of_few(drive: Drive) -> list[Finding]:
     if inside >= MIN_READINGS:
         return []
     if len(t) and not inside:
-        return [Finding("truth", FEW, outside(t, wheels, "truth"), (), True)]
+        return [of_error(outside(t, wheels, "truth", drive.truth.time_offset), "truth", FEW)]
     number = f"{inside} pose{'' if inside == 1 else 's'}"
     words = f"it has {number} in the {wheels[-1] - wheels[0]:.1f} s of the drive, too few to measure errors"
     hint = f"({MIN_READINGS} are the least; to judge without it: --set {NO_TRUTH})"
@@ -253,8 +253,8 @@ def of_axes(drive: Drive) -> list[Finding]:
     if narrow < MIN_EXTENT_M or level.min() > share or level.max() < share or seen > MAX_SEEN_SHARE * rolled:
         return []
     words = (
-        f"its {'xy'[int(level.argmin())]} changes by {level.min():.2f} m only, while the robot covers {wide:.1f} m "
-        f"by {narrow:.1f} m: it looks like the height. Errors by it mean nothing until it is recorded with z up"
+        f"its {'xy'[int(level.argmin())]} changes by {level.min():.2f} m only, while the robot covers "
+        f"{wide:.1f} m by {narrow:.1f} m: it looks like the height. Errors by it mean nothing: record z up"
     )
     return [Finding("truth", AXES, words, (), True)]
 

@@ -18,8 +18,8 @@ from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.judge.evaluate import Align, evaluate
 
-from .evaluator import data_advice, may_judge, standard
-from .report import FIXES_FILE, fixes_file, score
+from .evaluator import may_judge, standard
+from .report import FIXES_FILE, data_advice, fixes_file, score
 from .trial import Trial, marks_of
 
 MAX_TRIED_LOGS = 12  # logs of one robot, evenly spread

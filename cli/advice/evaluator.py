@@ -20,8 +20,7 @@ from locfuse.cli.analysis.results import settings_tables
 from locfuse.cli.analysis.robot_tables import flat
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.formats.report.findings import change
-from locfuse.fusion.checks.clocks import EQUAL
-from locfuse.fusion.checks.examine import holes, too_short
+from locfuse.fusion.checks.examine import MIXED, holes, too_short
 from locfuse.fusion.checks.tried import (
     Advice,
     Candidate,
@@ -55,7 +54,7 @@ def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | 
     """Return all findings on a log with their tried fixes; runs of a finished comparison are not fused again."""
     loaded, broken = unbroken(loaded)  # fixes are tried beside a hole
     of_holes, unusable = [Advice(hole) for hole in broken], data_advice(loaded)
-    if not may_judge(loaded) or any(a.finding.code == EQUAL for a in unusable):
+    if not may_judge(loaded) or any(a.finding.code in MIXED for a in unusable):
         return Advised((*unusable, *of_holes))
     trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
     first = None if compared is None or broken else _known(compared, trial)

@@ -7,6 +7,7 @@ truth with both. A finding names the setting that fixes it.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -16,7 +17,7 @@ from locfuse.fusion.data import Array, Drive, Measurements, Stream, stretches
 from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_LINES
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.streams import gap_limit, parts_of
 from locfuse.fusion.wheels.repairs import gaps_of
 
 from .clocks import EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
@@ -42,6 +43,9 @@ REPAIRED = {"spike", "other_joints"}
 HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 # m, rad, of the whole way: a smaller motion the wheels bridge well enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
+PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
+MIXED = frozenset({EQUAL, PUBLISHERS})  # codes of findings beside which no other check is right
+MIN_CHANGES = 10  # from frame to frame, above which two publishers write in turn
 BLIND = "blind"  # code of the finding on a sensor without measurements
 CHECK_SENSOR = "Check the sensor and its driver, then record again"
 
@@ -57,8 +61,8 @@ def examine(
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
     found += of_data(drive, robot, streams.__getitem__)
-    if any(f.code == EQUAL for f in found):
-        return found  # other checks need right times
+    if any(f.code in MIXED for f in found):
+        return found
     for name, m in drive.measurements.items():
         found += [*_gaps(name, m.t), *(Finding(name, "seen", note) for note in m.notes)]
         found += of_uneven_stamps(name, m.t)
@@ -223,14 +227,31 @@ def longest_part(drive: Drive, found: Sequence[tuple[float, float]]) -> tuple[fl
 
 
 def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list[Finding]:
-    """Return findings on data that no estimate can use: sensors without measurements, stamps that stand still.
+    """Return findings on data that no estimate can use: dead sensors, two publishers, stamps that stand still.
 
-    `stream` returns the raw readings of a role; it is called only for a role with a finding.
+    `stream` returns the raw readings of a role, of which columns are read only for a role with a finding.
     """
-    found = []
+    found = of_frames("wheels", stream("wheels")) if drive.wheels.matched is None else []
     for name, m in drive.measurements.items():
+        found += of_frames(name, stream(name))
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
     return [*found, *of_equal_stamps(drive, stream)]
+
+
+def of_frames(name: str, stream: Stream) -> list[Finding]:
+    """Return a finding for each topic of a role whose messages have two frames in turn: two publishers."""
+    found = []
+    for part in parts_of(stream):
+        frames = np.array(getattr(part, "frames", ()))
+        two = Counter(frames.tolist()).most_common(2)
+        changes = int((frames[1:] != frames[:-1]).sum())
+        if len(two) == 2 and changes >= max(two[1][1], MIN_CHANGES):
+            words = (
+                f"{part.topic} mixes messages of two frames in turn, {two[0][0]} and {two[1][0]}: two publishers. "
+                "Record each on a topic of its own"
+            )
+            found.append(Finding(name, PUBLISHERS, words, severe=True))
+    return found
 
 
 def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:

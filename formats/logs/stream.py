@@ -316,10 +316,10 @@ class LogStream:
     def delay_s(self) -> float | None:
         """The median delay of recording after the header stamps [s]; None without headers or messages.
 
-        For times converted to the clock of other topics' stamps: the delay after these times.
+        For repaired stamps and times converted to the clock of other topics' stamps: the delay after these times.
         """
         table = self._table
-        if self.clock.on_stamps and len(self.t_ns):
+        if (self.clock.on_stamps or self.clock.repaired) and len(self.t_ns):
             return float(np.median(cast("Ints", table.log_time) - self.t_ns)) * 1e-9
         if table.stamp is None or table.log_time is None or not len(table.log_time):
             return None

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from .data import Array, Block, Column, Ints, LocfuseError, Stream
 
@@ -44,6 +45,22 @@ def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
     for reason, which in unused.items():
         if n := int(np.sum(which)):
             dropped[reason] = dropped.get(reason, 0) + n
+
+
+def blank(values: Array, least: float) -> NDArray[np.bool_]:
+    """Return which rows of values (n, k) are zeros in place of a reading.
+
+    The rows before and after such zeros are longer than `least`, and go on as if nothing was between.
+    """
+    out = (values == 0.0).all(axis=1)
+    known, at = np.flatnonzero(~out), np.flatnonzero(out)
+    if not len(known) or not len(at):
+        return np.zeros(len(values), bool)
+    i = np.searchsorted(known, at)
+    left, right = (values[known[np.clip(k, 0, len(known) - 1)]] for k in (i - 1, i))
+    size = np.minimum(np.hypot.reduce(left, axis=1), np.hypot.reduce(right, axis=1))
+    out[at] = (size > least) & (np.hypot.reduce(left - right, axis=1) < 0.5 * size)
+    return out
 
 
 class MergedStream(msgspec.Struct, frozen=True, dict=True):

@@ -16,7 +16,7 @@ from . import se2
 from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible
 from .geodesy import east_north
 from .robot import TruthSettings
-from .streams import count_dropped
+from .streams import blank, count_dropped
 
 BODIES = "mocap4r2_msgs/msg/RigidBodies"
 FIX = "sensor_msgs/msg/NavSatFix"
@@ -61,6 +61,9 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     same = (values[rows] == values[np.roll(rows, 1)]).all(axis=1)
     count_dropped(dropped, repeat=~later & same, same_stamp=~later & ~same)
     rows = rows[later]
+    lost = blank(values[rows, :2], MIN_MOVED_M)
+    count_dropped(dropped, zeros=lost)
+    rows = rows[~lost]
     if settings.max_speed is not None and len(rows) > 2:
         t = (stream.t_ns[rows] - stream.t_ns[rows[0]]) * np.float64(1e-9)
         xy = values[rows, :2]

@@ -35,6 +35,7 @@ REASONS = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
     "not_finite": "hold NaN or Inf",
+    "zeros": "hold zeros in place of a value",
     "outside_wheels": "before the first or after the last of the wheels",
     "too_many_beams": f"with more beams than can be true (over {MAX_BEAMS})",
     "too_many_lines": f"with more walls than can be true (over {MAX_LINES})",

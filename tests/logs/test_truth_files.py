@@ -179,6 +179,16 @@ def streamed(path: Path, text: str | bytes) -> MadeStream:
     return read_file(str(path))
 
 
+def test_zeros_of_a_tracker_that_lost_its_marker_are_no_poses_and_a_start_at_the_origin_is_one(
+    tmp_path: Path,
+) -> None:
+    x = [0.0, 0.0, 0.01, *np.arange(0.1, 3.0, 0.1), 0.0, 0.0, 3.0, 3.1]
+    rows = "".join(f"{1e9 + 0.1 * i:.1f},{v},0\n" for i, v in enumerate(x))
+    truth, dropped = read_truth(streamed(tmp_path / "t.csv", f"t,x,y\n{rows}"), TruthSettings(), 0)
+    assert dropped == {"zeros": 2}
+    assert truth.xy[:, 0].tolist() == [v for i, v in enumerate(x) if v or i < 2]
+
+
 @pytest.mark.parametrize(
     ("word", "t_ns"),
     [

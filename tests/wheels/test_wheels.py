@@ -131,6 +131,19 @@ def test_a_first_or_last_reading_that_is_absurd_does_not_carry_the_robot_off(
     assert np.isfinite(motions.Q).all()
 
 
+@pytest.mark.parametrize("length", [1, 40])
+def test_zeros_in_place_of_both_counters_are_no_readings(truth: tuple[Array, Array], length: int) -> None:
+    t, angle = truth
+    published = angle + 500.0
+    published[300 : 300 + length] = 0.0
+    reading = read(t, published)
+    assert (reading.dropped, reading.notes) == ({"zeros": length}, ())
+    np.testing.assert_allclose(final(reading)[:2], pose_of(angle)[:2], atol=2e-3)
+    # a wheel that rocks about zero has such values of its own
+    rocking = np.where(np.arange(len(t)) % 5 == 0, 0.01, 0.0)[:, None] * np.ones(2)
+    assert read(t, rocking).dropped == {}
+
+
 @pytest.mark.parametrize("side", [0, 1])
 def test_an_encoder_that_starts_anew_loses_one_step_and_says_so(truth: tuple[Array, Array], side: int) -> None:
     t, angle = truth

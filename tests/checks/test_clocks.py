@@ -16,6 +16,7 @@ from locfuse.fusion.checks.clocks import (
     clock_lags,
     clock_words,
     differences,
+    far_lag,
     lag_of_run,
     lags_by_truth,
     of_clocks,
@@ -348,3 +349,23 @@ def test_a_late_truth_that_moves_while_the_wheels_stand_is_not_noisy() -> None:
     )
     truth = Truth("/truth", late, np.stack((x, np.zeros(len(x))), axis=-1), None)
     assert truth_sigma(truth, wheels).xy < 0.002
+
+
+@pytest.mark.parametrize("late", [-31.0, 20.0])
+@pytest.mark.parametrize("headings", [True, False])
+def test_a_truth_on_a_clock_of_its_own_is_found_if_the_drive_never_repeats_itself(
+    late: float, headings: bool
+) -> None:
+    rng = np.random.default_rng(4)
+    twist = 0.02 * np.repeat(np.abs(rng.normal(0.0, 0.3, (59, 3))), 75, axis=0)
+    twist[:, 1] = 0.0
+    t = T[: len(twist) + 1]
+    wheels = Wheels.from_twists(t, twist, 0.6, 4e-4)
+    truth = Truth("/truth", t[::5] + late, wheels.pose[::5, :2], wheels.pose[::5, 2] if headings else None)
+    assert present(far_lag(truth, wheels)).offset == pytest.approx(-late, abs=0.1)
+
+
+def test_a_drive_that_repeats_itself_shows_no_far_lag() -> None:
+    wheels, true = turned(0)
+    truth = Truth("/truth", T + 20.0, wheels.pose[:, :2], se2.wrap_all(true))
+    assert far_lag(truth, wheels) is None

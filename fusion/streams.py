@@ -52,7 +52,7 @@ def blank(values: Array, least: float) -> NDArray[np.bool_]:
 
     The rows before and after such zeros are longer than `least`, and go on as if nothing was between.
     """
-    out = (values == 0.0).all(axis=1)
+    out: NDArray[np.bool_] = (values == 0.0).all(axis=1)
     known, at = np.flatnonzero(~out), np.flatnonzero(out)
     if not len(known) or not len(at):
         return np.zeros(len(values), bool)

@@ -143,7 +143,7 @@ class TopicTable:
     def _update_frame_id(self, raw: Raw, good: NDArray[np.bool_], path: str) -> None:
         rows = np.flatnonzero(good)
         some = raw._replace(messages=raw.messages.take(rows[:FRAMES_PER_BATCH]))
-        self.frames += map(str, some.columns((path,)).columns[path])
+        self.frames += cast("list[str]", some.columns((path,)).columns[path])
         first = rows[np.argmin(raw.messages.log_time[rows])]
         at = int(raw.messages.log_time[first])
         if self._first is None or at < self._first[0]:

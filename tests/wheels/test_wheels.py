@@ -153,7 +153,7 @@ def test_counters_that_stand_still_and_catch_up_lose_no_way(truth: tuple[Array, 
     np.testing.assert_allclose(reading.wheels.rolled.sum(axis=0), (angle[-1] - angle[0]) * RADIUS, atol=2e-3)
     # a robot that stands while its counters start anew has not driven that way
     standing = np.concatenate((angle[:300], np.repeat(angle[300:301], 80, axis=0), angle[300:500] - angle[300]))
-    found = read(0.02 * np.arange(580), standing)
+    found = read(np.arange(580) * np.float64(0.02), standing)
     assert "started anew" in words(found)
     np.testing.assert_allclose(final(found)[:2], pose_of(angle[:500])[:2], atol=0.02)
 

@@ -254,6 +254,7 @@ class Truth(msgspec.Struct, frozen=True):
     point: tuple[float, float] = (0.0, 0.0)  # the tracked point on the body, m
     sigma: float = 0.0  # m, the truth's own standard deviation per axis
     sigma_theta: float = 0.0  # rad, that of its heading
+    time_offset: float = 0.0  # s, included in t
 
 
 class Drive(msgspec.Struct, frozen=True):

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse.fusion.lines.scans import frozen
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import STANDS_M, STANDS_RAD, Wheels
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -23,7 +24,7 @@ from . import se2
 from .data import END_OF_TIME, Array, Drive, LocfuseError, Measurements, Stream, Truth
 from .robot import Robot, StartSettings
 from .sensor import FoundStart
-from .streams import gap_limit, outside
+from .streams import count_dropped, gap_limit, outside
 from .truth import body_poses, read_truth
 
 MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # of jittered drives: largest shift of a time [s], share of readings left out
@@ -66,14 +67,13 @@ def measure(
             try:
                 again = sensor.again(before[name], robot.settings(name), epoch_ns) if name in before else None
                 found = again or sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
+                t = found.t[np.isfinite(found.t)]
+                if len(t) and not ((t >= wheels.t[0]) & (t <= wheels.t[-1])).any():
+                    raise outside(t, wheels.t, name, float(robot.settings(name).time_offset))
             except LocfuseError as e:
                 # the other sensors can still be compared
                 missing[name] = e.sentence if e.role == name else str(e)
                 fixes[name] = e.fixes
-                continue
-            t = found.t[np.isfinite(found.t)]
-            if len(t) and not ((t >= wheels.t[0]) & (t <= wheels.t[-1])).any():
-                missing[name] = outside(t, wheels.t, name, float(robot.settings(name).time_offset))
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)
@@ -83,6 +83,7 @@ def measure(
     truth = None
     if "truth" in streams:
         truth, drops["truth"] = read_truth(streams["truth"], robot.truth, epoch_ns)
+        truth = _thawed(truth, wheels, drops["truth"])
     repairs = (*notes, *_gap_notes(wheels))
     of_sensors = (f"{name}: {note}" for name, m in measurements.items() for note in m.notes)
     return Drive(
@@ -186,22 +187,24 @@ def cut(
 
 
 def _gap_notes(wheels: Wheels) -> list[str]:
-    """Return notes on gaps in the wheel data during which the robot moved."""
-    unknown = wheels.silence[:, 1] > 0.0
+    """Return notes on gaps in the wheel data, one for each kind of gap."""
+    unknown, long = wheels.silence[:, 1] > 0.0, np.diff(wheels.t) > gap_limit(wheels.t)
     way, turn = np.hypot(*wheels.twist[:, :2].T), np.abs(wheels.twist[:, 2])
-    moved = (np.diff(wheels.t) > gap_limit(wheels.t)) & ((way > STANDS_M) | (turn > STANDS_RAD))
+    moved = ((way > STANDS_M) | (turn > STANDS_RAD)) & ~unknown
     notes = []
-    for of_counters, silent in ((True, np.flatnonzero(unknown)), (False, np.flatnonzero(moved & ~unknown))):
-        if not len(silent):
+    for kind in (unknown, long & moved, long & ~moved & ~unknown):
+        if not (silent := np.flatnonzero(kind)).size:
             continue
         longest = silent[np.argmax(np.diff(wheels.t)[silent])]
         begin, end = wheels.t[longest], wheels.t[longest + 1]
         gaps = f"{gaps_of(len(silent), end - begin)} ({begin:.1f}-{end:.1f} s)"
-        if of_counters:
+        if unknown[longest]:
             notes.append(f"{gaps}: the path in between is unknown, so the covariance grows there")
-        else:
+        elif moved[longest]:
             moves = f"{way[longest]:.2f} m and {math.degrees(turn[longest]):.0f}°"
             notes.append(f"{gaps}: the robot moved {moves} there, which is taken for one arc")
+        else:
+            notes.append(f"{gaps}: the robot stood there")
     return notes
 
 
@@ -215,18 +218,40 @@ def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
 
 
 def _within(m: Measurements, wheels: Wheels) -> Measurements:
-    """Return the readings between the first and the last wheel reading, in time order; count the others."""
-    finite = np.isfinite(m.t)
-    inside = finite & (m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])
-    if inside.all() and (np.diff(m.t) >= 0.0).all():
+    """Return the readings between the first and the last wheel reading, in order, without copies; count the rest.
+
+    A copy has stamp and values of the reading before it: its message was sent or recorded twice.
+    """
+    inside = np.isfinite(m.t) & (m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])
+    if inside.all() and (np.diff(m.t) > 0.0).all():
         return m
     keep = np.flatnonzero(inside)
     keep = keep[np.argsort(m.t[keep], kind="stable")]
-    outside = int((~inside).sum())
-    if not outside:
-        return m.take(keep)
-    dropped = {**m.dropped, "outside_wheels": m.dropped.get("outside_wheels", 0) + outside}
-    return replace(m.take(keep), dropped=dropped)
+    at_once = np.flatnonzero(np.diff(m.t[keep]) == 0.0) + 1
+    copies = at_once[[_are_equal(m, *keep[[i - 1, i]].tolist()) for i in at_once]]
+    dropped = dict(m.dropped)
+    count_dropped(dropped, outside_wheels=~inside, repeat=len(copies))
+    return replace(m.take(np.delete(keep, copies)), dropped=dropped)
+
+
+def _are_equal(m: Measurements, one: int, other: int) -> bool:
+    """Return whether two readings, given by their indices, have the same values."""
+    a, b = (slice(m.first[i], m.first[i + 1]) for i in (one, other))
+    return all(np.array_equal(column[a], column[b]) for column in (m.z, *m.extra.values()))
+
+
+def _thawed(truth: Truth, wheels: Wheels, dropped: dict[str, int]) -> Truth:
+    """Return the truth without copies of a pose from before the robot moved on, which are counted in `dropped`.
+
+    A tracker that loses its marker goes on to send the last pose.
+    """
+    poses = truth.xy if truth.theta is None else np.column_stack((truth.xy, truth.theta))
+    gone = frozen(np.append(False, (np.diff(poses, axis=0) == 0.0).all(axis=1)), truth.t, wheels)
+    if not gone.any():
+        return truth
+    count_dropped(dropped, repeat=gone)
+    theta = None if truth.theta is None else truth.theta[~gone]
+    return replace(truth, t=truth.t[~gone], xy=truth.xy[~gone], theta=theta)
 
 
 def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None) -> tuple[Drive, Robot]:

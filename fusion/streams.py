@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, ArrayStream, Block, Column, Ints, Ragged, Stream
+from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # s, median periods
 
@@ -65,18 +65,20 @@ def gap_limit(t: Array) -> float:
     return max(MIN_GAP_S, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else MIN_GAP_S
 
 
-def outside(t: Array, of_drive: Array, role: str, offset: float | None = None) -> str:
-    """Return words on the times t (n,) [s] of a role that all lie outside the drive, and the offset to try.
+def outside(t: Array, of_drive: Array, role: str, offset: float) -> LocfuseError:
+    """Return the error that all times t (n,) [s] of a role lie outside the drive, with the offset to try.
 
-    `offset` [s] is the present time_offset; without it, the words say what to add to it.
+    `offset` [s] is the present time_offset.
     """
     begin, end = float(of_drive[0]), float(of_drive[-1])
     off = begin - float(t.min())
-    words = f"none of its {len(t)} readings lies within the {end - begin:.1f} s of the drive"
     where = f"they begin {abs(off):.1f} s {'before' if off > 0.0 else 'after'} it"
-    key = f"{role}.time_offset"
-    fix = f"add {off:.3f} to {key}" if offset is None else f"set {key}={offset + off:z.3f}"
-    return f"{words}: {where}. If both began together, {fix}; else it is another drive"
+    words = (
+        f"none of its {len(t)} readings lies within the {end - begin:.1f} s of the drive: {where}. It is another "
+        "drive or, if both began together, another clock:"
+    )
+    fix = f"{role}.time_offset={offset + off:z.3f}"
+    return LocfuseError(words, role=role, fixes=(fix,), hint=f"--set {fix}")
 
 
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
@@ -87,6 +89,22 @@ def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
     for reason, which in unused.items():
         if n := int(np.sum(which)):
             dropped[reason] = dropped.get(reason, 0) + n
+
+
+def blank(values: Array, least: float) -> NDArray[np.bool_]:
+    """Return which rows of values (n, k) are zeros in place of a reading.
+
+    The rows before and after such zeros are longer than `least`, and go on as if nothing was between.
+    """
+    out: NDArray[np.bool_] = (values == 0.0).all(axis=1)
+    known, at = np.flatnonzero(~out), np.flatnonzero(out)
+    if not len(known) or not len(at):
+        return np.zeros(len(values), bool)
+    i = np.searchsorted(known, at)
+    left, right = (values[known[np.clip(k, 0, len(known) - 1)]] for k in (i - 1, i))
+    size = np.minimum(np.hypot.reduce(left, axis=1), np.hypot.reduce(right, axis=1))
+    out[at] = (size > least) & (np.hypot.reduce(left - right, axis=1) < 0.5 * size)
+    return out
 
 
 class MergedStream(msgspec.Struct, frozen=True, dict=True):

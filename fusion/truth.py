@@ -16,7 +16,7 @@ from . import se2
 from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible
 from .geodesy import east_north
 from .robot import TruthSettings
-from .streams import count_dropped
+from .streams import blank, count_dropped
 
 BODIES = "mocap4r2_msgs/msg/RigidBodies"
 FIX = "sensor_msgs/msg/NavSatFix"
@@ -58,9 +58,12 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     count_dropped(dropped, not_finite=int((~finite).sum()) - dropped.get("other_bodies", 0))
     rows = np.flatnonzero(finite)
     later = np.diff(stream.t_ns[rows], prepend=-1) > 0
-    if not later.all():
-        dropped["repeat"] = int((~later).sum())
+    same = (values[rows] == values[np.roll(rows, 1)]).all(axis=1)
+    count_dropped(dropped, repeat=~later & same, same_stamp=~later & ~same)
     rows = rows[later]
+    lost = blank(values[rows, :2], MIN_MOVED_M)
+    count_dropped(dropped, zeros=lost)
+    rows = rows[~lost]
     if settings.max_speed is not None and len(rows) > 2:
         t = (stream.t_ns[rows] - stream.t_ns[rows[0]]) * np.float64(1e-9)
         xy = values[rows, :2]
@@ -82,6 +85,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
             point=(settings.x, settings.y),
             sigma=settings.sigma,
             sigma_theta=math.radians(settings.sigma_theta_deg),
+            time_offset=settings.time_offset,
         ),
         dropped,
     )

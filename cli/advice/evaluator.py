@@ -20,8 +20,7 @@ from locfuse.cli.analysis.results import settings_tables
 from locfuse.cli.analysis.robot_tables import flat
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.formats.report.findings import change
-from locfuse.fusion.checks.clocks import EQUAL
-from locfuse.fusion.checks.examine import holes, of_data, too_short
+from locfuse.fusion.checks.examine import MIXED, holes, too_short
 from locfuse.fusion.checks.tried import (
     Advice,
     Candidate,
@@ -39,7 +38,7 @@ from locfuse.fusion.robot import Robot
 
 from .evidence import Evidence
 from .judged import SHARED_ROLES
-from .report import Advised
+from .report import Advised, data_advice
 from .trial import SMOOTHED, WHOLE, Trial, marks_of
 
 MAX_AGREEMENT_LOSS = 0.1  # of the revisit agreement: two equally good paths differ by less
@@ -55,7 +54,7 @@ def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | 
     """Return all findings on a log with their tried fixes; runs of a finished comparison are not fused again."""
     loaded, broken = unbroken(loaded)  # fixes are tried beside a hole
     of_holes, unusable = [Advice(hole) for hole in broken], data_advice(loaded)
-    if not may_judge(loaded) or any(a.finding.code == EQUAL for a in unusable):
+    if not may_judge(loaded) or any(a.finding.code in MIXED for a in unusable):
         return Advised((*unusable, *of_holes))
     trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
     first = None if compared is None or broken else _known(compared, trial)
@@ -208,11 +207,6 @@ def may_judge(loaded: Loaded) -> bool:
     if not loaded.drive.measurements and loaded.drive.truth is None:
         return False
     return not too_short(loaded.drive)
-
-
-def data_advice(loaded: Loaded) -> tuple[Advice, ...]:
-    """Return findings on data that no estimate can use; their fixes change how a log is read and are not tried."""
-    return tuple(Advice(f, f.fixes) for f in of_data(loaded.drive, loaded.robot, loaded.stream))
 
 
 def looks_wrong(one: Compared) -> bool:

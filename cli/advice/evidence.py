@@ -38,6 +38,7 @@ from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offse
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, keys, together
 from locfuse.fusion.checks.truth import (
+    AXES,
     CREEP,
     POINT,
     SIZE,
@@ -126,7 +127,7 @@ class Evidence(NoiseFindings):
 
     def truth(self) -> list[Candidate]:
         """Return findings on a truth that steps sideways, is mirrored or not in metres; then no error is valid."""
-        return [self._candidate(f, ()) for f in self.doctor if f.code in {STEP, MIRROR, UNIT, SIZE}]
+        return [self._candidate(f, ()) for f in self.doctor if f.code in {STEP, MIRROR, UNIT, AXES, SIZE}]
 
     def start(self) -> list[Candidate]:
         """Return the finding on a wrong start, which is fixed first since it affects every error."""

@@ -11,7 +11,7 @@ import msgspec
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared
-from locfuse.cli.analysis.load import start_error
+from locfuse.cli.analysis.load import Loaded, start_error
 from locfuse.cli.analysis.motion_evidence import unjudged
 from locfuse.cli.analysis.results import void_figures, withdraw_verdicts
 from locfuse.formats.report import json_report
@@ -24,7 +24,7 @@ from locfuse.formats.report.findings import (
     without_correlation,
 )
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.checks.examine import BLIND, HOLE
+from locfuse.fusion.checks.examine import BLIND, HOLE, holes, of_data, of_holes
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
@@ -157,14 +157,12 @@ BASE_ROLES = ("wheels", "truth", "log")  # roles that every configuration depend
 
 
 def add_validity(
-    report: dict[str, Any], advised: Advised | None, start_error_m: float | None, truth: Finding | None = None
+    report: dict[str, Any], given: Sequence[Advice], start_error_m: float | None, truth: Finding | None = None
 ) -> None:
     """Add `validity`, the list of void and doubtful configurations, and move void figures to the key `void`."""
     found: dict[str, dict[str, Any]] = {}  # by message
     known_faults = [truth] if truth is not None else []
-    known_faults += [
-        a.finding for a in (advised.advice if advised is not None else ()) if a.finding.code == MIRROR
-    ]
+    known_faults += [a.finding for a in given if a.finding.code == MIRROR]
     spoilt = next(((f.code, f"truth: {f.sentence}") for f in known_faults), None)
     for name, values in report["configurations"].items():
         reason = _lost(values) or spoilt or _elsewhere(start_error_m, values)
@@ -176,7 +174,7 @@ def add_validity(
         entry = {"code": code, "message": message, "since_s": since, "configurations": [], "void": True}
         found.setdefault(message, entry)["configurations"].append(name)
     void = {entry["code"] for entry in found.values()}  # reported once: as void, not as doubtful
-    doubts = [d for d in _doubts(report, advised) if d["code"] not in void]
+    doubts = [d for d in _doubts(report, given) if d["code"] not in void]
     report["validity"] = [*found.values(), *doubts]
     if found and all("void" in values for values in report["configurations"].values()):
         report["credit"] = None
@@ -186,21 +184,21 @@ def add_validity(
         withdraw_verdicts(report, "Not judged while a warning is open.")
 
 
-def _withdraw_empty(report: dict[str, Any], advised: Advised | None) -> None:
+def _withdraw_empty(report: dict[str, Any], given: Sequence[Advice]) -> None:
     """Replace the verdict "no effect seen" on sensors without measurements by "no verdict"."""
-    for advice in advised.advice if advised is not None else ():
+    for advice in given:
         verdict = (report.get("verdicts") or {}).get(advice.finding.role, {})
         if advice.finding.code == BLIND and verdict.get("verdict") == "no effect seen":
             verdict.update(verdict="no verdict", words="It gives hardly any measurement.")
 
 
-def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
+def _doubts(report: dict[str, Any], given: Sequence[Advice]) -> list[dict[str, Any]]:
     """Return warnings on severe faults of settings or sensors, except those whose fix has no effect.
 
     The effects of the fixes are in `findings`.
     """
     doubts = []
-    for advice in advised.advice if advised is not None else ():
+    for advice in given:
         found = advice.finding
         using = [n for n, v in report["configurations"].items() if found.role in {*BASE_ROLES, *v["sensors"]}]
         if found.severe and using and found.code not in {"start", BLIND} and not advice.harmless:
@@ -429,19 +427,30 @@ def _names(sensors: Sequence[str]) -> str:
 
 
 def complete(report: dict[str, Any], compared: Compared, advised: Advised | None) -> None:
-    """Add findings, validity and headline to a finished report; `advised` is None if the log was not evaluated."""
+    """Add findings, validity and headline to a finished report.
+
+    `advised` is None if the log was not evaluated: then only data that no estimate can use withdraw a verdict.
+    """
     loaded, drive, sets = compared.loaded, compared.loaded.drive, compared.sets
+    given = advised.advice if advised is not None else data_advice(loaded)
+    if advised is None:
+        given = (*(Advice(f, ()) for f in of_holes(drive, holes(drive))), *given)
     add_findings(report, advised)
     _remove_mount_notes(report)
     truth = None if loaded.motion_faults else unusable(drive)  # makes errors to the truth void
-    add_validity(report, advised, start_error(loaded.robot, drive), truth)
-    _withdraw_empty(report, advised)
+    add_validity(report, given, start_error(loaded.robot, drive), truth)
+    _withdraw_empty(report, given)
     words = f"{headline(report, sets)}{covariance(report, sets)}"
     if why := unjudged(drive):
         words = f"{why[0].upper()}{why[1:]}."
         withdraw_verdicts(report, "This drive cannot judge a sensor.")
     report["headline"] = words
     report.update(json_report.plain(report))
+
+
+def data_advice(loaded: Loaded) -> tuple[Advice, ...]:
+    """Return findings on data that no estimate can use; their fixes change how a log is read and are not tried."""
+    return tuple(Advice(f, f.fixes) for f in of_data(loaded.drive, loaded.robot, loaded.stream))
 
 
 def _remove_mount_notes(report: dict[str, Any]) -> None:

@@ -11,15 +11,14 @@ import msgspec
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.visible import writable
-from locfuse.fusion.checks.clocks import EQUAL
-from locfuse.fusion.checks.examine import holes
+from locfuse.fusion.checks.examine import MIXED, holes
 from locfuse.fusion.checks.together import CommonTrial, LogEstimates, Look, asked, shown
 from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.judge.evaluate import Align, evaluate
 
-from .evaluator import data_advice, may_judge, standard
-from .report import FIXES_FILE, fixes_file, score
+from .evaluator import may_judge, standard
+from .report import FIXES_FILE, data_advice, fixes_file, score
 from .trial import Trial, marks_of
 
 MAX_TRIED_LOGS = 12  # logs of one robot, evenly spread
@@ -53,7 +52,7 @@ def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any]
     """Return a log's estimates of settings as plain values; None if the log cannot be evaluated."""
     if loaded.motion_faults or loaded.drive.wheels.stands or not may_judge(loaded):
         return None
-    if holes(loaded.drive) or any(a.finding.code == EQUAL for a in data_advice(loaded)):
+    if holes(loaded.drive) or any(a.finding.code in MIXED for a in data_advice(loaded)):
         return None
     found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
     return found

@@ -31,7 +31,7 @@ from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import merged, parts_of
+from locfuse.fusion.streams import merged, outside, parts_of
 from locfuse.fusion.truth import NO_TRUTH
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -252,13 +252,7 @@ def _refuse_other_clock(log: Log, drive: Drive) -> None:
     truth = drive.truth
     if truth is None or not log.is_file(truth.topic) or ((truth.t >= 0.0) & (truth.t <= drive.t[-1])).any():
         return
-    epoch = drive.epoch_ns * 1e-9
-    spans = [f"{a + epoch:.3f} to {b + epoch:.3f} s" for a, b in ((truth.t[0], truth.t[-1]), (0.0, drive.t[-1]))]
-    raise LocfuseError(
-        f"{truth.topic} covers {spans[0]}, the drive {spans[1]}: another clock, or another drive.",
-        role="truth",
-        hint=f"If both began together: --set truth.time_offset={-truth.t[0]:.3f}",
-    )
+    raise outside(truth.t, drive.t, "truth", truth.time_offset)
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:

@@ -208,13 +208,14 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
-    """Print void figures, losses and failed gates; return the exit code."""
+    """Print void and doubtful figures, losses and failed gates; return the exit code."""
     from locfuse.cli.analysis.errors import EXIT_LOSS
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED
 
     gates = [*found.gates, *failed_gates]
     # the reasons of exit code 3: printed with --quiet too
     _say_some([f"void: {line}" for line in found.void], "void figures")
+    _say_some([f"doubtful: {e.name}: {line}" for e in found.entries for line in e.doubtful], "doubtful figures")
     _say_some([f"lost: {line}" for line in found.lost], "losses")
     _say_some([f"gate: {line}" for line in gates], "gates")
     if ended.stopped:

@@ -24,10 +24,10 @@ from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.cli.analysis.topics import Choice, filled, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.logs.log import Log, open_log
+from locfuse.formats.report.findings import options
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.checks.clocks import EQUAL
-from locfuse.fusion.checks.examine import BLIND, examine, too_short
+from locfuse.fusion.checks.examine import BLIND, MIXED, PUBLISHERS, examine, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
 from locfuse.fusion.checks.truth import FEW, POINT, START, of_few
@@ -159,7 +159,9 @@ def _measure(overview: Overview, progress: Progress) -> None:
     overview.findings += [*holes, *([Finding("log", "short", short)] if short else [])]
     found, known = examine(part.drive, part.robot, streams), {f.role for f in overview.findings if f.severe}
     if loaded.motion_faults or short:  # by these no sensor is charged
-        found = [f for f in found if f.code in {"repaired", "refused", "gap", BLIND, EQUAL}]
+        found = [f for f in found if f.code in {"repaired", "refused", "gap", BLIND, *MIXED}]
+    said = {(f.role, f.code) for f in overview.findings if f.code == PUBLISHERS}  # by their channels
+    found = [f for f in found if (f.role, f.code) not in said]
     overview.findings += [f for f in found if f.code != FEW and (f.code != START or not part.how.begin)]
     overview.findings += of_few(loaded.drive) if "truth" not in known else []
     overview.findings += _unusable(overview, loaded)
@@ -168,12 +170,14 @@ def _measure(overview: Overview, progress: Progress) -> None:
 def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
     """Return a finding for each sensor that has a topic but cannot be used, unless it has a severe finding."""
     known = {f.role for f in overview.findings if f.severe}
-    drive = loaded.drive
-    return [
-        Finding(name, "unusable", why, fixes := drive.fixes.get(name, ()), bool(fixes))
-        for name, why in drive.absent.items()
-        if name in overview.choice.topics and name not in known
-    ]
+    found = []
+    for name, why in loaded.drive.absent.items():
+        if name in overview.choice.topics and name not in known:
+            fixes = loaded.drive.fixes.get(name, ())
+            hint = options(fixes) if why.endswith(options(fixes)) else ""
+            words = why.removesuffix(hint).rstrip()
+            found.append(Finding(name, "unusable", words, fixes, bool(fixes), hint=hint))
+    return found
 
 
 def _maps(overview: Overview) -> list[Finding]:

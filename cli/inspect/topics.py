@@ -12,7 +12,7 @@ import numpy as np
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.clock import MAX_DELAY_S, RowTimes
 from locfuse.formats.logs.log import UnreadableTopicError
-from locfuse.fusion.checks.examine import gaps
+from locfuse.fusion.checks.examine import PUBLISHERS, gaps
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
@@ -127,7 +127,7 @@ def of_publishers(log: Log, choice: Choice) -> list[Finding]:
             if counts := log.in_turn(topic):
                 n = " and ".join(map(str, counts))
                 words = f"{topic} mixes two publishers ({n} messages in turn); record each on a topic of its own"
-                found.append(Finding(role, "publishers", words, severe=True))
+                found.append(Finding(role, PUBLISHERS, words, severe=True))
     return found
 
 

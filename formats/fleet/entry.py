@@ -36,6 +36,11 @@ class Entry(msgspec.Struct, frozen=True):
         """Reasons why figures of this log are void."""
         return list(self.report.get("void") or ())
 
+    @property
+    def doubtful(self) -> list[str]:
+        """Reasons why figures of this log are doubtful, and its verdicts withdrawn."""
+        return list(self.report.get("doubtful") or ())
+
 
 def label(configuration: str, cell: str) -> str:
     """Return the name of a configuration in a cell of a sweep: "lrf [lrf.noise=0.1]"."""
@@ -68,6 +73,7 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
             for name, values in report["configurations"].items()
         },
         "void": list(dict.fromkeys(line for report in reports.values() for line in void_reasons(report))),
+        "doubtful": [v["message"] for v in first.get("validity") or () if not v["void"]],
         "findings": [(f["role"], f["code"], f["message"], bool(f["fixes"])) for f in first.get("findings") or ()],
         "verdicts": {sensor: v["verdict"] for sensor, v in (first.get("verdicts") or {}).items()},
         "credit": _effects(first.get("credit")),

@@ -25,7 +25,10 @@ from . import jitter
 
 ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
-JUMP_NS = 10 * 10**9  # a stamp whose step differs by more from that of its recording time is on another clock
+# a stamp whose step differs by more from that of its recording time is on another clock; by less than JUMP_NS only
+# if messages were recorded evenly meanwhile: a recorder that waits makes such steps too
+JUMP_NS, STEP_NS = 10 * 10**9, 10**9
+MIN_PIECE_SHARE = 0.25  # of the messages, of a piece on the recording's clock that is preferred to a longer one
 MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 # small message types with headers that most logs have; their stamps show which clock is used
 SMALL_TYPES = (
@@ -199,19 +202,25 @@ def _in_bursts(log_time: Ints) -> Mask:
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
-    """Return the mask (n,) of stamps on another clock than the longest piece of the stream.
+    """Return the mask (n,) of stamps on another clock than most of the stream.
 
     The stream is split at jumps of the delay, recording time - stamp; a piece with another delay than the longest
-    piece is on another clock.
+    one, or than the longest on the recording's clock, is on another clock, as before the clock was set.
     """
-    delay = log_time - stamp
-    cuts = np.flatnonzero(np.abs(np.diff(delay)) > JUMP_NS) + 1
+    delay, period = log_time - stamp, np.diff(log_time)
+    if not len(period):
+        return np.zeros(len(stamp), bool)
+    step = np.abs(np.diff(delay))
+    evenly = np.abs(period - np.median(period)) < 0.5 * step
+    cuts = np.flatnonzero((step > JUMP_NS) | (evenly & (step > STEP_NS))) + 1
     if not len(cuts):
         return np.zeros(len(stamp), bool)
     edges = np.concatenate(([0], cuts, [len(stamp)]))
     lengths = np.diff(edges)
     middle = delay[edges[:-1] + lengths // 2]  # the delay of a piece is that of its middle message
-    off = np.abs(middle - middle[np.argmax(lengths)]) > JUMP_NS
+    near = (np.abs(middle) < STEP_NS) & (lengths >= MIN_PIECE_SHARE * len(stamp))  # most logs have one clock
+    trusted = np.argmax(np.where(near, lengths, 0) if near.any() else lengths)
+    off = np.abs(middle - middle[trusted]) > STEP_NS
     return np.repeat(off, lengths)
 
 
@@ -237,6 +246,7 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
     `pairs`: log times and stamps (m,) of each topic. None if any topic uses the recording clock, if their offsets
     differ, or if stamps run backwards.
     """
+    pairs = [(log_time[on], stamp[on]) for log_time, stamp in pairs for on in [~_off_the_clock(log_time, stamp)]]
     if not pairs or any(np.diff(stamp).min(initial=0) < 0 for _, stamp in pairs):
         return None
     offsets = [int(np.median(log_time - stamp)) for log_time, stamp in pairs]

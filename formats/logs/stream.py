@@ -48,6 +48,7 @@ class Raw(NamedTuple):
 
 
 LONG_BYTES = 64 * 1024  # messages that are usually read into columns are much shorter
+FRAMES_PER_BATCH = 20  # messages whose frame_id is read, to notice two publishers
 CHANGED = "the log changed while it was being read, or is damaged so that two readings of it differ"
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
@@ -75,16 +76,21 @@ class TopicTable:
         self._expected = expected  # number of messages according to the files
         self.stamp = stamp_path(decoder.message)  # path of the header stamp, None without one
         self._frame = frame_path(decoder.message)
-        self.frame_id = ""
+        self._first: tuple[int, str] | None = None  # log time and frame_id of the earliest message
+        self.frames: list[str] = []  # of the first FRAMES_PER_BATCH messages of every batch
         self.bad: Counter[str] = Counter()  # reason -> messages left out of the rows
         self.log_time: Ints | None = None  # (n,) recording order; None before the first read
         self.columns: dict[str, Column] = {}
         self.jittered = 0  # number of log times that were replaced by jitter.pooled
         self._file_rows: Ints | None = None  # row -> file row; None: equal
         self._pass = Pass((), 0)
-        self._earliest: int | None = None
         self._n = 0  # readable messages
         self._times = NO_TIMES  # log time and sequence in file order, until the rows are sorted
+
+    @property
+    def frame_id(self) -> str:
+        """frame_id of the first message, "" without one."""
+        return "" if self._first is None else self._first[1]
 
     def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
         """Return those of `fields` and the header stamp that are not in memory."""
@@ -137,12 +143,13 @@ class TopicTable:
 
     def _update_frame_id(self, raw: Raw, good: NDArray[np.bool_], path: str) -> None:
         rows = np.flatnonzero(good)
+        some = raw._replace(messages=raw.messages.take(rows[:FRAMES_PER_BATCH]))
+        self.frames += cast("list[str]", some.columns((path,)).columns[path])
         first = rows[np.argmin(raw.messages.log_time[rows])]
         at = int(raw.messages.log_time[first])
-        if self._earliest is None or at < self._earliest:
-            self._earliest = at
+        if self._first is None or at < self._first[0]:
             one = raw._replace(messages=raw.messages.take(np.array([first])))
-            self.frame_id = str(one.columns((path,)).columns[path][0])
+            self._first = at, str(one.columns((path,)).columns[path][0])
 
     def end(self) -> bool:
         """End the pass; return whether messages must be ordered by digests of their bytes.
@@ -177,9 +184,10 @@ class TopicTable:
         return times[counts > 1]
 
     def sort(self, digests: Ints | None) -> None:
-        """Sort the rows by log time, sequence, digest of the bytes (n,) and file order.
+        """Sort the rows by log time, sequence, stamp, digest of the bytes (n,) and file order.
 
-        If the log times jitter, the rows stay in file order.
+        If the log times jitter, the rows stay in file order. Many recorders write no sequence: of messages that
+        they wrote at one time, stamps show the order.
         """
         log_time, sequence = self._times
         self._times = NO_TIMES
@@ -190,10 +198,10 @@ class TopicTable:
         if digests is None and (np.diff(log_time) > 0).all():
             self.log_time = log_time
             return
-        keys = (sequence, log_time) if digests is None else (digests, sequence, log_time)
-        order = np.lexsort(keys)
+        stamp = () if self.stamp is None else (np.asarray(self.columns[self.stamp]),)
+        order = np.lexsort((*(() if digests is None else (digests,)), *stamp, sequence, log_time))
         if digests is not None:
-            order = self._without_repeats(order, keys)
+            order = self._without_repeats(order, (digests, sequence, log_time))
         self._file_rows = order
         self.log_time = log_time[order]
         self.columns = {name: take(column, order) for name, column in self.columns.items()}
@@ -301,13 +309,18 @@ class LogStream:
         return self._table.frame_id
 
     @property
+    def frames(self) -> Sequence[str]:
+        """The frame_ids of some messages in file order."""
+        return self._table.frames
+
+    @property
     def delay_s(self) -> float | None:
         """The median delay of recording after the header stamps [s]; None without headers or messages.
 
-        For times converted to the clock of other topics' stamps: the delay after these times.
+        For repaired stamps and times converted to the clock of other topics' stamps: the delay after these times.
         """
         table = self._table
-        if self.clock.on_stamps and len(self.t_ns):
+        if (self.clock.on_stamps or self.clock.repaired) and len(self.t_ns):
             return float(np.median(cast("Ints", table.log_time) - self.t_ns)) * 1e-9
         if table.stamp is None or table.log_time is None or not len(table.log_time):
             return None

@@ -41,6 +41,10 @@ from .truth import MIN_START_ERROR_M, MIN_START_ERROR_RAD
 
 WINDOW_S = 1.0  # s over which distances are compared
 MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s
+# a truth on another clock: s of both that are compared, s between windows, windows
+MAX_FAR_S, FAR_STEP_S, MIN_FAR_STEPS = 600.0, 0.1, 200
+MAX_RIVAL_CORRELATION = 0.7  # at any other lag: with more, a drive that repeats itself would show several lags
+MIN_FAR_CHANGE = 0.02  # m or rad per window, 1 sigma: less shows no lag
 MIN_TRUTH_LAG_S, MAX_MISFIT_RATIO, MIN_CORRELATION = 0.06, 0.75, 0.9
 SEVERE_LAG_S = 0.1  # s: at half a metre per second and a radian per second this is centimetres and degrees
 MAX_STAMPED_RATIO = 0.85  # of the misfits with recorded and shifted stamps: nearer to 1 they do not show the clock
@@ -136,6 +140,7 @@ def of_equal_stamps(drive: Drive, stream: Callable[[str], Stream]) -> list[Findi
     `stream` returns the raw readings of a role.
     """
     times = {"wheels": drive.wheels.t, **{name: m.t for name, m in drive.measurements.items()}}
+    times |= {} if drive.truth is None else {"truth": drive.truth.t}
     found = []
     for role, t in times.items():
         step, dropped = np.diff(t), drive.dropped.get(role, {})
@@ -143,12 +148,18 @@ def of_equal_stamps(drive: Drive, stream: Callable[[str], Stream]) -> list[Findi
         period = float(np.median(step[step > 0.0])) if step.any() else math.inf
         if equal <= MAX_EQUAL_SHARE * n or 0.5 * equal / n * period < MIN_SCATTER_S:
             continue
-        if len(parts_of(readings := stream(role))) == 1:
-            words = (
-                f"{readings.topic}: {equal} of {n} messages have the header stamp of the one before: these stamps "
-                "cannot be used. Let the driver stamp each message; for this log use recording times"
-            )
-            found.append(Finding(role, EQUAL, words, ("order=recorded",), severe=True))
+        part, *others = parts_of(stream(role))
+        if others:
+            continue
+        if getattr(part, "delay_s", None) is None:  # a file, without times of recording
+            words = f"{part.topic}: {equal} of {n} rows have the time of the row before. Export all decimals"
+            found.append(Finding(role, EQUAL, words, severe=True))
+            continue
+        words = (
+            f"{part.topic}: {equal} of {n} messages have the header stamp of the one before: these stamps "
+            "cannot be used. Let the driver stamp each message; for this log use recording times"
+        )
+        found.append(Finding(role, EQUAL, words, ("order=recorded",), severe=True))
     return found
 
 
@@ -365,7 +376,41 @@ def truth_lag(drive: Drive) -> Lag | None:
     turning = None
     if truth.theta is not None:
         turning = find_lag(truth.t, np.unwrap(truth.theta), by_wheels(wheels))
-    return turning or way_lag(truth, drive)
+    return turning or way_lag(truth, drive) or far_lag(truth, wheels)
+
+
+def far_lag(truth: Truth, wheels: Wheels) -> Lag | None:
+    """Return a lag of truth and wheels beyond MAX_LAG_S, by turns or speeds; None unless only one fits."""
+    spans = [np.arange(t[0], min(t[-1], t[0] + MAX_FAR_S) - WINDOW_S, FAR_STEP_S) for t in (truth.t, wheels.t)]
+    own, theirs = spans
+    if min(len(own), len(theirs)) < MIN_FAR_STEPS:
+        return None
+    xy = np.stack([np.interp(own + WINDOW_S, truth.t, c) - np.interp(own, truth.t, c) for c in truth.xy.T])
+    moved = wheels.relative(theirs, theirs + WINDOW_S)
+    pairs = [(np.hypot(*xy), np.hypot(*moved[:, :2].T))]
+    if truth.theta is not None:
+        theta = np.unwrap(truth.theta)
+        turned = np.interp(own + WINDOW_S, truth.t, theta) - np.interp(own, truth.t, theta)
+        pairs.insert(0, (turned, moved[:, 2]))
+    least = min(len(own), len(theirs)) // 2  # of the steps that overlap
+    shifts = np.arange(
+        least - len(theirs), len(own) - least + 1
+    )  # a step of the wheels is this later of the truth
+    lags = (theirs[0] - own[0]) - FAR_STEP_S * shifts
+    for a, b in pairs:
+        overlaps = ((a[max(0, k) : len(b) + k], b[max(0, -k) : len(a) - k]) for k in shifts.tolist())
+        scores = np.array([_correlation(*overlap) for overlap in overlaps])
+        best = int(np.argmax(scores))
+        rival = float(scores[np.abs(lags - lags[best]) > 3.0 * WINDOW_S].max(initial=0.0))
+        near = float(scores[np.abs(lags) <= MAX_LAG_S].max(initial=0.0))
+        if scores[best] >= MIN_CORRELATION and max(rival, near) < MAX_RIVAL_CORRELATION:
+            return Lag(float(lags[best]), float(scores[best]), near, spread=FAR_STEP_S)
+    return None
+
+
+def _correlation(a: Array, b: Array) -> float:
+    """Return the correlation of two columns (n,), 0 if one of them hardly changes."""
+    return float(np.corrcoef(a, b)[0, 1]) if min(a.std(), b.std()) > MIN_FAR_CHANGE else 0.0
 
 
 def way_lag(truth: Truth, drive: Drive) -> Lag | None:

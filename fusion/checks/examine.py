@@ -7,6 +7,7 @@ truth with both. A finding names the setting that fixes it.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -16,7 +17,7 @@ from locfuse.fusion.data import Array, Drive, Measurements, Stream, stretches
 from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_LINES
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.streams import gap_limit, parts_of
 from locfuse.fusion.wheels.repairs import gaps_of
 
 from .clocks import EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
@@ -24,7 +25,7 @@ from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_offset, of_scatter, unreturned
-from .truth import SIZE, metre, of_size, of_truth, of_unit, wheels_metre
+from .truth import SIZE, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, clock_offset, of_track, of_turning, turnings
 
 MIN_DURATION_S = 5.0  # of a drive by which sensors are judged
@@ -34,6 +35,7 @@ REASONS = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
     "not_finite": "hold NaN or Inf",
+    "zeros": "hold zeros in place of a value",
     "outside_wheels": "before the first or after the last of the wheels",
     "too_many_beams": f"with more beams than can be true (over {MAX_BEAMS})",
     "too_many_lines": f"with more walls than can be true (over {MAX_LINES})",
@@ -42,6 +44,9 @@ REPAIRED = {"spike", "other_joints"}
 HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 # m, rad, of the whole way: a smaller motion the wheels bridge well enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
+PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
+MIXED = frozenset({EQUAL, PUBLISHERS})  # codes of findings beside which no other check is right
+MIN_CHANGES = 10  # from frame to frame, above which two publishers write in turn
 BLIND = "blind"  # code of the finding on a sensor without measurements
 CHECK_SENSOR = "Check the sensor and its driver, then record again"
 
@@ -57,9 +62,8 @@ def examine(
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
     found += of_data(drive, robot, streams.__getitem__)
-    if any(f.code == EQUAL for f in found):
-        return found  # other checks need right times
-    found += _gaps("wheels", drive.wheels.t)
+    if any(f.code in MIXED for f in found):
+        return found
     for name, m in drive.measurements.items():
         found += [*_gaps(name, m.t), *(Finding(name, "seen", note) for note in m.notes)]
         found += of_uneven_stamps(name, m.t)
@@ -77,7 +81,7 @@ def examine(
         found += of_sweep(streams["lrf"], drive, robot, clock_offset("lrf", by_sensor))
     if wrong_wheels:
         return found  # other checks need correct wheels
-    unit = of_unit(drive)
+    unit = [*of_unit(drive), *of_axes(drive)]
     found += unit
     if unit or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared
@@ -154,10 +158,7 @@ def _reasons(counts: Mapping[str, int]) -> str:
 
 
 def _gaps(name: str, t: Array) -> list[Finding]:
-    """Return a finding with the gaps in a stream's times (n,) [s].
-
-    In a gap of a sensor the filter only predicts; in a gap of the wheels the whole motion counts as one arc.
-    """
+    """Return a finding with the gaps in a sensor's times (n,) [s], in which the filter only predicts."""
     found = gaps(t)
     if not found:
         return []
@@ -227,14 +228,31 @@ def longest_part(drive: Drive, found: Sequence[tuple[float, float]]) -> tuple[fl
 
 
 def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list[Finding]:
-    """Return findings on data that no estimate can use: sensors without measurements, stamps that stand still.
+    """Return findings on data that no estimate can use: dead sensors, two publishers, stamps that stand still.
 
-    `stream` returns the raw readings of a role; it is called only for a role with a finding.
+    `stream` returns the raw readings of a role, of which columns are read only for a role with a finding.
     """
-    found = []
+    found = of_frames("wheels", stream("wheels")) if drive.wheels.matched is None else []
     for name, m in drive.measurements.items():
+        found += of_frames(name, stream(name))
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
     return [*found, *of_equal_stamps(drive, stream)]
+
+
+def of_frames(name: str, stream: Stream) -> list[Finding]:
+    """Return a finding for each topic of a role whose messages have two frames in turn: two publishers."""
+    found = []
+    for part in parts_of(stream):
+        frames = np.array(getattr(part, "frames", ()))
+        two = Counter(frames.tolist()).most_common(2)
+        changes = int((frames[1:] != frames[:-1]).sum())
+        if len(two) == 2 and changes >= max(two[1][1], MIN_CHANGES):
+            words = (
+                f"{part.topic} mixes messages of two frames in turn, {two[0][0]} and {two[1][0]}: two publishers. "
+                "Record each on a topic of its own"
+            )
+            found.append(Finding(name, PUBLISHERS, words, severe=True))
+    return found
 
 
 def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:

@@ -17,14 +17,16 @@ from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
 from locfuse.fusion.wheels.motion import STANDS_M, Wheels
 from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 
-from .finding import Finding, Least
+from .finding import Finding, Least, of_error
 from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right
 
-UNIT, JUMP, FEW = "unit", "jump", "few"  # codes of the findings on an unusable truth
+UNIT, AXES, JUMP, FEW = "unit", "axes", "jump", "few"  # codes of the findings on an unusable truth
 SIZE = "size"  # code of the finding on a truth with another distance scale than wheels and laser
 # by the ratio of its distances to those in m
 UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}
 MAX_UNIT_RATIO = 1.5  # of that ratio, either way
+# of a truth without one of its axes: share of the drive's extent, m; share of the squared distances over WINDOW_S
+MAX_LEVEL_SHARE, MIN_EXTENT_M, MAX_SEEN_SHARE = 0.1, 0.5, 0.8
 # standard errors; share of the truth's scale error that wheels and laser may differ by
 MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
 MIN_SCALE_SHARE = 0.05  # of the squared steps of a path that no tracked point explains: with less it has no scale
@@ -62,11 +64,12 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive)
     point = of_point(truth, swings)
-    # jumps and a wrong tracked point would look like a wrong start
+    # jumps would look like noise; they and a wrong tracked point would look like a wrong start
     creep = of_creep(swings)
     aside = abs(float(swings.x[3])) if swings is not None and creep else 0.0
     start = [] if jumps or point else of_start(truth, drive, robot, aside)
-    return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start, *creep]
+    noise = [] if jumps else _noise(truth, drive)
+    return [*jumps, *_gaps(truth), *noise, *point, *start, *creep]
 
 
 def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
@@ -220,11 +223,40 @@ def of_few(drive: Drive) -> list[Finding]:
     if inside >= MIN_READINGS:
         return []
     if len(t) and not inside:
-        return [Finding("truth", FEW, outside(t, wheels, "truth"), (), True)]
+        return [of_error(outside(t, wheels, "truth", drive.truth.time_offset), "truth", FEW)]
     number = f"{inside} pose{'' if inside == 1 else 's'}"
     words = f"it has {number} in the {wheels[-1] - wheels[0]:.1f} s of the drive, too few to measure errors"
     hint = f"({MIN_READINGS} are the least; to judge without it: --set {NO_TRUTH})"
     return [Finding("truth", FEW, words, (NO_TRUTH,), True, hint=hint)]
+
+
+def of_axes(drive: Drive) -> list[Finding]:
+    """Return a finding if x or y of the truth hardly changes while the drive extends both ways: it is the height.
+
+    In a straight corridor wrong turns of the wheels look the same, but there truth and wheels move equally far.
+    """
+    truth, wheels = drive.truth, drive.wheels
+    if truth is None:
+        return []
+    inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+    t, xy = truth.t[inside], truth.xy[inside]
+    if len(t) < MIN_STEPS:
+        return []
+    path = wheels.relative(np.full(len(t), t[0]), t)[:, :2]
+    wide, narrow = np.ptp(
+        path @ np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2].T, axis=0
+    ).tolist()
+    level = np.ptp(xy, axis=0)
+    last = np.minimum(np.searchsorted(t, t + WINDOW_S), len(t) - 1)
+    seen, rolled = float(((xy[last] - xy) ** 2).sum()), float(((path[last] - path) ** 2).sum())
+    share = MAX_LEVEL_SHARE * narrow
+    if narrow < MIN_EXTENT_M or level.min() > share or level.max() < share or seen > MAX_SEEN_SHARE * rolled:
+        return []
+    words = (
+        f"its {'xy'[int(level.argmin())]} changes by {level.min():.2f} m only, while the robot covers "
+        f"{wide:.1f} m by {narrow:.1f} m: it looks like the height. Errors by it mean nothing: record z up"
+    )
+    return [Finding("truth", AXES, words, (), True)]
 
 
 def of_unit(drive: Drive) -> list[Finding]:
@@ -268,8 +300,8 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
 
 
 def unusable(drive: Drive) -> Finding | None:
-    """Return a finding if no error can be computed by this truth (few poses, unit, many jumps), else None."""
-    for found in (*of_few(drive), *of_unit(drive)):
+    """Return a finding if no error can be computed by this truth (few poses, unit, axes, jumps), else None."""
+    for found in (*of_few(drive), *of_unit(drive), *of_axes(drive)):
         return found
     jumps = jumps_of(drive)
     if jumps is None or not jumps.unusable:

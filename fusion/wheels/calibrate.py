@@ -23,7 +23,7 @@ from locfuse.fusion.chi_square import CONFIDENCE, chi_square
 from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, stretches
 from locfuse.fusion.scan_matching.clouds import Columns
 
-from .motion import Wheels
+from .motion import STANDS_M, Wheels
 
 # ---- noise scale by restricted likelihood with linear nuisance parameters ----  e_i = X_i p + noise, noise ~ N(0,
 # s Q_i + T_i), p ~ N(0, P0): p is integrated out, so that systematic errors do not count as noise (Patterson and
@@ -121,6 +121,8 @@ OUTLIER_CONFIDENCE = 0.99999  # a piece beyond this quantile is a slip or a jump
 CHI_SQUARE_MEDIANS = {1: 0.4549, 3: 2.3660}  # of chi-square, by degrees of freedom
 MIN_PIECES = 4
 MIN_STANDSTILL_S = 0.5  # s of standstill from which the truth's noise is estimated
+MOVES_SIGMAS = 3.0  # of white noise: more than this and STANDS_M, and the truth moves at such a standstill
+MAX_MOVING_FACTOR = 2.0  # of all scatter and that without such standstills: with more, most is motion
 USUAL_NOISE = 4e-4  # m: variance per metre that a wheel rolls
 
 
@@ -268,20 +270,32 @@ def adjusted(wheels: Wheels, moved: Array) -> Wheels:
 
 
 def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
-    """Return the noise of the truth: the configured value, else its scatter while the robot is at rest."""
+    """Return the noise of the truth: the configured value, else its scatter while the robot is at rest.
+
+    A late truth, or one that jumps, moves while the wheels stand: such scatter is no noise.
+    """
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
     still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL_MPS * np.diff(wheels.t)
-    xy, theta = [np.zeros(0)], [np.zeros(0)]
+    xy, resting, theta = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for first, last in stretches(still):
         rows = (truth.t >= middle[first]) & (truth.t <= middle[last])
         if middle[last] - middle[first] < MIN_STANDSTILL_S or rows.sum() < 3:
             continue
         xy.append((truth.xy[rows] - truth.xy[rows].mean(axis=0)).ravel())
+        resting += [] if _moves(truth.xy[rows]) else xy[-1:]
         if truth.theta is not None:
             theta.append(se2.wrap_all(truth.theta[rows] - truth.theta[rows][0]))
             theta[-1] -= theta[-1].mean()
-    scatter = [float(np.concatenate(v).std()) if len(v) > 1 else 0.0 for v in (xy, theta)]
-    return Sigma(truth.sigma or scatter[0], scatter[1])
+    whole, rest, turn = (float(np.concatenate(v).std()) if len(v) > 1 else 0.0 for v in (xy, resting, theta))
+    return Sigma(truth.sigma or (rest if whole > MAX_MOVING_FACTOR * rest else whole), turn)
+
+
+def _moves(xy: Array) -> bool:
+    """Return whether positions (n, 2) [m] at a standstill of the wheels move: the truth is late, or it jumps."""
+    half = len(xy) // 2
+    away = float(np.hypot(*(xy[-half:].mean(axis=0) - xy[:half].mean(axis=0))))
+    white = math.sqrt(0.5 * float((np.diff(xy, axis=0) ** 2).sum(axis=1).mean()))
+    return away > max(STANDS_M, MOVES_SIGMAS * white * 2.0 / math.sqrt(len(xy)))
 
 
 def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from locfuse.fusion.data import Array, Ints
 WINDOW_STEPS = 11  # steps whose median speed is the present speed
 # a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
 JUMP_FACTOR, JUMP_SLACK_MPS, MIN_JUMP_M = 8.0, 0.5, 0.02
+MAX_HELD_FACTOR = 4.0  # of the speeds before, during and after a time in which a counter stood still
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
 COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # known widths of counters
@@ -52,12 +53,39 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     if bad.any():  # spikes may have disturbed the search for the modulus
         count = unrolled(side.value[~bad], modulus, side.likely)
     keep = np.flatnonzero(~bad)
-    t, rolled = side.t[keep], count.values * metres
-    steps = np.diff(rolled)
+    rolled = count.values * metres
+    held = _held(side.t[keep], rolled, max_speed)
+    keep, rolled = keep[~held], rolled[~held]
+    t, steps = side.t[keep], np.diff(rolled)
     restarts = np.abs(steps) > limits(t, steps, max_speed)
     way = np.concatenate(([0.0], np.cumsum(without_restarts(t, steps[:, None], restarts))))
     jumps = steps[restarts] / metres
-    return Repaired(keep, way, int(bad.sum()), tuple(_words(side.name, count, int(bad.sum()), jumps.tolist())))
+    notes = _words(side.name, count, int(bad.sum()), jumps.tolist())
+    if held.any():
+        notes.append(
+            f"{side.name} counter stood still and then caught up: its {held.sum()} equal readings are not used"
+        )
+    return Repaired(keep, way, int(bad.sum()), tuple(notes))
+
+
+def _held(t: Array, rolled: Array, max_speed: float | None) -> Mask:
+    """Return which readings (n,) repeat an old value: the wheel rolled on, and the counter caught up in one jump.
+
+    The jump then is the way of the whole time, at a speed like those before and after it. (A counter that starts
+    anew while the robot stands jumps too, but the robot does not drive before and after.)
+    """
+    out, steps = np.zeros(len(t), bool), np.diff(rolled)
+    rate = steps / np.diff(t)
+    for last in np.flatnonzero(np.abs(steps) > limits(t, steps, max_speed)).tolist():
+        moving = np.flatnonzero(steps[:last])
+        first = int(moving[-1]) + 1 if len(moving) else 0
+        if not 0 < first < last < len(rate) - 1:
+            continue
+        beside = rate[[first - 1, last + 1]]
+        speed = steps[last] / (t[last + 1] - t[first])
+        ratio = np.divide(beside, speed)
+        out[first + 1 : last + 1] = (ratio.min() > 1.0 / MAX_HELD_FACTOR) and (ratio.max() < MAX_HELD_FACTOR)
+    return out
 
 
 def _words(name: str, count: Unrolled, spiked: int, jumps: Sequence[float]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, cast
@@ -10,7 +11,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.streams import MergedStream, count_dropped
+from locfuse.fusion.streams import MergedStream, blank, count_dropped
 
 from .repairs import Mask, Side
 
@@ -57,6 +58,9 @@ LIMBS = (
 )
 
 
+MIN_BLANK_STEPS = 20.0  # median steps: from counters that are larger, a step to zero is no motion
+
+
 class Counters(NamedTuple):
     """Readings of both wheels, and the number of unused readings by reason."""
 
@@ -74,6 +78,12 @@ def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
     dropped = dict(stream.dropped)
     found = _found(stream, settings, dropped)
     keep = usable(found.t_ns, found.values, dropped)
+    if not found.speeds:
+        values = found.values[keep]
+        step = np.hypot.reduce(np.diff(values[values.any(axis=1)], axis=0), axis=1)
+        lost = blank(values, MIN_BLANK_STEPS * float(np.median(step[step > 0.0])) if step.any() else math.inf)
+        count_dropped(dropped, zeros=lost)
+        keep = keep[~lost]
     require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     zero_ns = int(found.t_ns[keep[0]])
     t: Array = (found.t_ns[keep] - zero_ns) * np.float64(1e-9)

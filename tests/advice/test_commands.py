@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from pathlib import Path
 
@@ -12,10 +13,11 @@ import pytest
 from commands import locfuse, ok, reported
 from lock_step import simulated
 from msgspec.structs import replace
-from trap_logs import COMPASS, SCAN, TRUTH, WHEELS, Change, Drive, recorded, seconds
+from trap_logs import COMPASS, SCAN, TRUTH, WHEELS, Change, Drive, S, recorded, seconds
 from traps import changed, each, elsewhere, field, late, pitched_imu, short_metre, upside_down
 
 from locfuse.cli.analysis.load import start_error
+from locfuse.sample_logs.messages import RawMessage
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +179,18 @@ def test_what_is_too_rare_judges_nothing_and_no_sensor_is_charged(
 def test_readings_of_another_year_are_named_with_the_offset_and_not_used(tmp_path: Path) -> None:
     done = reported("compare", recorded(tmp_path, late(SCAN, -1e8)))
     assert "not used: lrf: none of its 183 readings lies within the 30.4 s of the drive" in done.stderr
-    assert "set lrf.time_offset=99999999.9" in done.stderr
+    assert "--set lrf.time_offset=99999999.9" in done.stderr
+
+
+def test_readings_recorded_at_another_time_spoil_a_check_until_their_offset_is_set(tmp_path: Path) -> None:
+    def hour(m: RawMessage) -> RawMessage:
+        return m._replace(stamp_ns=m.stamp_ns + 3600 * S, log_ns=m.log_ns + 3600 * S)
+
+    log = recorded(tmp_path, each(SCAN, hour))
+    done = locfuse("info", log, "--check", "--no-advice")
+    assert done.exit_code == 3
+    (offset,) = re.findall(r"fix: --set (lrf\.time_offset=-3\d+\.\d+)", done.stdout)
+    assert locfuse("info", log, "--check", "--no-advice", "--set", offset).exit_code == 0
 
 
 def test_a_drive_of_two_seconds_judges_no_sensor(tmp_path: Path) -> None:

@@ -231,7 +231,7 @@ def test_figures_are_doubtful_while_something_is_wrong(advice: Advice, doubt: st
     report: dict[str, Any] = {
         "configurations": {"lrf": {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.0}}
     }
-    add_validity(report, Advised((advice,)), None)
+    add_validity(report, (advice,), None)
     assert [v["message"] for v in report["validity"]] == ([] if doubt is None else [doubt])
 
 
@@ -243,8 +243,7 @@ def test_errors_by_an_unusable_truth_are_void(by_advice: bool) -> None:
         }
     }
     fault = Finding("truth", MIRROR, "it is a mirror image of the drive", (), True)
-    advised = Advised((Advice(fault),)) if by_advice else None
-    add_validity(report, advised, 3.0, None if by_advice else fault)
+    add_validity(report, (Advice(fault),) if by_advice else (), 3.0, None if by_advice else fault)
     (entry,) = report["validity"]
     assert (entry["message"], entry["void"]) == ("truth: it is a mirror image of the drive", True)
     assert report["configurations"]["lrf"]["position_rmse_m"] is None
@@ -253,7 +252,7 @@ def test_errors_by_an_unusable_truth_are_void(by_advice: bool) -> None:
 def test_a_smoothed_run_is_void_by_the_words_of_its_filter() -> None:
     lost = {"configuration": "all", "sensors": {}, "lost_share": 0.14, "lost": [[3.0, 10.0]], "anees": 2.0}
     report: dict[str, Any] = {"configurations": {"all": lost, "all-smoothed": {**lost, "smoothed": True}}}
-    add_validity(report, None, None)
+    add_validity(report, (), None)
     (entry,) = report["validity"]
     assert entry["message"] == "all: lost for 14% of the drive, first at 3.0 s"
     assert entry["configurations"] == ["all", "all-smoothed"]

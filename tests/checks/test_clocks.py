@@ -16,6 +16,7 @@ from locfuse.fusion.checks.clocks import (
     clock_lags,
     clock_words,
     differences,
+    far_lag,
     lag_of_run,
     lags_by_truth,
     of_clocks,
@@ -28,6 +29,7 @@ from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag, worth
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.robot import Robot, StartSettings
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.calibrate import truth_sigma
 from locfuse.fusion.wheels.motion import Wheels
 
 T = np.arange(0.0, 90.0, 0.02)
@@ -335,3 +337,35 @@ def test_a_lag_by_speeds_is_known_only_if_every_part_of_the_drive_shows_it(stops
     found = present(way_lag(Truth("/truth", t, xy, None), drive))
     assert found.offset == pytest.approx(-0.2, abs=0.05)
     assert (found.spread < 0.05) == known
+
+
+def test_a_late_truth_that_moves_while_the_wheels_stand_is_not_noisy() -> None:
+    """Stop and go, 4 s each: a truth that is 1 s late moves in the first second of every stop."""
+    twist = np.zeros((len(T) - 1, 3))
+    twist[:, 0] = np.where(T[1:] % 8.0 < 4.0, 0.02 * 0.3, 0.0)
+    wheels, late = Wheels.from_twists(T, twist, 0.6, 4e-4), T[50::5]
+    x = np.interp(late - 1.0, T[1:], np.cumsum(twist[:, 0])) + np.random.default_rng(1).normal(
+        0.0, 0.001, len(late)
+    )
+    truth = Truth("/truth", late, np.stack((x, np.zeros(len(x))), axis=-1), None)
+    assert truth_sigma(truth, wheels).xy < 0.002
+
+
+@pytest.mark.parametrize("late", [-31.0, 20.0])
+@pytest.mark.parametrize("headings", [True, False])
+def test_a_truth_on_a_clock_of_its_own_is_found_if_the_drive_never_repeats_itself(
+    late: float, headings: bool
+) -> None:
+    rng = np.random.default_rng(4)
+    twist = 0.02 * np.repeat(np.abs(rng.normal(0.0, 0.3, (59, 3))), 75, axis=0)
+    twist[:, 1] = 0.0
+    t = T[: len(twist) + 1]
+    wheels = Wheels.from_twists(t, twist, 0.6, 4e-4)
+    truth = Truth("/truth", t[::5] + late, wheels.pose[::5, :2], wheels.pose[::5, 2] if headings else None)
+    assert present(far_lag(truth, wheels)).offset == pytest.approx(-late, abs=0.1)
+
+
+def test_a_drive_that_repeats_itself_shows_no_far_lag() -> None:
+    wheels, true = turned(0)
+    truth = Truth("/truth", T + 20.0, wheels.pose[:, :2], se2.wrap_all(true))
+    assert far_lag(truth, wheels) is None

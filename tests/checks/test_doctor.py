@@ -29,6 +29,7 @@ from locfuse.fusion.checks.truth import (
     UNIT,
     jumps_of,
     metre,
+    of_axes,
     of_size,
     of_truth,
     of_unit,
@@ -412,6 +413,19 @@ def test_a_truth_that_is_not_in_metres_is_named_by_its_unit(factor: float, unit:
     assert unit is None or unusable(scaled) == found[0]
     # the same ratio by wheels of a radius in another unit: then the truth is right
     assert of_unit(rolled(healthy, healthy.wheels.rolled / factor, TRACK / factor)) == []
+
+
+@pytest.mark.parametrize("height", [0, 1])
+def test_a_truth_with_its_height_in_place_of_an_axis_judges_nothing(height: int) -> None:
+    healthy = drive(1, robot())
+    assert of_axes(healthy) == []
+    xy = truth_of(healthy).xy.copy()
+    xy[:, height] = 0.31 + 0.002 * np.sin(np.arange(len(xy)))
+    found = present(unusable(with_truth(healthy, xy=xy)))
+    assert f"its {'xy'[height]} changes by 0.00 m only, while the robot covers" in found.message
+    # a corridor by wheels that turn wrongly: both moved equally far
+    corridor = np.stack((healthy.wheels.driven(truth_of(healthy).t), xy[:, 1] * 0.0), axis=-1)
+    assert of_axes(with_truth(healthy, xy=corridor)) == []
 
 
 def test_a_scale_that_no_laser_has_is_named_without_a_fix() -> None:

@@ -148,7 +148,7 @@ def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(
     words = ("-o", tmp_path / "out", *ONE, "--truth", truth, "--to", "2")
 
     def run(y: float) -> list[float]:
-        truth.write_text("t,x,y\n" + "".join(f"{first + i * 100_000_000},0,{y}\n" for i in range(30)))
+        truth.write_text("t,x,y\n" + "".join(f"{first + i * 100_000_000},{0.01 * i},{y}\n" for i in range(30)))
         ok("fleet", f"@{listed}", *words)
         return [float(r["position_rmse_m"]) for r in rows(tmp_path / "out")]
 

@@ -391,17 +391,14 @@ def no_returns(word: float) -> Change:
     return field(SCAN, ranges=edit, range_max=8.0)
 
 
-def freezes(drive: Drive) -> None:
-    """The driver sends one scan again and again for a second, under new stamps."""
-    held: list[RawMessage] = []
+def freezes(topic: str) -> Change:
+    """One reading comes again and again for a second, under new stamps."""
+    held: dict[str, RawMessage] = {}
 
     def edit(m: RawMessage) -> RawMessage:
-        if not 4.0 <= seconds(m) < 5.0:
-            return m
-        held.append(m)
-        return changed(m, ranges=held[0].fields["ranges"])
+        return m._replace(fields=held.setdefault(topic, m).fields) if 4.0 <= seconds(m) < 5.0 else m
 
-    drive.each(SCAN, edit)
+    return each(topic, edit)
 
 
 def flipped(ranges: Array) -> Array:
@@ -482,11 +479,11 @@ LASER_TRAPS = (
     Trap("no return beyond range_max", no_returns(9.0), "without a return: 17% beyond range_max", False, "lrf"),
     Trap("no return as range_max, or as one other range", SATURATED,
          "exactly 5 m, the longest: read as no return", False, "lrf"),
-    Trap("a range_max that is not filled in", field(SCAN, range_max=0.0), "these limits are not filled in", False,
-         "lrf"),
+    Trap("a range_max that is not filled in", field(SCAN, range_max=0.0), "not filled in", False, "lrf"),
     Trap("an angle_max that contradicts the increment", field(SCAN, angle_max=lambda a: a - 0.2),
          "angle_increment is used", False, "lrf"),
-    Trap("a laser that freezes while the robot drives", freezes, "repeat the one before", False, "lrf"),
+    Trap("a laser that freezes while the robot drives", freezes(SCAN), "repeat the one before", False, "lrf"),
+    Trap("scans that were recorded twice", again(SCAN, 2), "repeat the one before", False, "lrf"),
     Trap("a laser that scans clockwise", clockwise, "clockwise", False, "lrf"),
     Trap("a laser upside-down", upside_down, "mounted upside-down", True, "lrf"),
     Trap("upside-down, said by /tf_static", told_by_tf(upside_down, HANGING), "upside-down by /tf_static",
@@ -542,6 +539,7 @@ TRUTH_TRAPS = (
     Trap("a tracked marker off the axle", each(TRUTH, marker), "it swings as the body point", spoils=True),
     Trap("gaps in the truth", silent(TRUTH, (8.0, 10.0), (14.0, 15.0)),
          "2 gaps, the longest 2.1 s: no errors are computed there"),
+    Trap("a truth that freezes while the robot drives", freezes(TRUTH), "repeat the one before"),
     Trap("a truth on a clock of its own", late(TRUTH, 0.5), "stamps look 0.5", spoils=True),
     Trap("jumps of metres in the truth", each(TRUTH, jump), "by more than the wheels rolled", spoils=True),
     Trap("a start that is not set", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),

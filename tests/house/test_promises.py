@@ -187,6 +187,10 @@ def test_a_lost_chunk_leaves_seconds_without_wheels_and_no_estimate_that_is_sure
     for name, values in done.rows.items():
         assert values["anees"] < 3.0, name
         assert values["final_position_error_m"] < 0.01 or "lrf" not in values["sensors"]
+    # of many logs none is examined by fusing; this one gives no verdict to their mean either
+    assert [(v["code"], v["void"]) for v in done.report["validity"]] == [("hole", False)]
+    assert done.report["credit"] is None
+    assert {v["verdict"] for v in done.report["verdicts"].values()} == {"no verdict"}
 
 
 def test_info_says_that_without_checksums_a_corrupted_value_cannot_be_seen(tmp_path: Path) -> None:

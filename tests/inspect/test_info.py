@@ -441,6 +441,17 @@ def test_two_odometries_in_turn_on_one_topic_would_spoil_an_estimate(tmp_path: P
     assert "record each on a topic of its own" in finding["message"]
 
 
+def test_two_lasers_in_turn_on_one_topic_have_two_frames_and_no_verdict(tmp_path: Path) -> None:
+    from bags import write
+
+    said = scans_of(*circle())
+    other = [m._replace(data=m.data.replace(b"laser", b"front", 1)) if i % 2 else m for i, m in enumerate(said)]
+    assert other != said
+    (finding,) = found(write(tmp_path / "two.mcap", other))
+    assert (finding["role"], finding["severe"]) == ("lrf", True)
+    assert "/scan mixes messages of two frames in turn" in finding["message"]
+
+
 @pytest.mark.parametrize("kind", ["started again", "recorded twice", "one"])
 def test_a_publisher_that_starts_again_or_is_recorded_twice_is_one(tmp_path: Path, kind: str) -> None:
     writes = {

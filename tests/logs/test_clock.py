@@ -59,6 +59,22 @@ def test_repeated_stamps_do_not_count_in_the_delay_of_recording_times() -> None:
     assert error(clock, stamp) < 0.006  # the jitter of the delay, 5 ms
 
 
+@pytest.mark.parametrize("seconds", [-3600.0, -3.0, 1.5])
+@pytest.mark.parametrize("number", [80, 120])
+def test_a_clock_that_is_set_while_it_is_recorded_goes_on_as_it_would_have(seconds: float, number: int) -> None:
+    """The recording's clock was right all the time, before or after."""
+    log_time, truth = recording()
+    stamp = truth + np.where(np.arange(200) < number, int(seconds * S), 0)
+    clock = settle(log_time, stamp)
+    assert error(clock, truth) < 0.011
+    assert common_clock([(log_time, stamp)]) is None
+
+
+def test_messages_that_wait_three_seconds_for_their_recorder_keep_their_stamps() -> None:
+    log_time, stamp = recording()
+    assert settle(log_time + np.where(np.arange(200) < 100, 0, 3 * S), stamp).as_stamped
+
+
 @pytest.mark.parametrize(
     ("rows", "value", "reason"),
     [
@@ -71,8 +87,9 @@ def test_repeated_stamps_do_not_count_in_the_delay_of_recording_times() -> None:
         ([0], 100 * S, "off the stream's clock"),
         ([199], T0 + 3600 * S, "off the stream's clock"),
         ([199], np.iinfo(np.int64).max, "off the stream's clock"),
-        ([50], T0 + 1 * S, "backwards"),
-        ([50], T0 + 4 * S, "backwards"),
+        ([50], T0 + 1 * S, "off the stream's clock"),
+        ([50], T0 + 4 * S, "off the stream's clock"),
+        ([50], T0 + 2 * S, "backwards"),
     ],
 )
 def test_a_stamp_that_cannot_be_true_is_dated_by_its_recording_time(
@@ -139,7 +156,7 @@ def test_moving_stamps_into_their_order_is_isotonic_regression() -> None:
 @pytest.mark.parametrize(("since", "by", "of_larger"), [(200, -15 * S, 0), (100, 500 * S, 500 * S)])
 def test_a_clock_that_is_set_for_good_goes_on(since: int, by: int, of_larger: int) -> None:
     """As when a simulation is reset: the smaller part is dated on the clock of the larger one."""
-    log_time, truth = recording(300)
+    log_time, truth = np.add(recording(300), ((3600 * S,), (0,)))
     stamp = truth + by * (np.arange(300) >= since)
     clock = settle(log_time, stamp)
     assert (np.diff(clock.t_ns) >= 0).all()

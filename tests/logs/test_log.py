@@ -19,6 +19,7 @@ from bags import (
     contents,
     definition,
     drive,
+    header,
     real_log,
     real_logs,
     recorded,
@@ -129,6 +130,16 @@ def test_messages_of_equal_time_are_ordered_by_sequence_then_by_content(tmp_path
         orders.append(np.asarray(log.stream("/n").columns("data")["data"]).tolist())
     assert all(order == orders[0] for order in orders)
     assert [int(x) % 3 for x in orders[0]] == [0] * 10 + [1] * 10 + [2] * 10
+
+
+def test_of_messages_written_at_one_time_without_numbers_the_older_stamp_is_first(tmp_path: Path) -> None:
+    kind = "sensor_msgs/msg/JointState"
+    said = [
+        Said("/joints", kind, cdr(kind, header=header(T0 + i), position=[i]), T0 + (i // 10 + 1) * S)
+        for i in range(30)
+    ]
+    stream = open_log([write(tmp_path / "log.mcap", shuffled(said))]).stream("/joints")
+    assert rows(stream.columns("position")["position"]) == [[i] for i in range(30)]
 
 
 def test_a_message_recorded_twice_is_one_reading(tmp_path: Path) -> None:

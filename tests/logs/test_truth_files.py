@@ -69,7 +69,7 @@ def test_a_csv_of_poses_says_the_same_as_the_tum_file(tmp_path: Path) -> None:
         ("t,a,b\n1,2,3\n", "x and y of poses, or id, range and bearing"),
         ("t,x,y\n", "holds no readings"),
         ("", "is empty"),
-        ("t,x,y\n1,2,3\n", "another clock, or another drive"),
+        ("t,x,y\n1,2,3\n", "another drive or, if both began together, another clock"),
     ],
 )
 def test_a_file_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:
@@ -165,9 +165,28 @@ def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path:
     np.testing.assert_allclose(truth.xy[1], [-meridian * math.pi / 10800, 0.0], rtol=2e-4, atol=0.01)
 
 
+def test_a_truth_file_with_times_in_whole_seconds_judges_no_sensor(tmp_path: Path) -> None:
+    error(SAMPLE, tmp_path / "own")
+    rows = [line.partition(" ") for line in (tmp_path / "own" / "truth.tum").read_text().splitlines()]
+    (tmp_path / "truth.tum").write_text("".join(f"{t.partition('.')[0]} {pose}\n" for t, _, pose in rows))
+    done = locfuse("info", SAMPLE, "--check", "--no-advice", "--truth", tmp_path / "truth.tum")
+    assert done.exit_code == 3
+    assert f"of {len(rows)} rows have the time of the row before" in done.stdout
+
+
 def streamed(path: Path, text: str | bytes) -> MadeStream:
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     return read_file(str(path))
+
+
+def test_zeros_of_a_tracker_that_lost_its_marker_are_no_poses_and_a_start_at_the_origin_is_one(
+    tmp_path: Path,
+) -> None:
+    x = [0.0, 0.0, 0.01, *np.arange(0.1, 3.0, 0.1), 0.0, 0.0, 3.0, 3.1]
+    rows = "".join(f"{1e9 + 0.1 * i:.1f},{v},0\n" for i, v in enumerate(x))
+    truth, dropped = read_truth(streamed(tmp_path / "t.csv", f"t,x,y\n{rows}"), TruthSettings(), 0)
+    assert dropped == {"zeros": 2}
+    assert truth.xy[:, 0].tolist() == [v for i, v in enumerate(x) if v or i < 2]
 
 
 @pytest.mark.parametrize(
@@ -242,7 +261,7 @@ def test_a_small_file_takes_little_memory_however_much_may_be_read(tmp_path: Pat
 def test_a_place_beyond_the_solar_system_was_never_measured(tmp_path: Path) -> None:
     log = sample_write(tmp_path / "a.mcap", seconds=1.5)
     begin = sample()[0][0].log_time
-    where = [1e300 if i % 2 else 1.0 for i in range(16)]
+    where = [1e300 if i % 2 else 1.0 + 0.01 * i for i in range(16)]
     rows = [f"{(begin + i * 10**8) / 1e9:.3f},{x},1,0" for i, x in enumerate(where)]
     truth = tmp_path / "t.csv"
     truth.write_text("\n".join(("t,x,y,theta", *rows)))

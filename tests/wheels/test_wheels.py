@@ -131,6 +131,33 @@ def test_a_first_or_last_reading_that_is_absurd_does_not_carry_the_robot_off(
     assert np.isfinite(motions.Q).all()
 
 
+@pytest.mark.parametrize("length", [1, 40])
+def test_zeros_in_place_of_both_counters_are_no_readings(truth: tuple[Array, Array], length: int) -> None:
+    t, angle = truth
+    published = angle + 500.0
+    published[300 : 300 + length] = 0.0
+    reading = read(t, published)
+    assert (reading.dropped, reading.notes) == ({"zeros": length}, ())
+    np.testing.assert_allclose(final(reading)[:2], pose_of(angle)[:2], atol=2e-3)
+    # a wheel that rocks about zero has such values of its own
+    rocking = np.where(np.arange(len(t)) % 5 == 0, 0.01, 0.0)[:, None] * np.ones(2)
+    assert read(t, rocking).dropped == {}
+
+
+def test_counters_that_stand_still_and_catch_up_lose_no_way(truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    published = angle.copy()
+    published[300:380] = angle[300]
+    reading = read(t, published)
+    assert words(reading).count("stood still and then caught up: its 79 equal readings are not used") == 2
+    np.testing.assert_allclose(reading.wheels.rolled.sum(axis=0), (angle[-1] - angle[0]) * RADIUS, atol=2e-3)
+    # a robot that stands while its counters start anew has not driven that way
+    standing = np.concatenate((angle[:300], np.repeat(angle[300:301], 80, axis=0), angle[300:500] - angle[300]))
+    found = read(np.arange(580) * np.float64(0.02), standing)
+    assert "started anew" in words(found)
+    np.testing.assert_allclose(final(found)[:2], pose_of(angle[:500])[:2], atol=0.02)
+
+
 @pytest.mark.parametrize("side", [0, 1])
 def test_an_encoder_that_starts_anew_loses_one_step_and_says_so(truth: tuple[Array, Array], side: int) -> None:
     t, angle = truth

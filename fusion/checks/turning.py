@@ -25,7 +25,7 @@ from locfuse.fusion.wheels.sources import joint_names
 
 from .finding import Finding, Least
 from .lag import headings
-from .laser import WallMotion, laser_motion
+from .laser import MAX_WALL_TURN_RAD, PAIR_TURN_RAD, WallMotion, laser_motion
 
 MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth, on wheels
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -39,6 +39,7 @@ SEVERE_TRACK_ERROR = 0.06
 WORTH_SAYING = Least(MIN_TRACK_ERROR, MIN_SIGMAS)
 MIN_ROLL_SPREAD_M = 1e-3  # m per window
 GYRO_SCALE_SIGMA = 0.01  # 1 sigma of a gyro's scale
+MAX_PAIRED_SHARE = 0.5  # of the largest turn between paired walls: a wrong track that uses more of it is biased
 CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of path for a direction of travel; rad of a piece
 MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per turn of the wheels: limits for a track
 BOTH_TURNED: Mapping[str, str] = {"none": "both", "both": "none", "left": "right", "right": "left"}
@@ -265,6 +266,9 @@ def observed_track(
     turns = turns_by_truth(drive)
     if turns is not None:
         return configured / turns[0], configured * turns[1] / turns[0] ** 2, "the truth"
+    far = _far_by_scans(configured, by_sensor)
+    if far is not None:
+        return far
     if motion is not None and motion.turns is not None and math.isfinite(motion.turns_sigma):
         return configured / motion.turns, configured * motion.turns_sigma / motion.turns**2, "the laser's walls"
     for name, scale_sigma in (("compass", 0.0), ("gyro", GYRO_SCALE_SIGMA)):
@@ -273,6 +277,22 @@ def observed_track(
             track = 2.0 / (t.a - t.b)
             return track, track * math.hypot(t.sigma / (t.a - t.b), scale_sigma), f"the {name}"
     return None
+
+
+def _far_by_scans(configured: float, by_sensor: Mapping[str, Turning]) -> tuple[float, float, str] | None:
+    """Return the track by turns from scan to scan, its sigma and source, if it is far from `configured` [m].
+
+    Walls of two scans are paired by the turn of the wheels. If this is too wrong, pairs of the largest errors
+    are missing, and the track by walls lies between the configured and the true one.
+    """
+    t = by_sensor.get("lrf")
+    if t is None or t.a - t.b <= 0.0:
+        return None
+    track = 2.0 / (t.a - t.b)
+    off = abs(configured / track - 1.0)
+    if off * PAIR_TURN_RAD < MAX_PAIRED_SHARE * MAX_WALL_TURN_RAD:
+        return None
+    return track, track * t.sigma / (t.a - t.b), "the scans"
 
 
 def turns_by_truth(drive: Drive) -> tuple[float, float] | None:

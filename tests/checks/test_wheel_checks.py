@@ -15,8 +15,9 @@ from locfuse.cli.session.session import Session, load
 from locfuse.fusion import se2
 from locfuse.fusion.checks.examine import HOLE, holes, longest_part, of_holes, unseen
 from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.laser import WallMotion
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
-from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, of_turning
+from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.load import load as scenario_of
@@ -236,6 +237,19 @@ def test_wheels_that_both_count_backward_are_told_from_swapped_ones(wheels_alone
     loaded = load(str(wheels_alone.log.paths[0]), sets=("wheels.mirrored=both",)).loaded
     (one,) = of_turning(loaded.drive, loaded.robot, AGAINST, {"wheels": loaded.stream("wheels")})
     assert (one.code, one.fixes) == (SWAPPED, ("wheels.mirrored=none",))
+
+
+WALLS = "the laser's walls"
+
+
+@pytest.mark.parametrize(("configured", "by"), [(0.3, "the scans"), (0.58, WALLS), (1.2, "the scans")])
+def test_a_track_half_or_twice_the_true_one_is_found_from_scan_to_scan(configured: float, by: str) -> None:
+    """Walls that are paired by turns of such wheels show a track between the configured and the true one."""
+    scans = Turning(1.0 / 0.6, -1.0 / 0.6, 0.01, 0.99, 0.0)
+    walls = WallMotion(1.0, 0.01, 0.0, 0.01, (configured / 0.6) ** 0.5 if by == "the scans" else 0.967, 0.01, 500)
+    found = present(observed_track(configured, drive(3, robot(), truth=False), {"lrf": scans}, walls))
+    assert found[0] == pytest.approx(0.6, rel=0.01)
+    assert found[2] == by
 
 
 def test_a_heading_that_never_changes_shows_no_slip() -> None:

@@ -145,7 +145,12 @@ def of_turning(
     back = _against(by_sensor)
     if len(back) > 1 and len(back) == len(by_sensor):
         return [_exchanged(drive, robot, by_sensor, back, streams["wheels"])]
-    return [_reversed(name, robot, streams) for name in back]
+    found = [_reversed(name, robot, streams) for name in back]
+    if len(by_sensor) == len(found) == 1 and counts_wheels and drive.truth is None:
+        rival = " and ".join(_swapped(robot.wheels, streams["wheels"]))
+        words = f"{found[0].message}; or left and right are swapped ({rival}): no third sensor shows which"
+        found = [replace(found[0], message=words)]
+    return found
 
 
 def _mirrored(t: Turning) -> str | None:

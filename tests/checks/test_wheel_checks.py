@@ -218,6 +218,16 @@ def test_a_sensor_shows_whether_truth_or_wheels_turn_wrongly(wheels_alone: Sessi
     assert "or the truth is a mirror image" in of_mirrored(wheels_alone, -1, theta, {}).message
 
 
+@pytest.mark.parametrize("third", ["", "compass", "truth"])
+def test_the_only_sensor_that_turns_against_the_wheels_may_be_right(wheels_alone: Session, third: str) -> None:
+    loaded, sensors = wheels_alone.loaded, AGAINST | ({"compass": AGREES["lrf"]} if third == "compass" else {})
+    drive = loaded.drive if third == "truth" else replace(loaded.drive, truth=None)
+    streams = {"wheels": loaded.stream("wheels"), "lrf": cast("Any", SimpleNamespace(msgtype=""))}
+    (found,) = of_turning(drive, loaded.robot, sensors, streams)
+    assert found.fixes == ("lrf.flipped=true",)
+    assert ("or left and right are swapped (wheels.left=" in found.message) == (third == "")
+
+
 def test_an_odometry_that_turns_against_a_truth_alone_may_be_wrong_itself(wheels_alone: Session) -> None:
     found = of_mirrored(wheels_alone, -1, None, {}, "nav_msgs/msg/Odometry")
     assert (found.role, found.code) == ("truth", MIRROR)

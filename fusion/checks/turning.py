@@ -271,21 +271,22 @@ def observed_track(
     turns = turns_by_truth(drive)
     if turns is not None:
         return configured / turns[0], configured * turns[1] / turns[0] ** 2, "the truth"
-    far = _far_by_scans(configured, by_sensor)
+    far = _far_by_scans(drive.wheels.track, by_sensor)
     if far is not None:
-        return far
+        return configured * far[0], configured * far[1], "the scans"
     if motion is not None and motion.turns is not None and math.isfinite(motion.turns_sigma):
         return configured / motion.turns, configured * motion.turns_sigma / motion.turns**2, "the laser's walls"
     for name, scale_sigma in (("compass", 0.0), ("gyro", GYRO_SCALE_SIGMA)):
         t = by_sensor.get(name)
         if t is not None and t.a - t.b > 0.0:
-            track = 2.0 / (t.a - t.b)
+            # an odometry's turns are those of a track in `drive` that nobody configured
+            track = configured * 2.0 / (t.a - t.b) / drive.wheels.track
             return track, track * math.hypot(t.sigma / (t.a - t.b), scale_sigma), f"the {name}"
     return None
 
 
-def _far_by_scans(configured: float, by_sensor: Mapping[str, Turning]) -> tuple[float, float, str] | None:
-    """Return the track by turns from scan to scan, its sigma and source, if it is far from `configured` [m].
+def _far_by_scans(track: float, by_sensor: Mapping[str, Turning]) -> tuple[float, float] | None:
+    """Return the track by turns from scan to scan per `track` [m], and its sigma, if it is far from 1; or None.
 
     Walls of two scans are paired by the turn of the wheels. If this is too wrong, pairs of the largest errors
     are missing, and the track by walls lies between the configured and the true one.
@@ -293,11 +294,10 @@ def _far_by_scans(configured: float, by_sensor: Mapping[str, Turning]) -> tuple[
     t = by_sensor.get("lrf")
     if t is None or t.a - t.b <= 0.0:
         return None
-    track = 2.0 / (t.a - t.b)
-    off = abs(configured / track - 1.0)
-    if off * PAIR_TURN_RAD < MAX_PAIRED_SHARE * MAX_WALL_TURN_RAD:
+    ratio = 2.0 / (t.a - t.b) / track
+    if abs(1.0 / ratio - 1.0) * PAIR_TURN_RAD < MAX_PAIRED_SHARE * MAX_WALL_TURN_RAD:
         return None
-    return track, track * t.sigma / (t.a - t.b), "the scans"
+    return ratio, ratio * t.sigma / (t.a - t.b)
 
 
 def turns_by_truth(drive: Drive) -> tuple[float, float] | None:

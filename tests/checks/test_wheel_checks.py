@@ -257,7 +257,12 @@ def test_a_track_half_or_twice_the_true_one_is_found_from_scan_to_scan(configure
     """Walls that are paired by turns of such wheels show a track between the configured and the true one."""
     scans = Turning(1.0 / 0.6, -1.0 / 0.6, 0.01, 0.99, 0.0)
     walls = WallMotion(1.0, 0.01, 0.0, 0.01, (configured / 0.6) ** 0.5 if by == "the scans" else 0.967, 0.01, 500)
-    found = present(observed_track(configured, drive(3, robot(), truth=False), {"lrf": scans}, walls))
+    one = drive(3, robot(), truth=False)
+    wheels = Wheels.from_twists(one.wheels.t, one.wheels.twist, configured, one.wheels.noise)
+    one = replace(one, wheels=wheels)
+    of_driver = present(observed_track(1.0, one, {"lrf": scans}, walls))  # a ratio: no track is configured
+    assert of_driver[0] == pytest.approx(0.6 / configured, rel=0.01)
+    found = present(observed_track(configured, one, {"lrf": scans}, walls))
     assert found[0] == pytest.approx(0.6, rel=0.01)
     assert found[2] == by
 

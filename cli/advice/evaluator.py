@@ -30,6 +30,7 @@ from locfuse.fusion.checks.tried import (
     improves,
     judged_pairs,
     keys,
+    settles,
     together,
     tried,
     worsens_smoothed,
@@ -146,7 +147,8 @@ def smoothed_worse(
     pairs = [(first[name], last[name]) for name in last]
     if any(score.aligned for advice in found for score in (advice.before or {}).values()):
         pairs = [(b.of_shape(), a.of_shape()) for b, a in pairs]
-    lost = ((b.position, a.position) for b, a in pairs if worsens_smoothed(b, a))
+    settled = all(a.before and a.after and any(settles(a.before[n], a.after[n]) for n in a.before) for a in found)
+    lost = ((b.position, a.position) for b, a in pairs if worsens_smoothed(b, a, settled))
     return next(((b, a) for b, a in lost if b is not None and a is not None), None)
 
 

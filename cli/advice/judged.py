@@ -118,7 +118,9 @@ class Judged:
                 if self.loaded.drive.truth is not None or len(known) == 1
                 else ()
             )
-            return tuple(n for n in dict.fromkeys((*others, *kept, *walk)) if n not in BASES or walk)
+            # a fix that halves it settles a fault of the wheels: others may then lose by chance
+            order = (*walk, *others, *kept) if role == "wheels" else (*others, *kept, *walk)
+            return tuple(n for n in dict.fromkeys(order) if n not in BASES or walk)
         using = self._using(role)
         if not using:
             return ()

@@ -13,6 +13,7 @@ from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, MountedSe
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import laid_on, wrap
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.states import MAX_PRIOR_SIGMAS as MAX_TURNING_SIGMAS
 from locfuse.fusion.wheels.states import WHEELS
 
 from .finding import Finding
@@ -51,7 +52,7 @@ def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
 def of_probe(robot: Robot, sensor: str, e: Estimates, judged: bool) -> Iterator[Finding]:
     """Yield findings on mount and track that a run estimated differently than configured."""
     yield from of_mount(robot, sensor, e, judged, PROBE_XY_M, PROBE_YAW_DEG)
-    yield from _track(robot, e)
+    yield from _track(robot, e, judged)
 
 
 def of_mount(
@@ -112,10 +113,12 @@ def beyond_prior(robot: Robot, sensor: str, e: Estimates) -> bool:
     return False
 
 
-def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
+def _track(robot: Robot, e: Estimates, judged: bool) -> Iterator[Finding]:
     if WHEELS not in e.blocks or robot.wheels.track is None or robot.wheels.estimate:
         return
     right, left, turning = e.blocks[WHEELS][-1].tolist()
+    if not judged and abs(turning) > MAX_TURNING_SIGMAS * robot.wheels.sigma_track:
+        return  # one slip in a turn does that
     # the track that, with the configured radius, gives the same turns as the states
     off = 1.0 / (1.0 + 0.5 * (right + left) - turning) - 1.0
     by = np.array([-0.5, -0.5, 1.0]) * (1.0 + off) ** 2

@@ -108,13 +108,13 @@ def within_claim(before: Marks, after: Marks) -> bool:
     return len(known) == 2 and all(anees <= high for anees, (_, high) in known)
 
 
-def worsens_smoothed(before: Marks, after: Marks) -> bool:
+def worsens_smoothed(before: Marks, after: Marks, settled: bool = False) -> bool:
     """Return whether the errors of a smoothed path get notably worse.
 
     Its ANEES does not count, since no fix is about its covariance. If this is not above its chance range, the path
-    may get worse by chance.
+    may get worse by chance. So it may, by less, if the fix has halved a filter's error (`settled`).
     """
-    allowed = MAX_SMOOTHED_LOSS if within_claim(before, after) else MAX_LOSS
+    allowed = MAX_SMOOTHED_LOSS if within_claim(before, after) else MAX_CHANCE_LOSS if settled else MAX_LOSS
     return worsens(before._replace(anees=None), after._replace(anees=None), allowed)
 
 

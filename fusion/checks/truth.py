@@ -289,9 +289,11 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     if found is None:
         return []
     factor, sigma = float(found.x[2]), float(found.sigma[2])
-    off, apart = abs(factor - 1.0), abs(motion.scale - 1.0) + MAX_SIZE_SIGMAS * motion.scale_sigma
-    if off < max(SEVERE_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma) or apart > MAX_APART_SHARE * off:
+    off, apart = abs(factor - 1.0), abs(motion.scale - 1.0)
+    if off < max(MIN_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma) or apart > MAX_APART_SHARE * off:
         return []
+    if apart + MAX_SIZE_SIGMAS * motion.scale_sigma > off:
+        return []  # the laser may agree with the truth instead
     words = (
         f"its distances are {factor:.3f} times those of the wheels and of the laser, which agree to "
         f"{abs(motion.scale - 1.0):.1%}: its scale is wrong, or theirs if one was calibrated by the other"

@@ -25,7 +25,7 @@ from locfuse.fusion.wheels.sources import joint_names
 
 from .finding import Finding, Least
 from .lag import headings
-from .laser import WallMotion, laser_motion
+from .laser import MAX_WALL_TURN_RAD, PAIR_TURN_RAD, WallMotion, laser_motion
 
 MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth, on wheels
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -39,6 +39,7 @@ SEVERE_TRACK_ERROR = 0.06
 WORTH_SAYING = Least(MIN_TRACK_ERROR, MIN_SIGMAS)
 MIN_ROLL_SPREAD_M = 1e-3  # m per window
 GYRO_SCALE_SIGMA = 0.01  # 1 sigma of a gyro's scale
+MAX_PAIRED_SHARE = 0.5  # of the largest turn between paired walls: a wrong track that uses more of it is biased
 CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of path for a direction of travel; rad of a piece
 MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per turn of the wheels: limits for a track
 BOTH_TURNED: Mapping[str, str] = {"none": "both", "both": "none", "left": "right", "right": "left"}
@@ -144,7 +145,12 @@ def of_turning(
     back = _against(by_sensor)
     if len(back) > 1 and len(back) == len(by_sensor):
         return [_exchanged(drive, robot, by_sensor, back, streams["wheels"])]
-    return [_reversed(name, robot, streams) for name in back]
+    found = [_reversed(name, robot, streams) for name in back]
+    if len(by_sensor) == len(found) == 1 and counts_wheels and drive.truth is None:
+        rival = " and ".join(_swapped(robot.wheels, streams["wheels"]))
+        words = f"{found[0].message}; or left and right are swapped ({rival}): no third sensor shows which"
+        found = [replace(found[0], message=words)]
+    return found
 
 
 def _mirrored(t: Turning) -> str | None:
@@ -265,14 +271,33 @@ def observed_track(
     turns = turns_by_truth(drive)
     if turns is not None:
         return configured / turns[0], configured * turns[1] / turns[0] ** 2, "the truth"
+    far = _far_by_scans(drive.wheels.track, by_sensor)
+    if far is not None:
+        return configured * far[0], configured * far[1], "the scans"
     if motion is not None and motion.turns is not None and math.isfinite(motion.turns_sigma):
         return configured / motion.turns, configured * motion.turns_sigma / motion.turns**2, "the laser's walls"
     for name, scale_sigma in (("compass", 0.0), ("gyro", GYRO_SCALE_SIGMA)):
         t = by_sensor.get(name)
         if t is not None and t.a - t.b > 0.0:
-            track = 2.0 / (t.a - t.b)
+            # an odometry's turns are those of a track in `drive` that nobody configured
+            track = configured * 2.0 / (t.a - t.b) / drive.wheels.track
             return track, track * math.hypot(t.sigma / (t.a - t.b), scale_sigma), f"the {name}"
     return None
+
+
+def _far_by_scans(track: float, by_sensor: Mapping[str, Turning]) -> tuple[float, float] | None:
+    """Return the track by turns from scan to scan per `track` [m], and its sigma, if it is far from 1; or None.
+
+    Walls of two scans are paired by the turn of the wheels. If this is too wrong, pairs of the largest errors
+    are missing, and the track by walls lies between the configured and the true one.
+    """
+    t = by_sensor.get("lrf")
+    if t is None or t.a - t.b <= 0.0:
+        return None
+    ratio = 2.0 / (t.a - t.b) / track
+    if abs(1.0 / ratio - 1.0) * PAIR_TURN_RAD < MAX_PAIRED_SHARE * MAX_WALL_TURN_RAD:
+        return None
+    return ratio, ratio * t.sigma / (t.a - t.b)
 
 
 def turns_by_truth(drive: Drive) -> tuple[float, float] | None:

@@ -342,6 +342,12 @@ def test_a_track_that_turns_the_robot_as_configured_is_no_finding() -> None:
     assert not list(of_probe(robot(), "lrf", run(wheels=(0.05, 0.05, 0.05)), False))
 
 
+def test_a_track_far_outside_its_prior_is_a_slip_unless_the_truth_can_judge_it() -> None:
+    """On a real log one slip made the state 0.56: the advised track was twice the true one."""
+    found = [list(of_probe(robot(), "lrf", run(wheels=(0.0, 0.0, 0.56)), by_truth)) for by_truth in (False, True)]
+    assert [len(f) for f in found] == [0, 1]
+
+
 @pytest.mark.parametrize(
     ("state", "value", "settings", "beyond"),
     [

@@ -256,6 +256,9 @@ def test_errors_within_what_is_claimed_may_move_by_chance() -> None:
     assert not worsens_smoothed(path, other)
     assert worsens_smoothed(path, other._replace(anees=3.0))
     assert worsens_smoothed(path, other._replace(position=0.0063))
+    sure = path._replace(anees=9.0)
+    for position, worse in ((0.0032, False), (0.0036, True)):  # 10 and 24 %, under a fix that halved an error
+        assert worsens_smoothed(sure, sure._replace(position=position), settled=True) == worse
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,9 @@ from locfuse.cli.session.session import Session, load
 from locfuse.fusion import se2
 from locfuse.fusion.checks.examine import HOLE, holes, longest_part, of_holes, unseen
 from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.laser import WallMotion
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
-from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, of_turning
+from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.load import load as scenario_of
@@ -217,6 +218,16 @@ def test_a_sensor_shows_whether_truth_or_wheels_turn_wrongly(wheels_alone: Sessi
     assert "or the truth is a mirror image" in of_mirrored(wheels_alone, -1, theta, {}).message
 
 
+@pytest.mark.parametrize("third", ["", "compass", "truth"])
+def test_the_only_sensor_that_turns_against_the_wheels_may_be_right(wheels_alone: Session, third: str) -> None:
+    loaded, sensors = wheels_alone.loaded, AGAINST | ({"compass": AGREES["lrf"]} if third == "compass" else {})
+    drive = loaded.drive if third == "truth" else replace(loaded.drive, truth=None)
+    streams = {"wheels": loaded.stream("wheels"), "lrf": cast("Any", SimpleNamespace(msgtype=""))}
+    (found,) = of_turning(drive, loaded.robot, sensors, streams)
+    assert found.fixes == ("lrf.flipped=true",)
+    assert ("or left and right are swapped (wheels.left=" in found.message) == (third == "")
+
+
 def test_an_odometry_that_turns_against_a_truth_alone_may_be_wrong_itself(wheels_alone: Session) -> None:
     found = of_mirrored(wheels_alone, -1, None, {}, "nav_msgs/msg/Odometry")
     assert (found.role, found.code) == ("truth", MIRROR)
@@ -236,6 +247,24 @@ def test_wheels_that_both_count_backward_are_told_from_swapped_ones(wheels_alone
     loaded = load(str(wheels_alone.log.paths[0]), sets=("wheels.mirrored=both",)).loaded
     (one,) = of_turning(loaded.drive, loaded.robot, AGAINST, {"wheels": loaded.stream("wheels")})
     assert (one.code, one.fixes) == (SWAPPED, ("wheels.mirrored=none",))
+
+
+WALLS = "the laser's walls"
+
+
+@pytest.mark.parametrize(("configured", "by"), [(0.3, "the scans"), (0.58, WALLS), (1.2, "the scans")])
+def test_a_track_half_or_twice_the_true_one_is_found_from_scan_to_scan(configured: float, by: str) -> None:
+    """Walls that are paired by turns of such wheels show a track between the configured and the true one."""
+    scans = Turning(1.0 / 0.6, -1.0 / 0.6, 0.01, 0.99, 0.0)
+    walls = WallMotion(1.0, 0.01, 0.0, 0.01, (configured / 0.6) ** 0.5 if by == "the scans" else 0.967, 0.01, 500)
+    one = drive(3, robot(), truth=False)
+    wheels = Wheels.from_twists(one.wheels.t, one.wheels.twist, configured, one.wheels.noise)
+    one = replace(one, wheels=wheels)
+    of_driver = present(observed_track(1.0, one, {"lrf": scans}, walls))  # a ratio: no track is configured
+    assert of_driver[0] == pytest.approx(0.6 / configured, rel=0.01)
+    found = present(observed_track(configured, one, {"lrf": scans}, walls))
+    assert found[0] == pytest.approx(0.6, rel=0.01)
+    assert found[2] == by
 
 
 def test_a_heading_that_never_changes_shows_no_slip() -> None:

@@ -34,7 +34,17 @@ from locfuse.fusion.checks.lag import SAID_SIGMAS
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
 from locfuse.fusion.checks.laser_ranges import OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
-from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
+from locfuse.fusion.checks.probes import (
+    GPS,
+    MOUNT,
+    beyond_prior,
+    of_antenna,
+    of_mount,
+    of_offsets,
+    of_probe,
+    of_scale,
+    probe_of,
+)
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, keys, together
 from locfuse.fusion.checks.truth import (
@@ -230,7 +240,7 @@ class Evidence(NoiseFindings):
             scales = scales[:1]  # no fix of the wheels either: prediction gets better if both are equally wrong
         open_ = [self._candidate(f, ()) for f in found if not f.fixes]
         ways = [self._candidate(f, (f.fixes,) if f.fixes else ()) for f in scales]
-        return [*known, *sharper, *open_, *ways]
+        return [*known, *self._antenna(), *sharper, *open_, *ways]
 
     def _seen(self, finding: Finding) -> Candidate:
         """Return the candidate fixes of a finding by comparison of the sensors."""
@@ -299,6 +309,16 @@ class Evidence(NoiseFindings):
         for e in self.compared.estimates:
             if truth is not None and e.name == self._all() and e.truth_pose is not None and not e.lost:
                 yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
+
+    def _antenna(self) -> list[Candidate]:
+        """Return candidates for the antenna of a GPS receiver or for its clock, by the runs without it."""
+        if not self._using(GPS):
+            return []
+        runs = [e for e in self.compared.estimates if GPS not in e.sensors and not e.lost]
+        found = of_antenna(self.loaded.drive, self.loaded.robot, runs)
+        return (
+            [] if found is None else [self._candidate(found[0], (found[0].fixes, found[1]), not found[0].severe)]
+        )
 
     def _probed(self) -> Iterator[Finding]:
         """Yield findings on mounts and track from runs that estimate them, one sensor at a time."""

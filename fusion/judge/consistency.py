@@ -147,17 +147,17 @@ def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
     return Consistency(verdict, words, factor, fix_values)
 
 
-def of_messages(sensor: str, found: Consistency) -> Consistency:
+def of_messages(found: Consistency) -> Consistency:
     """Return the verdict for a sensor whose messages contain covariances, which no setting changes."""
     if found.scale is None or found.verdict not in {"understated", "overstated", "correlated"}:
         return found
     times = f"{rounded(max(found.scale, 1.0 / found.scale)):g} times"
     if found.verdict == "correlated":
-        words = f"{sensor} errors last longer than one reading, while its messages claim each to be independent"
+        words = "errors last longer than a reading, while its messages claim each to be independent"
     elif found.verdict == "understated":
-        words = f"{sensor}: its messages claim errors about {times} smaller than they are"
+        words = f"its messages claim errors about {times} smaller than they are"
     else:
-        words = f"{sensor}: its messages claim errors about {times} larger than they are"
+        words = f"its messages claim errors about {times} larger than they are"
     return Consistency(found.verdict, words, found.scale)
 
 
@@ -327,7 +327,7 @@ class NoiseEvidence:
         """Return the verdict on a sensor."""
         found = self._finding(sensor)
         m = next(r.drive.measurements[sensor] for r in self.runs if sensor in r.estimates.sensors)
-        return of_messages(sensor, found) if REGISTRY[sensor].brings_covariance(m) else found
+        return of_messages(found) if REGISTRY[sensor].brings_covariance(m) else found
 
     def _finding(self, sensor: str) -> Consistency:
         settings = self.robot.settings(sensor)

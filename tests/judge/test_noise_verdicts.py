@@ -118,19 +118,19 @@ def test_a_sigma_is_too_large_only_where_residuals_show_it(changed: dict[str, fl
 @pytest.mark.parametrize(
     ("verdict", "scale", "words"),
     [
-        ("understated", 3.0, "compass: its messages claim errors about 3 times smaller than they are"),
-        ("overstated", 0.25, "compass: its messages claim errors about 4 times larger than they are"),
+        ("understated", 3.0, "its messages claim errors about 3 times smaller than they are"),
+        ("overstated", 0.25, "its messages claim errors about 4 times larger than they are"),
         (
             "correlated",
             2.0,
-            "compass errors last longer than one reading, while its messages claim each to be independent",
+            "errors last longer than a reading, while its messages claim each to be independent",
         ),
         ("consistent", 1.0, "as it was"),
         ("understated", None, "as it was"),
     ],
 )
 def test_of_noise_that_messages_bring_no_setting_is_the_fix(verdict: Any, scale: float | None, words: str) -> None:
-    found = of_messages("compass", Consistency(verdict, "as it was", scale, {"compass.sigma_deg": 2.0}))
+    found = of_messages(Consistency(verdict, "as it was", scale, {"compass.sigma_deg": 2.0}))
     assert (found.verdict, found.scale, found.words) == (verdict, scale, words)
     assert bool(found.fix_values) is (words == "as it was")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from pose_streams import odometry_stream, reckoned, slipping
 
 from locfuse.cli.analysis.robot_tables import make_robot
+from locfuse.fusion.checks.probes import of_antenna
 from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, Measurements
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.geodesy import east_north
@@ -214,3 +216,20 @@ def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:
     np.testing.assert_allclose(R[0], [[4.0, 1.1], [1.1, 9.0]])
     np.testing.assert_allclose(R[1:5], np.tile(2.5**2 * np.eye(2), (4, 1, 1)))
     np.testing.assert_allclose(R[5], np.diag([0.002**2, 0.003**2]))
+
+
+@pytest.mark.parametrize("configured", [{"x": 0.0, "y": 0.0}, {}])
+def test_an_antenna_off_the_base_is_found_and_a_right_one_is_not(
+    configured: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "SIGMA", 0.05)
+    drive, robot, _ = drive_of(2, gps=configured, antenna=(0.4, 0.1), noise=1e-8)
+    found = of_antenna(drive, robot, [fuse(drive, robot, (), "odometry")])
+    if not configured:
+        assert found is None
+        return
+    assert found is not None
+    finding, (rival,) = found
+    x, y = (float(fix.split("=")[1]) for fix in finding.fixes)
+    assert math.hypot(x - 0.4, y - 0.1) < 0.1
+    assert rival.startswith("gps.time_offset=")

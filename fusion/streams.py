@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # s, median periods
+MIN_BLANK_STEPS = 20.0  # median steps: from values that are larger, a step to zero is no motion
 
 
 def concat(parts: Sequence[Column]) -> Column:
@@ -91,19 +92,22 @@ def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
             dropped[reason] = dropped.get(reason, 0) + n
 
 
-def blank(values: Array, least: float) -> NDArray[np.bool_]:
+def blank(values: Array) -> NDArray[np.bool_]:
     """Return which rows of values (n, k) are zeros in place of a reading.
 
-    The rows before and after such zeros are longer than `least`, and go on as if nothing was between.
+    The rows before and after such zeros are longer than MIN_BLANK_STEPS median steps, and go on as if nothing was
+    between.
     """
     out: NDArray[np.bool_] = (values == 0.0).all(axis=1)
     known, at = np.flatnonzero(~out), np.flatnonzero(out)
-    if not len(known) or not len(at):
+    step = np.hypot.reduce(np.diff(values[known], axis=0), axis=1)
+    if not len(at) or not step.any():
         return np.zeros(len(values), bool)
     i = np.searchsorted(known, at)
     left, right = (values[known[np.clip(k, 0, len(known) - 1)]] for k in (i - 1, i))
     size = np.minimum(np.hypot.reduce(left, axis=1), np.hypot.reduce(right, axis=1))
-    out[at] = (size > least) & (np.hypot.reduce(left - right, axis=1) < 0.5 * size)
+    usual = MIN_BLANK_STEPS * float(np.median(step[step > 0.0]))
+    out[at] = (size > usual) & (np.hypot.reduce(left - right, axis=1) < 0.5 * size)
     return out
 
 

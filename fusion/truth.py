@@ -61,7 +61,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     same = (values[rows] == values[np.roll(rows, 1)]).all(axis=1)
     count_dropped(dropped, repeat=~later & same, same_stamp=~later & ~same)
     rows = rows[later]
-    lost = blank(values[rows, :2], MIN_MOVED_M)
+    lost = blank(values[rows, :2])
     count_dropped(dropped, zeros=lost)
     rows = rows[~lost]
     if settings.max_speed is not None and len(rows) > 2:

@@ -27,7 +27,7 @@ ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
 # a stamp whose step differs by more from that of its recording time is on another clock; by less than JUMP_NS only
 # if messages were recorded evenly meanwhile: a recorder that waits makes such steps too
-JUMP_NS, STEP_NS = 10 * 10**9, 10**9
+JUMP_NS, STEP_NS, MIN_EVEN_STEPS = 10 * 10**9, 10**9, 10
 MIN_PIECE_SHARE = 0.25  # of the messages, of a piece on the recording's clock that is preferred to a longer one
 MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 # small message types with headers that most logs have; their stamps show which clock is used
@@ -211,7 +211,7 @@ def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
     if not len(period):
         return np.zeros(len(stamp), bool)
     step = np.abs(np.diff(delay))
-    evenly = np.abs(period - np.median(period)) < 0.5 * step
+    evenly = (np.abs(period - np.median(period)) < 0.5 * step) & (len(period) >= MIN_EVEN_STEPS)
     cuts = np.flatnonzero((step > JUMP_NS) | (evenly & (step > STEP_NS))) + 1
     if not len(cuts):
         return np.zeros(len(stamp), bool)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, cast
@@ -58,9 +57,6 @@ LIMBS = (
 )
 
 
-MIN_BLANK_STEPS = 20.0  # median steps: from counters that are larger, a step to zero is no motion
-
-
 class Counters(NamedTuple):
     """Readings of both wheels, and the number of unused readings by reason."""
 
@@ -79,9 +75,7 @@ def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
     found = _found(stream, settings, dropped)
     keep = usable(found.t_ns, found.values, dropped)
     if not found.speeds:
-        values = found.values[keep]
-        step = np.hypot.reduce(np.diff(values[values.any(axis=1)], axis=0), axis=1)
-        lost = blank(values, MIN_BLANK_STEPS * float(np.median(step[step > 0.0])) if step.any() else math.inf)
+        lost = blank(found.values[keep])
         count_dropped(dropped, zeros=lost)
         keep = keep[~lost]
     require_two(stream.topic, len(keep), len(stream.t_ns), dropped)

@@ -107,6 +107,7 @@ class Log:
         refuse_above(f"{name}: too many topics", len(self._channels), MAX_TOPICS)
         self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
         self._tables: dict[str, TopicTable] = {}
+        self._frame_ids: dict[str, list[str]] = {}  # topic -> frame_ids of some messages
         self._streams: dict[tuple[str, str], AnyStream] = {}
         self._derived: dict[str, Callable[[str], AnyStream]] = {}  # topic -> function from order to stream
         self._files: set[str] = set()
@@ -411,9 +412,16 @@ class Log:
 
     def forget(self) -> None:
         """Free all columns in memory; later requests read them again."""
+        self._frame_ids |= {topic: table.frames for topic, table in self._tables.items() if table.known}
         self._tables.clear()
         self._streams.clear()
         self._edges.clear()
+
+    def frame_ids(self, topic: str) -> list[str]:
+        """Return the frame_ids of some messages of a topic, in file order; known also after `forget`."""
+        if topic not in self._frame_ids:
+            self._frame_ids[topic] = self.read({topic: ()})[topic].frames
+        return self._frame_ids[topic]
 
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Return reason -> number of messages left out because the topic has another type or definition."""

@@ -268,6 +268,9 @@ class Reader(Protocol):
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
         """Yield the messages of one topic, for the given `fields`, batch by batch."""
 
+    def frame_ids(self, topic: str) -> list[str]:
+        """Return the frame_ids of some messages of one topic, in file order."""
+
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Return reason -> number of messages that have another type or definition than the topic."""
 
@@ -311,7 +314,7 @@ class LogStream:
     @property
     def frames(self) -> Sequence[str]:
         """The frame_ids of some messages in file order."""
-        return self._table.frames
+        return self._log.frame_ids(self._recorded)
 
     @property
     def delay_s(self) -> float | None:

@@ -315,10 +315,10 @@ class Evidence(NoiseFindings):
         if not self._using(GPS):
             return []
         runs = [e for e in self.compared.estimates if GPS not in e.sensors and not e.lost]
-        found = of_antenna(self.loaded.drive, self.loaded.robot, runs)
-        return (
-            [] if found is None else [self._candidate(found[0], (found[0].fixes, found[1]), not found[0].severe)]
-        )
+        if (found := of_antenna(self.loaded.drive, self.loaded.robot, runs)) is None:
+            return []
+        finding, rival = found
+        return [self._candidate(finding, (finding.fixes, rival), not finding.severe)]
 
     def _probed(self) -> Iterator[Finding]:
         """Yield findings on mounts and track from runs that estimate them, one sensor at a time."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Drive, Estimates, Truth
+from locfuse.fusion.data import Drive, Estimates, Truth
 from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, MountedSettings, to_a_tenth_of
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import laid_on, wrap
@@ -19,7 +19,7 @@ from locfuse.fusion.wheels.states import WHEELS
 
 from .finding import Finding
 from .laser import range_fix
-from .truth import axle_path
+from .truth import Plane, axle_path, robust
 
 # codes of the findings: on a mount; on mount or sideways motion of the wheels
 MOUNT, DIRECTION = "mount", "direction"
@@ -200,9 +200,10 @@ def of_antenna(drive: Drive, robot: Robot, runs: Iterable[Estimates]) -> tuple[F
     `runs` are without the fixes, whose noise would be in the headings; the one that explains them best counts.
     """
     settings = robot.settings(GPS)
-    found = min((a for e in runs if (a := _antenna(drive, settings, e)) is not None), default=None)
-    if found is None:
+    fits = [a for e in runs if (a := _antenna(drive, settings, e)) is not None]
+    if not fits:
         return None
+    found = min(fits, key=lambda fit: fit.rest)
     away = math.hypot(found.x - settings.x, found.y - settings.y)
     if away < max(MIN_ANTENNA_M, ANTENNA_SIGMAS * found.sigma):
         return None
@@ -247,15 +248,8 @@ def _antenna(drive: Drive, settings: Any, run: Estimates) -> Antenna | None:
     return Antenna(rest, ratio.real, ratio.imag, sigma, early.real)
 
 
-def _ratio(moved: Array, other: Array, y: Array) -> tuple[complex, float]:
-    """Return b / a of the fit a moved + b other = y of complex columns (n,), and its median residual.
-
-    Outliers are left out.
-    """
+def _ratio(moved: Plane, other: Plane, y: Plane) -> tuple[complex, float]:
+    """Return b / a of the fit a moved + b other = y of complex columns (n,), and its median residual [m]."""
     A = np.stack((moved, other), axis=-1)
-    keep = np.ones(len(y), bool)
-    for _ in range(3):
-        x = np.linalg.lstsq(A[keep], y[keep], rcond=None)[0]
-        rest = np.abs(y - A @ x)
-        keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
-    return complex(x[1] / x[0]), float(np.median(rest))
+    x = robust(A, y)
+    return complex(x[1] / x[0]), float(np.median(np.abs(y - A @ x)))

@@ -6,10 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Drive, Estimates, Truth, stretches
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
 from locfuse.fusion.truth import NO_TRUTH
@@ -20,6 +21,7 @@ from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 from .finding import Finding, Least, of_error
 from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right
 
+Plane = NDArray[np.complex128]  # points of the plane, m
 UNIT, AXES, JUMP, FEW = "unit", "axes", "jump", "few"  # codes of the findings on an unusable truth
 SIZE = "size"  # code of the finding on a truth with another distance scale than wheels and laser
 # by the ratio of its distances to those in m
@@ -392,17 +394,21 @@ def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None
     if len(first) < 20:
         return None
     last = last[first]
-    c, s = (turned(truth.theta[last]) - turned(truth.theta[first]) for turned in (np.cos, np.sin))
-    rolled, y = path[last] - path[first], truth.xy[last] - truth.xy[first]
-    along, across = (c, -s, rolled[:, 0], -rolled[:, 1]), (s, c, rolled[:, 1], rolled[:, 0])
-    A = np.stack((np.stack(along, axis=-1), np.stack(across, axis=-1)), axis=1)
-    if (A[:, :, :2] ** 2).sum() < 1.0:
+    # with points as complex numbers a step is turned * l + rolled * (scale + i sideways)
+    turned, rolled, y = (
+        c[last] - c[first] for c in (np.exp(1.0j * truth.theta), path @ (1.0, 1.0j), truth.xy @ (1.0, 1.0j))
+    )
+    if 2.0 * np.vdot(turned, turned).real < 1.0:
         return None
-    lever, way = A[:, :, :2].reshape(-1, 2), A[:, :, 2].ravel()
-    alone = way - lever @ np.linalg.lstsq(lever, way, rcond=None)[0]
-    if alone @ alone <= MIN_SCALE_SHARE * (way @ way):
+    alone = rolled - turned * (np.vdot(turned, rolled) / np.vdot(turned, turned))
+    if np.vdot(alone, alone).real <= MIN_SCALE_SHARE * np.vdot(rolled, rolled).real:
         return None  # on a circle a point beside the axle moves as a path of another scale
-    return Swing(_robust(A, y), jackknife(lambda some: _robust(A[some], y[some]), len(y), STRETCH_COUNT))
+    A = np.stack((turned, rolled), axis=-1)
+
+    def fitted(some: Ints) -> Array:
+        return robust(A[some], y[some]).view(np.float64)
+
+    return Swing(fitted(np.arange(len(y))), jackknife(fitted, len(y), STRETCH_COUNT))
 
 
 def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
@@ -455,13 +461,15 @@ def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
     return [Finding(run.sensors[0], OPEN_SCALE, words + hint, fixes), *found_too]
 
 
-def _robust(A: Array, y: Array) -> Array:
-    """Return the least-squares solution (4,) of A x = y, A (n, 2, 4), y (n, 2), without outliers."""
-    keep = np.ones(len(y), dtype=bool)
-    x: Array = np.zeros(4)
+def robust(A: Plane, y: Plane) -> Plane:
+    """Return the least-squares solution (k,) of A x = y, A (n, k), y (n,), without outliers.
+
+    Points of the plane are complex numbers, so an element of x scales and turns.
+    """
+    keep, x = np.ones(len(y), dtype=bool), np.zeros(A.shape[1], np.complex128)
     for _ in range(3):
-        x = np.asarray(np.linalg.lstsq(A[keep].reshape(-1, 4), y[keep].ravel(), rcond=None)[0])
-        rest = np.hypot(*(y - A @ x).T)
+        x = np.asarray(np.linalg.lstsq(A[keep], y[keep], rcond=None)[0])
+        rest = np.abs(y - A @ x)
         keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
     return x
 

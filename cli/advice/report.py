@@ -432,9 +432,8 @@ def complete(report: dict[str, Any], compared: Compared, advised: Advised | None
     `advised` is None if the log was not evaluated: then only data that no estimate can use withdraw a verdict.
     """
     loaded, drive, sets = compared.loaded, compared.loaded.drive, compared.sets
-    given = advised.advice if advised is not None else data_advice(loaded)
-    if advised is None:
-        given = (*(Advice(f, ()) for f in of_holes(drive, holes(drive))), *given)
+    broken = of_holes(drive, holes(drive)) if advised is None else ()
+    given = (*map(Advice, broken), *data_advice(loaded)) if advised is None else advised.advice
     add_findings(report, advised)
     _remove_mount_notes(report)
     truth = None if loaded.motion_faults else unusable(drive)  # makes errors to the truth void

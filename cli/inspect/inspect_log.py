@@ -160,8 +160,8 @@ def _measure(overview: Overview, progress: Progress) -> None:
     found, known = examine(part.drive, part.robot, streams), {f.role for f in overview.findings if f.severe}
     if loaded.motion_faults or short:  # by these no sensor is charged
         found = [f for f in found if f.code in {"repaired", "refused", "gap", BLIND, *MIXED}]
-    said = {(f.role, f.code) for f in overview.findings if f.code == PUBLISHERS}  # by their channels
-    found = [f for f in found if (f.role, f.code) not in said]
+    by_channels = {f.role for f in overview.findings if f.code == PUBLISHERS}
+    found = [f for f in found if f.code != PUBLISHERS or f.role not in by_channels]
     overview.findings += [f for f in found if f.code != FEW and (f.code != START or not part.how.begin)]
     overview.findings += of_few(loaded.drive) if "truth" not in known else []
     overview.findings += _unusable(overview, loaded)
@@ -174,9 +174,8 @@ def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
     for name, why in loaded.drive.absent.items():
         if name in overview.choice.topics and name not in known:
             fixes = loaded.drive.fixes.get(name, ())
-            hint = options(fixes) if why.endswith(options(fixes)) else ""
-            words = why.removesuffix(hint).rstrip()
-            found.append(Finding(name, "unusable", words, fixes, bool(fixes), hint=hint))
+            words = why.removesuffix(options(fixes)).rstrip()
+            found.append(Finding(name, "unusable", words, fixes, bool(fixes), hint=why[len(words) :].lstrip()))
     return found
 
 

@@ -41,7 +41,7 @@ REFERENCE_NOTE = (
 NO_TOPIC = "no topic"  # starts the usual reason of an absent sensor
 SENTENCE_END = re.compile(r"(?<=[.?]) (?=[A-Z])")
 VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # other verdicts have no colour
-TRUTH_LACKS = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
+NO_ERRORS = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 OR_REFERENCE = ", or measure against the solution of the whole drive: --reference"
 
 
@@ -181,7 +181,7 @@ def notes_in_words(report: Mapping[str, Any]) -> list[str]:
         found.append(f"note: {report['reference']['words']}")
     elif report["truth"] is None:
         locates = any(REGISTRY[name].locates for name in report["input"]["topics"] if name in REGISTRY)
-        found.append(TRUTH_LACKS + (OR_REFERENCE if locates else ""))
+        found.append(NO_ERRORS + (OR_REFERENCE if locates else ""))
     if report.get("prediction"):
         found.append(f"note: {report['prediction']['trust']}")
     return found

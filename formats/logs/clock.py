@@ -208,11 +208,11 @@ def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
     one, or than the longest on the recording's clock, is on another clock, as before the clock was set.
     """
     delay, period = log_time - stamp, np.diff(log_time)
-    if not len(period):
-        return np.zeros(len(stamp), bool)
     step = np.abs(np.diff(delay))
-    evenly = (np.abs(period - np.median(period)) < 0.5 * step) & (len(period) >= MIN_EVEN_STEPS)
-    cuts = np.flatnonzero((step > JUMP_NS) | (evenly & (step > STEP_NS))) + 1
+    cut = step > JUMP_NS
+    if len(period) >= MIN_EVEN_STEPS:
+        cut |= (step > STEP_NS) & (np.abs(period - np.median(period)) < 0.5 * step)
+    cuts = np.flatnonzero(cut) + 1
     if not len(cuts):
         return np.zeros(len(stamp), bool)
     edges = np.concatenate(([0], cuts, [len(stamp)]))

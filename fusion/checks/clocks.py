@@ -381,8 +381,9 @@ def truth_lag(drive: Drive) -> Lag | None:
 
 def far_lag(truth: Truth, wheels: Wheels) -> Lag | None:
     """Return a lag of truth and wheels beyond MAX_LAG_S, by turns or speeds; None unless only one fits."""
-    spans = [np.arange(t[0], min(t[-1], t[0] + MAX_FAR_S) - WINDOW_S, FAR_STEP_S) for t in (truth.t, wheels.t)]
-    own, theirs = spans
+    own, theirs = (
+        np.arange(t[0], min(t[-1], t[0] + MAX_FAR_S) - WINDOW_S, FAR_STEP_S) for t in (truth.t, wheels.t)
+    )
     if min(len(own), len(theirs)) < MIN_FAR_STEPS:
         return None
     xy = np.stack([np.interp(own + WINDOW_S, truth.t, c) - np.interp(own, truth.t, c) for c in truth.xy.T])
@@ -393,9 +394,8 @@ def far_lag(truth: Truth, wheels: Wheels) -> Lag | None:
         turned = np.interp(own + WINDOW_S, truth.t, theta) - np.interp(own, truth.t, theta)
         pairs.insert(0, (turned, moved[:, 2]))
     least = min(len(own), len(theirs)) // 2  # of the steps that overlap
-    shifts = np.arange(
-        least - len(theirs), len(own) - least + 1
-    )  # a step of the wheels is this later of the truth
+    # step i of the wheels is compared with step i + shift of the truth
+    shifts = np.arange(least - len(theirs), len(own) - least + 1)
     lags = (theirs[0] - own[0]) - FAR_STEP_S * shifts
     for a, b in pairs:
         overlaps = ((a[max(0, k) : len(b) + k], b[max(0, -k) : len(a) - k]) for k in shifts.tolist())

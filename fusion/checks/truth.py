@@ -245,9 +245,8 @@ def of_axes(drive: Drive) -> list[Finding]:
     if len(t) < MIN_STEPS:
         return []
     path = wheels.relative(np.full(len(t), t[0]), t)[:, :2]
-    wide, narrow = np.ptp(
-        path @ np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2].T, axis=0
-    ).tolist()
+    _, _, axes = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)
+    wide, narrow = np.ptp(path @ axes.T, axis=0).tolist()
     level = np.ptp(xy, axis=0)
     last = np.minimum(np.searchsorted(t, t + WINDOW_S), len(t) - 1)
     seen, rolled = float(((xy[last] - xy) ** 2).sum()), float(((path[last] - path) ** 2).sum())

@@ -1,6 +1,6 @@
-"""Columns (numbers, ragged rows, or a list of values): reading from bytes, growing.
+"""Columns of message fields: reading them from bytes, and appending rows.
 
-A column has the dotted path of its field as name ("header.stamp").
+A column holds numbers, ragged rows or a list of values. Its name is the dotted path of its field ("header.stamp").
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Column, Ints, Ragged
 
-MAX_UNCHECKED_ELEMENTS = 1 << 22  # allocated at most before any row is read: a file's message count may be wrong
+MAX_UNCHECKED_ELEMENTS = 1 << 22  # largest first allocation: the message count in a file may be wrong
 
 
 def nested(fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -44,9 +44,9 @@ def n_bytes(column: Column) -> int:
 
 
 class Growing:
-    """A column that grows piece by piece, in one allocation if the number of rows is known in advance.
+    """Column to which rows are appended, in one allocation if the number of rows is known in advance.
 
-    Concatenating a list of pieces would need twice the memory and fragment the heap.
+    Concatenating a list of parts would need twice the memory and fragment the heap.
     """
 
     def __init__(self, rows: int) -> None:
@@ -85,7 +85,7 @@ class Growing:
 
 
 class GrowingArray:
-    """An array with spare rows that grows piece by piece."""
+    """Array to which rows are appended; it has spare capacity."""
 
     def __init__(self, capacity: int) -> None:
         self.used = 0

@@ -9,7 +9,7 @@ import numpy as np
 from locfuse.fusion.data import Array, MapLine
 
 ELLIPSE_SIGMAS = 3.0
-BAND_POINTS = 9  # along a wall
+BAND_POINTS = 9  # points along a wall
 
 
 def ellipses(P: Array) -> tuple[Array, Array]:
@@ -45,9 +45,10 @@ def wall(line: MapLine) -> Array:
 
 
 def wall_band(line: MapLine) -> Array:
-    """Return the outline (2 BAND_POINTS + 1, 2) [m] of a map line's 3-sigma area, first point repeated.
+    """Return the outline (2 BAND_POINTS + 1, 2) [m] of a map line's 3-sigma area, with the first point repeated.
 
-    The error at t along the tangent is drho - t dbeta, so the area is narrowest near the line's middle.
+    At the coordinate t along the tangent, the error across the line is drho - t dbeta, so the area is narrowest
+    near the middle of the line.
     """
     t, P = np.linspace(*line.ends, BAND_POINTS), line.P_map
     variance = P[0, 0] - 2.0 * t * P[0, 1] + t**2 * P[1, 1]

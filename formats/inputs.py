@@ -1,4 +1,4 @@
-"""Input files: read only if regular, with detection of changes, and protected from being overwritten."""
+"""Input files: only regular files are read; changes are detected; locfuse never overwrites its own inputs."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def hold(reader: object, file: FileIdentity) -> None:
 
 
 def refuse_to_write(path: Path) -> None:
-    """Raise LocfuseError if `path` is a file that is being read or no regular file, such as a device."""
+    """Raise LocfuseError if `path` is a file that is being read, or not a regular file (such as a device)."""
     try:
         found = path.stat()
     except OSError:
@@ -88,13 +88,14 @@ def read_small(path: Path, cap: int) -> bytes:
     found = identity(path)
     refuse_above(str(path), found.size, cap, "bytes")
     with reading(path), path.open("rb") as file:
-        return file.read(found.size)  # not more if the file grows; file.read(cap) would allocate the cap
+        return file.read(found.size)  # no more bytes if the file grows; file.read(cap) would allocate `cap` bytes
 
 
 def csv_table(path: Path, cap: int) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the columns of a .csv with any line ends, and (line number, values) of its other non-blank lines.
+    """Return the column names of a .csv, and (line number, values) of each further non-blank line.
 
-    The first line names the columns, here in lower case and without a "#" before them; [] for an empty file.
+    The names come from the first line, in lower case and without a "#" before them; [] for an empty file. Lines
+    may end in any way.
     """
     text = read_small(path, cap).decode("utf-8", "replace").lstrip("\ufeff")
     rows = csv.reader(io.StringIO(text, newline=""))

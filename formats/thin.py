@@ -1,7 +1,7 @@
 """Thinning of curves without visible change: each interval keeps its smallest and its largest value.
 
-A screen is about 2000 pixels wide, so 4000 extremes draw the same picture as 10^6 points, with all spikes, which
-every n-th point would lose.
+A screen is about 2000 pixels wide. So 4000 extremes give the same picture as 10^6 points, with all spikes; every
+n-th point alone would lose spikes.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ MAX_SCANS = 2000
 
 
 def evenly(n: int, limit: int) -> Ints:
-    """Return at most `limit` evenly spaced indices of 0 .. n - 1, with both ends."""
+    """Return at most `limit` evenly spaced indices of 0 .. n - 1, including both ends."""
     if n <= limit:
         return np.arange(n)
     return np.unique(np.rint(np.linspace(0, n - 1, limit)).astype(np.int64))
 
 
 def extremes(values: Array, limit: int) -> Ints:
-    """Return at most `limit` indices (p,), rising, of a curve (n,) or of curves (n, k).
+    """Return at most `limit` indices (p,), increasing, of a curve (n,) or of curves (n, k).
 
-    They are those of the smallest and the largest value (not NaN) of each curve in each interval, and both ends.
+    These are the indices of the smallest and the largest value (not NaN) of each curve in each interval, and both
+    ends.
     """
     n = len(values)
     if n <= limit:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-# C0 and C1 controls and DEL; marks of text direction (U+061C, U+200E, U+200F, U+202A to U+202E, U+2066 to U+2069);
+# C0 and C1 controls and DEL; text direction (U+061C, U+200E, U+200F, U+202A to U+202E, U+2066 to U+2069);
 # line ends U+2028 and U+2029; U+FEFF; half a surrogate pair, which UTF-8 cannot encode
 _ACTING = r"\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff"
 _HALF = r"\ud800-\udfff"
@@ -28,12 +28,12 @@ def visible_lines(text: str) -> str:
 
 
 def writable(text: str) -> str:
-    r"""Return text that UTF-8 can encode: half a surrogate pair (invalid byte of a file name) is escaped."""
+    """Return text that UTF-8 can encode: half a surrogate pair (from an invalid file name) is escaped."""
     return text if text.isascii() else HALF.sub(_shown, text)
 
 
 def escaped(text: str) -> str:
-    """Return JSON or TOML text with equal values, without characters that a terminal interprets."""
+    """Return JSON or TOML text with equal values, but without characters that a terminal would interpret."""
     if text.isascii() and "\x7f" not in text:
         return text
     return UNSEEN_IN_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)

@@ -1,6 +1,6 @@
-"""Atomic writing of files: under a temporary name, synced, then renamed.
+"""Atomic writing of files: written under a temporary name, synced to disk, then renamed.
 
-The .json of a result is renamed last: if it exists, all files that it names exist.
+The .json of a result is renamed last. So if it exists, all files that it names exist.
 """
 
 from __future__ import annotations
@@ -22,20 +22,23 @@ try:
 except ImportError:  # Windows: no locks, so two runs may write to one folder
     fcntl = None  # type: ignore[assignment]
 
-UNFINISHED = "unfinished.json"  # of a run over many logs that ended before its summary
+UNFINISHED = "unfinished.json"  # file of a run over many logs that ended before it wrote its summary
 RESULTS = ("run.json", "report.json", "summary.json", "changes.json", UNFINISHED)
 TEMPORARY = ".locfuse-tmp"  # ending of unfinished files: .NAME.PID.locfuse-tmp
-LOCK = f".lock{TEMPORARY}"  # in a folder during writing: PID of the writer
-RUN_LOCK = f".run-lock{TEMPORARY}"  # in the folder of a run over many logs: PID of the run
-SCRATCH = "locfuse-"  # prefix of temporary files elsewhere: locfuse-HOST-PID-...
-LOCK_TIMEOUT_S = 20.0  # wait for another process to finish writing
+LOCK = f".lock{TEMPORARY}"  # file in a folder while it is written to: PID of the writer
+RUN_LOCK = f".run-lock{TEMPORARY}"  # file in the folder of a run over many logs: PID of the run
+SCRATCH = "locfuse-"  # prefix of temporary files in other folders: locfuse-HOST-PID-...
+LOCK_TIMEOUT_S = 20.0  # longest wait for another process to finish writing
 # files that a user might also give as input
 REPLACED = ("robot.toml", "fixes.toml", *RESULTS, "estimates.mcap", "recording.rrd")
-Content = str | bytes | Callable[[Path], None]  # a function writes large content to a path
+Content = str | bytes | Callable[[Path], None]  # a function writes large content to a path itself
 
 
 def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = False) -> None:
-    """Write files to a folder that is empty or holds a locfuse result; any other folder only with `overwrite`."""
+    """Write files to a folder that is empty or holds a locfuse result.
+
+    Any other folder is accepted only with `overwrite`.
+    """
     for name in files:
         refuse_to_write(folder / name)
     created = _prepare(folder, overwrite)
@@ -51,9 +54,9 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
 
 
 def may_write(folder: Path, overwrite: bool = False, given: Iterable[Path | None] = ()) -> None:
-    """Raise LocfuseError if `write_results` would refuse the folder, for a check before any work.
+    """Check before any work whether `write_results` would accept the folder; else raise LocfuseError.
 
-    Raises UsageError if it would replace one of the `given` input files, unless `overwrite`.
+    Raises UsageError if one of the `given` input files would be replaced, unless `overwrite` is true.
     """
     paths = [folder / name for name in REPLACED]
     inputs = [path for path in given if path is not None]
@@ -76,7 +79,7 @@ def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Context manager: a temporary path to write to, renamed to `path` if the block ends without an error."""
+    """Context manager: yields a temporary path; it is renamed to `path` if the block ends without an error."""
     temporary = temporary_for(path)
     try:
         claim(temporary)
@@ -118,7 +121,7 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
 
 
 def _prepare(folder: Path, overwrite: bool) -> list[Path]:
-    """Create a folder for results if it may be written to; return the created folders, innermost first."""
+    """Create the folder for results, if writing is allowed; return the created folders, innermost first."""
     try:
         if folder.exists() and not folder.is_dir():
             raise LocfuseError(f"{folder} is a file, not a folder: choose another with -o")
@@ -137,7 +140,7 @@ def _prepare(folder: Path, overwrite: bool) -> list[Path]:
 
 @contextmanager
 def sole_writer(folder: Path, name: str = LOCK, patience_s: float | None = None) -> Iterator[None]:
-    """Context manager: lock a folder for this process. Raises LocfuseError if another one keeps the lock."""
+    """Context manager: lock a folder for this process. Raises LocfuseError if another process keeps its lock."""
     path = folder / name
     handle = _locked(path, LOCK_TIMEOUT_S if patience_s is None else patience_s)
     try:
@@ -182,7 +185,7 @@ def _locked(path: Path, patience_s: float) -> int | None:
 
 
 def temporary_for(path: Path) -> Path:
-    """Return a temporary path for `path`; remove temporary files of killed processes.
+    """Return a temporary path for `path`; remove the temporary files of killed processes.
 
     Raises LocfuseError if `path` is being read.
     """
@@ -193,7 +196,7 @@ def temporary_for(path: Path) -> Path:
 
 
 def claim(temporary: Path) -> None:
-    """Create an empty temporary file, without following an existing link of this name."""
+    """Create an empty temporary file; an existing link with this name is not followed."""
     temporary.unlink(missing_ok=True)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
 
@@ -217,7 +220,7 @@ def scratch_prefix() -> str:
     import socket
     import tempfile
 
-    # of this machine only: processes of others on a shared disk are not visible
+    # only files of this machine: processes of other machines on a shared disk are not visible
     mine = f"{SCRATCH}{re.sub(r'[^A-Za-z0-9]', '_', socket.gethostname())}-"
     for path in Path(tempfile.gettempdir()).glob(f"{mine}*"):
         pid = path.name.removeprefix(mine).partition("-")[0]
@@ -257,7 +260,7 @@ def _remove_if_empty(folder: Path, created: list[Path]) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Flush a file or a folder's entries to the disk."""
+    """Flush a file, or the entries of a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

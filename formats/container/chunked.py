@@ -22,7 +22,7 @@ NO_RECORD = "a chunk holds bytes that are no record"
 
 
 class Part(msgspec.Struct):
-    """A chunk of a file, or a run of messages outside chunks."""
+    """A part of a file: one chunk, or consecutive messages outside chunks."""
 
     offset: int  # of the chunk record in the file
     start: int  # of the content in the file
@@ -39,13 +39,13 @@ class Records(NamedTuple):
 
     messages: dict[int, Messages]
     definitions: list[Any]  # of channels; their type depends on the file format
-    end: int  # offset of the first invalid record; the number of bytes without damage
+    end: int  # offset of the first invalid record; without damage, the size of the part
 
 
 def most_records(packed: int) -> int:
     """Return the largest accepted number of records in a chunk of `packed` compressed bytes.
 
-    Above FREE_RECORDS, every record needs at least one compressed byte.
+    FREE_RECORDS are always accepted; each further record needs at least one compressed byte.
     """
     return FREE_RECORDS + packed
 

@@ -1,7 +1,7 @@
 """Decompression with bounded memory: known codecs only, sizes capped and checked.
 
-A 65 kB file can expand to gigabytes, and zstd ignores its own limit where a frame declares its size, so both
-the declared and the actual size are compared with the cap.
+A 65 kB file can expand to gigabytes, and zstd ignores its own limit if a frame declares its size. So both the
+declared and the actual size are compared with the cap.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
 
 
 def decompress_prefix(data: bytes, compression: str, size: int) -> bytes:
-    """Return the bytes that a cut-off stream decompresses to, at most `size`."""
+    """Return the first bytes of a cut-off stream, decompressed, at most `size`."""
     stream = _stream(data, compression)
     parts: list[bytes] = []
     room = min(size, MAX_CHUNK)
@@ -90,8 +90,8 @@ def _stream(data: bytes, compression: str) -> Any:
         raise DamagedError(f"unknown compression {compression[:16]!r}") from None
 
 
-# --- Messages compressed one by one (rosbag2 "message mode"). They begin with zstd's magic number, as no other
-# message does, so metadata.yaml, which crashes lose, is not needed
+# --- Messages compressed one by one (rosbag2 "message mode"). They are recognised by zstd's magic number at their
+# beginning, so metadata.yaml is not needed, which is missing after a crash
 
 ZSTD_WORD = 0xFD2FB528
 MAX_PORTION_BYTES = 16 * 1024 * 1024  # bytes of unpacked messages per yielded portion
@@ -140,14 +140,14 @@ def _portion(pieces: list[bytes], messages: Messages) -> tuple[Bytes, Messages]:
 # --- A log file compressed as a whole (rosbag2 "file mode": .mcap.zstd, .db3.zstd), unpacked to a temporary file
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-PIECE_BYTES = 1 << 12  # of input per step: it can unpack to 128 MiB, blocks of 128 KiB in 4 bytes each
+PIECE_BYTES = 1 << 12  # of input per step, which unpack to at most 128 MiB: 4 bytes can hold a block of 128 KiB
 HEAD_BYTES = 18  # the longest zstd frame header
-MIN_CAP_BYTES = 1 << 30  # every file may unpack to a gigabyte,
+MIN_CAP_BYTES = 1 << 30  # any file may unpack to a gigabyte,
 MAX_UNPACK_RATIO = 200  # or to this multiple of its size (real bags: 2 to 20)
 
 
 def unpack_file(data: FileBytes) -> None:
-    """Unpack a local zstd file to a temporary file, which `data` reads from then on.
+    """Unpack a local zstd file to a temporary file; afterwards `data` reads from the temporary file.
 
     A damaged or cut-off rest of the file is recorded as a loss.
     """
@@ -195,7 +195,7 @@ def _unpack(data: FileBytes, plain: BinaryIO) -> None:
 
 
 def _declared_size(head: bytes) -> int:
-    """Return the unpacked size [bytes] that the first zstd frame declares; 0 without one."""
+    """Return the unpacked size [bytes] that the first zstd frame declares; 0 if it declares none."""
     try:
         return max(zstandard.frame_content_size(head), 0)
     except zstandard.ZstdError:

@@ -14,17 +14,17 @@ from locfuse.fusion.data import LocfuseError
 from .losses import Losses
 from .url import Place
 
-MIN_WINDOW_BYTES = 1 << 12  # read-ahead after a jump, as from chunk header to chunk header
+MIN_WINDOW_BYTES = 1 << 12  # read-ahead after a jump, for example to the next chunk header
 WINDOW_BYTES = 1 << 18  # read-ahead in sequential reads
 WRITTEN_TO = "the file was written to while it was read: what was read may not fit together"
 
 
 class FileBytes:
-    """Random access to a file with a read-ahead window: memory holds at most the request plus the window.
+    """Random access to a file, with a read-ahead window: memory holds at most the request and the window.
 
-    The file is opened for each read (some microseconds), so that nothing needs to be closed. A replaced file is an
-    error. While this object exists, locfuse does not overwrite the file. A packed file is unpacked to a temporary
-    file, which is deleted with this object.
+    The file is opened for each read (some microseconds), so that nothing needs to be closed. A replaced file
+    raises an error. While this object exists, locfuse does not overwrite the file. A compressed file is unpacked
+    to a temporary file, which is deleted with this object.
     """
 
     def __init__(self, path: Path, losses: Losses) -> None:
@@ -66,7 +66,10 @@ class FileBytes:
         """Download all bytes of a remote file; does nothing for a local one."""
 
     def use_unpacked(self, temporary: Path) -> None:
-        """Read the unpacked content from this temporary file from now on; it is deleted with this object."""
+        """Read the unpacked bytes from this temporary file from now on.
+
+        The file is deleted with this object.
+        """
         self._read_from(temporary)
         weakref.finalize(self, temporary.unlink, missing_ok=True)
 
@@ -85,7 +88,10 @@ class FileBytes:
 
     @property
     def all_read(self) -> bool:
-        """Whether every byte of a local file was read; False for a remote object, which its ETag identifies."""
+        """Whether every byte of a local file was read.
+
+        False for a remote object, since its ETag identifies its content.
+        """
         whole = self.where != self._file or self.read_bytes >= self.size  # unpacking reads the whole file
         return whole and self.state is None
 
@@ -97,7 +103,7 @@ class FileBytes:
         return crc
 
     def feed(self, take: Callable[[bytes], None]) -> None:
-        """Pass the original file's bytes to `take` in pieces of at most 1 MiB; packed bytes are not unpacked."""
+        """Pass the original (perhaps compressed) bytes of the file to `take`, at most 1 MiB at a time."""
         self.copy_here()
         with inputs.reading(self.path), self._file.open("rb") as file:
             self._compare(inputs.identity_of(os.fstat(file.fileno())), self._given)

@@ -16,11 +16,11 @@ MAX_SAMPLE = 1 << 16  # bytes: definitions of types with larger messages never c
 
 
 def definition(msgtype: str, sample: bytes = b"") -> str | None:
-    """Return the ros2msg text of a standard or common robot message type, None for an unknown one.
+    """Return the ros2msg text of a standard or common robot message type; None for an unknown type.
 
-    Some types gained fields between ROS releases (sensor_msgs/Range its variance). Returns the newest definition
-    under which `sample`, a message of the bag, has its actual length. If none fits: the newest definition of a
-    standard type, None for another type.
+    Some types gained fields between ROS releases (sensor_msgs/Range its variance). So the newest definition is
+    returned that gives the message `sample` of the bag its actual length. If no definition does, the result is the
+    newest one for a standard type, and None for another type.
     """
     if texts := _texts(msgtype.replace("/msg/", "/")):
         return next((text for text in texts if not sample or _fits(_store(msgtype, text), msgtype, sample)), None)
@@ -70,7 +70,7 @@ def _definitions(msgtype: str) -> dict[str, Any]:
 
 
 def _fits(store: Any, msgtype: str, sample: bytes) -> bool:
-    """Return whether `sample` (CDR) keeps its length, except for padding, if decoded and encoded as `msgtype`."""
+    """Return whether `sample` (CDR), decoded and encoded again as `msgtype`, has the same length up to padding."""
     try:
         message = store.deserialize_cdr(sample, msgtype)
         written = len(store.serialize_cdr(message, msgtype, little_endian=sample[1:2] == b"\x01"))

@@ -1,4 +1,4 @@
-"""Losses of a log: its unreadable places, with reason, bytes and (where known) messages."""
+"""Losses of a log: places that cannot be read, each with reason, number of bytes and, if known, of messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Loss(msgspec.Struct, frozen=True):
     reason: str
     bytes: int  # unusable bytes of the file
     messages: int | None = None  # None where the number is unknown
-    of_settings: bool = False  # the log's own settings cannot be read: every message can
+    of_settings: bool = False  # only the settings in the log cannot be read; all messages can
 
 
 class Losses(msgspec.Struct):
@@ -27,11 +27,11 @@ class Losses(msgspec.Struct):
         self.places.setdefault((path, reason, offset), Loss(path, reason, n_bytes, messages))
 
     def add_settings(self, path: str, reason: str) -> None:
-        """Record that the log's own settings cannot be read."""
+        """Record that the settings in the log cannot be read."""
         self.places.setdefault((path, reason, 0), Loss(path, reason, 0, 0, of_settings=True))
 
     def explain_settings(self, reason: str, words: str) -> None:
-        """Put better words for the `reason` of a loss of settings."""
+        """Replace the `reason` of losses of settings by better `words`."""
         for place, loss in self.places.items():
             if loss.reason == reason:
                 self.places[place] = replace(loss, reason=words, of_settings=True)
@@ -41,7 +41,7 @@ class Losses(msgspec.Struct):
 
     @property
     def recoverable(self) -> bool:
-        """Whether bytes or messages are lost, or an end mark, beside which the rest can be copied."""
+        """Whether more than settings is lost (bytes, messages or an end mark), so that `locfuse recover` helps."""
         return any(not loss.of_settings for loss in self.places.values())
 
     @property

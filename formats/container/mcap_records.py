@@ -1,4 +1,4 @@
-"""Parsing of the MCAP records that locfuse reads, one by one and those of a whole chunk.
+"""Parsing of the MCAP records that locfuse reads: single records, and all records of a chunk.
 
 Specification: https://mcap.dev/spec.
 """
@@ -76,16 +76,15 @@ class Statistics(NamedTuple):
     counts: dict[int, int]  # channel -> messages
 
 
-# struct letter of the length that precedes text, bytes, bytes, map
+# layout letter (text, bytes, bytes, map) -> struct letter of the length word before the value
 LENGTH = {"s": "I", "b": "I", "d": "Q", "m": "I"}
 
 
 def values(data: bytes, layout: str, at: int = 0) -> list[Any]:
-    """Parse values in the order of `layout` from offset `at` on; return them, then the offset of their end.
+    """Parse values in the order of `layout`, from offset `at` on; return the values and their end offset.
 
-    Raises DamagedError if the data end too early.
-
-    Letters of the layout: B, H, I, Q integers, s a text, b and d bytes, m a map from 2-byte keys to 8-byte values.
+    Letters of the layout: B, H, I, Q an integer, s a text, b bytes with a 4-byte length, d bytes with an 8-byte
+    length, m a map from 2-byte keys to 8-byte values. Raises DamagedError if the data end too early.
     """
     found: list[Any] = []
     try:
@@ -131,7 +130,7 @@ def message_index(data: bytes) -> tuple[int, NDArray[Any]]:
 
 
 def attachment(data: bytes) -> tuple[str, bytes, int]:
-    """Parse the content of an Attachment record: (name, bytes, CRC-32 of all before it; 0 = none)."""
+    """Parse the content of an Attachment record: (name, bytes, CRC-32 of the content before it; 0: no CRC)."""
     _, _, name, _, content, crc, _ = values(data, "QQssdI")
     return name, content, crc
 
@@ -143,7 +142,7 @@ def statistics(data: bytes) -> Statistics:
 
 
 # --- The messages of a chunk: record by record, and after damage by the chunk's message indexes
-# An index entry counts only if it points at a Message record of its channel and log time.
+# An index entry is used only if it points to a Message record of its channel and log time.
 
 Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time [ns], offset of the record in the chunk
 Definition = tuple[int, int, int]  # opcode, offset and length of the content
@@ -209,7 +208,7 @@ def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
 
 
 def _confirmed(data: NDArray[np.uint8], index: Index) -> Ints:
-    """Return the offsets of index entries that point at a Message record with their channel and log time."""
+    """Return the offsets of index entries that point to a Message record of their channel and log time."""
     entries = np.concatenate([np.empty((0, 2), "<u8"), *index.values()])
     channel = np.repeat(np.array(list(index), np.int64), [len(part) for part in index.values()])
     log_time, offsets = entries[:, 0], entries[:, 1].astype(np.int64)
@@ -230,9 +229,9 @@ def _confirmed(data: NDArray[np.uint8], index: Index) -> Ints:
 
 
 def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
-    """Return those `offsets` of messages that end at a valid record or at the end of the data.
+    """Return those `offsets` of messages after which a valid record or the end of the data follows.
 
-    Any other message contains the damage.
+    A message that is left out contains the damage.
     """
     ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
     inside = ends < len(data)

@@ -35,7 +35,7 @@ class McapSource(ChunkedSource):
     def _use(self, found: Survey) -> None:
         """Keep the parts of the file found by a survey; read parts whose channels or message counts are unknown.
 
-        Messages that the file's statistics promise, but no part has, are recorded as a loss.
+        Messages in the file's statistics that are in no part are recorded as a loss.
         """
         self._survey, self.parts = found, found.parts
         for part in found.parts:
@@ -83,7 +83,7 @@ class McapSource(ChunkedSource):
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:
-        """First and last log time [ns] of the parts with messages, None without any."""
+        """First and last log time [ns] of the parts with messages; None if no part has messages."""
         spans = [part.span for part in self._survey.parts if part.counts and any(part.counts.values())]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
@@ -94,7 +94,10 @@ class McapSource(ChunkedSource):
         yield from super().batches(wanted)
 
     def _fetch(self, wanted: Collection[int]) -> None:
-        """Download the chunks with wanted messages; the whole file if they are most of it."""
+        """Download the chunks with wanted messages.
+
+        If they are more than MAX_DOWNLOAD_SHARE of the file, download the whole file.
+        """
         chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
         spans = [chunk.place for chunk in chunks if (chunk.counts or {}).keys() & wanted]
         if sum(stop - start for start, stop in spans) <= MAX_DOWNLOAD_SHARE * self.data.size:
@@ -108,9 +111,9 @@ class McapSource(ChunkedSource):
         return rec.records(data, part.size, self._index(part))
 
     def _index(self, part: Part) -> rec.Index:
-        """Return the message indexes of a chunk, {} if one is damaged.
+        """Return the message indexes of a chunk; {} if one is damaged.
 
-        They are read without damage too, so that all bytes of the file are read and can be hashed.
+        The indexes are read even if there is no damage, so that all bytes of the file are read and can be hashed.
         """
         if isinstance(part, ChunkRef) and not part.cut_off:
             with suppress(DamagedError):

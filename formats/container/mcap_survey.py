@@ -41,7 +41,7 @@ class ChunkRef(Part):
 
 
 def chunk_at(offset: int, data: FileBytes) -> ChunkRef:
-    """Parse the header of the chunk record at a file offset. Raises DamagedError if it is none."""
+    """Parse the header of the chunk record at a file offset. Raises DamagedError if there is no chunk."""
     head = data.read(offset, CHUNK_HEAD)
     opcode, length, *_ = rec.values(head, "BQ")
     first, last, plain, crc, compression, size, front = rec.values(head, "QQQIsQ", rec.RECORD.size)
@@ -51,9 +51,9 @@ def chunk_at(offset: int, data: FileBytes) -> ChunkRef:
 
 
 def sort_by_time(parts: list[Part]) -> None:
-    """Sort parts by last log time if any part ends before an earlier one begins: MCAP chunks may have any order.
+    """Sort the parts by last log time, if any part ends before an earlier part in the file begins.
 
-    Parts that only overlap in time stay in file order.
+    MCAP chunks may be in any order. Parts that only overlap in time stay in file order.
     """
     latest = 0
     for first, last in (part.span for part in parts):
@@ -153,9 +153,10 @@ ENTRY_BYTES = 16  # bytes
 
 
 def promised(data: FileBytes) -> Survey | None:
-    """Return the survey according to the file's summary section alone; chunks are not read.
+    """Return the survey by the file's summary section alone, without reading chunks.
 
-    None unless chunks, counts and definitions agree; if they do, no needed record is between chunks.
+    None unless the chunks, counts and definitions of the summary agree. If they agree, no needed record lies
+    between chunks.
     """
     summary = read_summary(data)
     if summary is None or summary.statistics is None:
@@ -190,7 +191,7 @@ def promised(data: FileBytes) -> Survey | None:
 
 
 def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
-    """Return the chunk of a ChunkIndex record, with its message indexes, which follow it without a gap.
+    """Return the chunk of a ChunkIndex record, with the message indexes that follow it without a gap.
 
     None if the record contradicts itself, or if the chunk is too large to be read at once.
     """
@@ -214,9 +215,9 @@ def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
 
 
 def confirm(data: FileBytes, chunk: ChunkRef) -> None:
-    """Check a chunk that is known from the summary only against its own header; take over the header's CRC.
+    """Compare a chunk from the summary with its own header in the file, and take over the CRC of the header.
 
-    Raises DamagedError if they differ. A chunk that is confirmed already is not checked again.
+    Only a chunk that is `promised` (all fields from the summary) is compared. Raises DamagedError if they differ.
     """
     if chunk.promised:
         own = None
@@ -234,7 +235,7 @@ CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
 
 
 class Resync:
-    """Finds the next readable record after damage: from the chunk index, else by a search of the bytes."""
+    """Finds the next readable record after damage, by the chunk index or else by a search of the bytes."""
 
     def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
         self.data = data
@@ -246,7 +247,10 @@ class Resync:
         self._chunked = False  # whether `_places` has chunks only
 
     def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
-        """Return the offset of the next chunk (unchunked file: message) at or after `at`; None without one."""
+        """Return the offset of the next chunk at or after `at`, in an unchunked file of the next message.
+
+        None if there is none.
+        """
         if self.starts:
             i = bisect_left(self.starts, at)
             return self.starts[i] if i < len(self.starts) else None
@@ -267,7 +271,7 @@ class Resync:
         wanted = window[:n] == rec.CHUNK
         if not chunked:
             wanted |= window[:n] == rec.MESSAGE
-        wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # the upper half of the length: shorter than 4 GiB
+        wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # upper half of the length: below 4 GiB
         self._window, self._chunked = range(at, at + n), chunked
         self._places = np.flatnonzero(wanted) + at
 
@@ -334,7 +338,7 @@ def describe(head: bytes) -> str:
 
 # --- The survey, record by record
 
-RUN_BYTES = 1 << 20  # messages outside chunks are read in runs of this size, larger ones alone
+RUN_BYTES = 1 << 20  # size of the blocks in which messages outside chunks are read; a larger message is read alone
 LARGE_CHUNK_BYTES = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
 NO_SUMMARY = "the summary is damaged: messages may be missing, their number is unknown"
@@ -406,7 +410,7 @@ class _SurveyWalk:
     def _is_end(self, at: int, opcode: int, length: int) -> bool:
         """Return whether the record at `at` is a DataEnd or Footer at a plausible offset.
 
-        At another offset it is the result of a flipped bit.
+        At any other offset such a record comes from a flipped bit.
         """
         if opcode == rec.FOOTER:
             return at + rec.RECORD.size + length + len(rec.MAGIC) == self.data.size
@@ -436,7 +440,7 @@ class _SurveyWalk:
                     part.counts = None
 
     def _drop_last_index(self) -> None:
-        """Drop the last chunk's index and counts: damage after the chunk may have removed some of them."""
+        """Drop the index and counts of the last chunk: damage after it may have destroyed message indexes."""
         if self.found.parts and isinstance(chunk := self.found.parts[-1], ChunkRef):
             chunk.index.clear()
             chunk.counts = None

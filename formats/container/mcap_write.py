@@ -28,9 +28,10 @@ def add_messages(
     payload: NDArray[np.uint8] | Sequence[memoryview],
     published: Ints | None = None,
 ) -> None:
-    """Add messages of one channel to an `mcap` writer: times (n,) [ns], sequence numbers (n,), bytes of each.
+    """Add messages of one channel to an `mcap` writer.
 
-    `published` (n,) [ns] are the publish times; None: the log times.
+    Their log times are (n,) [ns], sequence numbers (n,), and `payload` has the bytes of each message. `published`
+    (n,) [ns] are the publish times; None: the log times.
     """
     publish_time = log_time if published is None else published
     columns = (log_time.tolist(), payload, publish_time.tolist(), sequence.tolist())
@@ -146,7 +147,10 @@ class LogWriter:
         frame_id: str = "",
         latched: bool = False,
     ) -> None:
-        """Append a message with values by dotted field path; `stamp_ns` (default log_ns) is its header's stamp."""
+        """Append a message; `fields` maps dotted field paths to values.
+
+        `stamp_ns` is the stamp of its header; None: the log time.
+        """
         channel = self.channel(topic, msgtype, latched)
         values = nested(fields)
         if self._messages.has_header(msgtype):

@@ -1,7 +1,7 @@
-"""Remote objects (S3, GCS, Azure, HTTP) as files, by obstore: a block is downloaded when it is first read.
+"""Remote objects (S3, GCS, Azure, HTTP) read like files with obstore: a block is downloaded on its first read.
 
 Credentials come from the environment only (AWS_ACCESS_KEY_ID, ...). A stalled request is repeated MAX_RETRIES
-times. Every error is one line.
+times. Every error message has one line.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 INSTALL = "pip install 'locfuse[remote]'"
 CONNECT_S = 10.0
-SILENCE_S = 20.0  # without a byte, after which a connection counts as stalled
+SILENCE_S = 20.0  # a connection that sends no byte for this time counts as stalled
 REQUEST_S = 180.0  # limit of one whole request
 MAX_RETRIES = 3
 RETRY_S = 60.0  # limit of all retries of a request
@@ -143,7 +143,7 @@ TAIL_BYTES = 64 * 1024  # downloaded first: it holds the summary of most logs
 
 
 class RemoteBytes(FileBytes):
-    """Random access to one version of a remote object, as FileBytes for a local file."""
+    """Random access to one version of a remote object, with the interface of FileBytes."""
 
     def __init__(self, url: Url, losses: Losses) -> None:
         self._url = url

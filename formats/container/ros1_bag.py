@@ -59,7 +59,10 @@ class BagRecord(NamedTuple):
 
 
 def read_entry(read: Callable[[int, int], bytes | memoryview], at: int) -> BagRecord:
-    """Read the record at an offset; `read` takes (offset, number of bytes). Raises DamagedError if it is none."""
+    """Read the record at an offset; `read` takes (offset, number of bytes).
+
+    Raises DamagedError if there is no record.
+    """
     word = read(at, UINT32.size)
     n = UINT32.unpack(word)[0] if len(word) == UINT32.size else HEAD_BYTES
     header = read(at + UINT32.size, min(n, HEAD_BYTES) + UINT32.size)
@@ -92,7 +95,7 @@ Connection = tuple[int, Fields, bytes]  # id, fields, data
 
 
 def scan_chunk(data: Bytes, most: int) -> Records:
-    """Read the records of a chunk; its definitions are Connections.
+    """Read the records of a chunk; the definitions in the result are of type Connection.
 
     Raises DamagedError at more than `most` records.
     """
@@ -127,7 +130,7 @@ def scan_chunk(data: Bytes, most: int) -> Records:
 
 CUT_OFF = "the bag was not closed: the recording was cut off"
 WINDOW_BYTES = 1 << 20
-CHUNK_FIELD = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # in every chunk's header
+CHUNK_FIELD = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # a field in the header of every chunk
 FIELD_OFFSETS = range(4, 64)  # bytes from the chunk record's start to this field
 
 
@@ -195,7 +198,7 @@ class BagSource(ChunkedSource):
             self.parts.append(part)
 
     def _add_unchunked(self, entry: BagRecord) -> None:
-        """Add a message outside a chunk as a part, or to the last part if this ends where the message begins.
+        """Add a message outside a chunk to the last part if it follows it directly, else as a new part.
 
         Such messages occur after a crash, which leaves the header of the last chunk incomplete.
         """
@@ -216,7 +219,7 @@ class BagSource(ChunkedSource):
         following = self._next_chunk(at + 1)
         self.data.lose(reason, at, following - at)
         if self.parts:
-            self.parts[-1].counts = None  # a part of its index may be lost
+            self.parts[-1].counts = None  # a part of the chunk's index may be lost
         return following
 
     def _next_chunk(self, at: int) -> int:
@@ -265,9 +268,9 @@ class BagSource(ChunkedSource):
 
 
 def _spans_field(window: bytes, start: int, end: int) -> bool:
-    """Return whether a record header at `start` is short, and contains the field that ends at `end`.
+    """Return whether a short record header begins at `start` and contains the field that ends at `end`.
 
-    Both are offsets in `window`. Short: it ends within 2 * FIELD_OFFSETS.stop bytes.
+    `start` and `end` are offsets in `window`. A header is short up to 2 * FIELD_OFFSETS.stop bytes.
     """
     length = int(UINT32.unpack_from(window, start)[0])
     return end <= start + UINT32.size + length <= start + 2 * FIELD_OFFSETS.stop

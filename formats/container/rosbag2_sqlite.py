@@ -42,10 +42,10 @@ Row = tuple[int, int, bytes | None]  # topic, time in ns, message
 
 
 class TimeLimit:
-    """Aborts an sqlite step that takes too long; a signal aborts any step.
+    """Aborts an sqlite step that takes too long; a signal (Ctrl-C) aborts any step.
 
-    sqlite calls `_late` every STEPS_PER_CHECK instructions and drops exceptions from there: a step that was
-    interrupted before its time limit was interrupted by a signal.
+    sqlite calls `_late` every STEPS_PER_CHECK instructions. An exception in `_late` aborts the step, but its type
+    is lost. So a step that was aborted before its time limit was aborted by a signal.
     """
 
     def __init__(self, path: Place, size: int) -> None:
@@ -59,7 +59,7 @@ class TimeLimit:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
 
     def begin(self) -> None:
-        """Restart the time of the current step."""
+        """Start the time limit of the current step again."""
         self._end_s = time.thread_time() + self._allowed_s
 
     def _late(self) -> bool:
@@ -102,7 +102,7 @@ class SqliteSource(Source):
             try:
                 used, lost = journal_of(where)
             except OSError:
-                used, lost = 1, 0  # sqlite cannot read it either; _connect records the loss
+                used, lost = 1, 0  # sqlite cannot read the journal either; _connect records the loss
             if lost:
                 data.lose(JOURNAL_LOST, used, lost)
             self._journal_is_used = used > 0
@@ -119,7 +119,7 @@ class SqliteSource(Source):
         return self._journal.exists() and self._journal.stat().st_size > 0
 
     def _refuse_computed(self, database: sqlite3.Connection) -> None:
-        """Raise LocfuseError for views, virtual tables and computed columns, whose rows may have no end."""
+        """Raise LocfuseError for views, virtual tables and computed columns: their rows may never end."""
         listed = "SELECT lower(name), type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?)"
         for name, kind, sql in database.execute(listed, TABLES).fetchall():
             if kind != "table" or str(sql).upper().startswith("CREATE VIRTUAL"):
@@ -131,9 +131,9 @@ class SqliteSource(Source):
                 )
 
     def _check(self, database: sqlite3.Connection) -> None:
-        """Check the database for damage and record this as a loss.
+        """Check the database for damage, and record damage as a loss.
 
-        A query alone is not enough: it leaves out rows that sqlite cannot reach, without an error.
+        A query alone would leave out rows that sqlite cannot reach, without an error.
         """
         try:
             with self._limit.step():
@@ -150,7 +150,7 @@ class SqliteSource(Source):
         if self._has_journal:
             # if no recorder has the file open, open it without locks: sqlite then writes no file next to the bag
             alone = not Path(f"{where}-shm").exists()
-            if alone and not self._journal_is_used:  # sqlite would delete it, even if read-only
+            if alone and not self._journal_is_used:  # sqlite would delete an unused journal, even read-only
                 return self._open(where, "&immutable=1")
             for options in ("&vfs=unix-none", "") if alone else ("", "&vfs=unix-none"):
                 try:
@@ -191,7 +191,7 @@ class SqliteSource(Source):
             size += len(row[2] or b"")
             if size >= BATCH_BYTES:
                 yield _batch(rows)
-                self._limit.begin()  # the consumer's time does not count
+                self._limit.begin()  # time that the caller spent on the batch does not count
                 rows, size = [], 0
         if rows:
             yield _batch(rows)
@@ -211,7 +211,7 @@ class SqliteSource(Source):
                         n, last = n + 1, row[3]
                         yield row[:3]
             except ERRORS:
-                # a later pass might read beyond the damage and yield other rows: limit all to this one's
+                # a later pass might read beyond the damage: let all passes end at the last row of this one
                 self._readable = min(self._readable, last)
                 expected = sum(self._counts.get(topic, 0) for topic in topics)
                 self.data.lose(CUT_SHORT, 0, 0, max(expected - n, 0) or None)
@@ -254,10 +254,10 @@ def _batch(rows: list[Row]) -> Batch:
     return Batch(data, by_channel(topic, everything))
 
 
-# --- The journal (-wal): the bytes that sqlite uses of it, and those that it ignores silently
+# --- The journal (-wal): number of bytes that sqlite uses, and number of bytes that it ignores without an error
 # A recorder that crashes leaves its last messages in the journal. sqlite reads it up to the last commit before the
-# first frame with a wrong checksum, without an error. Lost frames after it have the salts of the journal's header;
-# frames of an older journal have others.
+# first frame with a wrong checksum, without an error. Lost frames after this frame have the salts of the journal's
+# header; frames of an older journal have other salts.
 # Format: https://sqlite.org/fileformat2.html#walformat
 
 HEADER_BYTES, FRAME_HEADER_BYTES = 32, 24
@@ -266,9 +266,9 @@ JOURNAL_LOST = "the end of its journal (-wal) is damaged or was not finished: it
 
 
 def journal_of(database: Path) -> tuple[int, int]:
-    """Return how many bytes of a database's -wal journal sqlite reads, and how many are lost behind them.
+    """Return the number of bytes of a database's -wal journal that sqlite reads, and of lost bytes after them.
 
-    Counts on a copy of the journal, because sqlite writes to count its frames.
+    sqlite counts its frames only while it writes, so a copy of the journal is used.
     """
     journal = Path(f"{database}-wal")
     size = journal.stat().st_size
@@ -290,6 +290,6 @@ def journal_of(database: Path) -> tuple[int, int]:
         end = last = HEADER_BYTES + frames * frame
         for at in range(end, size, frame):
             file.seek(at + 8)
-            if file.read(8) == head[16:24]:  # not of an older journal
+            if file.read(8) == head[16:24]:  # not a frame of an older journal
                 last = min(at + frame, size)
     return end, last - end

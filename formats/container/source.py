@@ -32,11 +32,11 @@ class ChannelInfo(NamedTuple):
 class Messages(NamedTuple):
     """The messages of one channel in one batch, in file order."""
 
-    start: Ints  # (k,) first payload byte in the batch's buffer
-    length: Ints  # (k,) payload bytes
+    start: Ints  # (k,) offset of the first payload byte in the batch's buffer
+    length: Ints  # (k,) number of payload bytes
     log_time: Ints  # (k,) ns
     sequence: Ints  # (k,)
-    published: Ints  # (k,) ns; the log times if the file has no others
+    published: Ints  # (k,) publish times, ns; the log times if the file stores none
 
     def take(self, rows: NDArray[Any] | slice) -> Messages:
         """Return the messages of these rows: indices, a mask or a slice."""
@@ -71,13 +71,13 @@ class Source(ABC):
 
     @property
     def checked(self) -> bool:
-        """Whether checksums would reveal a changed value."""
+        """Whether the file has checksums that reveal a changed value."""
         return False
 
     @property
     @abstractmethod
     def time_span_ns(self) -> tuple[int, int] | None:
-        """First and last log time, None without messages."""
+        """First and last log time [ns]; None without messages."""
 
     @abstractmethod
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
@@ -85,6 +85,6 @@ class Source(ABC):
 
 
 def message_type(name: str) -> str:
-    """Return a ROS type name as "pkg/msg/Name", from "pkg/Name" or "pkg::msg::Name" too."""
+    """Return a ROS type name in the form "pkg/msg/Name"; "pkg/Name" and "pkg::msg::Name" are converted."""
     parts = name.replace("::", "/").split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else "/".join(parts)

@@ -16,7 +16,7 @@ WEB = ("http", "https")
 
 
 class Url(msgspec.Struct, frozen=True, order=True):
-    """The address of one remote object, or with a final "/" of a folder of objects."""
+    """Address of one remote object; an address that ends in "/" is that of a folder of objects."""
 
     text: str
 
@@ -88,10 +88,10 @@ Place = Path | Url  # a local file or a remote object
 
 
 def is_url(word: str) -> bool:
-    """Return whether a command-line word is an address (scheme://...)."""
+    """Return whether a command-line argument is an address (scheme://...)."""
     return ADDRESS.fullmatch(word) is not None
 
 
 def place(word: str) -> Place:
-    """Return a command-line word as a local path or an address. Raises UsageError for an invalid address."""
+    """Return a command-line argument as a local path or an address. Raises UsageError for an invalid address."""
     return Url(word) if is_url(word) else Path(word)

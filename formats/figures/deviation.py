@@ -56,7 +56,7 @@ def _overlay(judged: list[Evaluation], name: str, span: tuple[float, float], in_
 
 
 def _similar(name: str, judged: list[Evaluation]) -> list[Array]:
-    """Return the deviations [m] of a panel with the smallest rms, which are enlarged.
+    """Return those deviations [m] of a panel that have a similar, small rms and fit into an enlarged panel.
 
     [] if the largest rms is less than MIN_ENLARGED_RATIO times the smallest.
     """
@@ -83,7 +83,7 @@ def _enlarged(panel: Panel, judged: list[Evaluation], small: list[Array], in_uni
 
 
 def _error(judged: list[Evaluation], by: str) -> Panel:
-    """Return the panel of position error over distance driven, with a logarithmic y axis."""
+    """Return the panel of the position error over the distance driven, with a logarithmic y axis."""
     errors = [np.maximum(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged]
     scale, unit = metres(errors)
     return Panel(
@@ -156,7 +156,7 @@ def uncertainty(scene: Scene) -> Section:
 
 
 def _figures_words(judged: list[Evaluation], key: str, unit: str) -> str:
-    """Return the rms of every configuration in words: "lrf rms 0.0123 m, all rms 0.0101 m."."""
+    """Return the rms of every configuration as text: "lrf rms 0.0123 m, all rms 0.0101 m."."""
     known = [(j.name, value) for j in judged if (value := j.figures.get(key)) is not None]
     return ", ".join(f"{name} rms {value:.4f} {unit}" for name, value in known) + "."
 
@@ -166,11 +166,11 @@ def _figures_words(judged: list[Evaluation], key: str, unit: str) -> str:
 MIN_ERROR_DEG = 1e-3  # smaller heading errors are drawn here
 BINS_PER_DECADE = 12
 MAX_DECADES = 8
-MAX_BIN_HEIGHT_LANES = 0.8  # height of the fullest bin of all, in lanes
+MAX_BIN_HEIGHT_LANES = 0.8  # height of the highest bin, in lane heights
 
 
 def spread(scene: Scene) -> Section:
-    """Return the section of histograms of position and heading errors, with logarithmic axes and medians."""
+    """Return the section of histograms of position and heading errors, on logarithmic axes, with medians."""
     judged = [j for _, j in scene.shown() if len(j.t)]
     position = {j.name: _sizes(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged}
     scale, unit = metres(list(position.values()))

@@ -75,7 +75,7 @@ def innovations(scene: Scene) -> Section:
     best = scene.best
     panels = []
     for sensor, audit in best.audits.items():
-        components = scene.components.get(sensor, ())[: audit.y.shape[1]]  # without ranges only bearings
+        components = scene.components.get(sensor, ())[: audit.y.shape[1]]  # camera without ranges: bearings only
         for i, component in enumerate(components):
             if len(audit.y) and np.isfinite(audit.y[:, i]).any():
                 panels.append(_innovation(best, sensor, audit, i, component))
@@ -112,7 +112,7 @@ def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -
 
 
 def gates(scene: Scene) -> Section:
-    """Return the section of gate verdicts: shares of each sensor's measurements by verdict over time."""
+    """Return the section of gate verdicts over time: the share of each verdict in each sensor's measurements."""
     best = scene.best
     marks: list[Mark] = []
     for lane, audit in enumerate(best.audits.values()):
@@ -177,7 +177,10 @@ def learnt(scene: Scene) -> Section:
 
 
 def means(t: Array, values: Array, count: int) -> tuple[Array, Array]:
-    """Return centres [s] and means (count,) of values (n,) in `count` intervals of t (n,) s; NaN in empty ones."""
+    """Return the centres [s] of `count` intervals of t (n,) [s], and the means (count,) of values (n,) in them.
+
+    The mean of an interval without values is NaN.
+    """
     if len(t) == 0:
         return np.zeros(0), np.zeros(0)
     good = np.isfinite(values)
@@ -189,7 +192,7 @@ def means(t: Array, values: Array, count: int) -> tuple[Array, Array]:
 
 
 def _log_range(curves: list[Array], bounds: tuple[float, float]) -> tuple[float, float]:
-    """Return y limits of a logarithmic axis for bounds and curves, within 1e-2 and 1e6."""
+    """Return y limits of a logarithmic axis that show bounds and curves, within 1e-2 and 1e6."""
     positive = [c[np.isfinite(c) & (c > 0)] for c in (*curves, np.array(bounds))]
     values = np.concatenate(positive)
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.1, 10.0)
@@ -197,7 +200,10 @@ def _log_range(curves: list[Array], bounds: tuple[float, float]) -> tuple[float,
 
 
 def _robust(y: Array, sigma: Array, refused: Array) -> tuple[float, float]:
-    """Return symmetric y limits that show 99.5 % of the accepted values, not the largest rejected ones."""
+    """Return symmetric y limits that show 99.5 % of the accepted values.
+
+    The largest rejected values may be outside.
+    """
     most = max(
         float(np.nanpercentile(np.abs(y), 99.5)) if len(y) else 0.0,
         float(np.nanpercentile(sigma, 95)) if np.isfinite(sigma).any() else 0.0,

@@ -25,11 +25,11 @@ AXES_AREA = (
     0.19,
     0.8,
     0.66,
-)  # of the axes in the figure; fixed, because a layout engine takes a third of the time
+)  # of the axes in the figure; fixed, because a layout engine would take a third of the time
 HEIGHT_IN_COLUMN = 1.45  # inches per panel in a column of panels
 COLUMN = {"top": 0.88, "bottom": 0.12, "hspace": 0.12}
 LANES_AREA = (0.24, 0.19, 0.73, 0.66)
-MAX_LEGEND_SPOT = 5.0  # points; the legend enlarges dots, but spots only to this size
+MAX_LEGEND_SPOT = 5.0  # points; symbols in the legend are enlarged up to this size
 LEGEND: dict[str, Any] = {
     "ncols": 4,
     "loc": "lower left",
@@ -208,7 +208,7 @@ def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> 
 
 
 def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:
-    """Return the legend text of a mark; None if the legend has the name already."""
+    """Return the legend text of a mark; None if the legend already has this text."""
     taken = set(axes.get_legend_handles_labels()[1])
     name = panel.legend.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
     return None if name in taken or name == "bounds" else name

@@ -1,8 +1,8 @@
-"""Colours of configurations, equal in all figures and reports and distinct for every kind of colour vision.
+"""Colours of configurations, equal in all figures and reports, and distinct for every kind of colour vision.
 
-All pairs differ under protanopia, deuteranopia and tritanopia, and each has a contrast of 3 to its page
-(tests/figures/test_figures.py measures both). Each sensor has its own colour in every log; sets of several sensors
-are dashed.
+All pairs of colours differ under protanopia, deuteranopia and tritanopia, and each colour has a contrast of 3 to
+its page (measured in tests/figures/test_figures.py). Each sensor has its own colour in every log. Curves of
+several sensors are dashed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Trace(NamedTuple):
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
 TRUTH = Colour("#0d0f12", "#f4f5f7")
-SETS = (  # sets of several sensors but not all; dashed too
+SETS = (  # colours for sets of several (but not all) sensors, whose lines are also dashed
     Colour("#0b6e6e", "#58c6c6"),
     Colour("#6d4fc4", "#a58bf0"),
     Colour("#8c6a00", "#d2b13a"),
@@ -56,7 +56,7 @@ LEVELS = (  # colour scale along a path, small to large; ordered by lightness
     Colour("#752870", "#fb906a"),
     Colour("#4e0308", "#fbdd67"),
 )
-ROLES = {  # other names of marks than configurations
+ROLES = {  # colours of marks that are not configurations
     **dict.fromkeys(VERDICTS, OUT),
     "truth": TRUTH,
     "walls of the first scan": Colour("#9aa3af", "#667080"),
@@ -79,7 +79,7 @@ ROLES = {  # other names of marks than configurations
     "end": TRUTH,
     "time": TRUTH,
     "landmark": LANDMARK,
-    **dict.fromkeys(("alone", "leave_one_out", "credit"), TRUTH),  # effects of a sensor
+    **dict.fromkeys(("alone", "leave_one_out", "credit"), TRUTH),  # effects of a sensor on the error
 }
 SHAPES = {  # role -> shape of its spots
     "start": "ring",
@@ -96,12 +96,12 @@ EVENTS = {FAULT: "fault", LOST: "lost", REFUSED: "gate", REST: "rest", LOOP: "lo
 
 
 def traces_of(estimates: Iterable[Estimates]) -> dict[str, Trace]:
-    """Return the style of each result's curve, by its name."""
+    """Return name -> style of each result's curve."""
     return {e.name: Trace(e.configuration, e.sensors, bool(e.rates), e.smoothed) for e in estimates}
 
 
 def traces_in(report: Mapping[str, Any]) -> dict[str, Trace]:
-    """Return the style of each result of a report, by its name."""
+    """Return name -> style of the curve of each result of a report."""
     return {
         name: Trace(v["configuration"], tuple(v["sensors"]), bool(v["rates_hz"]), v["smoothed"])
         for name, v in report["configurations"].items()
@@ -109,12 +109,12 @@ def traces_in(report: Mapping[str, Any]) -> dict[str, Trace]:
 
 
 def looks_of(traces: Mapping[str, Trace]) -> dict[str, str]:
-    """Return the line style ("dash", "over") of each result by its name; solid lines are left out."""
+    """Return name -> line style ("dash", "over") of each result; results with solid lines are left out."""
     return {name: trace.look for name, trace in traces.items() if trace.look}
 
 
 def colours(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, Colour]:
-    """Return the colour of every result, sensor and role by name, given the colours of all sensors."""
+    """Return the colour of every result, sensor and role by name; `sensors` has the colours of all sensors."""
     return {**sensors, **{name: _colour(trace, sensors) for name, trace in traces.items()}, **ROLES}
 
 

@@ -14,7 +14,7 @@ from msgspec import field
 
 from locfuse.fusion.data import Array, Event
 
-MAX_AXIS_VALUE = 1e100  # limit of axes: values of a damaged log may have a span that overflows
+MAX_AXIS_VALUE = 1e100  # limit of axes: the range of values from a damaged log may overflow
 TIME = "time, s"  # the label of a time axis
 
 
@@ -24,7 +24,7 @@ class Curve(msgspec.Struct, frozen=True):
     of: str
     x: Array  # (n,)
     y: Array  # (n,)
-    wide: bool = False  # a thick line, whose colour shows a value
+    wide: bool = False  # a thick line whose colour shows a value
 
 
 class Band(msgspec.Struct, frozen=True):
@@ -87,10 +87,10 @@ class Panel(msgspec.Struct, frozen=True):
     equal: bool = False  # equal scale in x and y
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
-    lanes: tuple[str, ...] = ()  # names of lanes on the y axis, each 1 high, from the top
+    lanes: tuple[str, ...] = ()  # names of lanes on the y axis from top to bottom, each of height 1
     keys: tuple[str, ...] = ()  # roles listed in the panel's legend
     events: tuple[Event, ...] = ()  # shaded intervals behind the marks, on a time axis
-    legend: Mapping[str, str] = field(default_factory=dict)  # role -> legend text other than its name
+    legend: Mapping[str, str] = field(default_factory=dict)  # role -> legend text that replaces the role's name
     tracks: tuple[TimedPlaces, ...] = ()  # on a map: positions of each result over time
 
 
@@ -106,7 +106,7 @@ class Section(msgspec.Struct, frozen=True):
 
 
 def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of x and y: those of the panel, else the range of its marks with a small margin."""
+    """Return the limits of x and y: those set in the panel, else the range of its marks with a small margin."""
     x = panel.x_range or _span([v for m in panel.marks for v in values_of(m, 0)], 0.0, panel.x_log)
     y = panel.y_range or _span([v for m in panel.marks for v in values_of(m, 1)], 0.04, panel.log)
     return _widened(*x), _widened(*y)

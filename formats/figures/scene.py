@@ -11,7 +11,7 @@ from msgspec import field
 
 from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event, RunningNis
 
-MAX_IN_MM = 0.2  # m
+MAX_IN_MM = 0.2  # m: smaller lengths are shown in mm
 MAX_CONFIGURATIONS = 8  # more curves in one panel are unreadable
 
 
@@ -22,9 +22,9 @@ class Scene(msgspec.Struct, frozen=True):
     estimates: Sequence[Estimates]
     evaluations: Sequence[Evaluation]
     nis: Mapping[tuple[str, str], RunningNis] = field(default_factory=dict)  # (configuration, sensor)
-    nees_bounds: tuple[float, float] = (0.0, 0.0)  # 95 % of a single value per degree of freedom
+    nees_bounds: tuple[float, float] = (0.0, 0.0)  # 95 % bounds of one NEES per degree of freedom
     components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # of innovations, by sensor
-    states: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # beyond the pose, by block
+    states: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # states other than the pose, by block
     credit: Mapping[str, Any] | None = None  # each sensor's effects on the error, as in report.json
     landmarks: Sequence[tuple[float, float]] = ()  # m, map frame: targets of bearings and ranges
     events: Sequence[Event] = ()  # of the drive and of the configuration with most sensors
@@ -36,7 +36,7 @@ class Scene(msgspec.Struct, frozen=True):
 
     @property
     def judged_by(self) -> str:
-        """What the deviations are measured from: "truth", or "reference", which is a smoothed solution."""
+        """Origin of the deviations: "truth", or "reference" (a smoothed solution used instead of truth)."""
         return "reference" if any(e.reference for e in self.evaluations) else "truth"
 
     @property
@@ -45,7 +45,10 @@ class Scene(msgspec.Struct, frozen=True):
         return any(len(e.t) for e in self.evaluations)
 
     def shown(self) -> list[tuple[Estimates, Evaluation]]:
-        """Return the configurations to draw; of many only odometry, single sensors, all and reduced rates."""
+        """Return the configurations to draw, at most MAX_CONFIGURATIONS.
+
+        If there are more: odometry, single sensors, `all` and those with reduced rates.
+        """
         pairs = list(zip(self.estimates, self.evaluations, strict=True))
         if len(pairs) <= MAX_CONFIGURATIONS:
             return pairs

@@ -1,7 +1,7 @@
-"""Panels as inline SVG for a page: colours are CSS variables, text is text, a CSS class per configuration.
+"""Panels as inline SVG for a page: colours are CSS variables, and each configuration has a CSS class.
 
-Faster than matplotlib: 30 panels take 0.1 s instead of 3 s (benchmarks: "report"). A dark page needs no second
-copy, and a phone can enlarge the text.
+This is faster than matplotlib: 30 panels take 0.1 s instead of 3 s (benchmarks: "report"). One drawing serves
+light and dark pages, and its text can be enlarged on a phone.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, TimedP
 MAX_OFF_LINE_PX = 0.1  # a point nearer to the line between its neighbours is dropped
 MAX_PASSES = 8
 MAX_DOTS, COARSE_PX = 2500, 2  # above MAX_DOTS, dots are rounded to multiples of COARSE_PX
-TOUCHING_PX = 2  # dots in one pixel column at most this far apart become a line
-CELL_PX = 0.4  # successive points of a path in one cell become one
+TOUCHING_PX = 2  # dots in one pixel column that are at most this far apart become a line
+CELL_PX = 0.4  # successive points of a path in one grid cell of this size become one point
 CROSS_PX = 2.5  # half the side of a cross
 MAX_COORDINATE_PX = 1e4  # coordinates are clipped to this
 
@@ -36,7 +36,10 @@ def curve_path(x: Array, y: Array, pixels: int) -> str:
 
 
 def trajectory_path(x: Array, y: Array) -> str:
-    """Return the SVG path of a trajectory (n,) [px] in any direction, thinned to one point per cell of CELL_PX."""
+    """Return the SVG path of a trajectory (n,) [px], whose x may rise and fall.
+
+    It is thinned to one point per cell of CELL_PX.
+    """
     cells = np.floor(np.stack((x, y), axis=-1) / CELL_PX)
     stays = (cells[1:-1] == cells[:-2]).all(axis=1) & np.isfinite(x[2:]) if len(x) > 2 else np.zeros(0, dtype=bool)
     kept = np.concatenate(([True], ~stays, [True]))[: len(x)]
@@ -57,7 +60,7 @@ def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
 
 
 def dots_path(x: Array, y: Array) -> str:
-    """Return the SVG path of dots (n,) [px]: one stroke per run of dots in a pixel column (round caps)."""
+    """Return the SVG path of dots (n,) [px]: dots that touch in one pixel column are one stroke (round caps)."""
     good = np.isfinite(x) & np.isfinite(y) & (np.abs(y) < MAX_COORDINATE_PX)
     cells = np.unique(np.rint(np.stack((x[good], y[good]), axis=-1)).astype(np.int64), axis=0)
     if len(cells) == 0:
@@ -81,7 +84,7 @@ def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
 
 
 def places(x: Array, y: Array) -> str:
-    """Return points x, y (n,) rounded to px as text "x y dx dy ...": first point, then steps between points."""
+    """Return points x, y (n,) rounded to px as text "x y dx dy ...": the first point, then the steps."""
     limit = MAX_COORDINATE_PX
     whole = np.rint(np.clip(np.stack((x, y), axis=-1), -limit, limit)).astype(np.int64)
     steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), np.int64))
@@ -113,7 +116,7 @@ def _pieces(points: Array) -> str:
 
 
 def _runs(good: NDArray[np.bool_]) -> list[Ints]:
-    """Return the indices of each run of True."""
+    """Return the indices of each group of consecutive True values."""
     at = np.flatnonzero(good)
     return [run for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(run)]
 
@@ -134,7 +137,7 @@ def _path_text(points: Array) -> str:
 WIDTH_PX, HEIGHT_PX = 460, 216  # px of a usual panel, which the page scales
 TOP_PX, BOTTOM_PX, RIGHT_PX = 20, 34, 10  # px of the margins
 CHARACTER_WIDTH_PX = 6.4  # of a tick label at 11 px
-MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: minimum width of an event, height of rejected readings
+MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: least width of an event's shade, height of that for rejected readings
 FAR_PX = 1e6  # values are clipped to this, far outside the panel
 
 
@@ -173,9 +176,8 @@ def svg(
 ) -> str:
     """Return a panel drawn as an SVG element with the unique id `ident`.
 
-    `slugs` maps a configuration or role to its CSS class, `looks` maps a result's name to its line style.
-
-    The page's script reads `data-axes`: values and px of both axes' ends, whether logarithmic, kind of panel.
+    `slugs` maps a configuration or role to its CSS class, `looks` maps a result's name to its line style. The
+    attribute `data-axes` is for the page's script (see `_axes`).
     """
     (x0, x1), (y0, y1) = ranges(panel)
     left = _left(panel, y0, y1)
@@ -205,7 +207,10 @@ def svg(
 
 
 def _axes(panel: Panel, x: Axis, y: Axis) -> str:
-    """Return `data-axes` for the page's script: low, high, px and log of both axes, and the kind of panel."""
+    """Return `data-axes` for the page's script.
+
+    It has for each axis the values at both ends, their px, and whether it is logarithmic; then the kind of panel.
+    """
     kind = "map" if panel.equal else "lanes" if panel.lanes else "time" if panel.x_label == TIME else "other"
     ends = (f"{a.low:.9g} {a.high:.9g} {a.start:.5g} {a.end:.5g} {int(a.log)}" for a in (x, y))
     return f"{' '.join(ends)} {kind}"
@@ -222,7 +227,10 @@ def _left(panel: Panel, y0: float, y1: float) -> float:
 def _equal(
     x0: float, x1: float, y0: float, y1: float, inner: float, most: float
 ) -> tuple[float, float, float, float, int]:
-    """Return limits and height [px] for an equal scale in x and y, with a small margin; height at most `most`."""
+    """Return limits of x and y, and the height [px], for an equal scale of both axes with a small margin.
+
+    `inner` [px] is the width between the axes; the height is at most `most` [px].
+    """
     pad = 0.04 * max(x1 - x0, y1 - y0, 1e-6)
     x0, x1, y0, y1 = x0 - pad, x1 + pad, y0 - pad, y1 + pad
     scale = min(inner / (x1 - x0), (most - TOP_PX - BOTTOM_PX) / (y1 - y0))
@@ -266,14 +274,14 @@ def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[st
 
 
 def _track(track: TimedPlaces, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return an invisible path with positions at even times, for the page's time cursor."""
+    """Return an invisible path with positions at evenly spaced times, for the time cursor of the page."""
     at = places(x.px(track.x), y.px(track.y))
     name = f"<title>{escape(track.of)}</title>"
     return f'<path class="here {slugs[track.of]}" data-at="{track.start:.9g} {track.end:.9g} {at}">{name}</path>'
 
 
 def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return an event as a shaded interval: full height, or at the bottom for rejected readings."""
+    """Return an event as a shaded interval of full height; for rejected readings it is low, at the bottom."""
     start, end = x.px(np.array([event.start, event.end])).tolist()
     width = max(end - start, MIN_SHADE)
     top = y.start - SHADE_FOOT if event.kind == REFUSED else y.end

@@ -25,7 +25,7 @@ MAX_TRACK = 600  # positions of one track
 def timed_path(estimates: Estimates, judged: Evaluation) -> tuple[Array, Array]:
     """Return times (n,) [s] and positions (n, 2) [m] of a result.
 
-    If it was aligned to the truth: only the evaluated positions, after alignment; else all estimates.
+    For a result aligned to the truth these are the evaluated positions after alignment, else all estimates.
     """
     if judged.align == "none":
         return estimates.t, estimates.pose[:, :2]
@@ -48,7 +48,10 @@ def landmarks(scene: Scene) -> list[Spots]:
 
 
 def step(t: Array) -> float:
-    """Return the time [s] between two symbols on a path: the first of STEPS_S with at most MAX_SPOTS symbols."""
+    """Return the time [s] between two symbols on a path.
+
+    It is the shortest of STEPS_S that gives at most MAX_SPOTS symbols.
+    """
     span = float(t[-1] - t[0]) if len(t) else 0.0
     return next((s for s in STEPS_S if span <= s * MAX_SPOTS), max(STEPS_S[-1], span / MAX_SPOTS))
 
@@ -71,7 +74,7 @@ def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
 
 # --- Trajectories over the line map
 
-MARGIN_SHARE, MIN_MARGIN_M = 0.25, 3.0  # share of a path's extent, m: marks further away are not in the frame
+MARGIN_SHARE, MIN_MARGIN_M = 0.25, 3.0  # marks further from the path are not shown: share of its extent, and m
 MAX_POINTS = 20_000  # of all paths together
 WALLS = ("walls of the first scan", "walls seen later")
 
@@ -79,7 +82,7 @@ WALLS = ("walls of the first scan", "walls seen later")
 def trajectories(scene: Scene) -> Section:
     """Return the section with the map: walls, the true path, and a path per configuration.
 
-    Walls that the line map had first and walls that were added later are drawn differently.
+    Walls of the first scan and walls that were added later are drawn differently.
     """
     mapped = max(scene.estimates, key=lambda e: (len(e.final_map), len(e.sensors)))
     marks: list[Mark] = []
@@ -150,9 +153,9 @@ def ends(lines: list[MapLine]) -> Array:
 # --- Paths coloured by their error, or without truth by the filter's sigma
 
 COLOURED_STRETCHES = 240  # pieces of a path, each in one colour
-MAX_POINTS_ON_SMALL_MAP = 1500  # of a path on a small map
+MAX_POINTS_ON_SMALL_MAP = 1500  # points of a path on a small map
 GATE = VERDICTS.index("gate")
-REFUSAL_CELL = 0.025  # share of the map's extent: rejected readings in one cell share a cross
+REFUSAL_CELL = 0.025  # cell size as a share of the map's extent: rejected readings in one cell share a cross
 TINY_M = 1e-6  # m: smaller values count as 0
 LIMITS = 10.0 ** np.arange(-6, 7)[:, None] * np.array([1.0, 2.0, 5.0])  # m, the possible limits between colours
 
@@ -198,7 +201,8 @@ def _route(e: Estimates, judged: Evaluation, has_truth: bool) -> Route:
 def _edges(routes: Sequence[Route]) -> Array:
     """Return at most four increasing limits between the colours [m]: 1, 2 or 5 times a power of ten.
 
-    They are near the quantiles of all paths, each with the same weight, so that every colour occurs.
+    The limits are near the quantiles of the values of all paths, so that every colour occurs. Each path has the
+    same weight.
     """
     shares = np.arange(1, len(LEVELS)) / len(LEVELS)
     values = [r.value[r.value > TINY_M] for r in routes]
@@ -238,7 +242,7 @@ def _panel(scene: Scene, route: Route, edges: Array, what: str, legend: dict[str
 
 
 def _coloured(route: Route, edges: Array) -> list[Curve]:
-    """Return the path as one curve per colour; the colour of a piece is that of its rms value."""
+    """Return the path as one curve per colour; the rms value of each piece determines its colour."""
     ends = np.unique(np.rint(np.linspace(0, len(route.t) - 1, COLOURED_STRETCHES + 1)).astype(int))
     pieces: dict[int, list[Array]] = {}
     for first, last in pairwise(ends):
@@ -254,9 +258,9 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
 
 
 def _extend(found: list[Array], stretch: Array) -> None:
-    """Append points to a curve, given as a list of pieces.
+    """Append points to a curve; the curve is a list of pieces.
 
-    A NaN row breaks the curve first, unless the new points begin at its end point.
+    A NaN row breaks the curve first, unless the new points begin at the end point of the curve.
     """
     if found and (found[-1][-1] == stretch[0]).all():
         found.append(stretch[1:])
@@ -265,7 +269,7 @@ def _extend(found: list[Array], stretch: Array) -> None:
 
 
 def _crosses(route: Route) -> Array:
-    """Return positions (k, 2) [m] on the path at the times of rejected readings, at most one per map cell."""
+    """Return the positions (k, 2) [m] on the path at the times of rejected readings, at most one per map cell."""
     places = between(route.t, route.xy, route.refused)
     places = places[np.isfinite(places).all(axis=1)]
     if len(places) == 0:

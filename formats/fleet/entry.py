@@ -1,4 +1,7 @@
-"""One log of many: a short form of its report (ten thousand fit into memory), or why it has none."""
+"""One log of many: the short form of its report, or the reason why there is no report.
+
+Ten thousand short forms fit into memory.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,14 @@ EFFECTS = ("credit", "alone", "leave_one_out")  # of a sensor on the position er
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """One log of many, with its state and the short form of its report."""
+    """One log of many: its state and the short form of its report."""
 
     name: str
     robot: str | None = None
     state: State = "done"
     reason: str = ""  # why it failed or was not run, in one line
     report: Mapping[str, Any] = field(default_factory=dict)  # short form by `slim`; empty unless done
-    cells: tuple[str, ...] = ()  # names of a sweep's cells
+    cells: tuple[str, ...] = ()  # names of the cells of a sweep; a cell is one combination of settings
 
     @property
     def losses(self) -> dict[str, int]:
@@ -33,12 +36,12 @@ class Entry(msgspec.Struct, frozen=True):
 
     @property
     def void(self) -> list[str]:
-        """Reasons why figures of this log are void."""
+        """Reasons why error figures of this log are void (not valid)."""
         return list(self.report.get("void") or ())
 
     @property
     def doubtful(self) -> list[str]:
-        """Reasons why figures of this log are doubtful, and its verdicts withdrawn."""
+        """Reasons why error figures of this log are doubtful; its verdicts are then withdrawn."""
         return list(self.report.get("doubtful") or ())
 
 
@@ -48,9 +51,10 @@ def label(configuration: str, cell: str) -> str:
 
 
 def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the short form of one log's reports; `reports`: cell of a sweep ("" without a sweep) -> report.
+    """Return the short form of the reports of one log.
 
-    Verdicts and effects are those of the first cell.
+    `reports` maps a cell of a sweep (a combination of settings; "" without a sweep) to its report. Verdicts and
+    effects are taken from the first cell.
     """
     first = next(iter(reports.values()))
     source = first["input"]
@@ -82,12 +86,12 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values other than tables and lists."""
+    """Return the values without tables and lists."""
     return {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
 
 
 def _effects(credit: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return each sensor's effects without intervals, which are computed over all logs."""
+    """Return each sensor's effects without confidence intervals, which are computed over all logs later."""
     if not credit:
         return None
     sensors = {

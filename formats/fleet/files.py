@@ -50,11 +50,11 @@ def summary_files(
 FIRST_COLUMNS = ("log", "robot", "start", "configuration", "cell", "state", "reason")
 LAST_COLUMNS = ("lost_bytes", "lost_messages", "key")
 TEXT = {*FIRST_COLUMNS, "key", "align"}
-NOT_FIGURES = ("configuration", "cell", "slowed", "key")  # values of a configuration
+NOT_FIGURES = ("configuration", "cell", "slowed", "key")  # entries of a configuration without a figure
 
 
 class FleetTable(NamedTuple):
-    """The columns of the table, and its rows in the order of the logs, without missing values."""
+    """Columns of the table, and its rows in the order of the logs; a row lacks the keys of missing values."""
 
     columns: tuple[str, ...]
     rows: list[dict[str, Any]]
@@ -102,12 +102,12 @@ def _rows(entry: Entry) -> Iterator[dict[str, Any]]:
 
 
 def csv(table: FleetTable) -> str:
-    """Return the table as CSV in full precision, with empty missing values."""
+    """Return the table as CSV in full precision; missing values are empty."""
     return csv_text(table.columns, ([row.get(column) for column in table.columns] for row in table.rows))
 
 
 def parquet(table: FleetTable) -> bytes | None:
-    """Return the table as Parquet; None without pyarrow, which is a dependency of rerun-sdk."""
+    """Return the table as Parquet; None if pyarrow (a dependency of rerun-sdk) is not installed."""
     try:
         import pyarrow as pa
         from pyarrow import parquet as written

@@ -35,7 +35,7 @@ from .entry import Entry
 MAX_ROWS = 200  # of each table on the page; all rows are in summary.csv
 MAX_CONFIGURATIONS = 12  # columns of the table of logs
 LOG, ROBOT = (Column(key, key, kind="text") for key in ("log", "robot"))
-MAX_TINT_RATIO, MAX_TINT_PERCENT = 10.0, 30  # error / smallest error of its log, from which the tint is strongest
+MAX_TINT_RATIO, MAX_TINT_PERCENT = 10.0, 30  # error / smallest error of the log at the strongest tint
 
 
 def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mapping[str, Colour]) -> str:
@@ -99,7 +99,7 @@ def _error(entry: Entry, configuration: str) -> float | None:
 
 
 def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> tuple[Table, list[str]]:
-    """Return the table of errors, logs x configurations, worst log first, and notes on omitted rows and columns.
+    """Return the table of errors (logs x configurations), worst log first, and notes on omitted rows and columns.
 
     The name of a log links to its page; cell colours compare the errors of a log.
     """
@@ -173,7 +173,7 @@ def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
 def best_of(entries: Sequence[Entry]) -> str | None:
     """Return the configuration with the smallest median error over the logs; None if none can be compared.
 
-    Compared are configurations with an error in every log that has any errors.
+    A configuration can be compared if it has an error in every log in which any configuration has one.
     """
     judged = [e for e in entries if any(_error(e, c) is not None for c in e.report.get("configurations", {}))]
     names = dict.fromkeys(c for e in judged for c in e.report["configurations"])
@@ -183,7 +183,10 @@ def best_of(entries: Sequence[Entry]) -> str | None:
 
 
 def matrix(entries: Sequence[Entry]) -> Table:
-    """Return the table robot x sensor: number of logs by verdict; robots with most "hurts" per log first."""
+    """Return the table robot x sensor with the number of logs by verdict.
+
+    Robots with most "hurts" per log come first.
+    """
     sensors = list(dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {})))
     groups: dict[str, list[Entry]] = {}
     for e in entries:
@@ -200,7 +203,7 @@ def matrix(entries: Sequence[Entry]) -> Table:
 
 
 def _counted(verdicts: Counter[str]) -> str | None:
-    """Return "▲ helps" if all logs agree, else every verdict with its number of logs; None without verdicts."""
+    """Return "▲ helps" if all logs agree, else each verdict with its number of logs; None without verdicts."""
     if len(verdicts) == 1:
         verdict = next(iter(verdicts))
         return f"{SIGNS.get(verdict, '●')} {verdict}"
@@ -208,7 +211,7 @@ def _counted(verdicts: Counter[str]) -> str | None:
 
 
 def findings(entries: Sequence[Entry]) -> Table:
-    """Return the findings of all logs, most frequent first, each with the message of one log."""
+    """Return the table of findings over all logs, most frequent first, each with the message of one log."""
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for e in entries:
         for role, code, message, fixed in e.report.get("findings", ()):
@@ -226,7 +229,7 @@ def findings(entries: Sequence[Entry]) -> Table:
 
 
 def _without_figure(entries: Sequence[Entry]) -> Table:
-    """Return the logs without an error figure (failed, void, no truth) with the reason."""
+    """Return the table of logs without an error figure: the state (failed, void, no truth) and the reason."""
     columns = (
         LOG,
         ROBOT,
@@ -254,7 +257,7 @@ def _losses(entries: Sequence[Entry]) -> Table:
 
 CURVE_POINTS = 101  # points of the curve of a distribution
 MAX_CURVES = 12  # configurations in one figure: the best by median
-FEW_LOGS = 3  # minimum for a distribution
+FEW_LOGS = 3  # smallest number of logs for a distribution
 
 
 def sections(summary: Mapping[str, Any], entries: Sequence[Entry]) -> list[Section]:
@@ -289,7 +292,7 @@ def _distribution(errors: Mapping[str, Array]) -> Section:
 
 
 def _trend(best: str | None, entries: Sequence[Entry]) -> list[Section]:
-    """Return the figure of the best configuration's error by day; [] unless the logs are of several days."""
+    """Return the figure of the best configuration's error by day; [] if all logs are of one day."""
     days: dict[date, list[float]] = {}
     for entry in entries:
         value = _error(entry, best) if best else None

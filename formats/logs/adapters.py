@@ -1,7 +1,7 @@
-"""Adapters: convert messages of one type to another, such as a point cloud to a laser scan.
+"""Adapters: convert messages of one type to another type, such as a point cloud to a laser scan.
 
-An adapter takes the columns of k messages that its entry in PRESENTED names, the wanted fields of the target type
-and the frame of the messages. It returns at least the wanted columns.
+The entry of an adapter in PRESENTED names its source fields. Arguments: the columns of these fields for k
+messages, the wanted fields of the target type, and the frame of the messages. Result: at least the wanted columns.
 """
 
 from __future__ import annotations
@@ -63,16 +63,16 @@ def joints_of_foxglove(columns: Columns, fields: tuple[str, ...], frame_id: str)
 
 
 def joints_of_feedback(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Convert Jackal motor Feedback columns to JointState; names are empty unless there are two motors."""
+    """Convert Jackal motor Feedback columns to JointState; without exactly two motors, names are empty."""
     travel, rate = (_ragged(columns, name) for name in OF_FEEDBACK)
     names = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
     return {"position": travel, "velocity": rate, "name": names}
 
 
 def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Array:
-    """Return the values of `field` ("position", ...) of all joints of all messages in one array; NaN: missing.
+    """Return the values of `field` ("position", ...) of all joints in all messages, as one array.
 
-    `names`: the joints of each message.
+    `names` are the joints of each message. A missing value is NaN.
     """
     interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
     values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
@@ -87,7 +87,7 @@ def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Ar
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
-    """Return for each joint the index (joints,) of its `field` in a message's list of values; -1 if it is missing.
+    """Return for each joint the index (joints,) of its `field` in the value list of a message; -1 if missing.
 
     `interfaces`: the name of each value in the list. `lengths`: the number of values of each joint.
     """
@@ -213,14 +213,17 @@ OF_FOXGLOVE_CLOUD = ("point_stride", "fields.name", "fields.offset", "fields.typ
 OF_FOXGLOVE = ("start_angle", "end_angle", "ranges", *TURN)
 SLICE_BEAMS = 720
 LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # elevation limits of the slice
-NEAR_M, FAR_M = 0.3, 100.0  # m: nearer is the robot itself
+NEAR_M, FAR_M = 0.3, 100.0  # m: limits of the range; nearer points are on the robot itself
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 PACKED = np.array([0, 2, 1, 4, 3, 6, 5, 7, 8])  # foxglove.PackedElementField's numeric type -> PointField's
 OPTICAL = "_optical"  # a camera's frame: x right, y down, z ahead
 
 
 def echoes_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Convert MultiEchoLaserScan columns to LaserScan: the first echo of each beam, Inf without one."""
+    """Convert MultiEchoLaserScan columns to LaserScan: the first echo of each beam.
+
+    The range of a beam without an echo is Inf.
+    """
     echoes, lengths = _ragged(columns, "ranges.echoes"), _ragged(columns, "ranges.echoes.length")
     counts = lengths.values.astype(np.int64)
     first = np.cumsum(counts) - counts
@@ -308,7 +311,7 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
     step, width, height, row = (int(columns[k][i]) for k in ("point_step", "width", "height", "row_step"))
     if (
         not all(kinds)
-        or not 1 <= step <= len(columns["data"][i])  # at least one point; no dtype of gigabytes
+        or not 1 <= step <= len(columns["data"][i])  # at least one point, and no dtype of gigabytes
         or max(o + np.dtype(k).itemsize for o, k in zip(offsets, kinds, strict=True)) > step
     ):
         return nothing
@@ -324,7 +327,7 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
 
 
 def level_slice(xyz: Array, optical: bool = False) -> Array:
-    """Return the ranges (SLICE_BEAMS,) [m] of the level slice of points (n, 3) [m]; Inf without a point."""
+    """Return the ranges (SLICE_BEAMS,) [m] of the level slice of points (n, 3) [m]; Inf: no point."""
     if optical:
         xyz = np.stack((xyz[:, 2], -xyz[:, 0], -xyz[:, 1]), axis=-1)
     ranges = np.full(SLICE_BEAMS, np.inf)
@@ -352,12 +355,12 @@ OF_PATH = (
 
 
 class Presented(NamedTuple):
-    """An adapter: how a topic of some message type is read as a topic of the type `msgtype`."""
+    """Adapter that lets a topic of one message type be read as a topic of the type `msgtype`."""
 
     msgtype: str  # target type
     suffix: str  # name of the adapted topic: "/source:suffix"
     fields: tuple[str, ...]  # source fields that the adapter needs
-    make: Adapter | None  # None for a Path, whose last message has all rows (stream.path_in)
+    make: Adapter | None  # None for a Path: its rows come from its last message alone (stream.path_in)
     frame: Callable[[str], str] = str
 
 

@@ -57,7 +57,7 @@ class Topic(msgspec.Struct, frozen=True):
     count: int
     encoding: str  # of the messages
     schema_encoding: str
-    problem: str | None = None  # reason why the messages cannot be decoded; None: they can
+    problem: str | None = None  # reason why the messages cannot be decoded; None if they can
 
 
 class Carrier(NamedTuple):
@@ -69,7 +69,10 @@ class Carrier(NamedTuple):
 
 
 class TopicChannels:
-    """All channels of a topic. Its type is that of the channel with most messages; other types are left out."""
+    """All channels of a topic.
+
+    The type of the topic is that of the channel with most messages. Channels of other types are left out.
+    """
 
     def __init__(self, carriers: Sequence[Carrier]) -> None:
         self.carriers = sorted(carriers, key=lambda carrier: -(carrier.channel.n or 0))
@@ -85,7 +88,7 @@ class TopicChannels:
 
     @cached_property
     def _decoders(self) -> list[tuple[Carrier, MessageDecoder]]:
-        """The channels of the topic's type and message structure, with their decoders."""
+        """The channels with the type and message structure of the topic, with their decoders."""
         made: dict[ChannelInfo, MessageDecoder] = {}
         found: list[tuple[Carrier, MessageDecoder]] = []
         for carrier in self.carriers:

@@ -1,11 +1,11 @@
-"""Choice of a stream's times: header stamps, checked against the recording order.
+"""Choice of the times of a stream's rows: header stamps, checked against the recording order.
 
-Real stamps run backwards, repeat, are zero or absurd. The recording order is taken as true, so a stamp that
-contradicts it is replaced by a time interpolated from the recording times between trusted stamps. Where several
-messages have one recording time, stamps get the smallest changes that order them (isotonic regression).
+In real logs, stamps run backwards, repeat, are zero or absurd. The recording order is taken as true. A stamp that
+contradicts it is replaced: its time is interpolated between trusted stamps by recording time. If several messages
+have one recording time, stamps get the smallest changes that put them in order (isotonic regression).
 
-In a simulation and in a log that was replayed and recorded again, stamps and recording use different clocks.
-Messages without stamps then get their recording time converted to the clock of the other topics' stamps.
+In a simulation, and in a log that was replayed and recorded again, stamps and recording use different clocks. The
+recording times of messages without stamps are then converted to the clock of the other topics' stamps.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from . import jitter
 
 ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
-# a stamp whose step differs by more from that of its recording time is on another clock; by less than JUMP_NS only
-# if messages were recorded evenly meanwhile: a recorder that waits makes such steps too
+# ns. If a step of the stamps differs from the step of the recording times by more than JUMP_NS, the clock of the
+# stamps has changed. A difference from STEP_NS to JUMP_NS means this only if messages were recorded evenly: a
+# recorder that waits causes such a difference too
 JUMP_NS, STEP_NS, MIN_EVEN_STEPS = 10 * 10**9, 10**9, 10
-MIN_PIECE_SHARE = 0.25  # of the messages, of a piece on the recording's clock that is preferred to a longer one
+MIN_PIECE_SHARE = 0.25  # share of messages; a smaller piece on the recording's clock is not preferred
 MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 # small message types with headers that most logs have; their stamps show which clock is used
 SMALL_TYPES = (
@@ -38,7 +39,7 @@ SMALL_TYPES = (
     "sensor_msgs/msg/LaserScan",
 )
 MIN_MESSAGES, MAX_TOPICS = 20, 3
-SAME_CLOCK_NS = 10**9  # topics whose offsets from recording differ by less use one clock
+SAME_CLOCK_NS = 10**9  # topics use one clock if their stamps' offsets from recording differ by less
 
 Mask = NDArray[np.bool_]
 Others = Callable[[], tuple[Ints, Ints] | None]  # the result of common_clock
@@ -54,11 +55,11 @@ class RowTimes(msgspec.Struct, frozen=True):
     repaired: dict[str, int] = field(default_factory=dict)  # reason -> stamps replaced
     dropped: dict[str, int] = field(default_factory=dict)  # reason -> messages without a usable time
     notes: tuple[str, ...] = ()
-    on_stamps: bool = False  # whether these are recording times converted to the clock of other topics' stamps
+    on_stamps: bool = False  # whether recording times were converted to the clock of other topics' stamps
 
     @property
     def as_stamped(self) -> bool:
-        """Whether every time is the unchanged header stamp."""
+        """Whether all times are unchanged header stamps."""
         return self.by_stamps and self.rows is None and not self.repaired
 
 
@@ -66,11 +67,14 @@ class MadeStream(ArrayStream, frozen=True, kw_only=True):
     """A stream derived from another topic or a file, with all rows in memory (fusion.data.Stream)."""
 
     clock: RowTimes  # the choice of its times
-    delay_s: float | None = None  # median delay of recording after the stamps
+    delay_s: float | None = None  # median of recording time - stamp
 
 
 class UnreadableStream:
-    """A derived topic that cannot be read: times, columns and other attributes of a MadeStream raise `problem`."""
+    """Derived topic that cannot be read.
+
+    Access to its times, columns and other attributes of a MadeStream raises `problem`.
+    """
 
     frame_id = ""
 
@@ -87,8 +91,9 @@ class UnreadableStream:
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Others = lambda: None) -> RowTimes:
     """Choose the times of a stream's messages: header stamps if they are usable, else recording times.
 
-    `log_time` (n,) [ns] are the recording times, which never decrease; `stamp` (n,) [ns] are the header stamps or
-    None. With `order` "auto", recording times are converted to the clock that `others` returns, if it returns one.
+    `log_time` (n,) [ns] are the recording times, which never decrease; `stamp` (n,) [ns] are the header stamps, or
+    None. `others` returns the clock of other topics' stamps (`common_clock`) or None; with `order` "auto",
+    recording times are converted to this clock.
     """
     clock = _settled(log_time, stamp, order)
     if clock.by_stamps or order != "auto" or (known := others()) is None:
@@ -129,10 +134,10 @@ def _by_stamp(log_time: Ints, stamp: Ints) -> RowTimes:
 
 
 def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> RowTimes:
-    """Use the recording times minus the median delay (recording time - stamp) of the trusted stamps.
+    """Return the recording times minus the median delay (recording time - stamp) of the trusted stamps.
 
-    A stamp that repeats the one before is too old for its message and not counted. A delay above MAX_DELAY_S is
-    not subtracted: it means two clocks.
+    A repeated stamp is too old for its message and does not count. A delay above MAX_DELAY_S is not subtracted,
+    since it means two clocks.
     """
     trusted = trusted & (np.diff(stamp, prepend=stamp[0] - 1) != 0)
     delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
@@ -147,7 +152,7 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
     n_bad, notes = int((~trusted).sum()), _differ(log_time[trusted], stamp[trusted])
     times = np.maximum.accumulate(jitter.filled(stamp, trusted, log_time, 1))
     how = "dated by recording time instead"
-    if (np.diff(times)[np.diff(stamp) != 0] == 0).any():  # equal recording times: only their order is known
+    if (np.diff(times)[np.diff(stamp) != 0] == 0).any():  # equal recording times: only the order is known
         ordered = trusted | bad["backwards"] | bad["off the beat"]
         times, how = jitter.in_order(jitter.filled(stamp, ordered, log_time, 1)), "moved into their order"
     words = f"header stamps; {n_bad} of {len(stamp)} {how} ({why})"
@@ -175,11 +180,10 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
 
 
 def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
-    """Return masks (n,) of two kinds of wrong stamps: running backwards; unusual delay with irregular steps.
+    """Return masks (n,) of two kinds of wrong stamps: out of order, and with an unusual delay.
 
-    The delay is recording time - stamp. No stamp is in both masks.
-
-    If a delay is unusual, the less regular one of stamp and recording time is taken as wrong.
+    The delay is recording time - stamp. If it is unusual, either the stamp or the recording time is wrong: the one
+    with less regular steps. No stamp is in both masks.
     """
     delay = log_time - stamp
     off = np.abs(delay - np.median(delay))
@@ -192,7 +196,10 @@ def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
 
 
 def _in_bursts(log_time: Ints) -> Mask:
-    """Return the mask (n,) of messages recorded in bursts, as after a stall: their times are unreliable."""
+    """Return the mask (n,) of messages that were recorded in quick succession, such as after a stall.
+
+    Their recording times are unreliable.
+    """
     steps = np.diff(log_time)
     close = steps < 0.25 * np.median(steps) if len(steps) else np.zeros(0, bool)
     marked = np.zeros(len(log_time), bool)
@@ -202,10 +209,10 @@ def _in_bursts(log_time: Ints) -> Mask:
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
-    """Return the mask (n,) of stamps on another clock than most of the stream.
+    """Return the mask (n,) of stamps on another clock than most of the stream, e.g. from before the clock was set.
 
-    The stream is split at jumps of the delay, recording time - stamp; a piece with another delay than the longest
-    one, or than the longest on the recording's clock, is on another clock, as before the clock was set.
+    The stream is split into pieces at jumps of the delay (recording time - stamp). The trusted piece is the
+    longest one on the recording's clock, else the longest of all; a piece with another delay is on another clock.
     """
     delay, period = log_time - stamp, np.diff(log_time)
     step = np.abs(np.diff(delay))
@@ -241,10 +248,9 @@ def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[
 def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None:
     """Return rising log times and stamps (n,) [ns] of one topic, to convert recording times to the stamps' clock.
 
-    The stamps of all topics must share a clock other than the recording's.
-
-    `pairs`: log times and stamps (m,) of each topic. None if any topic uses the recording clock, if their offsets
-    differ, or if stamps run backwards.
+    `pairs` are the log times and stamps (m,) of several topics. Their stamps must share one clock other than the
+    recording's. So the result is None if a topic uses the recording clock, if offsets differ, or if stamps run
+    backwards.
     """
     pairs = [(log_time[on], stamp[on]) for log_time, stamp in pairs for on in [~_off_the_clock(log_time, stamp)]]
     if not pairs or any(np.diff(stamp).min(initial=0) < 0 for _, stamp in pairs):
@@ -258,9 +264,9 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
 
 
 def on_clock(clock: RowTimes, known: tuple[Ints, Ints]) -> RowTimes:
-    """Convert a stream's recording times to the clock on which other topics' stamps are.
+    """Convert a stream's recording times to the clock of other topics' stamps, by interpolation.
 
-    `known`: log times and stamps (n,) of another topic, the result of `common_clock`, to interpolate in.
+    `known` are the log times and stamps (n,) of another topic, the result of `common_clock`.
     """
     log_time, stamp = known
     inside = np.clip(clock.t_ns, log_time[0], log_time[-1])

@@ -30,7 +30,7 @@ SUFFIXES = (".tum", ".csv", ".txt")
 TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
 HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
 COVARIANCE_COLUMNS = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
-MAX_IDENT = 2**53  # integers below are exact as floats
+MAX_IDENT = 2**53  # smaller integers are exact as floats
 MIN_NS = 1e14  # larger times are nanoseconds, smaller ones seconds
 
 
@@ -39,7 +39,7 @@ def in_time_order(
 ) -> MadeStream:
     """Return the columns `data`, whose rows have the times t_ns (n,) [ns], as a stream sorted by time.
 
-    `words` describe where the times are from.
+    `words` name the source of the times.
     """
     order = np.argsort(t_ns, kind="stable")
     t_ns = t_ns[order]
@@ -146,7 +146,7 @@ def _table_of_poses(
     if heading is None:
         return _points(path, times, position)
     theta = column(heading)
-    q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # an infinite heading is none; sin() would warn
+    q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # infinite headings are missing; sin() would warn
     if not set(COVARIANCE_COLUMNS) <= at.keys():
         return _poses(path, times, position, q, None)
     P = np.zeros((len(times), 6, 6))
@@ -178,7 +178,7 @@ def _number(path: Path, line: int, word: str) -> float:
 
 
 def _ident(path: Path, line: int, word: str) -> int:
-    """Return the id of a landmark. Raises LocfuseError if it is no integer."""
+    """Return the id of a landmark. Raises LocfuseError if it is not an integer."""
     value = _number(path, line, word)
     if not abs(value) < MAX_IDENT or value != round(value):
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no id: whole numbers are read")
@@ -191,7 +191,7 @@ def _ns(path: Path, line: int, word: str) -> int:
     try:
         exact = Decimal(word.strip()) if math.isfinite(value) else Decimal(END_OF_TIME)
         total = exact if abs(value) > MIN_NS else exact.scaleb(9)
-    except ArithmeticError:  # an exponent of many digits
+    except ArithmeticError:  # the exponent has too many digits
         total = Decimal(END_OF_TIME)
     if abs(total) >= END_OF_TIME:
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no time")

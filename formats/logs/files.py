@@ -65,14 +65,14 @@ def _folder(folder: Path) -> list[Place]:
 
 
 def _by_ending(files: Iterable[Place]) -> list[Place]:
-    """Return the files with the first ending of ENDINGS that occurs; [] without any."""
+    """Return the files with the first ending in ENDINGS that occurs; [] if none occurs."""
     files = list(files)
     found = ([file for file in files if fnmatch(file.name, ending)] for ending in ENDINGS)
     return next(filter(None, found), [])
 
 
 def _listed(metadata: Path) -> list[str]:
-    """Return the file names that a rosbag2 metadata.yaml lists; [] without the file, as after a crash."""
+    """Return the file names listed in a rosbag2 metadata.yaml; [] if it is missing, as after a crash."""
     if not metadata.is_file():  # a pipe would never end
         return []
     text = read_small(metadata, MAX_METADATA).decode("utf-8", "replace")
@@ -103,7 +103,7 @@ def open_source(file: Place, losses: Losses) -> Source:
 
             data = RemoteBytes(file, losses)
         if data.far and data.read(max(data.size - len(MAGIC), 0), len(MAGIC)) != MAGIC:
-            data.copy_here()  # no complete MCAP, so without an index
+            data.copy_here()  # not a complete MCAP, so it has no index
         if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
             unpack_file(data)
         head = b"" if data.far else data.read(0, 64)
@@ -113,10 +113,10 @@ def open_source(file: Place, losses: Losses) -> Source:
         return McapSource(data)  # raises for another kind of file
 
 
-# --- Identity of a log's content without reading all of it: sizes, and a hash of each file's own summary
+# --- Identity of a log's content without reading all of it: sizes, and a hash of the summary of each file
 # The summary section of an MCAP lists every chunk with its offset, size and times, so two recordings with equal
-# summaries are copies. A file without one is identified by its size and both ends. Other bytes that are changed in
-# place go unnoticed, unless the file's time changes (`locfuse compare` over many logs) or with `--hash`.
+# summaries are copies. A file without a summary is identified by its size and the bytes at both ends. A change of
+# other bytes is detected only with `--hash`, or by the file's time (`locfuse compare` over many logs).
 
 END_BYTES = 1 << 16  # hashed at the beginning and at the end of a file without a summary
 
@@ -136,7 +136,7 @@ def files_of(paths: Sequence[Place]) -> list[Place]:
 def identity_of(files: Sequence[Place], states: Sequence[tuple[int, str] | None] = ()) -> Identity:
     """Return the identity of a log from its files. Raises LocfuseError for an unreadable file.
 
-    `states`: size and ETag of each remote file; requested if missing.
+    `states` are size and ETag of each remote file; missing ones are requested from the server.
     """
     digest, total = hashlib.sha256(), 0
     for file, state in zip_longest(files, states):
@@ -147,7 +147,7 @@ def identity_of(files: Sequence[Place], states: Sequence[tuple[int, str] | None]
 
 
 def _identifying_bytes(file: Place, state: tuple[int, str] | None) -> tuple[str, int, bytes]:
-    """Return the kind of identification ("summary", "ends" or "etag"), the file's size, and the bytes to hash."""
+    """Return how a file is identified ("summary", "ends" or "etag"), its size, and the bytes to hash."""
     if isinstance(file, Url):
         from locfuse.formats.container.remote_objects import state_of
 

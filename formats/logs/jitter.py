@@ -1,8 +1,8 @@
 """Repair of jittered times: messages are in the right order, but some of their times run backwards.
 
-A time before that of the previous message has one of two causes. The message was written late: its time is right,
-and the times of the others have a gap there. Or its time is wrong: the gap is then at its place in the file,
-between its two neighbours.
+If a time is earlier than that of the previous message, there are two possible causes. The message was written
+late: then its time is right, and the times of other messages have a gap there. Or its time is wrong: then the gap
+is at the message's place in the file, between its two neighbours.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
 
-MAX_BACK_NS = 2 * 10**9  # larger steps back are not jitter but another clock or another order of files
-MAX_BACK_SHARE = 0.25  # of the times that contradict the order; with more, the right ones are unknown
+MAX_BACK_NS = 2 * 10**9  # a larger step back is no jitter: the clock or the order of files has changed
+MAX_BACK_SHARE = 0.25  # largest share of times in the wrong order; with more, the right times are unknown
 
 WINDOW_READINGS = 7  # neighbours on either side that determine the expected time
-MIN_OFF_DEVIATIONS, MIN_OFF_PERIODS = 8.0, 0.25  # robust deviations and periods: off by both is wrong
+MIN_OFF_DEVIATIONS, MIN_OFF_PERIODS = 8.0, 0.25  # a time is wrong if it is off by both: robust sigmas, periods
 
 
 def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
     """Return weights (n,), low for times that do not fit regular steps, and a mask (n,) of irregular times.
 
     The expected time at i is the median of t_j + (i - j) T over the neighbours j, with their median step T. Most
-    streams are regular, so the weights show which of two times in the wrong order is wrong.
+    streams are regular. So if two times are in the wrong order, the one with the lower weight is wrong.
     """
     n = len(times)
     if n <= 2 * WINDOW_READINGS:
@@ -44,16 +44,16 @@ def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def cauchy(deviations: Array) -> Array:
-    """Return weights (n,) of deviations (n,) [robust sigmas], with the long tail of a Cauchy distribution."""
-    return 1.0 / (1.0 + deviations**2) + 1e-6  # the constant prefers more times, all else equal
+    """Return the weights (n,) of a Cauchy distribution (long tails) for deviations (n,) [robust sigmas]."""
+    return 1.0 / (1.0 + deviations**2) + 1e-6  # > 0: of two equal sums, the one of more times wins
 
 
 def pooled(times: Ints) -> tuple[Ints, int] | None:
     """Return never-decreasing times (n,) in file order, and the number of replaced times.
 
-    None if the times are in order, or if they are right and the file's order is wrong. Replaces the least credible
-    times, so that the others are ordered, evenly between their neighbours: isotonic regression in the L0 norm, in
-    which a wrong time does not move a right one. If any time runs backwards, irregular times are replaced too.
+    The least credible times are replaced by times evenly spaced between their neighbours (isotonic regression in
+    the L0 norm: a wrong time does not move a right one). If any time runs backwards, irregular times are replaced
+    too. None if the times are in order, or if the times are right and the file's order is wrong.
     """
     if len(times) < 3 or (np.diff(times) >= 0).all():
         return None
@@ -73,7 +73,7 @@ def pooled(times: Ints) -> tuple[Ints, int] | None:
 
 
 def in_order(times: Ints) -> Ints:
-    """Return rising times (n,) in the given order, with the smallest changes (isotonic regression).
+    """Return rising times (n,) in file order, with the smallest changes (isotonic regression).
 
     Irregular times are replaced first. Moved times are at least half a median step apart.
     """
@@ -93,7 +93,8 @@ def in_order(times: Ints) -> Ints:
 def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
     """Return times (n,) [ns] in which all times outside the mask `keep` are replaced.
 
-    They are interpolated over `at` (n,); before the first and after the last kept time they have the slope `pace`.
+    Replaced times are interpolated over `at` (n,). Before the first and after the last kept time they are
+    extrapolated with the slope `pace`.
     """
     known = np.flatnonzero(keep)
     first, last = known[0], known[-1]
@@ -107,15 +108,18 @@ def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
 
 
 def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
-    """Return times (n,) with those not in `keep` replaced by evenly spaced ones, at the end by the period."""
+    """Return times (n,) in which times outside the mask `keep` are replaced by evenly spaced ones.
+
+    At both ends of the series the spacing is the median period.
+    """
     period = int(np.median(np.diff(times[keep]))) if keep.sum() > 1 else 0
     return filled(times, keep, np.arange(len(times)), period)
 
 
 def _gap_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
-    """Return whether most times with indices `wrong` are wrong themselves, instead of written late.
+    """Return whether most of the times with indices `wrong` are really wrong, and not of messages written late.
 
-    Then the gap in the kept times is larger at the message's place in the file than at its time.
+    For a wrong time, the gap in the kept times is larger at the message's place in the file than at its time.
     """
     known, kept = np.flatnonzero(keep), times[keep]
     after = np.searchsorted(known, wrong)
@@ -123,7 +127,7 @@ def _gap_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
     if not inner.any():
         return False
     wrong, after = wrong[inner], after[inner]
-    between = known[after] - known[after - 1]  # messages from one kept neighbour to the other
+    between = known[after] - known[after - 1]  # number of steps from the kept neighbour before to the one after
     in_file: Array = (kept[after] - kept[after - 1]) / between
     by_time = np.clip(np.searchsorted(kept, times[wrong]), 1, len(kept) - 1)
     in_time: Array = (kept[by_time] - kept[by_time - 1]) / 2.0
@@ -134,10 +138,10 @@ def _gap_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
 
 
 def never_decreasing(values: Ints, weights: Array) -> NDArray[np.bool_]:
-    """Return the mask (n,) of the never-decreasing subsequence of `values` with the greatest sum of `weights` > 0.
+    """Return the mask (n,) of the never-decreasing subsequence of `values` with the largest sum of `weights` > 0.
 
-    Splits the values into blocks, each with values not above those of the next: ordered values are blocks of one,
-    so only disordered parts are searched.
+    The values are split into blocks; no value of a block is above any value of the next one. Ordered values are
+    blocks of length one, so only disordered parts are searched.
     """
     keep = np.ones(len(values), bool)
     if len(values) < 2:
@@ -152,10 +156,10 @@ def never_decreasing(values: Ints, weights: Array) -> NDArray[np.bool_]:
 
 
 def _heaviest(values: Ints, weights: Array) -> NDArray[np.bool_]:
-    """Return the mask (n,) of the heaviest never-decreasing subsequence of a block, in O(n log n).
+    """Return the mask (n,) of the never-decreasing subsequence of a block with the largest weight, in O(n log n).
 
-    `series` has the candidate subsequences in order of last value and of weight: one with a higher last value but
-    a lower weight is never extended and is removed.
+    `series` has the candidate subsequences, sorted by last value and by weight. A candidate with a higher last
+    value but a lower weight than another one is removed, since it cannot become part of the best.
     """
     last_values: list[int] = []
     series: list[tuple[float, int]] = []  # weight, last element

@@ -35,13 +35,13 @@ def labels(log: Log, drive: Drive, order: str) -> list[Event]:
         else:
             start = begun.pop(words, 0.0 if event == "end" else at)
             found.append(Event(max(start, 0.0), min(at, end), FAULT, words))
-    # faults without an end last to the end
+    # a fault without an end label lasts to the end of the drive
     found += [Event(max(at, 0.0), end, FAULT, words) for words, at in begun.items()]
     return sorted(e for e in found if e.start <= end and e.end >= 0.0)
 
 
 def _parse_label(text: str) -> tuple[str, str]:
-    """Return (event, words) of a label; event is "begin", "end" or ""."""
+    """Return (event, words) of a label; the event is "begin", "end" or "" (neither)."""
     try:
         table = msgspec.json.decode(text, type=dict[str, Any])
     except msgspec.DecodeError:

@@ -59,7 +59,7 @@ from .transform_stream import (
 
 
 class UnreadableTopicError(LocfuseError):
-    """Error: the messages of a topic cannot be decoded; `problem` is the reason without log and topic."""
+    """Error: the messages of a topic cannot be decoded; `problem` is the reason, without log and topic name."""
 
     problem: str = ""
 
@@ -74,8 +74,8 @@ class UnreadableTopicError(LocfuseError):
 # --- The log
 
 AnyStream = LogStream | clocks.MadeStream
-MIN_CHANGES = 10  # from channel to channel, above which two publishers write alternately
-MIN_MOTION_M = 0.005  # m, and of quaternion components (0.6 degrees): smaller changes are a flexible mount
+MIN_CHANGES = 10  # changes from channel to channel; with fewer, two publishers do not alternate
+MIN_MOTION_M = 0.005  # m, and quaternion components (0.6 degrees): smaller changes come from a flexible mount
 FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
 
@@ -109,7 +109,7 @@ class Log:
         self._tables: dict[str, TopicTable] = {}
         self._frame_ids: dict[str, list[str]] = {}  # topic -> frame_ids of some messages
         self._streams: dict[tuple[str, str], AnyStream] = {}
-        self._derived: dict[str, Callable[[str], AnyStream]] = {}  # topic -> function from order to stream
+        self._derived: dict[str, Callable[[str], AnyStream]] = {}  # topic -> function: order -> stream
         self._files: set[str] = set()
         self._edges: dict[tuple[str, str], dict[tuple[str, str], FrameEdge]] = {}
 
@@ -123,7 +123,7 @@ class Log:
 
     @property
     def all_read(self) -> bool:
-        """Whether every byte of the files was read already."""
+        """Whether every byte of the files has been read."""
         return all(source.data.all_read for source in self._sources)
 
     @cached_property
@@ -138,7 +138,7 @@ class Log:
 
     @property
     def transfer(self) -> tuple[int, int] | None:
-        """Bytes transferred over the network so far, and the size of remote files; None if all are local."""
+        """Bytes transferred over the network so far, and total size of the remote files; None if all are local."""
         files = [source.data for source in self._sources]
         found = [(file.fetched, file.state[0]) for file in files if file.state is not None]
         return (sum(fetched for fetched, _ in found), sum(size for _, size in found)) if found else None
@@ -150,15 +150,16 @@ class Log:
 
     @property
     def unchecked(self) -> list[str]:
-        """Names of the files without checksums, in which a changed value cannot be detected."""
+        """Names of the files without checksums; a changed value in these files cannot be detected."""
         return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not s.checked]
 
     def stream(self, topic: str, order: str = "auto") -> AnyStream:
         """Return a topic's stream; its rows are read on first access.
 
         Derived topics: "/tf:odom:base_link" (pose of base_link in odom from /tf, as TransformStamped),
-        "/tf:camera_optical:tags" (tags seen by it), "/status:yaw.value" (a number of any message),
-        "/points:scan" (level slice of a cloud as LaserScan), "/path:poses" (poses of a Path), a .tum or .csv file.
+        "/tf:camera_optical:tags" (tags seen by this camera), "/status:yaw.value" (a number in any message),
+        "/points:scan" (level slice of a cloud as LaserScan), "/path:poses" (poses of a Path), or a .tum or .csv
+        file.
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
@@ -190,9 +191,9 @@ class Log:
         return self.topics.get(name)
 
     def _derive(self, name: str) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return the derived topic `name` and a function from order to its stream; None if there is none.
+        """Return the derived topic `name`, and a function that returns its stream for an `order`.
 
-        Its source is another topic of the log, or a text file.
+        The source of the topic is another topic of the log, or a text file. None if there is no such topic.
         """
         pair, number, source = pair_of(name), field_of(name), name.rpartition(":")[0]
         if pair is not None and self._is_tf(pair[0]):
@@ -219,10 +220,11 @@ class Log:
         return LogStream(self, topic, self.topics[topic].msgtype, order)
 
     def _of_frames(self, name: str, pair: tuple[str, str, str]) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return a topic derived from /tf, and a function from order to its stream.
+        """Return a topic derived from /tf, and a function that returns its stream for an `order`.
 
-        `pair` is the /tf topic, the parent frame and the child frame: the topic is the child's pose in the parent.
-        With the child OF_CAMERA it is the tags seen by the camera `parent`; None if no tag was seen.
+        `pair` is the /tf topic, the parent frame and the child frame. The topic has the child's pose in the
+        parent. If the child is OF_CAMERA, the topic has the tags seen by the camera `parent`; None if no tag was
+        seen.
         """
         tf, parent, child = pair
         source, edges = self.topics[tf], self.frames(tf)
@@ -237,7 +239,7 @@ class Log:
         return made, lambda o: tags_in(name, o, tags_of(self.frames(tf, o), parent), self.all_mounts())
 
     def _check_numbers(self, topic: str, fields: Sequence[str]) -> None:
-        """Raise LocfuseError unless `fields` are one or two numbers of a topic, or two lists of numbers."""
+        """Raise LocfuseError unless `fields` are one or two numeric fields, or two lists of numbers."""
         self._check(topic)
         self._check_fields(topic, tuple(fields))
         kinds = [kind_of(resolve(self._channels[topic].decoder.message, field)) for field in fields]
@@ -289,7 +291,7 @@ class Log:
         return transforms.static_transforms(self.stream(topic).columns(*transforms.FIELDS) for topic in topics)
 
     def moving_transforms(self) -> list[transforms.Transform]:
-        """Return the first value of each transform of /tf that changes by more than MIN_MOTION_M."""
+        """Return each transform of /tf that changes by more than MIN_MOTION_M, with its first value."""
         return [
             _at_first(edge)
             for topic in self.transform_topics
@@ -298,7 +300,7 @@ class Log:
         ]
 
     def all_mounts(self) -> transforms.StaticTransforms:
-        """Return all fixed transforms: all of /tf_static, and constant ones of /tf for other child frames."""
+        """Return all fixed transforms: all of /tf_static, and for other child frames the constant ones of /tf."""
         static = self.static_transforms()
         known = {edge.child for edge in static.edges}
         edges = (edge for topic in self.transform_topics for edge in self.frames(topic).values())
@@ -398,10 +400,10 @@ class Log:
             yield raw
 
     def in_turn(self, topic: str) -> list[int]:
-        """Return the message counts of two channels of one file that write to a topic alternately; [] if none do.
+        """Return the message counts of two channels of one file that write to a topic alternately; else [].
 
         A recorder gives each publisher of a topic its own channel. A publisher that was restarted, or whose
-        messages were recorded twice, does not count as a second one.
+        messages were recorded twice, does not count as a second publisher.
         """
         for source in self._sources:
             carriers = self._channels[topic].carriers if topic in self._channels else []
@@ -418,7 +420,7 @@ class Log:
         self._edges.clear()
 
     def frame_ids(self, topic: str) -> list[str]:
-        """Return the frame_ids of some messages of a topic, in file order; known also after `forget`."""
+        """Return the frame_ids of some messages of a topic, in file order; `forget` does not delete them."""
         if topic not in self._frame_ids:
             self._frame_ids[topic] = self.read({topic: ()})[topic].frames
         return self._frame_ids[topic]
@@ -431,7 +433,8 @@ class Log:
 def _unpacked(source: Source, wanted: Collection[int]) -> Iterator[tuple[int, NDArray[np.uint8], Messages]]:
     """Yield (channel id, buffer, messages) for each wanted channel of each batch in a file.
 
-    Messages compressed one by one come in several portions: 300 kB of them can unpack to gigabytes.
+    Messages that were compressed one by one come in several portions, since 300 kB of them can unpack to
+    gigabytes.
     """
     for batch in source.batches(wanted):
         for ident, messages in batch.messages.items():
@@ -442,7 +445,7 @@ def _unpacked(source: Source, wanted: Collection[int]) -> Iterator[tuple[int, ND
 def _alternating(source: Source, idents: Sequence[int]) -> list[int]:
     """Return the message counts of the two largest channels of `idents` if they take turns in time; else [].
 
-    Channels with mostly the same messages do not count.
+    Two channels with mostly equal messages do not count.
     """
     times: dict[int, list[Ints]] = {ident: [] for ident in idents}
     seen: dict[int, set[int]] = {ident: set() for ident in idents}

@@ -47,7 +47,7 @@ class Raw(NamedTuple):
         return self._replace(messages=first), self._replace(messages=rest)
 
 
-LONG_BYTES = 64 * 1024  # messages that are usually read into columns are much shorter
+LONG_BYTES = 64 * 1024  # usual messages with columns are much shorter
 FRAMES_PER_BATCH = 20  # messages whose frame_id is read, to notice two publishers
 CHANGED = "the log changed while it was being read, or is damaged so that two readings of it differ"
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
@@ -67,7 +67,7 @@ class Pass:
 class TopicTable:
     """The readable messages of one topic as columns, one row per message.
 
-    A row is an index in recording order; a file row is an index in file order.
+    A "row" is an index in recording order; a "file row" is an index in file order.
     """
 
     def __init__(self, topic: str, decoder: MessageDecoder, expected: int) -> None:
@@ -77,12 +77,12 @@ class TopicTable:
         self.stamp = stamp_path(decoder.message)  # path of the header stamp, None without one
         self._frame = frame_path(decoder.message)
         self._first: tuple[int, str] | None = None  # log time and frame_id of the earliest message
-        self.frames: list[str] = []  # of the first FRAMES_PER_BATCH messages of every batch
+        self.frames: list[str] = []  # frame_ids of the first FRAMES_PER_BATCH messages of every batch
         self.bad: Counter[str] = Counter()  # reason -> messages left out of the rows
         self.log_time: Ints | None = None  # (n,) recording order; None before the first read
         self.columns: dict[str, Column] = {}
         self.jittered = 0  # number of log times that were replaced by jitter.pooled
-        self._file_rows: Ints | None = None  # row -> file row; None: equal
+        self._file_rows: Ints | None = None  # row -> file row; None if both are equal
         self._pass = Pass((), 0)
         self._n = 0  # readable messages
         self._times = NO_TIMES  # log time and sequence in file order, until the rows are sorted
@@ -93,7 +93,7 @@ class TopicTable:
         return "" if self._first is None else self._first[1]
 
     def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
-        """Return those of `fields` and the header stamp that are not in memory."""
+        """Return the fields that are not in memory, of `fields` and the header stamp."""
         wanted = dict.fromkeys(fields)
         if self.stamp:
             wanted[self.stamp] = None
@@ -105,7 +105,7 @@ class TopicTable:
         return self.log_time is not None
 
     def begin(self, fields: Sequence[str]) -> None:
-        """Start a pass that collects those of `fields` that are not in memory."""
+        """Start a pass that collects the `fields` that are not in memory."""
         self._pass = Pass(self.missing(fields), self._expected)
 
     def feed(self, raw: Raw) -> None:
@@ -125,9 +125,9 @@ class TopicTable:
             self._update_frame_id(raw, decoded.good, self._frame)
 
     def _refuse_too_much(self, raw: Raw, good: NDArray[np.bool_]) -> None:
-        """Raise LocfuseError if messages longer than LONG_BYTES have more than MAX_LONG bytes in all.
+        """Raise LocfuseError if the messages longer than LONG_BYTES have more than MAX_LONG bytes in total.
 
-        Their columns are too much to hold in memory; a small compressed file can contain many long messages.
+        Their columns would not fit in memory: even a small compressed file can contain many long messages.
         """
         fields = [name for name in self._pass.fields if name != self.stamp]
         long = good & (raw.messages.length > LONG_BYTES)
@@ -154,7 +154,7 @@ class TopicTable:
     def end(self) -> bool:
         """End the pass; return whether messages must be ordered by digests of their bytes.
 
-        That is so after the first pass over the topic, if several messages have the same log time.
+        They must after the first pass over the topic, if several messages have the same log time.
         """
         collected, self._pass = self._pass, Pass((), 0)
         columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
@@ -179,15 +179,15 @@ class TopicTable:
         return column
 
     def tied(self) -> Ints:
-        """Return the log times (k,) ns that several messages have."""
+        """Return the log times (k,) [ns] that occur in several messages."""
         times, counts = np.unique(self._times[0], return_counts=True)
         return times[counts > 1]
 
     def sort(self, digests: Ints | None) -> None:
         """Sort the rows by log time, sequence, stamp, digest of the bytes (n,) and file order.
 
-        If the log times jitter, the rows stay in file order. Many recorders write no sequence: of messages that
-        they wrote at one time, stamps show the order.
+        If the log times jitter, the rows stay in file order. Many recorders write no sequence; then stamps give
+        the order of messages with the same log time.
         """
         log_time, sequence = self._times
         self._times = NO_TIMES
@@ -208,7 +208,7 @@ class TopicTable:
 
     @property
     def row(self) -> Ints:
-        """The row of every readable message in file order (n,), -1 for a repeat."""
+        """Row of every readable message in file order (n,); -1 for a message recorded twice."""
         if self._file_rows is None:
             return np.arange(self._n)
         row = np.full(self._n, -1, np.int64)
@@ -216,7 +216,7 @@ class TopicTable:
         return row
 
     def _without_repeats(self, order: Ints, keys: tuple[Ints, ...]) -> Ints:
-        """Return `order` without messages recorded twice: log time and bytes equal those of an earlier one."""
+        """Return `order` without messages recorded twice (equal log time and bytes as an earlier message)."""
         digests, sequence, log_time = keys
         by_content = np.lexsort((sequence, digests, log_time))
         same = (
@@ -234,7 +234,7 @@ class TopicTable:
 
 
 def plausibly_recorded(raw: Raw) -> Raw:
-    """Return the messages without those recorded before 1970 or after 2116, whose log time is invalid."""
+    """Return the messages with a valid log time, from 1970 to 2116."""
     plausible = (raw.messages.log_time >= 0) & (raw.messages.log_time < END_OF_TIME)
     if plausible.all():
         return raw
@@ -266,7 +266,7 @@ class Reader(Protocol):
         """Return the topics' tables with these fields."""
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
-        """Yield the messages of one topic, for the given `fields`, batch by batch."""
+        """Yield the messages of one topic batch by batch, for the decoding of `fields`."""
 
     def frame_ids(self, topic: str) -> list[str]:
         """Return the frame_ids of some messages of one topic, in file order."""
@@ -294,7 +294,7 @@ class LogStream:
 
     @cached_property
     def clock(self) -> clocks.RowTimes:
-        """The times of the rows, and where they come from: header stamps or recording times."""
+        """Times of the rows and their source: header stamps or recording times."""
         table = self._table
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
@@ -303,7 +303,7 @@ class LogStream:
 
     @property
     def t_ns(self) -> Ints:
-        """The times of the readings, (n,) ns, never decreasing."""
+        """Times of the rows, (n,) [ns], never decreasing."""
         return self.clock.t_ns
 
     @property
@@ -318,9 +318,10 @@ class LogStream:
 
     @property
     def delay_s(self) -> float | None:
-        """The median delay of recording after the header stamps [s]; None without headers or messages.
+        """Median of recording time - header stamp [s]; None without headers or messages.
 
-        For repaired stamps and times converted to the clock of other topics' stamps: the delay after these times.
+        For repaired stamps, and for times converted to the clock of other topics' stamps, these times replace the
+        stamps.
         """
         table = self._table
         if (self.clock.on_stamps or self.clock.repaired) and len(self.t_ns):
@@ -341,7 +342,7 @@ class LogStream:
         return {name: table.columns[name] if rows is None else take(table.columns[name], rows) for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row exactly once."""
+        """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row occurs exactly once."""
         row_of = self._row_of_file()
         waiting: list[Block] = []
         room, size, at = rows, 0, 0
@@ -422,7 +423,7 @@ class PresentedStream(LogStream):
         return {name: take(concat([made[name] for _, made in blocks]), order) for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row exactly once."""
+        """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row occurs exactly once."""
         for numbers, columns in super().blocks(*self._how.fields, rows=rows):
             yield numbers, self._adapted(columns, fields)
 
@@ -439,7 +440,7 @@ def number_in(name: str, source: LogStream, field: str) -> clocks.MadeStream:
 
 
 def ranges_in(name: str, source: LogStream, fields: str) -> clocks.MadeStream:
-    """Return two fields of a topic, "ids,ranges", as a stream of ranges; lists give one row per entry.
+    """Return two fields of a topic, "ids,ranges", as a stream of ranges; lists give one row per element.
 
     Raises LocfuseError for lists of different lengths.
     """
@@ -457,7 +458,7 @@ def ranges_in(name: str, source: LogStream, fields: str) -> clocks.MadeStream:
 def _derived(
     name: str, source: LogStream, msgtype: str, t_ns: Ints, data: Mapping[str, Column]
 ) -> clocks.MadeStream:
-    """Return derived columns `data` as a stream; clock, frame, delay and drops are those of `source`."""
+    """Return the columns `data` as a derived stream, with the clock, frame, delay and drop counts of `source`."""
     of = source.frame_id, source.dropped
     return clocks.MadeStream(name, msgtype, t_ns, data, *of, clock=source.clock, delay_s=source.delay_s)
 
@@ -465,8 +466,8 @@ def _derived(
 def path_in(name: str, source: LogStream) -> clocks.MadeStream:
     """Return the poses of the last nav_msgs/Path of a topic, each at its own stamp.
 
-    A SLAM publishes its path so far again and again, each time longer and corrected, so the last one is used.
-    Raises LocfuseError if the poses have no times of their own, as in a plan.
+    SLAM software publishes the path up to now again and again, each time longer and corrected; so only the last
+    message is used. Raises LocfuseError if the poses have no times of their own, as in a planned path.
     """
     last = _last_message(source)
     stamps: Ints = np.asarray(last.pop(OF_PATH[0]), np.int64)
@@ -480,7 +481,7 @@ def path_in(name: str, source: LogStream) -> clocks.MadeStream:
 
 
 def _last_message(source: LogStream) -> dict[str, Column]:
-    """Return the columns of the poses in the last message."""
+    """Return the columns of the poses in the last message of a topic."""
     found: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
     latest = -1
     for rows, columns in source.blocks(*OF_PATH, rows=16):

@@ -1,10 +1,10 @@
 """Topics derived from /tf: the pose of one frame in another, "/tf:odom:base_link", and tags seen by a camera.
 
-A pair of frames becomes a geometry_msgs/TransformStamped topic: odometry that exists only in /tf, a SLAM pose, a
-reference. Frames that are not neighbours are chained, the slower transforms interpolated to the times of the
-fastest one (as tf2 does: positions linearly, rotations along the shorter way).
+A pair of frames becomes a geometry_msgs/TransformStamped topic, for example odometry that exists only in /tf, a
+SLAM pose or a reference. Transforms between frames that are not neighbours are chained. The slower transforms are
+interpolated to the times of the fastest one, as tf2 does: positions linearly, rotations along the shorter way.
 
-Tags that a detector publishes as frames of its camera become the topic "/tf:camera_optical:tags".
+If a detector publishes tags as child frames of its camera, they become the topic "/tf:camera_optical:tags".
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ def edges_of(
 def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> clocks.MadeStream:
     """Return the pose of one frame in another, "/tf:odom:base_link", as a stream of TransformStamped.
 
-    Its times are those of the most frequent transform between the two. Raises LocfuseError if no moving transform
-    connects them.
+    Its times are those of the most frequent moving transform between both frames. Raises LocfuseError if there is
+    no moving transform between them.
     """
     pair = pair_of(topic)
     assert pair is not None
@@ -113,7 +113,7 @@ def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -
         raise LocfuseError(f"{source}: {child} never moves in {parent}: both are on one rigid body")
     main = max(moving, key=lambda edge: (edge.moves, len(edge.stamp)))
     t_ns = main.clock.t_ns
-    inside = np.ones(len(t_ns), dtype=bool)  # times within the span of all other moving transforms
+    inside = np.ones(len(t_ns), dtype=bool)  # mask of times within the time spans of all other moving transforms
     for other in moving:
         if other is not main and other.moves:
             inside &= (t_ns >= other.clock.t_ns[0]) & (t_ns <= other.clock.t_ns[-1])
@@ -161,7 +161,7 @@ def _at(edge: FrameEdge, t_ns: Ints) -> Array:
     """Return the transforms (n, 4, 4) of an edge, interpolated at times t_ns (n,) within its span."""
     rows = edge.clock.rows
     values = edge.values if rows is None else edge.values[rows]
-    last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one is used
+    last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several transforms at one time, the last one is used
     at, values = edge.clock.t_ns[last], values[last].copy()
     signs = np.where((values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0.0, -1.0, 1.0)
     values[1:, 3:] *= np.cumprod(signs)[:, None]  # q and -q are one rotation: interpolate along the shorter way
@@ -188,9 +188,9 @@ TAGS = "locfuse/msg/TagFrames"  # id, x, y, z [m] in the camera's optical axes (
 OF_CAMERA = "tags"  # the last part of "/tf:camera_optical:tags"
 NUMBERED = re.compile(r"^(.*?)(\d+)$", re.DOTALL)
 MAX_ID = 2**62
-# does not match "stage"
+# the pattern must not match "stage"
 TAG_NAME = re.compile(r"tags?(?![a-z])|marker|aruco|april|fiducial|landmark|beacon|\d+h\d+")
-MIN_UPRIGHT_SHARE = 0.7  # vertical component of a frame's z axis, above which its z axis is up as in a body frame
+MIN_UPRIGHT_SHARE = 0.7  # vertical component of the z axis; above it, a frame has body axes (z up)
 
 
 def number_of(frame: str) -> int | None:
@@ -200,7 +200,7 @@ def number_of(frame: str) -> int | None:
 
 
 def named_as_tag(frame: str) -> bool:
-    """Return whether a frame's name is that of a tag with a number."""
+    """Return whether a frame has a name that is typical of a tag, with a number at its end."""
     name = frame.rpartition("/")[2].lower()
     return number_of(name) is not None and TAG_NAME.search(name) is not None
 
@@ -208,8 +208,8 @@ def named_as_tag(frame: str) -> bool:
 def in_optical_axes(p: Array, frame: str, transforms: StaticTransforms) -> Array:
     """Return positions (n, 3) [m] in a camera's frame as positions in optical axes (x right, y down, z ahead).
 
-    The frame counts as optical if its name has "optical", else if its z axis is not upright in its root frame.
-    Without a root: if more positions are ahead along z than along x.
+    The frame has optical axes if its name contains "optical", else if its z axis is not upright in its root frame.
+    If it has no root frame: if more positions have z > 0 than x > 0.
     """
     above = ancestors(transforms, frame)
     if "optical" in frame.lower():
@@ -224,7 +224,7 @@ def in_optical_axes(p: Array, frame: str, transforms: StaticTransforms) -> Array
 def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> clocks.MadeStream:
     """Return the tags seen by a camera as a stream, one row per sighting: id, and x, y, z [m] in optical axes.
 
-    A transform exactly equal to the previous one of its tag is no new sighting and dropped.
+    A transform exactly equal to the previous one of its tag is not a new sighting, and is dropped.
     """
     camera = edges[0].parent
     recorded, stamps = (np.concatenate([getattr(e, name) for e in edges]) for name in ("log_time", "stamp"))
@@ -248,10 +248,10 @@ def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTr
 
 
 def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[FrameEdge]:
-    """Return the transforms of tags in a camera frame: of all frames whose name ends in a number.
+    """Return the transforms of tags in a camera frame: those of frames whose name ends in a number.
 
-    If some of these are named like tags ("tag_3"), only those. Frames that never move relative to the camera are
-    parts of the robot and left out.
+    If some of these names are typical of tags ("tag_3"), only these are returned. Frames that never move relative
+    to the camera are parts of the robot and are left out.
     """
     found = [
         edge

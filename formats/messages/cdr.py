@@ -1,9 +1,10 @@
 """Decoding of CDR and ROS 1 messages into columns: one field of all messages of a chunk at a time.
 
-The layout of a message depends only on the length words of its strings and arrays. Messages are grouped by layout:
-the first of a group is parsed (`read_layout`), the length words of all others are compared with its words at once,
-and each wanted field is then gathered from the chunk at once. The length of an array of numbers at a message's end
-(an image's bytes) may differ within a group. Each new layout costs time: unusual messages are slow, never wrong.
+The layout of a message depends only on the length words of its strings and arrays. So messages are grouped by
+layout. The first message of a group is parsed (`read_layout`), and the length words of all others are compared
+with its words at once. Then each wanted field of the group is gathered from the chunk at once. Only an array of
+numbers at the end of a message (the bytes of an image) may differ in length within a group. Each new layout costs
+time: unusual messages are decoded slowly, but correctly.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class LayoutRules(NamedTuple):
 CDR = LayoutRules(header=4, aligned=True, nul=1, spare=3)  # OMG DDSI-RTPS, plain CDR as in ROS 2
 ROS1 = LayoutRules(header=0, aligned=False, nul=0, spare=0)
 
-# The wanted parts of a message: field name -> its wanted parts, or the dotted path of a wanted leaf.
+# Wanted parts of a message: field name -> wanted parts of the field, or its dotted path if it is a wanted leaf.
 Wanted = Mapping[str, "Wanted | str"]
 
 
@@ -60,17 +61,17 @@ class Leaf(msgspec.Struct):
 class Tail(NamedTuple):
     """An array of numbers of variable length at the end of a message."""
 
-    spot: int  # offset of its length word
-    start: int  # offset of its elements
+    spot: int  # offset of the array's length word
+    start: int  # offset of the first element
     size: int  # bytes of an element
     path: str | None  # field path if it is wanted
 
 
 class Layout(msgspec.Struct, frozen=True, eq=False):
-    """The byte offsets of the wanted fields in all messages of equal length and equal length words.
+    """Byte offsets of the wanted fields, for all messages with equal length and equal length words.
 
-    These messages have `length` bytes, and `words` (lengths of strings and arrays) at the byte offsets `spots`.
-    With a tail, its length word is not in `words` and the message length depends on it.
+    These messages have `length` bytes, and `words` (lengths of strings and arrays) at the byte offsets `spots`. If
+    there is a tail, its length word is not in `words`, and message lengths may differ.
     """
 
     length: int
@@ -155,7 +156,7 @@ class _LayoutWalk:
         (n,) = self.word.unpack_from(self.payload, self.at)
         self.spots.append(self.at)
         self.at += 4
-        self.room(n)  # every element takes a byte or more
+        self.room(n)  # an element takes at least one byte
         return int(n)
 
     def _store_leaf(self, wanted: Wanted | str | None, count: int) -> None:
@@ -192,7 +193,7 @@ class _LayoutWalk:
         size = _fixed_run(node.element, count, self._phase(), self.rules.aligned)
         if size is None:
             self.items += count
-            if self.items > MAX_ITEMS:  # for any wanted fields, so that validity does not depend on them
+            if self.items > MAX_ITEMS:  # independent of the wanted fields, so that validity is too
                 raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
         else:
             self.room(size)
@@ -228,7 +229,7 @@ def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
 
 @lru_cache(maxsize=4096)
 def _fixed_run(element: Node, count: int, phase: int, aligned: bool) -> int | None:
-    """Return the size [bytes] of `count` successive elements with alignment; None if it varies."""
+    """Return the size [bytes] of `count` successive elements with alignment; None if the size varies."""
     if count < 2:
         return fixed_size(element, phase, aligned) if count else 0
     first = _fixed_run(element, count // 2, phase, aligned)
@@ -242,8 +243,8 @@ def _fixed_run(element: Node, count: int, phase: int, aligned: bool) -> int | No
 
 Bytes = NDArray[np.uint8]
 
-MAX_LAYOUTS = 64  # kept between chunks
-MAX_GROUPS = 64  # new layouts per chunk; then each message is parsed by itself
+MAX_LAYOUTS = 64  # layouts kept from chunk to chunk
+MAX_GROUPS = 64  # new layouts per chunk; after these, each message is parsed alone
 MAX_GATHERED_WORDS = 1 << 21  # length words compared in one operation
 
 
@@ -295,7 +296,7 @@ class Decoder(MessageDecoder):
     def _groups(
         self, data: Bytes, start: Ints, length: Ints, request: Request
     ) -> tuple[list[Group], Counter[str]]:
-        """Return the messages in groups of equal layout, and reason -> number of malformed ones."""
+        """Return the messages in groups of equal layout, and reason -> number of malformed messages."""
         rows = np.arange(len(start))
         groups: list[Group] = []
         for layout in list(request.layouts):
@@ -315,7 +316,8 @@ class Decoder(MessageDecoder):
     ) -> tuple[list[Group], Counter[str]]:
         """Group messages `rows` of unknown layout; return the groups, and reason -> number of malformed messages.
 
-        The first message is parsed, all others of its layout are collected, and so on with the rest.
+        The first message is parsed, and all messages with its layout form a group. This repeats with the other
+        messages.
         """
         groups: list[Group] = []
         bad: Counter[str] = Counter()
@@ -382,7 +384,7 @@ def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
 
 def _leaf(data: Bytes, start: Ints, group: Group, part: FieldPart) -> Column:
     """Return one field of a group's messages as a column."""
-    # without messages only the column's type matters: take any offset
+    # without messages only the type of the column matters, so any offset will do
     leaf = group.layout.leaves.get(part.path, Leaf() if len(start) else Leaf([0], [0]))
     node = part.node
     if isinstance(node, Scalar):
@@ -402,7 +404,7 @@ def _leaf(data: Bytes, start: Ints, group: Group, part: FieldPart) -> Column:
 
 
 def _arrays(data: Bytes, start: Ints, group: Group, leaf: Leaf, element: Scalar) -> Column:
-    """Return the numbers of all arrays inside an array, concatenated."""
+    """Return for each message the numbers of all inner arrays of an array, concatenated."""
     counts = np.array(leaf.counts, np.int64)
     begin = np.repeat(np.array(leaf.offsets, np.int64), counts)
     inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -446,7 +448,10 @@ def _stored(dtype: str, little: bool) -> str:
 
 
 def _native(values: NDArray[Any], dtype: str) -> NDArray[Any]:
-    """Return values in the machine's byte order; signalling NaNs become quiet, of which no computation warns."""
+    """Return values in the byte order of the machine.
+
+    Signalling NaNs become quiet NaNs, so that no later computation warns.
+    """
     native = values != 0 if dtype == "?" else values.astype(dtype, copy=False)
     if native.dtype.kind == "f":
         native[np.isnan(native)] = np.nan
@@ -470,7 +475,7 @@ def _texts(data: Bytes, start: Ints, leaf: Leaf) -> list[tuple[str, ...]]:
 
 
 def _text(data: Bytes, at: Ints, n: int) -> list[str]:
-    """Return the strings of n bytes at the offsets `at` (k,): k strings, or a single one if all are equal."""
+    """Return the strings of n bytes at offsets `at` (k,): k strings, or only one if all are equal."""
     if not n:
         return [""]
     rows = view(data, f"V{n}", at).view(np.uint8).reshape(len(at), n)

@@ -1,4 +1,4 @@
-"""Dotted field paths ("header.stamp"): lookup in a message type, and check of the kind of field."""
+"""Dotted field paths ("header.stamp"): lookup in a message type, and check of the kind of a field."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ class FieldPart(NamedTuple):
 
     path: str
     node: Node
-    inside: bool  # in an array of structures: one value per element
-    depth: int = 0  # number of nested arrays around it
+    inside: bool  # whether it is in an array of structures: one value per element
+    depth: int = 0  # number of nested arrays around the field
 
 
-LENGTH = "length"  # last name of a path to the lengths of arrays in an array: "echoes.ranges.length"
-OR = "|"  # between alternative names of a field in releases of a package: "k|K"
+LENGTH = "length"  # last name of the path to the lengths of inner arrays: "echoes.ranges.length"
+OR = "|"  # separates the names of a field in different releases of a package: "k|K"
 
 
 def resolve(message: Structure, path: str) -> tuple[FieldPart, ...]:
-    """Return the parts of a field path; of alternatives "a|b", those of the first that the message has.
+    """Return the parts of a field path; of alternatives "a|b", those of the first one in the message.
 
-    Raises FieldError with the most similar name if it has none. Arrays inside an array become one concatenated
-    column; `PATH.length` has the length of each.
+    Raises FieldError, with the most similar name, if there is no such field. Arrays inside an array become one
+    concatenated column; `PATH.length` has the length of each array.
     """
     *earlier, last = path.split(OR)
     for name in (path, *earlier) if earlier else ():  # a field's own name may contain "|"
@@ -76,12 +76,12 @@ def _no_field(node: Structure, walked: list[str], name: str) -> str:
 
 
 def stamp_path(message: Structure) -> str | None:
-    """Return the path of the message's stamp; None without one."""
+    """Return the path of the message's stamp; None if it has no stamp."""
     return next((path for path in STAMPS if len(_resolved(message, path)) == 2), None)
 
 
 def frame_path(message: Structure) -> str | None:
-    """Return the path of the message's frame_id; None without one."""
+    """Return the path of the message's frame_id; None if it has no frame_id."""
     found = ((path, _resolved(message, path)) for path in FRAMES)
     return next((path for path, parts in found if parts and isinstance(parts[0].node, Text)), None)
 
@@ -93,9 +93,9 @@ def _resolved(message: Structure, path: str) -> tuple[FieldPart, ...]:
         return ()
 
 
-# --- Kinds of column: that of a field by its definition, and those that locfuse can use
-# A log may define a message type unlike its standard definition (a LaserScan whose `ranges` is one number). The
-# field is then refused before anything is decoded.
+# --- Kinds of column: the kind of a field by its definition, and the kinds that locfuse accepts
+# The definition of a type in a log may differ from the standard (a LaserScan whose `ranges` is one number). Such a
+# field is refused before decoding.
 
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
@@ -105,7 +105,7 @@ THIRTY_SIX = "36 numbers"
 XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
 WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
 GAZEBO = ("ModelStates", "LinkStates")
-FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # prefixes of Foxglove's types: in Protobuf and JSON, in ROS
+FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # prefixes of Foxglove's types in Protobuf and JSON, and in ROS
 
 
 def words(text: str) -> list[str]:

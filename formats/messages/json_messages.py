@@ -1,6 +1,6 @@
-"""Decoding of JSON messages into columns, and columns of Python objects (also for Protobuf).
+"""Decoding of JSON messages into columns; conversion of Python objects to columns (also for Protobuf).
 
-A missing value becomes NaN, "" or an empty array; an invalid time becomes 0, which logs.clock replaces.
+A missing value becomes NaN, "" or an empty array. An invalid time becomes 0; logs.clock replaces such times.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ def column(objects: list[dict[str, Any]], path: str, parts: tuple[FieldPart, ...
 
 
 def _nested(part: FieldPart, objects: list[dict[str, Any]]) -> Column:
-    """Return the arrays inside an array as a column: for each message, their numbers or strings in one row.
+    """Return the inner arrays of an array as a column: all their numbers or strings of a message in one row.
 
-    For the field "PATH.length" return their lengths instead.
+    For a field "PATH.length", return the lengths of the inner arrays.
     """
     found = [_at(one, part.path.split(".")) for one in objects]
     rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
@@ -75,7 +75,7 @@ def _nested(part: FieldPart, objects: list[dict[str, Any]]) -> Column:
 
 
 def _flat(values: list[Any], depth: int) -> list[Any]:
-    """Return values in `depth` nested lists as one list."""
+    """Return the values of lists nested `depth` deep as one list."""
     for _ in range(depth - 1):
         values = [v for one in values if isinstance(one, list) for v in one]
     return values
@@ -173,7 +173,7 @@ def parse_jsonschema(name: str, text: str) -> Structure:
 
 
 def _node(name: str, schema: Any, depth: int) -> Node | None:
-    """Return a part of a JSON schema as a tree; None for unsupported kinds."""
+    """Return a part of a JSON schema as a tree; None if its kind is not supported."""
     if not isinstance(schema, Mapping) or depth > MAX_DEPTH:
         return None
     kind = schema.get("type")

@@ -1,7 +1,8 @@
 """Decoding of Protobuf messages, such as Foxglove's, into columns. A missing field is zero, "" or empty.
 
-Encoding: https://protobuf.dev/programming-guides/encoding. As Protobuf demands, unknown fields and fields of
-another wire type than defined are skipped, and the last value of a repeated single field is used.
+Encoding: https://protobuf.dev/programming-guides/encoding. As Protobuf requires, unknown fields are skipped, and
+fields whose wire type differs from their definition. If a single field occurs several times, its last value
+counts.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ SHORT = "shorter than its type"
 
 
 def varint(data: bytes, at: int, end: int) -> tuple[int, int]:
-    """Return the varint at an offset (seven bits per byte, lowest first), and its end offset."""
+    """Return the varint at an offset (seven bits per byte, lowest bits first), and its end offset."""
     value = shift = 0
     for i in range(at, min(end, at + MAX_VARINT)):
         byte = data[i]
@@ -52,7 +53,7 @@ def varint(data: bytes, at: int, end: int) -> tuple[int, int]:
 def walk(data: bytes, at: int, end: int) -> Iterator[tuple[int, int, int, int]]:
     """Yield (number, wire type, start, end) of each field of the message data[at:end]. Raises MalformedError.
 
-    For text, bytes and messages, start and end are those of the content.
+    For text, bytes and nested messages, start and end are the offsets of the content.
     """
     while at < end:
         tag, at = (data[at], at + 1) if data[at] < 0x80 else varint(data, at, end)
@@ -100,7 +101,7 @@ NUMBERS: dict[int, tuple[int, str]] = {
 
 
 class Field(msgspec.Struct, frozen=True, eq=False):
-    """A field of a message type; dtypes z4 and z8 are integers in zigzag coding."""
+    """A field of a message type; the dtypes z4 and z8 are integers in zigzag encoding."""
 
     name: str
     wire: int
@@ -154,7 +155,10 @@ def _types(scope: str, types: Sequence[bytes], depth: int) -> Iterator[tuple[str
 
 
 def _message(name: str, described: Mapping[str, bytes]) -> Message:
-    """Return a message type with its nested types, each built once, without groups (deprecated since 2008)."""
+    """Return a message type with its nested types.
+
+    Each type is built once. Groups (deprecated since 2008) are left out.
+    """
     made = {name: Message(name)}
     waiting = [name]
     while waiting:
@@ -187,7 +191,10 @@ def _name(data: bytes, number: int) -> str:
 
 
 def _tree(message: Message, above: tuple[str, ...], made: dict[str, Structure]) -> Structure:
-    """Return the tree of a type, built once, without fields of its own type or of a type in `above`."""
+    """Return the tree of a type, which is built once.
+
+    Fields of its own type, or of a type in `above`, are left out: such trees would have no end.
+    """
     if len(above) > MAX_DEPTH:
         raise SchemaError(f"its definition nests more than {MAX_DEPTH} structures")
     if message.name not in made:
@@ -212,7 +219,7 @@ def _node(one: Field, above: tuple[str, ...], made: dict[str, Structure]) -> Nod
 
 # --- Messages
 
-# The wanted parts of a message: field name -> its wanted parts, {} for a whole value.
+# Wanted parts of a message: field name -> wanted parts of the field; {} for its whole value.
 Wanted = Mapping[str, "Wanted"]
 Value = Any
 NOTHING: Wanted = {}
@@ -327,7 +334,7 @@ def _defaults(kind: Message, wanted: Wanted) -> dict[str, Value]:
 
 
 def _number(value: int, dtype: str) -> float:
-    """Return the number of `dtype` in a 64-bit varint; 32-bit types use its lower half."""
+    """Return the number of `dtype` in a 64-bit varint; 32-bit types use the lower 32 bits."""
     if dtype == "?":
         return bool(value)
     bits = 32 if dtype[1] == "4" else 64

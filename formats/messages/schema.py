@@ -33,7 +33,7 @@ DTYPES = {
 TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
 FILLER = "structure_needs_at_least_one_member"  # field for the byte of an empty message in CDR
 DIVIDER = re.compile(r"^={20,}\s*$", re.MULTILINE)
-EXPRESSION = re.compile(r"\[|=+")  # beginning of an expression in IDL; a divider counts once
+EXPRESSION = re.compile(r"\[|=+")  # beginning of an expression in IDL; a divider line (===) counts once
 
 
 class SchemaError(ValueError):
@@ -52,7 +52,7 @@ class Text(msgspec.Struct, frozen=True, eq=False):
 
 
 class Many(msgspec.Struct, frozen=True, eq=False):
-    """An array: `count` elements, or (None) a number of elements that each message gives in a length word."""
+    """Array with `count` elements; None: each message gives the number in a length word."""
 
     element: Node
     count: int | None
@@ -97,7 +97,7 @@ def parse(name: str, encoding: str, text: str, filler: bool = True) -> Structure
 
 
 def refuse_many_fields(tree: Structure) -> None:
-    """Raise SchemaError for a message with more than MAX_FIELDS fields, nested types counted at every use."""
+    """Raise SchemaError if a message has more than MAX_FIELDS fields; nested types count at every use."""
     fields = count_fields(tree, {})
     refuse_above(
         f"its definition of {tree.name} unfolds to too many fields", fields, MAX_FIELDS, error=SchemaError
@@ -105,7 +105,7 @@ def refuse_many_fields(tree: Structure) -> None:
 
 
 def count_fields(node: Node, known: dict[int, int]) -> int:
-    """Return the number of fields of a tree; `known` caches id of a structure -> number."""
+    """Return the number of fields of a tree; `known` is a cache, id of a structure -> number."""
     if isinstance(node, Many):
         return count_fields(node.element, known)
     if not isinstance(node, Structure):
@@ -116,7 +116,7 @@ def count_fields(node: Node, known: dict[int, int]) -> int:
 
 
 def refuse_large(name: str, encoding: str, text: str) -> None:
-    """Raise SchemaError for a definition that would take the parser minutes."""
+    """Raise SchemaError for a definition that the parser would need minutes for."""
     lines = sum(1 for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
     expressions = len(EXPRESSION.findall(text)) if encoding == "ros2idl" else 0
     for found, cap, unit in (
@@ -141,16 +141,16 @@ def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
 
 
 class _Trees:
-    """Builds the tree of each type in a definition once; uses of a type share it."""
+    """Builds the tree of each type in a definition once; all uses of a type share this tree."""
 
     def __init__(self, types: Typesdict, filler: bool) -> None:
         self._types = types
         self._filler = {FILLER: Scalar("u1", 1)} if filler else {}
         self._made: dict[str, Structure] = {}
-        self._height: dict[str, int] = {}  # levels of nested structures of each tree
+        self._height: dict[str, int] = {}  # type -> depth of the nested structures in its tree
 
     def record(self, name: str, depth: int) -> Structure:
-        """Return the tree of type `name`, used inside `depth` outer structures.
+        """Return the tree of type `name` at the nesting depth `depth`.
 
         Raises SchemaError if structures are nested deeper than MAX_DEPTH.
         """
@@ -185,7 +185,7 @@ class _Trees:
 
 
 def signature(node: Node) -> object:
-    """Return a hashable value, equal for trees with equal columns."""
+    """Return a hashable value that is equal for trees with equal columns."""
     if isinstance(node, Structure):
         return tuple((name, signature(part)) for name, part in node.fields.items())
     if isinstance(node, Many):
@@ -207,7 +207,7 @@ class Decoded(NamedTuple):
 class MessageDecoder(ABC):
     """Decodes messages of one type into columns.
 
-    Whether a message is valid must not depend on which of its fields are decoded.
+    Whether a message is valid must not depend on the decoded fields.
     """
 
     def __init__(self, message: Structure) -> None:

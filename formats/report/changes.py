@@ -1,4 +1,4 @@
-"""changes.json and changes.md: the figures of two reports compared, per configuration."""
+"""changes.json and changes.md: comparison of the error figures in two reports, per configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COLUMNS = texts("configuration", "figure", "before", "after", "change", left=2)
 
 
 def changes(before: Report, after: Report) -> dict[str, Any]:
-    """Return the change of each figure between two reports, and changed settings, inputs and versions."""
+    """Return the change of each error figure between two reports, and changed settings, inputs and versions."""
     a, b = before["configurations"], after["configurations"]
     was, now = dict(_flat(before["settings"])), dict(_flat(after["settings"]))
     return {
@@ -32,7 +32,7 @@ def changes(before: Report, after: Report) -> dict[str, Any]:
 
 
 def judged_by(report: Report) -> str | None:
-    """Return "truth", or the sensors of the reference solution used instead; None if neither exists."""
+    """Return "truth", or "a reference of" and its sensors if that was used instead; None if neither exists."""
     if report.get("truth") is not None:
         return "truth"
     reference = report.get("reference")
@@ -62,7 +62,7 @@ def _flat(tables: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
 
 
 def table(found: Mapping[str, Any]) -> Table:
-    """Return the main figures of both results, before and after, as a table."""
+    """Return the main error figures of both results, before and after, as a table."""
     rows = (
         (name, column.heading, *_before_after_change(column, figures[column.key]))
         for name, figures in found["configurations"].items()
@@ -73,7 +73,7 @@ def table(found: Mapping[str, Any]) -> Table:
 
 
 def _before_after_change(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str, str]:
-    """Return a figure before, after, and its relative change, as text: "0.12 m", "0.09 m", "-25.0%"."""
+    """Return an error figure before, after, and its relative change, as text: "0.12 m", "0.09 m", "-25.0%"."""
     share, change = figure["share"], ""
     if share is not None:
         change = "=" if share == 0.0 else f"{share:+.1%}" if abs(share) < 10.0 else f"x {share + 1:.3g}"
@@ -81,7 +81,7 @@ def _before_after_change(column: Column, figure: Mapping[str, float | None]) -> 
 
 
 def remarks(found: Mapping[str, Any]) -> list[str]:
-    """Return the differences of input, version, reference, settings and configurations, a line each."""
+    """Return the differences of input, version, reference, settings and configurations, one line each."""
     lines = []
     if not found["same_input"]:
         lines.append("different input: {} and {}".format(*found["inputs"]))

@@ -1,4 +1,4 @@
-"""Findings as sentences for all output formats: the problem, the tried fix and its effect."""
+"""Findings as sentences for all output formats: the problem, the fix that was tried, and its effect."""
 
 from __future__ import annotations
 
@@ -10,20 +10,23 @@ from typing import Any, NamedTuple
 
 CLAUSE_END = re.compile(r"; |, but ")
 MIN_HEADING_CHANGE = 0.2  # share of the heading error; smaller changes are not shown
-MIN_SCORE_CHANGE_NATS = 0.02  # per number; predictions that differ by less are equal
+MIN_SCORE_CHANGE_NATS = 0.02  # per number; a smaller change is shown as no change
 MAX_ANEES = 50.0  # larger ones are shown as "over 50"
 
 
 class Warned(NamedTuple):
-    """A warning to show in a box: why figures are void or doubtful."""
+    """A warning to show in a box: why error figures are void (not valid) or doubtful."""
 
     kind: str  # "Void", "Warning"
-    at: int  # its index in report["validity"]
-    finding: Mapping[str, Any] | None  # that says it, with its fix; None: there is none
+    at: int  # index of the warning in report["validity"]
+    finding: Mapping[str, Any] | None  # the finding with the same problem and its fix; None if there is none
 
 
 def warnings_of(report: Mapping[str, Any]) -> list[Warned]:
-    """Return the warnings of a report that its headline lacks; a finding that says several is given once."""
+    """Return the warnings of a report that its headline does not contain.
+
+    If one finding covers several warnings, only the first of these is returned.
+    """
     headline, said, found = report.get("headline") or "", list[Any](), list[Warned]()
     for i, warning in enumerate(report.get("validity") or ()):
         finding = next((f for f in report.get("findings") or () if _says(f, warning)), None)
@@ -34,7 +37,7 @@ def warnings_of(report: Mapping[str, Any]) -> list[Warned]:
 
 
 def banner_of(report: Mapping[str, Any]) -> list[str]:
-    """Return the warnings of a report as lines; with its fix where a finding has one."""
+    """Return the warnings of a report as lines, each with the finding and fix that belong to it, if any."""
     return [
         f"{kind}: {report['validity'][at]['message']}." if finding is None else f"{kind}: {sentence(finding)}"
         for kind, at, finding in warnings_of(report)
@@ -42,7 +45,7 @@ def banner_of(report: Mapping[str, Any]) -> list[str]:
 
 
 def _says(finding: Mapping[str, Any], warning: Mapping[str, Any]) -> bool:
-    """Return whether a finding says what a warning of doubtful figures does."""
+    """Return whether a finding and a warning (of doubtful figures) are about the same problem."""
     role, _, words = warning["message"].partition(": ")
     return (
         not warning.get("void", True)
@@ -52,18 +55,18 @@ def _says(finding: Mapping[str, Any], warning: Mapping[str, Any]) -> bool:
 
 
 def without_correlation(words: str) -> str:
-    """Return a finding's words without how closely two signals agreed."""
+    """Return a finding's text without the correlation of two signals in brackets."""
     return re.sub(r" \(correlation [^()]*\)", "", words)
 
 
 def unwarned(report: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the findings that no printed warning says."""
+    """Return the findings whose problem is in no printed warning."""
     printed = [report["validity"][warning.at] for warning in warnings_of(report)]
     return [f for f in report.get("findings") or () if not any(_says(f, warning) for warning in printed)]
 
 
 def void_reasons(report: Mapping[str, Any]) -> list[str]:
-    """Return the reasons why figures are void; with any, the command exits with code 3."""
+    """Return the reasons why error figures are void; if there are any, the command exits with code 3."""
     return [v["message"] for v in report.get("validity") or () if v["void"]]
 
 
@@ -76,7 +79,7 @@ def sentence(finding: Mapping[str, Any], brief: bool = False) -> str:
 
 
 def in_parts(finding: Mapping[str, Any], brief: bool = False) -> tuple[str, str]:
-    """Return a finding's sentence and the command-line options that fix it, "" without a fix."""
+    """Return a finding's sentence, and the command-line options of its fix; "" if it has none."""
     words = finding["message"].rstrip(". ")
     head = f"{finding['role']}: {CLAUSE_END.split(words)[0] if brief and finding['fixes'] else words}."
     if not finding["fixes"]:
@@ -116,13 +119,13 @@ def options(fixes: Sequence[str]) -> str:
 
 
 def together(report: Mapping[str, Any]) -> str | None:
-    """Return a line with the options of all fixes; None if fewer than two findings have a fix."""
+    """Return a line with the options of all fixes together; None if fewer than two findings have a fix."""
     fixed = [f for f in report.get("findings") or () if f["fixes"]]
     return f"All fixes together: {options(report['fixes'])}" if len(fixed) > 1 else None
 
 
 def effect_of(tried: Mapping[str, Any], brief: bool) -> str:
-    """Return the effect of a tried fix on the figures: "error 31 -> 3.9 mm, ANEES 29 -> 0.67"."""
+    """Return the effect of a tried fix on the error figures: "error 31 -> 3.9 mm, ANEES 29 -> 0.67"."""
     before, after = tried["before"], tried["after"]
     parts = []
     if before["lost_share"] != after["lost_share"]:
@@ -169,16 +172,19 @@ def length(metres: float) -> str:
 
 
 def in_one_unit(words: str) -> str:
-    """Return a text whose lengths are in m if any of them is: "87 mm ... 1.20 m" -> "0.087 m ... 1.20 m"."""
+    """Return a text whose lengths are all in m if one of them is.
+
+    "87 mm ... 1.20 m" -> "0.087 m ... 1.20 m".
+    """
     if not LENGTH_M.search(words):
         return words
     return LENGTH_MM.sub(lambda found: f"{float(found[1]) / 1000.0:.2g} m", words)
 
 
-# --- Notes: notes that differ only in numbers or names are merged into one
+# --- Notes; those that differ only in numbers or names are merged into one note
 
 LENGTH_M, LENGTH_MM = re.compile(r"\d m\b"), re.compile(r"\b([\d.]+) mm\b")
-NUMBER = re.compile(r"(?<![\w@])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?[%°]?")  # no digits of a name: lrf2, lrf@2Hz
+NUMBER = re.compile(r"(?<![\w@])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?[%°]?")  # not the digits of a name (lrf2, lrf@2Hz)
 
 
 def title_of(report: Mapping[str, Any]) -> str:
@@ -199,9 +205,9 @@ def notes_of(report: Mapping[str, Any]) -> list[str]:
 
 
 def _grouped(notes: Iterable[tuple[str, str, str]]) -> Iterable[dict[str, str]]:
-    """Group notes (source, form, words) that have an equal form; return each group as source -> words.
+    """Group notes (source, form, words) by their form; return each group as source -> words.
 
-    If a source has several notes of one form, the k-th of each source are grouped.
+    If a source has several notes of one form, the k-th notes of all sources are one group.
     """
     found: dict[tuple[str, int], dict[str, str]] = {}
     times: Counter[tuple[str, str]] = Counter()
@@ -212,21 +218,22 @@ def _grouped(notes: Iterable[tuple[str, str, str]]) -> Iterable[dict[str, str]]:
 
 
 def _without_numbers(words: str) -> str:
-    """Return the words with "#" for each number: notes that differ only in numbers become equal."""
+    """Return the words with "#" in place of each number: notes that differ only in numbers become equal."""
     return NUMBER.sub("#", words)
 
 
 def _of_log(notes: Sequence[str]) -> list[str]:
-    """Return the log's notes; equal notes on several streams are merged into one with all their names."""
+    """Return the notes on the log; equal notes on several streams become one note with all stream names."""
     parted = (("", "", note) if ": " not in note else note.partition(": ") for note in notes)
     found = _grouped((name, _without_numbers(words) if name else words, words) for name, _, words in parted)
     return [f"{', '.join(own)}: {_with_others(own)}" if "" not in own else own[""] for own in found]
 
 
 def _named(own: Mapping[str, str]) -> str:
-    """Merge notes, configuration -> note, into one that begins with the configurations: "lrf, gps: ...".
+    """Merge notes (configuration -> note) into one that begins with the configurations: "lrf, gps: ...".
 
-    If the first note already begins with its configuration, those with an equal note are named at its end.
+    If the first note already begins with its configuration, the names of configurations with an equal note follow
+    at its end.
     """
     first, *others = own
     words = _with_others(own)
@@ -237,7 +244,10 @@ def _named(own: Mapping[str, str]) -> str:
 
 
 def _with_others(own: Mapping[str, str]) -> str:
-    """Return the first of several notes; numbers that differ in others follow in brackets: "0.4 m (lrf: 0.5)"."""
+    """Return the first of several notes, with differing numbers of the others in brackets.
+
+    Example: "0.4 m (lrf: 0.5)".
+    """
     first, *others = own
     numbers = {name: iter(NUMBER.findall(words)) for name, words in own.items()}
 

@@ -1,4 +1,4 @@
-"""The words of a report, explained once: at the end of report.html, and by `locfuse explain TERM`."""
+"""Glossary of a report: shown at the end of report.html, and by `locfuse explain TERM`."""
 
 from __future__ import annotations
 

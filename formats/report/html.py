@@ -1,7 +1,7 @@
-"""report.html: one self-contained page: verdicts and table first, then figures, then details.
+"""report.html, one self-contained page: first verdicts and main table, then figures, then details.
 
-Every number is a <data> element with its path in report.json (RFC 6901), so that tests can compare the two. Text
-from logs is escaped by the template.
+Every number is a <data> element with its path in report.json (RFC 6901), so that tests can compare both files.
+Text from logs is escaped by the template.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 VERDICT_CLASSES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
-SIZES = {1: (860, 500), 2: (WIDTH_PX, HEIGHT_PX), 3: (330, 190)}  # px of a panel by columns in its section
+SIZES = {1: (860, 500), 2: (WIDTH_PX, HEIGHT_PX), 3: (330, 190)}  # columns in the section -> px of a panel
 FIRST_SIZE = (620, 470)  # px of the picture of the paths, beside the verdicts
 FIRST_SECTION = "trajectories"  # the section whose figure is beside the verdicts
 HEADING = re.compile(r'<section id="([\w-]+)">\s*(?:<details>\s*<summary>)?<h2>(.*?)</h2>')
@@ -98,7 +98,7 @@ def page_of(template: Traversable, version: str, swatches: Swatches, script: boo
 
 @cache
 def _compiled(source: str) -> Template:
-    """Return a compiled template, cached: compiling takes as long as rendering a page."""
+    """Return a compiled template. It is cached, since compiling takes as long as rendering a page."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -112,7 +112,10 @@ def _compiled(source: str) -> Template:
 
 
 def figure(report: Mapping[str, Any], path: Sequence[str | int], form: str = "{}") -> Markup:
-    """Return the figure of a report at a JSON path as an HTML <data> element; a dash for null and NaN."""
+    """Return the value at a JSON path of a report as an HTML <data> element.
+
+    null and NaN become a dash.
+    """
     value: Any = report
     for key in path:
         value = value[key]
@@ -132,21 +135,24 @@ def style_sheet(css: str, swatches: Swatches) -> str:
 
 
 def compact(source: str) -> str:
-    """Return JavaScript without comments, indents, line ends and spaces outside strings."""
+    """Return JavaScript without comments and indents, and without line ends and spaces outside strings."""
     lines = (line.strip() for line in source.splitlines())
     parts = re.split(r"""("[^"]*"|`[^`]*`)""", "".join(line for line in lines if not line.startswith("//")))
     return "".join(p if i % 2 else re.sub(r" *([-=+*/<>?:,;{}()&|!]) *", r"\1", p) for i, p in enumerate(parts))
 
 
 def hash_of(script: str) -> str:
-    """Return the Content-Security-Policy hash of this script: browsers then run no other script of the page."""
+    """Return the Content-Security-Policy hash of this script.
+
+    With it, browsers run no other script of the page.
+    """
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     """Return template values of a section: its panels drawn as SVG, by row, and its legend."""
     width, height = FIRST_SIZE if section.name == FIRST_SECTION else SIZES[section.columns]
-    idents = (f"{section.name}-{i}" for i in range(len(section.panels)))  # without any text from a log
+    idents = (f"{section.name}-{i}" for i in range(len(section.panels)))  # they contain no text from a log
     drawn = [
         (p, Markup(svg(p, ident, swatches.slugs, width, height, swatches.looks)))
         for p, ident in zip(section.panels, idents, strict=True)
@@ -156,12 +162,12 @@ def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     keys = {k: p.legend.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}
     scale = {
         k: keys.pop(k) for k in sorted(keys) if k.startswith("level ")
-    }  # a colour scale comes first, in its order
+    }  # the keys of a colour scale come first, in order
     return {"section": section, "rows": rows, "keys": scale | keys}
 
 
 def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
-    """Return path of a position rmse in report.json -> length of its bar, in % of the largest rmse."""
+    """Return the path of each position rmse in report.json -> length of its bar, in % of the largest rmse."""
     key = tables.RMSE.key
     values = {name: v.get(key) for name, v in report["configurations"].items()}
     worst = max((v for v in values.values() if v), default=0.0)
@@ -173,9 +179,9 @@ def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
 
 
 def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
-    """Return sensor -> x positions [px] of the marks in its effect strip, on a log scale; {} without credit.
+    """Return sensor -> x positions [px] of the marks in its effect strip (log scale); {} without credit.
 
-    The marks are the ends of the interval, the value, and "none": the place of no effect.
+    The marks are both ends of the interval, the value, and "none" (no effect).
     """
     credit = report.get("credit")
     if not credit:

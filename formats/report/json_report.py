@@ -1,4 +1,7 @@
-"""report.json and run.json, the interface for other programs. SI units, the unit in the key, null for none."""
+"""report.json and run.json, the interface for other programs.
+
+Values are in SI units, with the unit in the key, unless the key says otherwise (`_deg`); null: there is no value.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from locfuse.fusion.kernels.built import how
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
 
 OPENCV = "opencv-python-headless opencv-python opencv-contrib-python-headless opencv-contrib-python"
-LIBRARIES = {"numpy": ["numpy"], "opencv": OPENCV.split()}  # library -> the distributions that carry it
+LIBRARIES = {"numpy": ["numpy"], "opencv": OPENCV.split()}  # library -> names of its packages (distributions)
 
 
 def report(
@@ -49,7 +52,7 @@ def same_input(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
 
 
 def made_with() -> dict[str, str | None]:
-    """Return the versions (Python, CPU, NumPy, OpenCV, kernels) that affect the last digits of results."""
+    """Return the versions of Python, CPU, NumPy, OpenCV and kernels, which affect the last digits of results."""
     found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
     for name, distributions in LIBRARIES.items():
         found[name] = next((v for d in distributions if (v := installed(d)) is not None), None)
@@ -108,7 +111,7 @@ def _truth(truth: Truth, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Return a value with None for NaN and infinity, and with strings that UTF-8 can encode.
+    """Return a value with None in place of NaN and infinity, and with strings that UTF-8 can encode.
 
     Values inside tables and lists are replaced too, at any depth.
     """

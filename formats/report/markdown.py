@@ -1,4 +1,4 @@
-"""report.md: the comparison as Markdown for a pull request: verdicts and one table, details folded."""
+"""report.md: the comparison as Markdown for a pull request, with verdicts, one table, and folded details."""
 
 from __future__ import annotations
 

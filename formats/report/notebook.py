@@ -54,7 +54,7 @@ class NotebookFigure(NamedTuple):
 def render(report: Mapping[str, Any], spoken: Callable[[str], str] = str) -> str:
     """Return headline, findings, verdicts and main table as HTML; text from the log is escaped.
 
-    `spoken` rewrites command-line options in sentences, e.g. as Python arguments.
+    `spoken` rewrites command-line options in sentences, for example as Python arguments.
     """
     lines = [*banner_of(report), *map(sentence, unwarned(report)), *filter(None, [together(report)])]
     findings = "".join(f"<li>{html_text(spoken(line))}</li>" for line in lines)

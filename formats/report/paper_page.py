@@ -1,4 +1,4 @@
-"""HTML page of `locfuse paper`: the filter as printed in the article and ours, and its figures 12, 13 and 14."""
+"""HTML page of `locfuse paper`: results of the filter as printed in the article and of ours; figures 12 to 14."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ DISTANCES = (
     Column("rms", "rms distance from the path", "m", "{:.3f}"),
     Column("largest", "largest", "m", "{:.3f}"),
 )
-ALL = "all"  # the configuration of all sensors
+ALL = "all"  # configuration with all sensors
 FIGURES = {  # name -> title, columns
     "fig12": ("Figure 12: trajectories under five configurations, our filter", 1),
     "fig12_print": ("Figure 12 by the equations as printed", 1),
@@ -53,7 +53,7 @@ def table(values: Mapping[str, Any]) -> Table:
 
 
 def distances(values: Mapping[str, Any]) -> Table:
-    """Return rms and largest distance [m] from the commanded path for each simulated robot of figure 14."""
+    """Return the rms and largest distance [m] from the commanded path, for each simulated robot of figure 14."""
     rows = ((row, ("figure_14", i)) for i, row in enumerate(values["figure_14"]))
     return of_values(DISTANCES, rows, "Distances from the path in figure 14")
 

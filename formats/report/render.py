@@ -1,6 +1,6 @@
-"""Tables as Markdown, HTML, LaTeX and CSV. Text from logs is escaped by the rules of each format.
+"""Tables as Markdown, HTML, LaTeX and CSV; text from logs is escaped by the rules of each format.
 
-Control characters are made visible in all formats but CSV, which programs read.
+Control characters are made visible in all formats except CSV, which is for programs.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SIGNS = {
     "no effect seen": "■",
     "seems to hurt": "▽",
     "hurts": "▼",
-}  # of a sensor's verdict
+}  # for the verdict on a sensor
 
 
 class Swatches(msgspec.Struct, frozen=True, dict=True):
@@ -78,8 +78,8 @@ def html(
 ) -> str:
     """Return the table as HTML, every number as <data> with its path in report.json (RFC 6901).
 
-    `swatches`: legend symbol before each name. `bars`: path of a cell -> length [%] of the bar below it. `tinted`:
-    names of rows with a coloured background.
+    `swatches`: legend symbols, shown before each name. `bars`: path of a cell -> length [%] of the bar below its
+    value. `tinted`: names of rows with a coloured background.
     """
     classes = ("", *(_class(c, head=True) for c in table.columns[1:]))
     heads = "".join(
@@ -170,7 +170,7 @@ def latex_text(words: str) -> str:
 
 
 def csv(table: Table) -> str:
-    """Return the table as CSV with column keys as headings, full precision, and empty missing values."""
+    """Return the table as CSV in full precision: column keys as headings, missing values empty."""
     return csv_text([c.key for c in table.columns], (row.values() for row in records(table)))
 
 
@@ -178,7 +178,7 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet evaluates cells that
 
 
 def csv_text(heads: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
-    """Return rows of values as CSV, every number in full precision, missing values empty."""
+    """Return rows of values as CSV: numbers in full precision, missing values empty."""
     out = io.StringIO()
     writer = csv_format.writer(out, lineterminator="\n")
     writer.writerow(map(_plain, heads))
@@ -201,7 +201,7 @@ def escape(words: str) -> str:
 
 
 def code(words: str) -> str:
-    """Return a Markdown code span whose fence is longer than any run of backticks in the text."""
+    """Return a Markdown code span; its fence has more backticks than any sequence of them in the text."""
     words = visible(_one_line(words)).replace("|", "\\|")
     fence = "`" * (1 + max((len(run) for run in re.findall(r"`+", words)), default=0))
     pad = " " if words.startswith("`") or words.endswith("`") else ""

@@ -1,8 +1,7 @@
-"""The structure of report.json, run.json and --json output: keys with type, unit and meaning.
+"""Structure of report.json, run.json and --json output: keys with type, unit and meaning.
 
-There may be more keys; `schema_version` grows when one of a report's keys changes its
-meaning. None where a figure does not exist. Lengths are in metres, times in seconds, angles in degrees where the
-key ends in `_deg`.
+A file may contain more keys. `schema_version` grows when a key of a report changes its meaning. Lengths are in
+metres, times in seconds, angles in degrees if the key ends in `_deg`. A figure that does not exist is null.
 """
 
 from __future__ import annotations
@@ -182,7 +181,7 @@ class ReportedTrial(Struct):
 
 
 class Tried(Struct):
-    """Figures of the log without and with a fix."""
+    """Figures of one configuration of the log, before and after a fix."""
 
     configuration: str
     before: ReportedTrial
@@ -271,7 +270,7 @@ class ListedTopic(Struct):
 
 
 class InfoTopic(ListedTopic):
-    """A topic, with what only its messages show: frame, period, gaps, clock and dropped messages."""
+    """Topic with values read from its messages: frame, period, gaps, clock and dropped messages."""
 
     frame: str | None
     period_s: Figure  # median

@@ -1,4 +1,4 @@
-"""summary.json and summary.md: figures of each configuration over several logs."""
+"""summary.json and summary.md: error figures of each configuration over several logs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .table import Column, Table, of_rows
 from .tables import CONFIGURATION, DURATION, MAIN, RMSE
 
 OVER_LOGS = ("mean", "median", "p90", "worst")  # statistics of a figure over the logs
-BRIEF = (RMSE.key, "heading_rmse_deg", "anees")  # on a terminal: OVER_LOGS of the first, the mean of the others
+BRIEF = (RMSE.key, "heading_rmse_deg", "anees")  # on a terminal: all OVER_LOGS of rmse, means of the others
 OF = Column("of", "of", kind="text")
 BEST_IN = Column("best_in", "best in")
 MAX_NAMED_TIES = 3  # configurations named in one sentence
@@ -80,7 +80,7 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
     found = {}
     for key in keys:
         values = {log: float(row[key]) for log, row in rows.items() if row.get(key) is not None}
-        # a consistent filter has ANEES 1: the worst is the one furthest from 1
+        # a consistent filter has ANEES 1, so the worst ANEES is the one furthest from 1
         far = {log: max(v, 1.0 / v if v > 0 else v) if key == "anees" else v for log, v in values.items()}
         worst = max(far, key=lambda log: far[log])
         found[key] = {
@@ -95,21 +95,21 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
 
 
 def _p90_anees(values: Mapping[str, float], far: Mapping[str, float]) -> float:
-    """Return the ANEES at the 90 % quantile, with logs ordered by max(ANEES, 1 / ANEES).
+    """Return the 90 % quantile of ANEES over logs, sorted by max(ANEES, 1 / ANEES).
 
-    `values` is log -> ANEES; `far` is log -> max(ANEES, 1 / ANEES).
+    `values` maps a log to its ANEES, `far` maps it to max(ANEES, 1 / ANEES).
     """
     order = sorted(values, key=lambda log: far[log])
     return values[order[round(0.9 * (len(order) - 1))]]
 
 
 def is_figure(key: str, value: Any) -> bool:
-    """Return whether an entry of a configuration's results is an error figure with a value."""
+    """Return whether an entry (key, value) of a configuration is an error figure that has a value."""
     return isinstance(value, float | int) and not isinstance(value, bool) and key not in NOT_ERRORS
 
 
 def columns_of(summary: Mapping[str, Any]) -> list[Column]:
-    """Return the table columns for those main result numbers that at least one configuration has."""
+    """Return the columns of the main figures that at least one configuration has."""
     rows = [c["figures"] for c in summary["configurations"].values()]
     return [c for c in MAIN if any(c.key in row for row in rows)]
 
@@ -177,7 +177,7 @@ def headline(summary: Mapping[str, Any]) -> str:
     done = [log for log in summary["logs"].values() if log.get("state", "done") == "done"]
     if not done:
         return "No log could be compared."
-    unjudged = [log for log in done if log.get("best") is None]  # no truth, or void
+    unjudged = [log for log in done if log.get("best") is None]  # no truth, or void figures
     if best is None:
         void = any(log.get("void") for log in unjudged)
         without_truth = "None of these logs has a truth: error figures do not exist."
@@ -209,7 +209,7 @@ def _left_out(logs: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _ties(summary: Mapping[str, Any]) -> str:
-    """Return a sentence with the configurations not significantly worse than the best; "" if there are none."""
+    """Return a sentence with the configurations that are not significantly worse than the best; "" if none."""
     ties, of = summary.get("ties") or {}, summary.get("replicates") or {}
     if not ties:
         return ""
@@ -220,7 +220,7 @@ def _ties(summary: Mapping[str, Any]) -> str:
     return f" A tie with {' and '.join([*names, *more])}: {one} {what} cannot tell them apart."
 
 
-Line = tuple[str, str]  # words, and options to type, "" for none
+Line = tuple[str, str]  # text, and command-line options ("": none)
 
 
 def robots(summary: Mapping[str, Any]) -> list[Line]:
@@ -235,7 +235,10 @@ def _of_robot(robot: Mapping[str, Any]) -> list[Line]:
 
 
 def fix_of(robot: Mapping[str, Any]) -> list[Line]:
-    """Return the fix that helps in all logs of a robot, with its effects; if none helps, the settings tried."""
+    """Return the fix that helps in all logs of a robot, with its effects.
+
+    If no fix helps in all logs, return the settings that were tried.
+    """
     helped = [tried for tried in robot["tried"] if tried["helps"]]
     for tried in helped[:1]:
         each = [f"{log} {effect_of(pair, True)}" for log, pair in tried["logs"].items()]
@@ -251,7 +254,7 @@ def _worse(logs: Sequence[str]) -> str:
 
 
 def not_done(summary: Mapping[str, Any]) -> str:
-    """Return the numbers of logs that failed or were not run as text: " 2 failed. 1 were not run."."""
+    """Return a text on the logs that failed or were not run: " 2 failed. 1 were not run."."""
     states = [log.get("state", "done") for log in summary["logs"].values()]
     return "".join(
         f" {states.count(state)} {words}."

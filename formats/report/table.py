@@ -21,18 +21,18 @@ Path = tuple[str | int, ...]
 class Column(msgspec.Struct, frozen=True):
     """A table column: key, heading, unit and number format."""
 
-    key: str  # of its values in report.json, and of the column for programs
+    key: str  # key of the values in report.json; name of the column for programs
     heading: str
     unit: str = ""
     form: str = "{}"  # str.format of a number: decimals, sign, "{:.2%}" for a share in per cent
-    kind: Literal["number", "text", "long", "code"] = "number"  # numbers stand at the right; long text is folded
+    kind: Literal["number", "text", "long", "code"] = "number"  # numbers are right-aligned; long text is folded
     missing: str | None = None  # text of a cell without a value; None: a dash
     brief: str = ""  # the heading on a terminal
     brief_form: str = ""  # number format on a terminal
     shorter: Callable[[str], str] | None = None  # text -> shorter text, for a narrow screen
-    scale: float = 1.0  # units per unit of the value: 1000 where metres are shown in mm
+    scale: float = 1.0  # shown value / stored value: 1000 if metres are shown in mm
     most: float | None = None  # larger numbers are shown as "over 50"
-    rank: int = 0  # on a narrow screen the column of highest rank is left out first; 0: never
+    rank: int = 0  # on a narrow screen, columns of higher rank are left out first; 0: never
 
     def with_unit(self, value: float | None) -> str:
         """Return a number with its unit: "0.12 m"; "-" for None and NaN."""
@@ -48,12 +48,15 @@ class Column(msgspec.Struct, frozen=True):
 
 
 class Cell(NamedTuple):
-    """A table value: text, number, range (low, high), counts by reason or None; and its path in report.json."""
+    """A table value, and its path in report.json.
+
+    The value is a text, a number, a range (low, high), counts by reason, or None.
+    """
 
     value: Any = None
     at: Path = ()
-    link: str = ""  # on a page, of the first cell of a row
-    tint: str = ""  # on a page, a CSS colour
+    link: str = ""  # URL, only on a page and in the first cell of a row
+    tint: str = ""  # CSS colour, only on a page
 
 
 class Piece(NamedTuple):
@@ -72,13 +75,13 @@ class Table(msgspec.Struct, frozen=True):
     label: str = ""  # for screen readers
 
     def without(self, *keys: str) -> Table:
-        """Return the table without the columns of these keys."""
+        """Return the table without the columns with these keys."""
         kept = [i for i, c in enumerate(self.columns) if c.key not in keys]
         rows = tuple(tuple(row[i] for i in kept) for row in self.rows)
         return replace(self, columns=tuple(self.columns[i] for i in kept), rows=rows)
 
     def once(self) -> Table:
-        """Return the table with first cells left empty that repeat the first cell of the row above."""
+        """Return the table without repetitions in the first column: cells equal to the one above are empty."""
         above = (None, *(row[0].value for row in self.rows))
         rows = (
             row if row[0].value != last else (Cell(""), *row[1:])
@@ -104,7 +107,10 @@ def of_words(columns: tuple[Column, ...], rows: Iterable[Sequence[str | None]]) 
 
 
 def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any], Path]], label: str = "") -> Table:
-    """Return a table of rows (column key -> value, path in report.json); path () for values not in that file."""
+    """Return a table of rows; each row is (column key -> value, path of the row in report.json).
+
+    The path is () if the values are not in report.json.
+    """
     return Table(
         tuple(columns),
         tuple(tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows),
@@ -113,12 +119,12 @@ def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any],
 
 
 def of_rows(columns: Sequence[Column], rows: Iterable[Mapping[str, Any]]) -> Table:
-    """Return a table of rows (values by key) without paths in report.json."""
+    """Return a table of rows (column key -> value) without paths in report.json."""
     return of_values(columns, ((row, ()) for row in rows))
 
 
 def pieces(column: Column, cell: Cell) -> list[Piece]:
-    """Return a cell's text as parts, each number a part of its own; [] without a value."""
+    """Return the parts of a cell's text, each number as a separate part; [] if the cell has no value."""
     value, at = cell.value, cell.at
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return []
@@ -151,7 +157,7 @@ def text(column: Column, cell: Cell, dash: str = "-") -> str:
 
 
 def written(value: float, form: str) -> str:
-    """Return a number formatted by `form`, from 1e5 on as "1.2e+05"; "-0.0" becomes "0.0"."""
+    """Return a number formatted by `form`; numbers from 1e5 on as "1.2e+05"; "-0.0" becomes "0.0"."""
     large = isinstance(value, float) and abs(value) >= MIN_EXPONENT_FORM
     text = f"{value:.1e}" if large else form.format(value)
     return text.replace("-", "", 1) if NEGATIVE_ZERO.fullmatch(text) else text

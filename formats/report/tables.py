@@ -35,9 +35,9 @@ COLUMNS = (
     ANEES,
 )
 ON_DEMAND = ("final_position_error_m", "drift_5m")  # on a terminal only with --verbose
-IN_MM = 1.0  # m: mm if all errors are smaller, as in the headline,
-IN_MM_IF_SMALL = (0.01, 10.0)  # m: or the smallest below the first and the largest below the second
-ASIDE = ("position_median_m", "along_rmse_m", "cross_rmse_m", "drift_1m", "drift_10m")  # in the full table only
+IN_MM = 1.0  # m: lengths are in mm if all errors are smaller (as in the headline),
+IN_MM_IF_SMALL = (0.01, 10.0)  # m: or if the smallest is below the first limit and the largest below the second
+ASIDE = ("position_median_m", "along_rmse_m", "cross_rmse_m", "drift_1m", "drift_10m")  # only in the full table
 MAIN = tuple(c for c in COLUMNS if c.key not in ASIDE)
 LOST = Column("lost_share", "lost", form="{:.0%}")
 DISTANCE = Column("distance_m", "distance", "m", "{:.2f}")
@@ -111,8 +111,8 @@ SENSORS_NOTE = (
     "NIS: 1 is right. Above 1: noise set too low, or clock, mount or scale wrong. Below: noise set too high. "
     "unusable: readings that gave no measurement"
 )
-MAX_JUMPS = 30  # rows: the largest
-MIN_AGREEMENT = 0.3  # revisit agreement; below, the path is wrong and its crispness is not compared
+MAX_JUMPS = 30  # rows: the largest jumps
+MIN_AGREEMENT = 0.3  # revisit agreement; below it the path is wrong, and its crispness is not shown
 AGREEMENT = Column("revisit_agreement", "revisits agree", form="{:.0%}", rank=5)
 CRISPNESS = Column("crispness", "crispness", kind="text", rank=5)
 JUMPS = (
@@ -123,7 +123,7 @@ JUMPS = (
     Column("dy_m", "in y", "m", "{:+.3f}"),
     Column("dtheta_deg", "turned", "°", "{:+.2f}"),
 )
-KINDS = {"slip": "wheel slip undone", "relocalised": "lost robot found again", "loop": "loop closed"}  # of jumps
+KINDS = {"slip": "wheel slip undone", "relocalised": "lost robot found again", "loop": "loop closed"}  # by kind
 
 
 def has_figures(report: Report) -> bool:
@@ -132,7 +132,10 @@ def has_figures(report: Report) -> bool:
 
 
 def configurations(report: Report, main: bool = True) -> Table:
-    """Return the error figures of every configuration, main ones or all; without errors, distance and duration."""
+    """Return the error figures of every configuration: the main figures, or all.
+
+    If there are no errors, return distance and duration.
+    """
     rows = report["configurations"].values()
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
@@ -148,14 +151,14 @@ def configurations(report: Report, main: bool = True) -> Table:
 
 
 def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
-    """Return the columns; if the truth has no configured noise, large ANEES are shown as "over 50"."""
+    """Return the columns; if the noise of the truth is not configured, large ANEES are shown as "over 50"."""
     truth = report.get("settings", {}).get("truth", {})
     known = report["truth"] is None or truth.get("sigma") or truth.get("sigma_theta_deg")
     return tuple(replace(c, most=MAX_ANEES) if c == ANEES and not known else c for c in columns)
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
-    """Yield (values, path in report.json) of each configuration, or of its sub-table `key` if that is given."""
+    """Yield (values, path in report.json) of each configuration, or of its sub-table `key`."""
     runs = report["configurations"]
     hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
     fewest = min(filter(None, hit), default=0)
@@ -168,7 +171,7 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
 
 
 def _scan_quality(report: Report) -> list[Column]:
-    """Return the columns revisit agreement and crispness, each if any configuration has a value."""
+    """Return the columns revisit agreement and crispness; a column without any value is left out."""
     runs = report["configurations"].values()
     seen_twice, crisp = any(v.get(AGREEMENT.key) is not None for v in runs), any(_crispness(v, 1) for v in runs)
     return [*([AGREEMENT] if seen_twice else []), *([CRISPNESS] if crisp else [])]
@@ -183,14 +186,17 @@ def _agrees(values: Mapping[str, Any]) -> bool:
 def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
     """Return a configuration's number of crispness cells relative to `fewest`: "x 1.20"; None without cells.
 
-    If its revisit agreement is low, return "bad".
+    If the revisit agreement of the configuration is low, return "bad".
     """
     cells = values.get("crispness_cells")
     return "bad" if not _agrees(values) else f"x {cells / fewest:.2f}" if cells and fewest else None
 
 
 def jumps(report: Report) -> Table:
-    """Return the MAX_JUMPS largest jumps of the estimate (slip, relocalisation, loop closure), by time."""
+    """Return the MAX_JUMPS largest jumps of the estimate (slip, relocalisation, loop closure).
+
+    Rows are sorted by configuration and time.
+    """
     found = [
         (
             {**event, "kind": KINDS.get(event["kind"], event["kind"]), "configuration": name},
@@ -208,8 +214,8 @@ def jumps(report: Report) -> Table:
 def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
     """Return the sensors of the reference as text: "all", "camera", "compass+lrf"; None without a reference.
 
-    " *" is added if the judged result uses some of these too, else " ?" if the reference contradicts that of all
-    sensors.
+    " *" is added if the judged result uses some of these sensors too. Else " ?" is added if this reference and the
+    reference of all sensors contradict each other.
     """
     if reference is None:
         return None
@@ -219,9 +225,10 @@ def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
 
 
 def brief(report: Report, short: bool = False) -> Table:
-    """Return the table of configurations for a terminal: error figures, else distance and prediction score.
+    """Return the table of configurations for a terminal: error figures, or else distance and prediction score.
 
-    `short` puts a smoothed result's error into the row of its filter and leaves out the columns of ON_DEMAND.
+    With `short`, the error of a smoothed result is in the row of its filter, and the columns of ON_DEMAND are left
+    out.
     """
     if has_figures(report):
         return _short(report) if short else configurations(report)
@@ -264,14 +271,14 @@ def sensors(report: Report) -> Table:
 
 
 def ranking(report: Report) -> Table:
-    """Return the configurations ranked by how well they predict the sensors that they do not use."""
+    """Return the configurations, ranked by how well they predict the sensors that they do not use."""
     found = enumerate(report["prediction"]["ranking"])
     rows = (({**r, "sensors": ", ".join(r["sensors"])}, ("prediction", "ranking", i)) for i, r in found)
     return of_values(RANKING, rows, "Ranked by prediction")
 
 
 def scores(report: Report) -> Table:
-    """Return the log score [nats] of each configuration's prediction of each sensor that it does not use."""
+    """Return the log scores [nats]: how well each configuration predicts each sensor that it does not use."""
     where = {"stretches": "stretches", "sensors": "all of the drive"}
     found = enumerate(report["prediction"]["scores"])
     rows = (({**s, "by": where[s["by"]]}, ("prediction", "scores", i)) for i, s in found)
@@ -279,7 +286,7 @@ def scores(report: Report) -> Table:
 
 
 def consistency(report: Report) -> Table:
-    """Return ANEES, its consistent range and the result in words, for every configuration."""
+    """Return ANEES, its range for a consistent filter, and the result in words, for every configuration."""
     rows = _configurations(report, "consistency")
     return of_values(_readable(CONSISTENCY, report), rows, "Consistency of every configuration")
 
@@ -338,10 +345,13 @@ def _number_or_text(value: Any) -> Any:
 
 
 def everything(report: Report) -> Table:
-    """Return the rows of report.csv: every value of a configuration but lists, and every sensor's counts."""
+    """Return the rows of report.csv.
+
+    They have every value of a configuration except lists, and the counts of every sensor.
+    """
     runs = report["configurations"]
     keys = dict.fromkeys(k for v in runs.values() for k, x in v.items() if not isinstance(x, Mapping | list))
-    keys.pop("configuration")  # the first column: there it is the row's name, such as all-smoothed
+    keys.pop("configuration")  # the first column has the name of the row instead, such as all-smoothed
     names = dict.fromkeys(sensor for v in runs.values() for sensor in v["sensors"])
     counts = {f"{s}_{c.key}": (s, c.key) for s in names for c in COUNTS}
     rows = []

@@ -17,17 +17,17 @@ from .scene import RerunScene
 
 BACKGROUND = (20, 21, 26)
 MARGIN_SHARE = 0.06  # margin around the map, as a share of its size
-SCAN_RANGE_M = (1.5, 15.0)  # limits of the range around the robot shown first
-LEGEND_SHARES = (0.04, 0.037)  # of the left column: the legend's title, each of its rows
-TICK_MARGIN = 0.04  # share of a plot's range, or of a step, beyond its outer values
-MAX_TEN_STEPS = 6.5  # a plot over more steps of a power of ten has no room for their labels
+SCAN_RANGE_M = (1.5, 15.0)  # smallest and largest range around the robot that the scan view shows at first
+LEGEND_SHARES = (0.04, 0.037)  # heights as shares of the left column: the legend's title, each row of the legend
+TICK_MARGIN = 0.04  # margin beyond the outer values, as a share of the plot's range or of a tick step
+MAX_TEN_STEPS = 6.5  # with more tick steps than this, a plot has no room for their labels
 LEGEND_ROWS = 5  # entries of a plot's legend that fit into a plot of usual height
 MAX_RAW_VIEWS = 12  # topics with a view of their own
 Range = tuple[float, float]
 
 
 def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
-    """Return the layout for a scene, without empty views; the tab named `tab` is active."""
+    """Return the layout for a scene, without empty views; the tab with the name `tab` is active."""
     left, right = _left(scene), _right(scene, tab)
     return rrb.Blueprint(
         left if right is None else rrb.Horizontal(contents=[left, right], column_shares=[0.54, 0.46]),
@@ -63,13 +63,13 @@ def _right(scene: RerunScene, tab: str | None) -> Any | None:
 
 
 def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = None, **more: Any) -> Any:
-    """Return a 2D view; x and y are the ranges shown first, with y down."""
+    """Return a 2D view; x and y are the ranges shown at first, with y down."""
     bounds = rrb.VisualBounds2D(x_range=x, y_range=y) if x and y else None
     return rrb.Spatial2DView(name=name, origin=origin, background=BACKGROUND, visual_bounds=bounds, **more)
 
 
 def _map_view(scene: RerunScene) -> Any:
-    """Return the map view; walls and matches are visible only for the best configuration at first."""
+    """Return the map view; at first, walls and matches are visible only for the best configuration."""
     low, high = scene.extent
     margin = MARGIN_SHARE * max(float((high - low).max()), 1.0)
     (x0, y0), (x1, y1) = (low - margin).tolist(), (high + margin).tolist()
@@ -129,7 +129,7 @@ def _tabs(scene: RerunScene) -> dict[str, Any]:
 def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: list[float] | None) -> Any:
     """Return the plots of estimate - truth over time, for x [m], y [m] and heading [deg].
 
-    `close` is the largest absolute value that each plot shows [m, m, deg]; None: all values are shown.
+    `close` is the largest absolute value shown in each plot [m, m, deg]; None: all values are shown.
     """
     count = 2 if judged[0].heading is None else 3
     views = []
@@ -147,7 +147,10 @@ def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: l
 
 
 def _deviation_range(scene: RerunScene, judged: list[Evaluation], i: int) -> Range:
-    """Return the least and the greatest value of the i-th deviation [m, m, deg] and of the best one's 3 sigma."""
+    """Return the smallest and largest value of the i-th deviation [m, m, deg] over all configurations.
+
+    The 3-sigma band of the best configuration is included.
+    """
     scale = list(series.DEVIATIONS.values())[i][1]
     columns = [j.heading if i == 2 and j.heading is not None else j.deviation[:, i % 2] for j in judged]
     bands = [series.DEVIATION_BAND_SIGMAS * j.sigma[:, i] for j in judged if j.name == scene.best.name]
@@ -157,9 +160,9 @@ def _deviation_range(scene: RerunScene, judged: list[Evaluation], i: int) -> Ran
 
 
 def ticked(low: float, high: float) -> Range:
-    """Return limits of a y axis, widened so that it has at least two labelled ticks.
+    """Return limits of a y axis, widened until it has at least two labelled ticks.
 
-    The viewer labels multiples of a power of ten only, and only where they are not too close.
+    The viewer labels only multiples of a power of ten, and only if they are not too close.
     """
     margin = TICK_MARGIN * max(high - low, 1e-9)
     low, high = low - margin, high + margin
@@ -175,7 +178,7 @@ def ticked(low: float, high: float) -> Range:
 
 
 def _close_spans(judged: list[Evaluation]) -> list[float]:
-    """Return y limits for x, y [m] and heading [deg] that show the better half of the configurations."""
+    """Return the y limits for x, y [m] and heading [deg] that show the better half of the configurations."""
     by_error = sorted(judged, key=lambda e: e.figures["position_rmse_m"] or 0.0)
     good = by_error[: (len(by_error) + 1) // 2]
     xy = 1.05 * max(float(np.abs(e.deviation).max()) for e in good)
@@ -184,14 +187,14 @@ def _close_spans(judged: list[Evaluation]) -> list[float]:
 
 
 def _nis(scene: RerunScene, sensor: str) -> Any:
-    """Return the plot of a sensor's NIS, limited to 1.6 times the gate because outliers reach 10^4."""
+    """Return the plot of a sensor's NIS, cut at 1.6 times the gate, since outliers reach 10^4."""
     gate = next(float(e.audits[sensor].threshold[0]) for e in scene.estimates if sensor in e.audits)
     top = 1.6 * gate if np.isfinite(gate) else None
     return _plot(f"NIS {sensor}", f"/nis/{sensor}", top, low=None if top is None else -0.04 * top)
 
 
 def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
-    """Return a plot per component of a sensor's innovation, with limits that show 99 % of the values."""
+    """Return a plot for each component of a sensor's innovation, with limits that show 99 % of the values."""
     audits = [e.audits[sensor].y for e in scene.estimates if sensor in e.audits]
     views = []
     for i in range(audits[0].shape[1]):
@@ -207,7 +210,10 @@ def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
 def _plot(
     name: str, origin: str, span: float | None = None, low: float | None = None, legend: bool = True, **more: Any
 ) -> Any:
-    """Return a time series view. Its y axis is -span to span, or low to span; without span, all values."""
+    """Return a time series view.
+
+    Its y axis reaches from -span to span, or from `low` to span. Without a span it shows all values.
+    """
     edge = rrb.TimeRangeBoundary.infinite()
     limits = None if span is None else (-span if low is None else low, span)
     return rrb.TimeSeriesView(

@@ -16,8 +16,8 @@ from locfuse.fusion.data import Array, Drive, Ints
 
 from .scene import MATCHED, NEW, REJECTED, Picture, RerunScene, Rgb
 
-DRIVE, TIME, STEP = "drive", "log time", "step"  # s since the start, the log's own clock, update time
-MIN_DATE_NS = 10**17  # 1973; smaller times count from the robot's start and are shown as durations
+DRIVE, TIME, STEP = "drive", "log time", "step"  # s since the start, the log's clock, update index
+MIN_DATE_NS = 10**17  # 1973; a smaller time counts from the robot's start and is shown as a duration
 OMNI, PANORAMA, LEGEND = "camera/omni", "camera/panorama", "legend"
 LEGEND_COLUMNS, LEGEND_CELL = 6, 4.6  # entries per row, and their distance in row heights
 FOUND_ORDER = 10.0  # draw order of detections, above the picture
@@ -33,7 +33,7 @@ LIMIT: Rgb = (255, 235, 60)
 LEVEL: Rgb = (205, 205, 210)
 LOOP: Rgb = (235, 210, 255)
 GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
-STATES: dict[str, Rgb] = {  # of a reading on the gate timeline, worst last
+STATES: dict[str, Rgb] = {  # state of a reading on the gate timeline -> colour, worst state last
     "accepted": (60, 150, 85),
     "new": (70, 125, 205),
     "unusable": (95, 95, 100),
@@ -49,7 +49,10 @@ class TimelineRecorder:
         self._stream, self._epoch_ns, self._updates = stream, drive.epoch_ns, drive.t
 
     def send(self, path: str, t: Array, *columns: Any, lengths: Sequence[int] | Ints | None = None) -> None:
-        """Write component columns, one row per time t (n,) s; `lengths` (n,) gives ragged rows."""
+        """Write component columns, one row per time t (n,) [s].
+
+        `lengths` (n,) are the numbers of values in each row; None: one value per row.
+        """
         if len(t) == 0:
             return
         parts = [part for group in columns for part in (group if lengths is None else group.partition(lengths))]
@@ -109,7 +112,7 @@ def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:
 
 
 def legend_ranges(scene: RerunScene) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the x and y ranges of the legend's view, 1 high per row."""
+    """Return the x and y ranges of the legend's view; each row has height 1."""
     return (-0.5 * LEGEND_CELL, (LEGEND_COLUMNS - 0.5) * LEGEND_CELL), (-0.2, legend_rows(scene) - 0.1)
 
 
@@ -127,7 +130,10 @@ def draw_legend(to: TimelineRecorder, scene: RerunScene) -> None:
 
 
 def draw_pictures(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw the omnidirectional pictures and their panoramas, with a ray or column for each detection."""
+    """Draw the omnidirectional pictures and their panoramas.
+
+    Each detection is a ray in the picture and a column in the panorama.
+    """
     rows = float(scene.picture_rows or 0)
     for root in (OMNI, PANORAMA):
         for name, colour in GROUPS.items():
@@ -147,7 +153,10 @@ def _send_encoded(to: TimelineRecorder, path: str, t: Array, data: Sequence[byte
 
 
 def _send_found(to: TimelineRecorder, group: str, t: Array, batch: Sequence[Picture], rows: float) -> None:
-    """Draw the detections with one verdict (`group`). A picture without such detections clears the old ones."""
+    """Draw the detections in one group of verdicts.
+
+    A picture without such detections removes those of the picture before.
+    """
     found = [(p, i) for p in batch for i, verdict in enumerate(p.verdicts) if verdict == group]
     lengths = [p.verdicts.count(group) for p in batch]
     rays = [p.rays[i] for p, i in found]

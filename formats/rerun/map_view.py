@@ -1,7 +1,8 @@
-"""Drawing of the map view: truth; path, pose, 3-sigma ellipse and map of each configuration; measurements.
+"""Drawing of the map view: truth, measurements, and path, pose, 3-sigma ellipse and map of each configuration.
 
-Data are in map coordinates; a flip at the root turns y down, as on the screen. Segments, rays and headings are
-drawn from the configuration's estimated pose: if it is good, matched segments are on its walls.
+Data are in map coordinates; a transform at the root turns y downwards, as on the screen. Segments, rays and
+headings are drawn from the estimated pose of the configuration: if this pose is right, matched segments lie on its
+walls.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ TRUTH_WIDTH, PATH_WIDTH = 2.75, 1.25  # points on the screen
 SIGHT_WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen
 MIN_BODY_SHARE = 0.02  # minimum size of the robot, as a share of the map
 BODY_SHAPE = np.array([[0.6, 0.0], [-0.4, 0.45], [-0.2, 0.0], [-0.4, -0.45], [0.6, 0.0]])  # an arrow head
-HEADING_LENGTH_TRACKS = 1.5  # tracks
+HEADING_LENGTH_TRACKS = 1.5  # multiples of the track width
 BEARING_LENGTH_M = 2.0  # m, for bearings without a landmark
 FLIP = rr.Transform3D(mat3x3=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)))
 
@@ -65,7 +66,7 @@ def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
 
 
 def _draw_path(to: TimelineRecorder, path: str, t: Array, xy: Array, limit: int) -> None:
-    """Draw a path (n, 2) that grows with time: one line segment per step."""
+    """Draw a path (n, 2) that grows with time: each step adds one line segment."""
     picks = extremes(xy, limit)
     points = xy[picks].astype(np.float32)
     to.send(path, t[picks][1:], rr.LineStrips2D.columns(strips=np.stack((points[:-1], points[1:]), axis=1)))
@@ -111,7 +112,7 @@ def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
 
 
 def _first_matches(e: Estimates) -> tuple[float, dict[int, float]]:
-    """Return the start time of the map [s], and line id -> time of its first match [s]."""
+    """Return the start time of the map [s], and line id -> time of the line's first match [s]."""
     began = [a.instant[0] for a in e.audits.values() if len(a.instant) and (a.landmark >= 0).any()]
     start = float(e.t[min(began, default=0)])
     found: dict[int, float] = {}
@@ -132,7 +133,8 @@ def _label(line: MapLine) -> str:
 def _draw_measurements(to: TimelineRecorder, root: str, scene: RerunScene, e: Estimates) -> None:
     """Draw segments, bearing rays and headings, one entity per group of verdicts.
 
-    Readings are thinned evenly to `max_scans`; one without a measurement of the group clears the entity.
+    At most `max_scans` evenly spaced readings are drawn. A reading without a measurement of the group clears the
+    entity.
     """
     drive = scene.seen_by(e.name)
     for sensor, audit in e.audits.items():
@@ -156,7 +158,10 @@ def _draw_measurements(to: TimelineRecorder, root: str, scene: RerunScene, e: Es
 
 
 def _strips(m: Measurements, seen: Audit, pose: Array, sight: SensorLook, track: float) -> Array:
-    """Return the line segments (k, 2, 2) [m, map] of audit rows (k,), from the poses (k, 3) at their times."""
+    """Return the line segments (k, 2, 2) [m, map frame] of k rows of an audit.
+
+    They are drawn from the poses (k, 3) at the times of the rows.
+    """
     z = m.z[seen.row]
     if sight.kind == "segments":
         return transform(pose[:, None], segments(z, m.extra["ends"][seen.row]))
@@ -182,7 +187,7 @@ def _labels(audit: Audit) -> list[str]:
 
 
 def _draw_scans(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw the scans in the robot's frame, placed on the map at the poses of the best configuration."""
+    """Draw the scans in the robot's frame; the poses of the best configuration place them on the map."""
     scans, best = scene.scans, scene.best
     if scans is None or len(scans.t) == 0:
         return

@@ -1,6 +1,6 @@
 """Saving a scene as a Rerun recording: map, curves, pictures, table and layout.
 
-Importing Rerun takes half a second and 90 MB, so it is imported only inside functions of this file.
+The import of Rerun takes half a second and 90 MB, so it is only inside functions of this file.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from locfuse.fusion.data import LocfuseError
 
 from .scene import RerunScene
 
-QUIET = {  # set before the import of Rerun: no log messages, and memory freed at once
+QUIET = {  # environment variables set before the import of Rerun: no log messages, and memory is freed at once
     "RUST_LOG": "off",
-    "MIMALLOC_PURGE_DELAY": "0",  # ms; with the next one 20 MB less at the peak
+    "MIMALLOC_PURGE_DELAY": "0",  # ms; this and the next variable save 20 MB of peak memory
     "ARROW_DEFAULT_MEMORY_POOL": "system",
 }
 
 
 def save_recording(path: Path, scene: RerunScene, tab: str | None = None, identity: str | None = None) -> None:
-    """Write a recording of a scene to `path` atomically; the tab named `tab` is active.
+    """Write a recording of a scene to `path` atomically; the tab with the name `tab` is active.
 
-    `identity`: recording id, by default a new one, so that a viewer keeps runs apart. Raises LocfuseError if the
-    file cannot be written.
+    `identity` is the recording id; None: a new one, so that a viewer shows each recording separately. Raises
+    LocfuseError if the file cannot be written.
     """
     quiet_rust()
     try:
@@ -35,7 +35,7 @@ def save_recording(path: Path, scene: RerunScene, tab: str | None = None, identi
             _write(temporary, scene, tab, identity)
     except OSError as problem:
         raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
-    except RuntimeError as problem:  # of Rerun's writer thread, e.g. if the disk is full
+    except RuntimeError as problem:  # from Rerun's writer thread, e.g. if the disk is full
         full = "prematurely" in str(problem)
         why = "the disk is full or went away" if full else _first_line(problem)
         raise LocfuseError(f"cannot write {path}: {why}") from None
@@ -71,14 +71,17 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
 
 
 def _application(scene: RerunScene) -> str:
-    """Return the application id, by which a viewer stores the layout; equal for recordings with equal views."""
+    """Return the application id, under which a viewer stores its layout.
+
+    Recordings with equal views have equal ids.
+    """
     names = [e.name for e in scene.estimates]
     what = names[0] if len(names) == 1 else f"{len(names)} configurations"
     return f"locfuse {scene.name} - {what}{'' if scene.picture_rows is None else ' with pictures'}"
 
 
 def unfolded(table: str) -> str:
-    """Return Markdown with <details> and <summary> replaced, which the viewer does not interpret."""
+    """Return Markdown in which <details> and <summary> are replaced, since the viewer does not interpret them."""
     table = re.sub(r"<summary>(.*?)</summary>", r"\n\n### \1\n", table)
     return re.sub(r"</?details>", "", table)
 
@@ -104,9 +107,9 @@ def check(path: Path) -> None:
 
 
 def quiet_rust() -> None:
-    """Set the environment variables of QUIET that are not set: no log messages of Rerun, and less memory.
+    """Set the environment variables of QUIET that are not yet set: no log messages of Rerun, less memory.
 
-    To be called before Rerun is imported.
+    Must be called before Rerun is imported.
     """
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)

@@ -19,13 +19,13 @@ Rgb = tuple[int, int, int]
 Floats = NDArray[np.float32]  # values that are only drawn
 GREY: Rgb = (148, 151, 156)
 MATCHED, REJECTED, NEW = "matched", "rejected", "new"  # groups of verdicts that share a colour
-GROUP = {"accepted": MATCHED, "repeated": MATCHED, "new": NEW}  # verdict -> group, REJECTED for the others
+GROUP = {"accepted": MATCHED, "repeated": MATCHED, "new": NEW}  # verdict -> group; all other verdicts: REJECTED
 GROUP_OF = tuple(GROUP.get(v, REJECTED) for v in VERDICTS)
 NO_LIMIT = 2**62
 
 
 class SensorLook(msgspec.Struct, frozen=True):
-    """The components, NIS bounds, shape and mount with which a sensor's measurements are drawn."""
+    """How a sensor's measurements are drawn: components, NIS bounds, shape and mount."""
 
     components: tuple[Component, ...]  # of its innovation
     bounds: tuple[float, float]  # 95 % interval of the NIS of consistent measurements
@@ -49,7 +49,7 @@ class Picture(NamedTuple):
     omni: bytes  # JPEG or PNG
     omni_type: str  # media type of `omni`
     panorama: bytes  # JPEG, the floor at the bottom
-    rays: Array  # (k, 2, 2) px in `omni`: inner and outer end of the ray of each detection
+    rays: Array  # (k, 2, 2) px in `omni`: inner and outer end of each detection's ray
     columns: Array  # (k,) px in the panorama
     verdicts: tuple[str, ...]  # (k,) group of each detection: matched, rejected, new
 
@@ -76,7 +76,7 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
     pictures: Iterable[Picture] = ()
     picture_rows: int | None = None  # px, height of the panoramas; None without pictures
     raw: Sequence[RawTopic] = ()
-    full: bool = False  # no thinning of long logs
+    full: bool = False  # whether long logs are drawn without thinning
     palette: Mapping[str, Rgb] = field(default_factory=dict)  # by configuration
     events: Sequence[Event] = ()  # in order of time
     thinned: Mapping[str, Drive] = field(default_factory=dict)  # configuration with reduced rates -> its drive
@@ -98,7 +98,10 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def extent(self) -> tuple[Array, Array]:
-        """Lower and upper corner (2,) [m] of the box around truth, best path, its walls and landmarks."""
+        """Lower and upper corner (2,) [m, map frame] of the box around all that is drawn at first.
+
+        This is the truth, and the path, walls (with more than one hit) and landmarks of the best configuration.
+        """
         parts: list[Array] = [self.best.pose[:, :2]]
         if self.drive.truth is not None and len(self.drive.truth.xy):
             parts.append(self.drive.truth.xy)
@@ -112,5 +115,5 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         return self.palette.get(configuration, GREY)
 
     def seen_by(self, configuration: str) -> Drive:
-        """Return the drive that a configuration's audit refers to: the thinned one if it uses reduced rates."""
+        """Return the drive to which a configuration's audit refers: the thinned one if its rates are reduced."""
         return self.thinned.get(configuration, self.drive)

@@ -1,4 +1,4 @@
-"""Drawing of time series: deviation from truth, NIS, innovations, gates, raw numbers, events as text."""
+"""Drawing of time series: deviation from truth, NIS, innovations, gates, raw numbers, and events as text."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repea
 
 
 class Pen(NamedTuple):
-    """Draws time series of one name and colour, thinned to `limit` points."""
+    """Draws time series under one name, in one colour, thinned to `limit` points."""
 
     to: TimelineRecorder
     name: str  # in the legend
@@ -42,7 +42,7 @@ class Pen(NamedTuple):
         self._draw(path, t, values, look)
 
     def band(self, path: str, t: Array, bound: Array) -> None:
-        """Draw two lines at +-bound (n,), switched together with the curve in the legend."""
+        """Draw two lines at +-bound (n,); the legend switches them on and off together with the curve."""
         look = rr.SeriesLines(colors=[(*self.colour, 200)] * 2, names=[self.name] * 2, widths=[0.75] * 2)
         self._draw(path, t, np.column_stack((bound, -bound)), look)
 
@@ -62,7 +62,7 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
         if e.name in scene.evaluations:
             _draw_deviation(pen, scene.evaluations[e.name])
         if e.smoothed and e.configuration in causal:
-            continue  # it has the audits of its filter
+            continue  # a smoothed result has the audits of its filter
         for sensor, audit in e.audits.items():
             compared = np.flatnonzero(np.isfinite(audit.nis))
             pen.dots(f"nis/{sensor}/{name}", e.t[audit.instant[compared]], audit.nis[compared])
@@ -127,7 +127,7 @@ def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: Se
 
 
 def _draw_gate(pen: Pen, path: str, t: Array, codes: Ints) -> None:
-    """Draw when the state of a sensor's readings changes; `codes` (n,) at t (n,) [s] are indices into STATES."""
+    """Draw the changes of the state of a sensor's readings; `codes` (n,) at t (n,) [s] are indices into STATES."""
     names = list(ink.STATES)
     reading, code = thinned_states(codes, pen.limit)
     changes = np.flatnonzero(np.diff(code, prepend=-1))
@@ -151,7 +151,10 @@ def reading_states(m: Measurements, audit: Audit) -> Ints:
 
 
 def thinned_states(code: Ints, limit: int) -> tuple[Ints, Ints]:
-    """Return indices (k,) and states (k,) of all readings, or the worst state in each of `limit` intervals."""
+    """Return the indices (k,) and states (k,) of all readings.
+
+    If the state changes `limit` times or more, return only the worst state in each of `limit` intervals.
+    """
     n = len(code)
     if np.count_nonzero(np.diff(code)) < limit:
         return np.arange(n), code
@@ -160,7 +163,7 @@ def thinned_states(code: Ints, limit: int) -> tuple[Ints, Ints]:
 
 
 def _lines(event: Event) -> list[tuple[float, str]]:
-    """Return (time [s], text) for the begin of an event, and for its end if it has a duration."""
+    """Return (time [s], text) of the begin of an event, and of its end if it has a duration."""
     who = f"{event.configuration}: " if event.configuration else ""
     begin = (event.start, f"{event.kind}: {who}{event.words}")
     end = (event.end, f"{event.kind} ends: {who}{event.words}")

@@ -28,7 +28,7 @@ class ShownTopic(NamedTuple):
 
 
 def layouts(topics: Mapping[str, str]) -> dict[str, str]:
-    """Return layout file name -> content; `topics`: topic of the export -> message type."""
+    """Return layout file name -> content; `topics` maps each topic of the export to its message type."""
     shown = list(_shown(topics))
     paths = [name for name, msgtype in topics.items() if msgtype.endswith("/Path")]
     return {FOXGLOVE: _foxglove(shown, paths), PLOTJUGGLER: _plotjuggler(shown)}
@@ -77,7 +77,7 @@ def _foxglove(shown: Sequence[ShownTopic], paths: Sequence[str]) -> str:
 
 
 def _plotjuggler(shown: Sequence[ShownTopic]) -> str:
-    """Return a PlotJuggler layout as XML, for --layout."""
+    """Return a PlotJuggler layout as XML, for the option --layout of PlotJuggler."""
     root = ET.Element("root")
     tabs = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     _area(_tab(tabs, "paths", 1), "XYPlot", [(s, {"x": s.fields["x"], "y": s.fields["y"]}) for s in shown])
@@ -91,14 +91,14 @@ def _plotjuggler(shown: Sequence[ShownTopic]) -> str:
 
 
 def _tab(tabs: ET.Element, name: str, plots: int) -> ET.Element:
-    """Add a tab to the layout; return the element for its plots, one below the other."""
+    """Add a tab to the layout; return the element that holds its plots, one below the other."""
     container = ET.SubElement(ET.SubElement(tabs, "Tab", tab_name=name, containers="1"), "Container")
     sizes = ";".join([f"{1 / plots:.6f}"] * plots)
     return ET.SubElement(container, "DockSplitter", orientation="-", count=str(plots), sizes=sizes)
 
 
 def _area(split: ET.Element, mode: str, curves: Sequence[tuple[ShownTopic, dict[str, str]]]) -> None:
-    """Add a plot of curves: y over x for mode XYPlot, a series over time for TimeSeries."""
+    """Add a plot of curves: y over x in the mode XYPlot, values over time in the mode TimeSeries."""
     area = ET.SubElement(split, "DockArea", name="...")
     plot = ET.SubElement(area, "plot", mode=mode, style="Lines", flip_x="false", flip_y="false")
     for shown, fields in curves:

@@ -1,7 +1,8 @@
 """Export of estimates as ROS 2 messages in one MCAP, for Foxglove, rosbag2 and other tools.
 
-Per configuration: /locfuse/<name>/odometry (a message per row of the .tum, with covariance), /locfuse/<name>/path,
-and its frame on /tf; also the truth, and optionally unchanged copies of all messages of the log.
+Each configuration has /locfuse/<name>/odometry (a message with covariance per row of the .tum),
+/locfuse/<name>/path, and its frame on /tf. The truth is added, and optionally unchanged copies of all messages of
+the log.
 """
 
 from __future__ import annotations
@@ -58,16 +59,19 @@ MAX_PATH_POSES = 2000  # of a Path, for display; the odometry topic has every po
 
 
 class PoseSeries(msgspec.Struct, frozen=True, dict=True):
-    """Messages of one type at times t_ns (n,): `constant` fields, numbers from `columns`, other fields zero."""
+    """Messages of one type at times t_ns (n,) [ns].
+
+    `constant` has fields that are equal in all messages, `columns` has numbers per message; other fields are zero.
+    """
 
     msgtype: str
     t_ns: Ints
     constant: dict[str, Any]
-    columns: Callable[[slice], Columns]  # rows -> their columns
+    columns: Callable[[slice], Columns]  # rows -> columns of these rows
 
     @cached_property
     def _template(self) -> tuple[NDArray[np.uint8], dict[str, tuple[int, np.dtype[Any]]]]:
-        """One message as CDR bytes (size,); and field path -> (its byte offset in the message, its dtype)."""
+        """One message as CDR bytes (size,), and field path -> (byte offset in the message, dtype)."""
         one = MESSAGES.cdr(self.msgtype, nested(self.constant))
         message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
         paths = self.columns(slice(1)).keys()
@@ -172,12 +176,12 @@ class Export(msgspec.Struct, frozen=True):
     estimates: Sequence[Estimates]
     twist: Array  # (n, 3) body twist [m/s, m/s, rad/s] by the wheels, over the interval before each update time
     robot_toml: bytes
-    clock_ns: int = 0  # recording clock minus clock of the stamps
+    clock_ns: int = 0  # recording clock - clock of the stamps
     log: Log | None = None  # log to copy messages from
 
     @property
     def topics(self) -> dict[str, str]:
-        """Topic with poses -> message type."""
+        """Topic with positions or poses -> message type."""
         found: dict[str, str] = {}
         for name in (ros_name(e.name) for e in self.estimates):
             found |= {f"/locfuse/{name}/odometry": ODOMETRY, f"/locfuse/{name}/path": PATH}
@@ -259,11 +263,11 @@ class _Topics:
         add_messages(self._out.writer, channel, recorded, np.ones(1, np.int64), path(t_ns, pose))
 
     def _recorded(self, t_ns: Ints) -> Ints:
-        """Return the recording times (n,) of stamps (n,), at least 0, as MCAP demands."""
+        """Return the recording times (n,) of stamps (n,); they are at least 0, as MCAP requires."""
         return np.maximum(t_ns + self._clock_ns, 0)
 
     def write(self) -> None:
-        """Write all series in chunks: each chunk contains the messages of all series in one time interval."""
+        """Write all series in chunks; a chunk has the messages of all series in one time interval."""
         t = np.sort(np.concatenate([series.t_ns for _, series in self._parts]))
         size = sum(series.messages(slice(1)).size * len(series.t_ns) for _, series in self._parts)
         number = -(-size // CHUNK_BYTES)
@@ -277,5 +281,5 @@ class _Topics:
 
 
 def ros_name(configuration: str) -> str:
-    """Return a configuration's name as a ROS name: compass+lrf -> compass_lrf."""
+    """Return the name of a configuration as a valid ROS name: compass+lrf -> compass_lrf."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", configuration)

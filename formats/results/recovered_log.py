@@ -1,4 +1,4 @@
-"""Copying of a log's messages, and recovery of a damaged log as a valid MCAP with all readable messages.
+"""Copying of a log's messages; recovery of a damaged log as a valid MCAP with all readable messages.
 
 The copy has chunks, indexes and checksums; its metadata lists the losses of the damaged log.
 """

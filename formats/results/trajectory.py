@@ -1,4 +1,4 @@
-"""Trajectories as text in full precision, not aligned: TUM (for evo), KITTI, CSV; and the audit trail."""
+"""Trajectories as text in full precision, not aligned: TUM (for evo), KITTI, CSV. Also the audit trail as CSV."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from locfuse.fusion.data import (
     upper_triangles,
 )
 
-LINES_AT_ONCE = 4096  # lines per block; as Python values they take ten times their size
+LINES_AT_ONCE = 4096  # lines per block; the Python values of a line take ten times the memory of its text
 TUM_COVARIANCE_HEADER = "# t x y z qx qy qz qw, then P by rows, upper triangle: " + " ".join(
     f"P_{i}_{j}" for i, j in itertools.combinations_with_replacement(("x", "y", "z", "roll", "pitch", "yaw"), 2)
 )
@@ -41,10 +41,10 @@ def stamps(epoch_ns: int, t: Array) -> list[int]:
 
 
 def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, Array]:
-    """Return t (n,) s, pose (n, 3), triangles of P (n, 6) at every update time and truth stamp of the drive.
+    """Return t (n,) [s], pose (n, 3), and triangles of P (n, 6) at every update time and truth stamp of the drive.
 
-    evo pairs stamps within 10 ms unless it is asked to interpolate (since 1.38), so the prediction at each truth
-    stamp is written too. Rows at update times do not depend on the truth.
+    evo pairs stamps only if they are within 10 ms, unless it is asked to interpolate (since 1.38). So the
+    prediction at each truth stamp is written too. Rows at update times do not depend on the truth.
     """
     if drive.truth is None or estimates.truth_pose is None or estimates.truth_P is None:
         return estimates.t, estimates.pose, estimates.triangles
@@ -100,7 +100,10 @@ def tum_covariance_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
 
 
 def kitti_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
-    """Yield the trajectory in KITTI format: rows 1 to 3 of T_map_base in 12 numbers a line, without stamps."""
+    """Yield the trajectory in KITTI format: a line has rows 1 to 3 of T_map_base in 12 numbers.
+
+    KITTI lines have no stamps (see `kitti_times`).
+    """
     _, pose, _ = with_truth_rows(drive, estimates)
     cosines, sines = np.cos(pose[:, 2]).tolist(), np.sin(pose[:, 2]).tolist()
     for c, s, (x, y) in zip(cosines, sines, pose[:, :2].tolist(), strict=True):
@@ -108,13 +111,13 @@ def kitti_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
 
 
 def kitti_times(drive: Drive, estimates: Estimates) -> Iterator[str]:
-    """Yield the stamps [s] of the lines of the KITTI file."""
+    """Yield the stamps [s] of the lines in the KITTI file."""
     t, _, _ = with_truth_rows(drive, estimates)
     yield from (f"{seconds(s)}\n" for s in stamps(drive.epoch_ns, t))
 
 
 def truth_tum(drive: Drive, truth: Truth) -> str:
-    """Return the truth (of the tracked body point) in TUM format."""
+    """Return the truth in TUM format: positions of the body point that the truth tracks."""
     return "".join(tum(drive.epoch_ns, truth.t, truth.xy, truth.theta))
 
 
@@ -138,8 +141,9 @@ HEADER = "t,sensor,measurement,verdict,landmark,distance2,threshold,innovation_1
 def audit_csv(drive: Drive, estimates: Estimates) -> str:
     """Return the audit trail as CSV, one line per measurement, in time order.
 
-    `distance2` is the squared Mahalanobis distance and `threshold` its gate; innovations are in the sensor's units
-    (rad for headings and bearings; m, rad for a line's r, psi). Empty without a prediction.
+    `distance2` is the squared Mahalanobis distance, `threshold` is its gate. Innovations are in the sensor's units
+    (rad for headings and bearings; m, rad for r, psi of a line). Cells are empty for a measurement without a
+    prediction.
     """
     times = [seconds(s) for s in stamps(drive.epoch_ns, estimates.t)]
     rows = [

@@ -26,19 +26,19 @@ class TomlLine(NamedTuple):
 
     key: str
     value: Any  # None: blank, to be filled in
-    words: str = ""  # the comment: source of the value, or how to find it
-    holds: bool = True  # False: commented out
+    words: str = ""  # the comment: source of the value, or how to find the value
+    holds: bool = True  # False: the line is commented out
 
 
 class TomlSection(NamedTuple):
-    """One table; "" for keys above all tables."""
+    """One table of a TOML file; the name "" is for keys above all tables."""
 
     name: str
     lines: tuple[TomlLine, ...]
 
 
 def render(head: str, sections: Sequence[TomlSection], foot: str = "") -> str:
-    """Return a commented TOML file; a table without active lines is commented out too."""
+    """Return a commented TOML file; a table without active lines is commented out as a whole."""
     parts = [comment(head), *("\n".join(_section(section)) for section in sections if section.lines)]
     return "\n\n".join([*parts, comment(foot)] if foot else parts) + "\n"
 
@@ -81,8 +81,8 @@ def _section(section: TomlSection) -> Iterator[str]:
             yield from (comment(words), *lines)
 
 
-# --- New values in an existing robot.toml, with comments, order and all else unchanged
-# Values over several lines and tables not written as [table] cannot be replaced line by line, so the new text is
+# --- New values in an existing robot.toml; its comments, order and all else stay unchanged
+# Values over several lines, and tables not written as [table], cannot be replaced line by line. So the new text is
 # parsed again and compared with the merged tables.
 
 HEADING = re.compile(r"\s*(#\s*)?\[\s*([\w-]+)\s*\]\s*(#.*)?$")
@@ -96,10 +96,10 @@ def text_of(robot: Path | None) -> str:
 
 
 def updated(text: str, changes: Mapping[str, Any], who: str) -> str:
-    """Return the text of a robot.toml with keys of tables changed, or added at the end of their tables.
+    """Return the text of a robot.toml with changed keys; new keys are added at the end of their tables.
 
-    A commented-out key becomes active in place. `who`: comment of an added key. Raises LocfuseError if the text
-    cannot be changed line by line.
+    A commented-out key becomes active in its place. `who` is the comment of an added key. Raises LocfuseError if
+    the text cannot be changed line by line.
     """
     wanted = robot_toml.merge(robot_toml.parse(text, "robot.toml"), changes)
     lines = text.splitlines()
@@ -136,7 +136,7 @@ def _in_table(lines: list[str], table: str, values: Mapping[str, Any], who: str)
 
 
 def _bounds(lines: list[str], table: str) -> tuple[int | None, int]:
-    """Return first and end line index of a table's body; (None, number of lines) without the table."""
+    """Return the indices of the first line and the end of a table; (None, number of lines) without the table."""
     heads = [(i, m[2], bool(m[1])) for i, line in enumerate(lines) if (m := HEADING.match(line))]
     if not table:
         return 0, heads[0][0] if heads else len(lines)

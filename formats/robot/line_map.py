@@ -1,7 +1,8 @@
-"""The line map as an editable JSON file: every wall by its two ends.
+"""The line map as an editable JSON file: every wall is stored with its two ends.
 
-The robot saw the wall from the left of the direction `from` -> `to`. `covariance` is that of the wall's offset [m]
-along its normal at its middle and of its direction [rad]; at the middle the two are nearly uncorrelated.
+The robot saw the wall from the left of the direction `from` -> `to`. `covariance` is that of (offset [m],
+direction [rad]): the offset of the wall at its middle, along the normal, and its direction. Both are nearly
+uncorrelated.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def read(path: Path) -> list[MapLine]:
 
 
 def decode(text: bytes | str, name: str) -> list[MapLine]:
-    """Return the lines of a map file from its text; `name` is its name in errors."""
+    """Return the lines of a map file from its text; `name` is the name of the file in errors."""
     try:
         file = msgspec.json.decode(text, type=_File)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
@@ -78,7 +79,7 @@ def _wall(line: MapLine) -> Wall:
 
 
 def _jacobian_at_middle(line: MapLine) -> Array:
-    """Return the Jacobian d(offset at the wall's middle, beta) / d(rho, beta), (2, 2), for a fixed middle."""
+    """Return d(offset at the middle of the wall, beta) / d(rho, beta), (2, 2), for a fixed middle."""
     return np.array([[1.0, -0.5 * (line.ends[0] + line.ends[1])], [0.0, 1.0]])
 
 

@@ -1,7 +1,7 @@
 """Maps of ROS's map_server: a map.yaml with an image (.pgm, .png), or an OccupancyGrid message.
 
-A pixel's darkness (0 to 1) above `occupied_thresh` means wall, below `free_thresh` free, between them unknown. The
-image's last row is the southernmost.
+The darkness of a pixel (0 to 1) means a wall above `occupied_thresh`, free space below `free_thresh`, and unknown
+between both. The last row of the image is the southernmost.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ PICTURES = (".pgm", ".png")
 OCCUPIED_SHARE, FREE_SHARE = 0.65, 0.25  # default thresholds of map_server
 UNKNOWN_GREY = 205  # value that map_saver writes for unknown cells, independent of the thresholds
 MAX_CELL_M = 10.0
-ROWS_AT_ONCE = 256  # rows of an image: as float64 it takes eight times its bytes
-UNKNOWN_CELL = -1  # in an OccupancyGrid, whose other values are 0 to 100
+ROWS_AT_ONCE = 256  # rows of an image processed at once: as float64 they take eight times the bytes
+UNKNOWN_CELL = -1  # value of an unknown cell in an OccupancyGrid; other values are 0 to 100
 
 
 class MapImage(NamedTuple):
@@ -61,7 +61,7 @@ def read(path: Path) -> MapImage:
 
 
 def of_message(data: Any, width: int, height: int, cell: float, origin: Array, name: str) -> MapImage:
-    """Return the map of an OccupancyGrid message: data (width * height,) 0 to 100, -1 unknown, `cell` [m]."""
+    """Return the map of an OccupancyGrid: data (width * height,) 0 to 100, unknown -1; `cell` [m]."""
     cells = np.asarray(data).astype(np.int64)
     if width < 1 or height < 1 or len(cells) != width * height:
         raise LocfuseError(f"{name}: {len(cells)} cells are no map of {width} x {height}")
@@ -75,7 +75,7 @@ def of_message(data: Any, width: int, height: int, cell: float, origin: Array, n
 
 
 def checked(found: MapImage, name: str) -> MapImage:
-    """Return the map. Raises LocfuseError if it has no occupied or no free cell."""
+    """Return the map unchanged. Raises LocfuseError if it has no occupied or no free cell."""
     for cells, what in ((found.occupied, "wall"), (found.free, "free cell")):
         if not cells.any():
             raise LocfuseError(f"{name} has no {what}: nothing can be localised in it (negate, thresholds)")
@@ -83,7 +83,7 @@ def checked(found: MapImage, name: str) -> MapImage:
 
 
 def _keys(path: Path) -> dict[str, Any]:
-    # aliases are refused: 400 bytes of them can stand for 10^9 values
+    # aliases are refused: 400 bytes with aliases can expand to 10^9 values
     from ruamel.yaml.events import AliasEvent
 
     text = read_small(path, MAX_ROBOT_TOML)
@@ -132,7 +132,7 @@ def _pixels(file: Path) -> NDArray[Any]:
         raise LocfuseError(f"{file} is no PGM or PNG: maps are read as these")
     refuse_above(str(file), size[0] * size[1], MAX_MAP_PIXELS, "cells")
     try:
-        # OpenCV's own output is dropped; a damaged image raises below
+        # OpenCV's messages are dropped; a damaged image raises an error below
         pixels, _ = listened(lambda: cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
     except cv2.error:
         pixels = None

@@ -1,8 +1,8 @@
 """Import of an ekf.yaml of robot_localization as tables of robot.toml, with notes on keys without a counterpart.
 
-Its inputs are odom0, twist0, pose0, imu0 ..., each with 15 switches: x, y, z, roll, pitch, yaw, their six speeds,
-and three accelerations (robot_localization, state_estimation_nodes). The first odometry becomes the wheels, the
-motion model of locfuse; every other input becomes a sensor.
+The inputs of the file are odom0, twist0, pose0, imu0 ..., each with 15 switches: x, y, z, roll, pitch, yaw, their
+six speeds, and three accelerations (robot_localization, state_estimation_nodes). The first odometry becomes
+[wheels], the motion model of locfuse; every other input becomes a sensor.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ UNUSED_OF_INPUT = (
 )
 KNOWN_OF_INPUT = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
 USED = ("initial_state", "two_d_mode", "world_frame", "map_frame", "odom_frame", "base_link_frame")
-IDLE = (  # keys that matter only in a live node
+IDLE = (  # keys that have no effect outside a running ROS node
     "frequency", "sensor_timeout", "transform_time_offset", "transform_timeout", "predict_to_current_time",
     "print_diagnostics", "debug", "debug_out_file", "publish_tf", "publish_acceleration", "tf_prefix",
     "permit_corrected_publication", "reset_on_time_jump", "use_sim_time", "qos_overrides", "history_length",
@@ -57,7 +57,7 @@ UNUSED = {
 
 
 class Translated(NamedTuple):
-    """The tables of robot.toml that an ekf.yaml becomes."""
+    """The tables of robot.toml translated from an ekf.yaml, and notes."""
 
     tables: dict[str, dict[str, Any]]
     notes: tuple[str, ...]  # one line per key or input without a counterpart
@@ -129,9 +129,9 @@ def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | 
 
 
 def _in_log(topic: str, topics: Sequence[str]) -> str | None:
-    """Return the topic of the log that an ekf.yaml's topic name stands for; None if there is none or several.
+    """Return the topic of the log that matches a topic name in an ekf.yaml; None unless exactly one matches.
 
-    A name matches with and without its leading slash, else with any namespace before it.
+    A name matches with and without its leading slash; if none does, with any namespace before it.
     """
     bare = topic.strip("/")
     near = [t for t in topics if t.strip("/") == bare] or [t for t in topics if t.endswith(f"/{bare}")]
@@ -139,10 +139,10 @@ def _in_log(topic: str, topics: Sequence[str]) -> str | None:
 
 
 def _assign(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Set the topic of an input of an ekf.yaml in the fitting table of robot.toml.
+    """Set the topic of an input of an ekf.yaml in the suitable table of robot.toml.
 
-    Changes `tables` (wheels, pose, twist, compass or gyro); returns notes on what does not fit into a table or
-    must be checked.
+    Changes `tables` (wheels, pose, twist, compass or gyro). Returns notes on what fits into no table, and on what
+    the user must check.
     """
     if source.kind == "imu":
         return _assign_imu(source, tables)
@@ -202,7 +202,7 @@ def _finite(value: Any) -> bool:
 
 
 def _notes_on_keys(parameters: Mapping[str, Any]) -> list[str]:
-    """Return notes on unknown keys and on keys without a counterpart."""
+    """Return notes on unknown keys, and on keys without a counterpart in robot.toml."""
     notes = []
     if parameters.get("two_d_mode") is False:
         notes.append("two_d_mode: false: only the plane is estimated here")

@@ -20,7 +20,7 @@ from . import units
 MAX_LISTED_KEYS = 12  # in an error message
 MOUNT_KEYS = ("x", "y", "yaw_deg")  # sensor mount in the base frame; each key has a sigma_<key>
 MAX_NUMBER = 1e20  # larger than the range of a 64-bit counter
-MIN_NUMBER = 1e-30  # of absolute values but 0; their square does not underflow
+MIN_NUMBER = 1e-30  # smallest absolute value except 0: its square does not underflow
 MAX_METRES = 1e8  # larger than the Earth
 Tables = dict[str, Any]
 
@@ -34,7 +34,7 @@ def parse(text: str | bytes, source: str) -> Tables:
         tables = tomllib.loads(text.removeprefix("\ufeff"))
     except UnicodeDecodeError as problem:
         raise LocfuseError(f"{source}: not UTF-8 text (byte {problem.start})") from None
-    except ValueError as problem:  # of tomllib, and of int() for thousands of digits
+    except ValueError as problem:  # from tomllib, and from int() for thousands of digits
         raise LocfuseError(f"{source}: not valid TOML: {' '.join(str(problem).split())}") from None
     except RecursionError:
         raise LocfuseError(f"{source}: not valid TOML: nested too deeply") from None
@@ -43,7 +43,7 @@ def parse(text: str | bytes, source: str) -> Tables:
 
 
 def _refuse_large(text: str, source: str) -> None:
-    """Raise LocfuseError for a text that would take tomllib minutes."""
+    """Raise LocfuseError for a text that tomllib would need minutes to parse."""
     refuse_above(f"{source}: too long", len(text), MAX_ROBOT_TOML, "characters")
     dots = max((line.count(".") for line in text.splitlines()), default=0)
     refuse_above(f"{source}: too many dots in a line", dots, MAX_DOTS)
@@ -61,10 +61,10 @@ def merge(*tables: Mapping[str, Any]) -> Tables:
 
 
 def layered(*tables: Mapping[str, Any]) -> Tables:
-    """Merge settings of several sources for one robot; a later value replaces an earlier one.
+    """Merge the settings of several sources for one robot; a later value replaces an earlier one.
 
-    If a later source changes a mount's x without a sigma, an earlier `sigma_x = 0` (exact) is removed. The same
-    holds for y and yaw_deg.
+    If a later source changes x of a mount but not its sigma, an earlier `sigma_x = 0` (exact) is removed, since it
+    no longer holds. The same applies to y and yaw_deg.
     """
     merged: Tables = {}
     for layer in tables:
@@ -74,7 +74,7 @@ def layered(*tables: Mapping[str, Any]) -> Tables:
 
 
 def _without_outdated_sigmas(before: Any, above: Any) -> Any:
-    """Return the table `before` without sigmas of 0 that no longer hold for its mount.
+    """Return the table `before` without those sigmas of 0 that no longer hold.
 
     These are the sigmas of mount values that the later table `above` changes.
     """
@@ -86,7 +86,7 @@ def _without_outdated_sigmas(before: Any, above: Any) -> Any:
 
 
 def apply_sets(sets: Sequence[str]) -> Tables:
-    """Parse --set arguments, ["lrf.topic=/scan", "wheels.radius=0.03"], to tables; values are TOML or text."""
+    """Convert --set arguments, ["lrf.topic=/scan", "wheels.radius=0.03"], to tables; values are TOML or text."""
     tables: Tables = {}
     for text in sets:
         path, equals, value = text.partition("=")
@@ -160,9 +160,9 @@ def _refuse_number(value: Any, source: str, path: str) -> None:
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert each table or top-level value to its type; `types` is name -> type.
+    """Convert each table or top-level value to its type; `types` maps names to types.
 
-    Raises LocfuseError with key path and value, or the most similar key for an unknown one.
+    Raises LocfuseError: with key path and value, or for an unknown key with the most similar known key.
     """
     converted: dict[str, Any] = {}
     for name, table in tables.items():
@@ -191,7 +191,7 @@ def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
 
 
 def _refuse_far(path: str, value: Any) -> None:
-    """Raise LocfuseError for lengths [m], or lists or tables of them, above MAX_METRES."""
+    """Raise LocfuseError for lengths [m] above MAX_METRES, also in lists or tables."""
     if isinstance(value, Mapping | list):
         for one in value.values() if isinstance(value, Mapping) else value:
             _refuse_far(path, one)
@@ -207,7 +207,10 @@ def _unknown(key: str, table: str, known: Sequence[str], paths: Sequence[str] = 
 
 
 def _mismatch(name: str, table: Any, kind: Any, problem: str) -> str:
-    """Return msgspec's "... - at `$.radius`" as "wheels.radius = 'big': must be a number, in metres"."""
+    """Return a readable form of an error of msgspec.
+
+    "... - at `$.radius`" becomes "wheels.radius = 'big': must be a number, in metres".
+    """
     reason, _, where = problem.partition(" - at `$")
     path = where.rstrip("`")
     if not path and isinstance(table, Mapping):  # the table's own check failed: its message is complete
@@ -225,7 +228,7 @@ def _mismatch(name: str, table: Any, kind: Any, problem: str) -> str:
 
 
 def _choices(kind: Any, key: str) -> str:
-    """Return the allowed values of a key with fixed words, as a sentence; "" for other keys."""
+    """Return the allowed values of a key as a sentence; "" for a key that allows any text or number."""
     hint = get_type_hints(kind).get(key) if isinstance(kind, type) else None
     kinds = get_args(hint) if get_origin(hint) is not Literal else (hint,)
     words = ", ".join(repr(word) for one in kinds if get_origin(one) is Literal for word in get_args(one))
@@ -233,9 +236,9 @@ def _choices(kind: Any, key: str) -> str:
 
 
 def _needed(table: str, key: str, reason: str) -> str:
-    """Return why a value is wrong, given msgspec's reason: "must be a number, in metres".
+    """Return the requirement that a value violates, e.g. "must be a number, in metres".
 
-    If a number is not what was expected, return msgspec's reason in plain words.
+    `reason` is the message of msgspec. If it is not about a number, return it in plain words.
     """
     unit = units.in_words(table, key)
     found = re.match(r"Expected `(int|float)(?: \| null)?`( [<>]=? [-\d.e+]+)?", reason)
@@ -258,7 +261,7 @@ def _shown(value: Any) -> str:
 
 
 def dump(tables: Mapping[str, Any]) -> str:
-    """Return tables as TOML, floats in full precision, without keys whose value is None."""
+    """Return tables as TOML, with floats in full precision, and without keys whose value is None."""
     import tomli_w
 
     _refuse_absurd(dict(tables), "robot.toml")

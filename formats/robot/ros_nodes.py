@@ -1,7 +1,7 @@
-"""The ROS nodes that `locfuse export ros` writes parameters for: their known keys, and their section in a file.
+"""ROS nodes for which `locfuse export ros` writes parameters: their known keys, and their section in a file.
 
-Keys: robot_localization (state_estimation_nodes), nav2 (configuring-amcl), ros2_controllers (parameters of
-diff_drive_controller), FusionCore (docs/configuration.md).
+Sources of the keys: robot_localization (state_estimation_nodes), nav2 (configuring-amcl), ros2_controllers
+(parameters of diff_drive_controller), FusionCore (docs/configuration.md).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class RosNode(NamedTuple):
 
     name: str  # of the package or plugin
     usual: str  # default name of the node
-    distinctive: str  # pattern of keys that only its section has
-    example: str  # of distinctive keys, for errors
-    known: tuple[str, ...]  # patterns of all its keys
-    plugin: str = ""  # its type in the controller manager
+    distinctive: str  # pattern of keys that occur only in sections of this kind of node
+    example: str  # example of distinctive keys, for errors
+    known: tuple[str, ...]  # patterns of all keys of the node
+    plugin: str = ""  # type of the controller in the controller manager
 
 
 NODES = {
@@ -108,9 +108,9 @@ def sections_of(file: RosFile, target: str) -> list[NodeSection]:
 
 
 def section_of(file: RosFile, target: str, name: str | None = None) -> NodeSection:
-    """Return the only section of a kind of node in a file; `name` selects one node of several.
+    """Return the only section of a kind of node in a file; `name` selects one of several nodes.
 
-    Raises LocfuseError for no or several sections, another controller type or unknown keys.
+    Raises LocfuseError for no section or several, another controller type, or unknown keys.
     """
     node, types = NODES[target], dict(_types(file))
     found = sections_of(file, target)

@@ -1,8 +1,8 @@
 """Parameter files of ROS nodes: a new file with a comment on every line, or new values in an existing one.
 
-In an existing file, only values and the comments of an earlier export change; other comments, order, quotes and
-line ends stay. The YAML parser's marks give the position of each value. The new text is parsed again and compared
-with the intended values.
+In an existing file, only values and the comments of an earlier export change. Other comments, order, quotes and
+line ends stay. The YAML parser gives the position of each value. The new text is parsed again and compared with
+the intended values.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ RESERVED = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}  # need
 Value = float | bool | str | list[float] | list[bool]
 
 
-# measured by a command; set by the user; of the log; assumed. For the last two an existing file keeps its value
+# measured by a command; set by the user; from the log; assumed. An existing file keeps values of the last two
 Origin = Literal["found", "set", "kept", "assumed"]
 FOUND: Final = "found"
 SET: Final = "set"
 KEPT: Final = "kept"
 ASSUMED: Final = "assumed"
 LABELS: dict[Origin, str] = {FOUND: "found: ", SET: "carried over: ", KEPT: "carried over: ", ASSUMED: UNMAPPED}
-# comment of an export
+# a comment that an export wrote
 OWN_COMMENT = re.compile(rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)""")
 
 
@@ -47,15 +47,15 @@ class Setting(msgspec.Struct, frozen=True):
 
     key: str  # "odom0_config"; nested: "encoder.vel_noise"
     value: Value | None  # None: a comment only
-    words: str  # source of the value, or why there is none
+    words: str  # source of the value, or reason why there is no value
     origin: Origin = FOUND
-    places: tuple[int, ...] = ()  # indices of the list's values that are set; () all
-    row: int = 0  # values of the list per line; 0: all
+    places: tuple[int, ...] = ()  # indices of the values in the list that are set; (): all
+    row: int = 0  # number of list values per line; 0: all in one line
     row_words: tuple[str, ...] = ()  # comment of every line of the list
 
     @property
     def label(self) -> str:
-        """The prefix of a setting's comment: "found: ", "carried over: ", ..."""
+        """Prefix of the comment on this setting: "found: ", "carried over: ", ..."""
         return LABELS[self.origin]
 
     @property
@@ -71,7 +71,8 @@ class Setting(msgspec.Struct, frozen=True):
     def words_at(self, place: int | None) -> str:
         """Return the comment on the list value with index `place`.
 
-        If the lines of the list have own comments, it is that of the value's line, else that of the whole setting.
+        If the lines of the list have comments of their own, it is the comment of the value's line, else that of
+        the setting.
         """
         rows = isinstance(self.value, list) and self.row * len(self.row_words) == len(self.value)
         return self.words if place is None or not rows else self.row_words[place // self.row]
@@ -84,7 +85,7 @@ class NodeSection(NamedTuple):
     at: dict[str, Any]  # key -> node of the YAML parser; None for a key that occurs twice
     begin: int  # character offset in the file
     end: int
-    shared: frozenset[str]  # keys inside a mapping with an anchor, which may be used elsewhere too
+    shared: frozenset[str]  # keys inside a mapping with a YAML anchor: other places may use them too
 
     @property
     def values(self) -> dict[str, Any]:
@@ -162,7 +163,7 @@ def parsed(path: Path, text: str) -> RosFile:
 
 
 def by_yaml(path: Path, method: Literal["load", "compose", "parse"], text: str | bytes) -> Any:
-    """Return the result of a ruamel.yaml method for a text. Raises LocfuseError for invalid YAML."""
+    """Return the result of a method of ruamel.yaml for a text. Raises LocfuseError for invalid YAML."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -186,9 +187,10 @@ def _is_mapping(node: Any) -> bool:
 
 
 def _sections(root: Any, path: Path) -> Iterator[NodeSection]:
-    """Yield the sections of a file: one per mapping `ros__parameters`.
+    """Yield the sections of a file: one for each mapping `ros__parameters`.
 
-    A file without these (ROS 1) has one section for its top level, and one for each mapping directly in it.
+    A file without such a mapping (ROS 1) has one section for its top level, and one for each mapping directly in
+    it.
     """
     found = list(_below(root, "", False, set()))
     if not found:
@@ -205,9 +207,9 @@ def _sections(root: Any, path: Path) -> Iterator[NodeSection]:
 
 
 def _below(mapping: Any, name: str, anchored: bool, seen: set[int]) -> Iterator[tuple[str, Any, bool]]:
-    """Yield (node name, mapping, whether it is anchored) for each mapping `ros__parameters`, at any depth.
+    """Yield (node name, mapping, whether anchored) for each mapping `ros__parameters`, at any depth.
 
-    It is anchored if it or a mapping around it has a YAML anchor.
+    A mapping is anchored if it, or a mapping around it, has a YAML anchor.
     """
     for key, part in mapping.value:
         if not _is_mapping(part) or id(part) in seen or len(seen) > MAX_KEYS:
@@ -249,7 +251,7 @@ def _plain(node: Any) -> Any:
 
 
 def changed(file: RosFile, section: NodeSection, settings: Sequence[Setting]) -> tuple[str, list[Setting]]:
-    """Return the file's text with the new values, and the settings whose key the section lacks.
+    """Return the text of the file with the new values, and the settings whose key is missing in the section.
 
     Raises LocfuseError for a value that cannot be replaced.
     """
@@ -287,9 +289,9 @@ def changed(file: RosFile, section: NodeSection, settings: Sequence[Setting]) ->
 def _update_comment(
     file: RosFile, setting: Setting, place: int | None, node: Any, spans: dict[tuple[int, int], str]
 ) -> None:
-    """Add a value's new comment to `spans`, {(begin, end): new text}, if an export wrote the existing comment.
+    """Add the new comment of a value to `spans`, {(begin, end): new text}.
 
-    A comment by the user is kept.
+    Only a comment that an earlier export wrote is replaced; a comment by the user is kept.
     """
     if own := OWN_COMMENT.match(file.text, _end(file, node)):
         words = setting.words if own.span(1) in spans else setting.words_at(place)  # several rows may share a line
@@ -301,7 +303,7 @@ def _update_notes(
 ) -> None:
     """Add the new comments of settings without a value to `spans`, {(begin, end): new text}.
 
-    Each replaces a comment of an earlier export on the same key; a key may have several.
+    Each new comment replaces one of an earlier export on the same key; a key may have several comments.
     """
     begin: dict[str, int] = {}  # key -> offset from which to search for its next comment
     for key, note in ((setting.key, setting.note) for setting in settings if setting.value is None):
@@ -339,7 +341,7 @@ def _end(file: RosFile, node: Any) -> int:
 
 
 def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict[tuple[int, int], str]:
-    """Return {(begin, end): new text} for a value. Raises LocfuseError if it is not plain."""
+    """Return {(begin, end): new text} for a value. Raises LocfuseError if the value in the file is not plain."""
     end = _end(file, node)
     begin = end - (node.end_mark.index - node.start_mark.index)
     if begin == end or not isinstance(node.value, str) or node.style in {"|", ">"} or file.text[begin] in "!&*":
@@ -349,7 +351,10 @@ def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict
 
 
 def _as_read_back(node: Any, value: float | bool | str) -> float | bool | str:
-    """Return the value as parsed from the written file: rounded to the written digits, or text if quoted."""
+    """Return the value that parsing of the written file will give.
+
+    Numbers are rounded to the written digits; a value in quotes is text.
+    """
     if node.style:
         return in_yaml(value).strip('"')
     return value if isinstance(value, bool | str) else float(in_yaml(value))

@@ -25,14 +25,14 @@ FIELDS = (
         for part in (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
     ),
 )
-MAX_FLIPPED_COSINE = -0.5  # cosine of the angle between a sensor's z axis and up
-SAME_M = 1e-6  # differences below are rounding, not a conflict
+MAX_FLIPPED_COSINE = -0.5  # largest vertical component of an upside-down sensor's z axis
+SAME_M = 1e-6  # smaller differences are rounding errors, not a conflict
 SAME_RAD = 1e-6
-MIN_QUATERNION = 1e-6  # norm, below which it is no rotation
+MIN_QUATERNION = 1e-6  # norm; below it, a quaternion is no rotation
 
 
 class Transform(msgspec.Struct, frozen=True):
-    """The transform between a parent and a child frame."""
+    """Transform from a child frame to its parent frame."""
 
     parent: str
     child: str
@@ -52,12 +52,12 @@ class Conflict(NamedTuple):
 
 
 class StaticTransforms(msgspec.Struct, frozen=True):
-    """The fixed transforms of all publishers, the last one of each child frame (as in tf2)."""
+    """Fixed transforms of all publishers; for each child frame the last one counts (as in tf2)."""
 
     edges: tuple[Transform, ...] = ()
     conflicts: tuple[Conflict, ...] = ()
     bases: tuple[str, ...] = ()  # additional names of the robot's base frame
-    # first value of frames that move on the robot; sensors on them have no mount
+    # first transforms of frames that move on the robot; a sensor on such a frame has no fixed mount
     moving: tuple[Transform, ...] = ()
 
 
@@ -76,7 +76,7 @@ class FrameMount(msgspec.Struct, frozen=True):
 
 
 def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransforms:
-    """Collect the transforms of TFMessage columns (FIELDS), one mapping per topic, rows in recording order."""
+    """Collect the transforms of TFMessage columns (FIELDS); one mapping per topic, rows in recording order."""
     edges: dict[str, Transform] = {}
     conflicts: dict[Conflict, None] = {}  # an ordered set
     for topic in columns:
@@ -95,9 +95,9 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
 
 
 def as_lists(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return transform columns as one list per message, also for messages with a single transform.
+    """Return transform columns in which every message has a list, also messages with a single transform.
 
-    Raises LocfuseError if the numbers of values and transforms in a message differ.
+    Raises LocfuseError if the numbers of values and of transforms in a message differ.
     """
     lists = {name: _listed(column) for name, column in columns.items()}
     transforms = _lengths(lists[FIELDS[0]])
@@ -133,7 +133,10 @@ def _entries(topic: Mapping[str, Column]) -> Iterable[tuple[str, str, list[float
 
 
 def matrices_of(values: Array) -> Array:
-    """Return matrices (n, 4, 4) from (n, 7): positions x, y, z [m] and non-zero quaternions x, y, z, w."""
+    """Return matrices (n, 4, 4) of transforms (n, 7).
+
+    Columns: position x, y, z [m]; quaternion x, y, z, w of any length above zero.
+    """
     x, y, z, w = (values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)).T
     T = np.zeros((len(values), 4, 4))
     T[:, 0, :3] = np.stack((1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)), axis=-1)
@@ -153,7 +156,7 @@ def quaternions_of(R: Array) -> Array:
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         products[:, i, j] = products[:, j, i] = R[:, i, j] + R[:, j, i]
         products[:, k, 3] = products[:, 3, k] = R[:, j, i] - R[:, i, j]
-    rows = products[np.arange(len(R)), np.argmax(squares, axis=1)]  # the largest component divides best
+    rows = products[np.arange(len(R)), np.argmax(squares, axis=1)]  # dividing by the largest is most exact
     found: Array = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     return found
 
@@ -173,14 +176,14 @@ def _place(edge: Transform) -> str:
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
     """Return roll, pitch, yaw of a rotation matrix (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
-    pitch = math.asin(min(max(-R[2, 0], -1.0), 1.0)) + 0.0  # + 0.0: no negative zero
-    if abs(R[2, 0]) > 1 - 1e-9:  # x axis vertical: only yaw -+ roll is defined; take roll = 0
+    pitch = math.asin(min(max(-R[2, 0], -1.0), 1.0)) + 0.0  # + 0.0 avoids a negative zero
+    if abs(R[2, 0]) > 1 - 1e-9:  # vertical x axis: only yaw -+ roll is defined, so roll is set to 0
         return 0.0, pitch, math.atan2(-R[0, 1], R[1, 1])
     return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
 
 
 def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame: str) -> FrameMount | None:
-    """Return the pose of `frame` in the first connected frame of `base_frames`; None without one."""
+    """Return the pose of `frame` in the first of `base_frames` that is connected to it; None if none is."""
     wanted = frame.lstrip("/")
     at = neighbours((edge.parent, edge.child, edge.T_parent_child) for edge in transforms.edges)
     for base in base_frames:
@@ -199,7 +202,7 @@ def ancestors(transforms: StaticTransforms, frame: str) -> list[tuple[str, Array
     above = {edge.child: edge for edge in transforms.edges}
     found: list[tuple[str, Array]] = []
     T = np.eye(4)
-    while frame in above and len(found) < len(above):  # also ends in a loop of frames
+    while frame in above and len(found) < len(above):  # the second condition ends a loop of frames
         edge = above[frame]
         T, frame = edge.T_parent_child @ T, edge.parent
         found.append((frame, T))

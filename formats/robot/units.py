@@ -1,4 +1,4 @@
-"""Units of the numbers in robot.toml, from the key or its ending."""
+"""Units of the numbers in robot.toml, determined by the key or its ending."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class WheelGeometry(NamedTuple):
 def wheel_geometry(text: str) -> WheelGeometry | None:
     """Return the geometry of the left and right wheel; None unless the URDF text has exactly one of each.
 
-    None for a text with a DTD too: its entities could fill the memory.
+    A text with a DTD also gives None, since its entities could fill the memory.
     """
     if len(text) > MAX_TEXT or "<!DOCTYPE" in text or "<!ENTITY" in text:
         return None
@@ -58,7 +58,7 @@ def wheel_geometry(text: str) -> WheelGeometry | None:
 
 
 def _link(joint: ET.Element, end: str) -> str:
-    """Return the name of a joint's "parent" or "child" link; "" without one."""
+    """Return the name of the "parent" or "child" link of a joint; "" if it has none."""
     found = joint.find(end)
     return "" if found is None else found.get("link", "")
 

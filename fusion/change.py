@@ -1,7 +1,7 @@
-"""Statistics of a series in time order: its split into two parts, and standard errors by leaving out parts.
+"""Statistics of a series in time order: its best split into two parts, and jackknife standard errors.
 
-Both parts of a split have their own least-squares slope. With x = 1 a slope is a mean, and the split is a step of
-the mean (Hinkley, Biometrika 1970).
+Each part of a split has its own least-squares slope. With x = 1, a slope is a mean, and the split is a step of the
+mean (Hinkley, Biometrika 1970).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from .data import Array, Ints
 
-MIN_SQUARES = 1e-12  # of x in one part; smaller sums are raised to it
+MIN_SQUARES = 1e-12  # least sum of x^2 in a part; smaller sums are raised to this
 
 
 class Split(NamedTuple):
@@ -23,12 +23,15 @@ class Split(NamedTuple):
     at: int
     before: float
     after: float
-    explained: float  # part of the sum of squares of y that both slopes explain
-    sigmas: tuple[float, float]  # of the slopes, for errors of 1
+    explained: float  # by how much both slopes reduce the sum of squares of y
+    sigmas: tuple[float, float]  # of the slopes, for errors of y with standard deviation 1
 
 
 def best_split(x: Array, y: Array, edge: int) -> Split:
-    """Return the split of y (n,) over x (n,) with least squared error, `edge` or more values from both ends."""
+    """Return the split of y (n,) over x (n,) with the least squared error.
+
+    It is at least `edge` values away from both ends.
+    """
     inner = slice(edge, len(y) - edge)
     seen, weight = np.cumsum(x * y)[inner], np.cumsum(np.square(x))[inner]
     rest, other = float(x @ y) - seen, np.maximum(float(x @ x) - weight, MIN_SQUARES)
@@ -42,8 +45,9 @@ def best_split(x: Array, y: Array, edge: int) -> Split:
 def jackknife(estimate: Callable[[Ints], Any], n: int, parts: int) -> Array:
     """Return the standard errors of an estimate from n values whose errors are correlated in time.
 
-    `estimate` returns k numbers or one by the values at some indices, or None: then the error is infinite. One of
-    `parts` consecutive parts is left out at a time (Quenouille 1956; Tukey 1958).
+    The series is divided into `parts` parts of consecutive values, and each part is left out once (Quenouille
+    1956; Tukey 1958). `estimate` takes indices of values and returns one number or k numbers. If it returns None,
+    the error is infinite.
     """
     rows = np.arange(n)
     found = [estimate(np.delete(rows, part)) for part in np.array_split(rows, parts)]

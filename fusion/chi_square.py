@@ -7,18 +7,18 @@ from functools import cache
 from statistics import NormalDist
 
 EXACT_DOF, BISECTION_STEPS = 300, 50
-CONFIDENCE = 0.95  # of intervals and bounds
-SIGMAS_95 = 1.96  # standard deviations of a 95 % interval of a normal distribution
-MAD_OF_NORMAL = 0.6745  # median absolute deviation of a normal distribution
+CONFIDENCE = 0.95  # confidence of intervals and bounds
+SIGMAS_95 = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
+MAD_OF_NORMAL = 0.6745  # median absolute deviation / standard deviation of a normal distribution
 
 
 @cache
 def chi_square(confidence: float, dof: int) -> float:
     """Return the `confidence` quantile of a chi-square distribution with `dof` degrees of freedom.
 
-    In closed form for one and two degrees of freedom; by Newton's method up to EXACT_DOF, to 1e-9; above that by
-    Wilson and Hilferty (1931), within 3e-4. (SciPy would add 0.4 s and 25 MB to every comparison.)
-    A confidence of 1 or more accepts everything.
+    For one and two degrees of freedom in closed form; up to EXACT_DOF by Newton's method, to 1e-9; above by Wilson
+    and Hilferty (1931), to 3e-4. SciPy would add 0.4 s and 25 MB to every comparison. A confidence of 1 or more
+    gives infinity.
     """
     if confidence >= 1.0:
         return math.inf
@@ -34,7 +34,7 @@ def chi_square(confidence: float, dof: int) -> float:
 
 
 def _by_newton(x: float, confidence: float, dof: int) -> float:
-    """Return the quantile, refined from the guess x by Newton's method."""
+    """Return the quantile, computed from the initial value x by Newton's method."""
     half = 0.5 * dof
     for _ in range(BISECTION_STEPS):
         density = 0.5 * math.exp((half - 1.0) * math.log(0.5 * x) - 0.5 * x - math.lgamma(half))
@@ -57,7 +57,10 @@ def _upper_tail(x: float, dof: int) -> float:
 
 
 def mean_bounds(dof: float, count: float) -> tuple[float, float]:
-    """Return the two-sided bounds, at CONFIDENCE, for the mean of `count` chi-square values / dof."""
+    """Return the two-sided bounds, at CONFIDENCE, of the mean of `count` values NIS / dof.
+
+    NIS has a chi-square distribution with `dof` degrees of freedom.
+    """
     total = max(1, round(dof * count))
     tail = 0.5 * (1.0 - CONFIDENCE)
     return chi_square(tail, total) / total, chi_square(1.0 - tail, total) / total

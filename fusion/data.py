@@ -1,8 +1,8 @@
 """Data types of locfuse: log streams, measurements, drives, estimates and evaluations.
 
-An hour of log holds 10^5..10^6 readings, so readings, measurements and estimates are NumPy columns. Times of
-streams are integer nanoseconds (`t_ns`), others are float seconds since `Drive.epoch_ns`; angles are radians;
-frames are REP-103 (x forward, y left, counter-clockwise).
+An hour of log holds 10^5 to 10^6 readings, so readings, measurements and estimates are NumPy columns. Times of
+streams are integer nanoseconds (`t_ns`), other times are float seconds since `Drive.epoch_ns`. Angles are in
+radians; frames are REP-103 (x forward, y left, angles counter-clockwise).
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Counts = NDArray[np.int32] | Ints  # 32 bits where they suffice, to save memory
+Counts = NDArray[np.int32] | Ints  # 32 bits if they suffice, to save memory
 
 END_OF_TIME = 2**62  # ns: later times are invalid; differences of valid times fit in 64 bits
 
 
 class LocfuseError(Exception):
-    """Error in a file or a setting: a message of one line with a hint and settings that fix it.
+    """Error in a file or a setting: a message of one line, with a hint and settings that fix the problem.
 
-    `str()` is the whole line, "role: message hint"; its parts are attributes.
+    `str()` is the whole line, "role: message hint"; the attributes are its parts.
     """
 
     exit_code = 1
-    typed: str | None = None  # the line in terms of the command line, where `str()` is in terms of Python
+    typed: str | None = None  # the line with command-line options, if `str()` has Python arguments instead
 
     def __init__(self, message: str, *, role: str = "", fixes: Sequence[str] = (), hint: str = "") -> None:
         self.role = role  # wheels, truth or a sensor; "" for a file or the command line
         self.message = message  # what, where, the numbers
-        self.fixes = tuple(fixes)  # "table.key=value": complete settings that help
+        self.fixes = tuple(fixes)  # settings that help, "table.key=value" each
         self.hint = hint  # what to try next
         super().__init__(f"{role}: {self.sentence}" if role else self.sentence)
 
@@ -52,7 +52,7 @@ class UsageError(LocfuseError):
 
 
 class Ragged(msgspec.Struct, frozen=True):
-    """Column whose rows differ in length, such as LaserScan.ranges: row i is values[first[i]:first[i+1]]."""
+    """Column with rows of different lengths, such as LaserScan.ranges: row i is values[first[i]:first[i+1]]."""
 
     values: NDArray[Any]  # (total,)
     first: Ints  # (n + 1,)
@@ -71,7 +71,7 @@ class Ragged(msgspec.Struct, frozen=True):
         return np.diff(self.first)
 
     def matrix(self) -> NDArray[Any] | None:
-        """Return the rows as one (n, m) view where all have the same length m, else None."""
+        """Return all rows as one (n, m) view if they have the same length m, else None."""
         lengths = self.lengths
         if len(lengths) == 0 or (lengths != lengths[0]).any():
             return None
@@ -87,7 +87,7 @@ Block = tuple[Ints, dict[str, Column]]
 class Stream(Protocol):
     """One topic of a log with repaired stamps; message fields are read as columns on request.
 
-    Row order is the log's order (log time, topic, sequence) and `t_ns` never decreases.
+    Rows are in the order of the log (log time, topic, sequence), and `t_ns` never decreases.
     """
 
     @property
@@ -100,7 +100,7 @@ class Stream(Protocol):
 
     @property
     def frame_id(self) -> str:
-        """frame_id in the header of the first message, "" without one."""
+        """frame_id in the header of the first message; "" if there is none."""
 
     @property
     def t_ns(self) -> Ints:
@@ -108,13 +108,13 @@ class Stream(Protocol):
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Number of messages without a row, by reason."""
+        """Reason -> number of messages that have no row."""
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return columns with n rows by dotted field path, such as "magnetic_field.x"."""
+        """Return the columns of these fields, with n rows, by dotted field path such as "magnetic_field.x"."""
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield (row numbers (k,), columns of these rows) with bounded memory; every row exactly once."""
+        """Yield (row numbers (k,), columns of these rows) with bounded memory; every row occurs exactly once."""
 
 
 class ArrayStream(msgspec.Struct, frozen=True):
@@ -137,7 +137,7 @@ class ArrayStream(msgspec.Struct, frozen=True):
 
 
 class Points(Protocol):
-    """Laser points of a drive, read from the log on each request to save memory."""
+    """Laser points of a drive; they are read from the log on each request, to save memory."""
 
     @property
     def mount(self) -> Array:
@@ -150,7 +150,7 @@ class Points(Protocol):
         """Return the points for a laser with another mount (3,): x, y [m], yaw [rad]."""
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
-        """Return the wheels' motion (n, 3) from times t_from to t_to (n,) [s]."""
+        """Return the poses (n, 3) at times t_to relative to those at t_from, (n,) [s] each, by the wheels."""
 
     def read(self, readings: Ints) -> list[Array]:
         """Return the points (k, 2) [m] of each reading, in the base frame, in the order of the beams."""
@@ -159,23 +159,23 @@ class Points(Protocol):
 class Measurements(msgspec.Struct, frozen=True, dict=True):
     """Measurements of one sensor over a drive: n readings with m rows in total (a scan has several lines).
 
-    Reading i has the rows first[i]:first[i+1], or none ("absent"). The covariance of row j is
-    scale^2 * R_unit[j] + floor, so that tuning of `scale` needs no new measurement. A column "rest" (m,) of
-    `extra` is a variance in R_unit that stays constant when sigma changes.
-    A column "shared" (m, d, k) of `extra` holds the effects G of k unit errors that the rows of one reading share:
-    their covariance is G_i G_j', and `R` includes G_i G_i'.
+    Reading i has the rows first[i]:first[i+1]; a reading without rows is "absent". The covariance of row j is
+    scale^2 * R_unit[j] + floor, so that `scale` can be tuned without new measurements. The column "rest" (m,) of
+    `extra` is the part of R_unit (a variance) that stays constant when sigma changes. The column "shared" (m, d,
+    k) of `extra` has the effects G of k unit errors that the rows of one reading share: rows i and j have the
+    covariance G_i G_j', and `R` includes G_i G_i'.
     """
 
-    t: Array  # (n,) s since Drive.epoch_ns, never decreasing, time_offset applied
+    t: Array  # (n,) s since Drive.epoch_ns, with time_offset, never decreasing
     first: Ints  # (n + 1,)
     z: Array  # (m, d)
     R_unit: Array  # (m, d, d)
-    scale: float  # the sensor's sigma
+    scale: float  # the sensor's configured sigma
     floor: Array  # (d, d)
     extra: dict[str, Array] = field(default_factory=dict)  # more columns with m rows, e.g. segment ends
-    dropped: dict[str, int] = field(default_factory=dict)  # readings refused, by reason
-    points: Points | None = None  # of a laser: the points of its n scans
-    notes: tuple[str, ...] = ()  # on unusual readings
+    dropped: dict[str, int] = field(default_factory=dict)  # reason -> number of unused readings
+    points: Points | None = None  # points of the n scans of a laser
+    notes: tuple[str, ...] = ()  # notes on unusual readings
     seen: object = None  # detections in all readings, reused by Sensor.again
 
     @cached_property
@@ -198,7 +198,7 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def scalars(self) -> tuple[Any, Any]:
-        """Values (m,) and variances (m,) of a one-number sensor, as memoryviews."""
+        """Values (m,) and variances (m,) of a sensor that measures one number, as memoryviews."""
         values: Any = self.z[:, 0]
         variances: Any = self.R[:, 0, 0]
         return memoryview(values), memoryview(variances)
@@ -233,14 +233,14 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
 
 
 class Motions(msgspec.Struct, frozen=True):
-    """Pre-integrated wheel motion over n intervals, each relative to the pose at its start."""
+    """Pre-integrated wheel motion over n intervals, each relative to the pose at the start of the interval."""
 
     u: Array  # (n, 3) relative pose: exact arcs
-    Q: Array  # (n, 3, 3) its covariance, in the frame of the interval's start
-    J: Array  # (n, 3, p) du/d(wheel parameters), p = 0 where none are estimated
+    Q: Array  # (n, 3, 3) covariance of u, in the frame of the interval's start
+    J: Array  # (n, 3, p) du/d(wheel parameters); p = 0 if none are estimated
 
     def corrected(self, wheels: Array | None) -> Array:
-        """Return the motions (n, 3) with corrections (p,) of the wheel parameters; None: without."""
+        """Return the motions (n, 3) with corrections (p,) of the wheel parameters; None: no corrections."""
         return self.u if wheels is None else self.u + self.J @ wheels
 
 
@@ -250,10 +250,10 @@ class Truth(msgspec.Struct, frozen=True):
     topic: str
     t: Array  # (n,) s since Drive.epoch_ns
     xy: Array  # (n, 2) m, map frame, of the tracked point
-    theta: Array | None  # (n,) rad, of the body; None where the truth has no heading
+    theta: Array | None  # (n,) rad, of the body; None if the truth has no headings
     point: tuple[float, float] = (0.0, 0.0)  # the tracked point on the body, m
     sigma: float = 0.0  # m, the truth's own standard deviation per axis
-    sigma_theta: float = 0.0  # rad, that of its heading
+    sigma_theta: float = 0.0  # rad, standard deviation of the truth's heading
     time_offset: float = 0.0  # s, included in t
 
 
@@ -261,17 +261,17 @@ class Drive(msgspec.Struct, frozen=True):
     """Measured log: wheel motion between update times, measurements of every sensor, truth."""
 
     epoch_ns: int  # the first wheel reading; all times below are seconds after it
-    t: Array  # (n,) instants, increasing; the first and the last wheel reading are among them
-    motions: Motions  # n intervals; motions[k] leads from instant k-1 to k, motions[0] is zero
+    t: Array  # (n,) update times ("instants"), increasing, with the first and the last wheel reading
+    motions: Motions  # n intervals; motions[k] leads from instant k-1 to instant k, motions[0] is zero
     measurements: dict[str, Measurements]  # every sensor present in the log
-    instant: dict[str, Ints]  # sensor -> (number of readings,) the instant each reading belongs to
+    instant: dict[str, Ints]  # sensor -> (number of readings,) index of each reading's instant
     absent: dict[str, str]  # sensor -> why the log lacks it
     truth: Truth | None = None
     truth_motions: Motions | None = None  # from the instant before each truth stamp to that stamp
-    truth_instant: Ints | None = None  # (number of truth stamps,) that instant; -1 before the drive
+    truth_instant: Ints | None = None  # (number of truth stamps,) index of this instant; -1 before the drive
     dropped: dict[str, dict[str, int]] = field(default_factory=dict)  # stream -> reason -> count
     wheels: Any = None  # fusion.wheels.motion.Wheels: the odometry behind `motions`
-    notes: tuple[str, ...] = ()  # on choices, repairs and lags
+    notes: tuple[str, ...] = ()  # notes on choices, repairs and lags
     repairs: tuple[str, ...] = ()  # notes of the wheels, without the prefix "wheels: " that they have in `notes`
     # absent sensor -> settings that may make it usable
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -281,7 +281,8 @@ class Drive(msgspec.Struct, frozen=True):
     ) -> tuple[Array | None, Array | None]:
         """Return poses (q, 3) and covariances (q, 3, 3) at the truth's stamps; NaN outside the drive.
 
-        `predict` computes them by the update times (q,) before the stamps and the motions from there.
+        `predict` computes them from the indices (q,) of the update times before the stamps, and the motions from
+        these times to the stamps.
         """
         if self.truth_motions is None or self.truth_instant is None:
             return None, None
@@ -291,27 +292,30 @@ class Drive(msgspec.Struct, frozen=True):
         return pose, P
 
     def lacks(self, sensor: str) -> LocfuseError:
-        """Return the error for a sensor that has no measurements in this drive."""
+        """Return the error for a sensor without measurements in this drive."""
         why = self.absent.get(sensor, "not in this log")
         return LocfuseError(why, role=sensor, fixes=self.fixes.get(sensor, ()))
 
 
-MAX_MAGNITUDE = 1e12  # m: a light hour; larger values are invalid
+MAX_MAGNITUDE = 1e12  # m: a light hour; larger coordinates are invalid
 VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost", "repeated")
 
 
 class Audit(msgspec.Struct, frozen=True):
-    """Record of one sensor's measurements in one run: k predictions, innovations and verdicts."""
+    """Record of one sensor's measurements in one run: k rows with prediction, innovation and verdict.
 
-    instant: Counts  # (k,)
+    Values of rows without a prediction are NaN.
+    """
+
+    instant: Counts  # (k,) index of the update time
     row: Counts  # (k,) row in Measurements.z
     verdict: NDArray[np.int8]  # (k,) index into VERDICTS
-    landmark: Counts  # (k,) id of the map feature it was compared with, -1 for none
-    nis: Array  # (k,) squared Mahalanobis distance; NaN where nothing was predicted
+    landmark: Counts  # (k,) id of the map feature that the measurement was compared with; -1: none
+    nis: Array  # (k,) squared Mahalanobis distance; NaN without a prediction
     threshold: Array  # (k,) the gate
-    y: Array  # (k, d) innovation; NaN where nothing was predicted
-    sigma: Array  # (k, d) its predicted standard deviation
-    # (j, 2) of readings with several accepted rows: y' S^-1 y of all of them, and its degrees of freedom
+    y: Array  # (k, d) innovation; NaN without a prediction
+    sigma: Array  # (k, d) predicted standard deviation of the innovation
+    # (j, 2) joint NIS, y' S^-1 y of all accepted rows of a reading with several, and its degrees of freedom
     joint: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
@@ -340,7 +344,7 @@ class Component(NamedTuple):
 
     name: str
     unit: str  # "m", "deg", "deg/s", "%"; "" for none
-    scale: float = 1.0  # from SI to that unit
+    scale: float = 1.0  # factor from SI to this unit
 
     @property
     def label(self) -> str:
@@ -349,19 +353,19 @@ class Component(NamedTuple):
 
     @property
     def sign(self) -> str:
-        """Unit as printed after a number: "°" for deg."""
+        """Unit as printed after a number: "°" for "deg"."""
         return self.unit.replace("deg", "°")
 
 
 class Colour(NamedTuple):
-    """Colours "#rrggbb" of one thing, on a light and on a dark background."""
+    """Colours "#rrggbb" of one name: on a light and on a dark background."""
 
     light: str
     dark: str
 
 
 class MapLine(msgspec.Struct, frozen=True):
-    """Line of the map x cos(beta) + y sin(beta) = rho (paper eq. 14), with its two ends."""
+    """Line of the map x cos(beta) + y sin(beta) = rho (paper eq. 14), with the two ends of the wall."""
 
     id: int
     rho: float
@@ -369,24 +373,24 @@ class MapLine(msgspec.Struct, frozen=True):
     ends: tuple[float, float]  # m along the tangent (-sin beta, cos beta)
     P: Array  # (2, 2) covariance of (rho, beta) without the uncertainty of the map frame
     hits: int = 0
-    P_free: Array | None = None  # (2, 2) with that uncertainty; None: the frame has none
+    P_free: Array | None = None  # (2, 2) with this uncertainty; None if the frame has none
 
     @property
     def P_map(self) -> Array:
         """Covariance (2, 2) of (rho, beta), including the uncertainty of the map frame.
 
-        A map for another run needs P instead: the error of the frame, which all its walls share, would count as an
+        For a map of another run, use P instead: all walls share the error of the frame, which would count as an
         independent error of each wall.
         """
         return self.P if self.P_free is None else self.P_free
 
 
 class SeenAgain(NamedTuple):
-    """Loop closure: a recognised place, and the relative pose between both visits."""
+    """Loop closure: a recognised place, and the pose at the later visit relative to the earlier one."""
 
     then: float  # s: time of the earlier visit
     now: float  # s: time of the recognition
-    pose: Array  # (3,) of the robot now, relative to its pose then
+    pose: Array  # (3,) pose of the robot now, relative to its pose then
 
 
 SLIP, RELOCALISED, LOOP_TAKEN = "slip", "relocalised", "loop"  # kinds of jumps
@@ -407,29 +411,29 @@ class Estimates(msgspec.Struct, frozen=True):
     sensors: tuple[str, ...]
     t: Array  # (n,) = Drive.t
     pose: Array  # (n, 3) map frame, theta unwrapped
-    triangles: Array  # (n, 6) of its covariance: xx, xy, xt, yy, yt, tt
+    triangles: Array  # (n, 6) upper triangle of the pose covariance: xx, xy, xt, yy, yt, tt
     audits: dict[str, Audit]
-    blocks: dict[str, Array] = field(default_factory=dict)  # fixed-size state blocks over time, (n, k)
-    block_sigmas: dict[str, Array] = field(default_factory=dict)  # their standard deviations, (n, k)
+    blocks: dict[str, Array] = field(default_factory=dict)  # name -> other states over time, (n, k)
+    block_sigmas: dict[str, Array] = field(default_factory=dict)  # standard deviations of `blocks`, (n, k)
     first_map: Sequence[MapLine] = ()
     final_map: Sequence[MapLine] = ()
     points: Sequence[tuple[int, float, float]] = ()  # id, x, y [m, map frame] of landmarks that the run placed
     truth_pose: Array | None = None  # (q, 3) predicted at the truth stamps, NaN before the drive
     truth_P: Array | None = None  # (q, 3, 3)
-    notes: tuple[str, ...] = ()  # on slips, loss and relocalisation
+    notes: tuple[str, ...] = ()  # notes on slips, loss and relocalisation
     jumps: tuple[Jump, ...] = ()  # in order of time
     lost: tuple[tuple[float, float], ...] = ()  # s: intervals in which the robot was lost
-    # (m, 2) s: time of the earlier visit and of the recognition, in order of the latter
+    # (m, 2) s: time of the earlier visit, and of its recognition; sorted by the second
     loops: Array = field(default_factory=lambda: np.zeros((0, 2)))
     loop_poses: Array = field(
         default_factory=lambda: np.zeros((0, 3))
-    )  # (m, 3) pose at the later time relative to the earlier one
-    smoothed: bool = False  # whether the whole drive was used for each pose; audits are the filter's
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, of sensors used at a lower rate than the log's
+    )  # (m, 3) pose at the later time relative to the pose at the earlier time
+    smoothed: bool = False  # whether each pose uses the whole drive; the audits are those of the filter
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz: sensor -> rate, if lower than that of the log
 
     @property
     def name(self) -> str:
-        """Unique name of the estimates in their drive: the configuration, perhaps with "-smoothed"."""
+        """Unique name of the estimates in their drive: the configuration, with "-smoothed" if smoothed."""
         return result_name(self.configuration, self.smoothed)
 
     @property
@@ -444,7 +448,7 @@ class Estimates(msgspec.Struct, frozen=True):
 
 
 def plausible(values: Array) -> NDArray[np.bool_]:
-    """Return which values (any shape; m, rad or degrees) are finite and below MAX_MAGNITUDE."""
+    """Return a mask (any shape) of the values [m, rad or degrees] that are finite and below MAX_MAGNITUDE."""
     small: NDArray[np.bool_] = np.abs(values) < MAX_MAGNITUDE  # false for NaN
     return small
 
@@ -455,15 +459,16 @@ BASES = (ODOMETRY, BY_SCANS)
 
 
 def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return (first, last) index of each run of consecutive true values in flags (n,)."""
+    """Return (first, last) index of each group of consecutive true values in flags (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(flags, np.int8), [0]))))
     return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
 
 
 def spaced(*series: tuple[Array, float]) -> Ints:
-    """Return the indices of chosen values: each differs from the one chosen before by a limit or more.
+    """Return the indices of chosen values; each differs from the chosen one before it by a limit or more.
 
-    A series is (values (n,), limit); a difference in one of the series is enough. The first value is chosen.
+    A series is (values (n,), limit); a difference in one of several series is enough. The first value is always
+    chosen.
     """
     limits = [limit for _, limit in series]
     chosen, last = list[int](), tuple[float, ...]()
@@ -502,40 +507,40 @@ class RunningNis(NamedTuple):
 
 
 class SensorFigures(msgspec.Struct, frozen=True):
-    """Counts and mean NIS of one sensor's measurements in one configuration."""
+    """Counts by verdict and mean NIS of one sensor in one configuration."""
 
     accepted: int
     rejected: int
     absent: int  # readings that gave no measurement
     nis: float | None  # mean NIS of accepted measurements, per degree of freedom
-    joint_nis: float | None  # as `nis`, of all lines of a scan together
+    joint_nis: float | None  # mean NIS of all lines of a scan together, per degree of freedom
     verdicts: dict[str, int]  # count of every verdict that occurred
 
 
 class Evaluation(msgspec.Struct, frozen=True):
-    """Evaluation of one configuration: deviations from truth at q truth stamps, and figures.
+    """Evaluation of one configuration: deviations from truth at q truth stamps, and error figures.
 
-    Without truth the columns are empty and the error figures None.
+    Without truth, the columns are empty and the error figures are None.
     """
 
-    configuration: str  # as of the estimates
+    configuration: str  # that of the estimates
     sensors: dict[str, SensorFigures]
-    figures: dict[str, float | None]  # flat, SI units with the unit in the key
+    figures: dict[str, float | None]  # name -> value in SI units, with the unit in the key
     t: Array = NONE  # (q,) s since Drive.epoch_ns
     deviation: Array = NO_POINTS  # (q, 2) estimate - truth of the tracked point, map frame [m]
     heading: Array | None = None  # (q,) estimate - truth [rad], wrapped
     along_cross: Array = NO_POINTS  # (q, 2) deviation along and left of the truth's direction [m]
     sigma: Array = NO_POSES  # (q, 3) predicted standard deviation of x, y [m], theta [rad]
-    nees: Array = NONE  # (q,) NaN where P is singular or after alignment
+    nees: Array = NONE  # (q,) NaN if P is singular, and after alignment
     distance: Array = NONE  # (q,) m travelled by the truth
-    estimate_xy: Array = NO_POINTS  # (q, 2) tracked point of the estimate, aligned as asked
+    estimate_xy: Array = NO_POINTS  # (q, 2) m, estimate of the tracked point, after alignment (if any)
     align: str = "none"
     smoothed: bool = False
     lost: tuple[
         tuple[float, float], ...
     ] = ()  # s: intervals in which the robot was lost; all figures include them
-    notes: tuple[str, ...] = ()  # of the filter on the run
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, as of the estimates
+    notes: tuple[str, ...] = ()  # notes of the filter on the run
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, those of the estimates
     reference: bool = False  # whether the reference solution replaces truth (judge.against)
 
     @property

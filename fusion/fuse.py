@@ -1,7 +1,7 @@
 """The filter of the paper: runs one configuration over one drive, forward in time.
 
-`Filter.advance` is one cycle: predict by the wheels, compare all readings of this time with the same prior, gate,
-correct once, update the models, record.
+`Filter.advance` is one cycle: predict by the wheels, compare all readings of this time with the same prior, apply
+the gate, correct once, update the models, record.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STAMPS_AT_ONCE = 4096  # stamps of the truth in one step, to limit memory
 Passed = tuple[
     Sequence[Innovation | Reading], int
 ]  # accepted innovations of one reading, and their number of rows
-Fit = tuple[Record, int, float]  # of a reading: its sensor's record, degrees of freedom, joint NIS
+Fit = tuple[Record, int, float]  # for one reading: record of its sensor, degrees of freedom, joint NIS
 
 
 def fuse(
@@ -47,9 +47,9 @@ def fuse(
 ) -> Estimates:
     """Run the filter with these sensors. Raises LocfuseError if the drive lacks one of them.
 
-    Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief, audited, and update
-    their sensor's own states and map, but never correct the pose: how well they are predicted is evidence without
-    truth. Changes of the state are recorded in `events` (fusion.ekf.events).
+    `listen` (sensor -> one flag per reading) marks readings that never correct the pose. They are compared with
+    the belief, recorded, and update only the states and the map of their own sensor. How well the filter predicts
+    them is evidence without truth. Changes of the state are recorded in `events` (fusion.ekf.events).
     """
     listen = listen or {}
     for sensor in (*sensors, *listen):
@@ -91,7 +91,7 @@ class Filter:
         instants: int = FIRST_CAPACITY,
         events: Events | None = None,
     ) -> None:
-        """`rows`: number of measurements by sensor, if known; `instants`: number of update times, if known."""
+        """`rows`: number of measurements of each sensor; `instants`: number of update times (both if known)."""
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
         self._wheels = robot.wheels
         self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
@@ -100,10 +100,10 @@ class Filter:
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
         self.belief = _begin(robot, list(self.models.values()))
-        # innovations of one reading are correlated through these states: their joint NIS is recorded
+        # these states correlate the innovations of one reading, so their joint NIS is recorded
         self._joint = any(model.joint for model in self.models.values())
         in_map = InMap(self.belief)
-        # what each model sees: the pose in the local frame, or in the map
+        # belief as each model sees it: with the pose in the local frame, or in the map
         self._views = {s: self.belief if model.local else in_map for s, model in self.models.items()}
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         self._learning = {s for s, m in self.models.items() if type(m).learn is not Model.learn}
@@ -115,7 +115,7 @@ class Filter:
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
         for s, model in self.models.items():
-            # a sensor that is used must not use the map of one that only listens
+            # a sensor that corrects the pose must not use the map of a sensor that only listens
             model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})
         self._records = {s: Record((rows or {}).get(s, FIRST_CAPACITY)) for s in self.models}
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
@@ -135,13 +135,13 @@ class Filter:
             passed = [self._compare(k, s, i, measurements[s]) for s, i in due]  # eq. 13, 17, 18, and the gate
             fits = self._queue(due, passed)
             belief.correct()  # eq. 10-12, once
-            for n, (record, numbers, nis) in enumerate(fits):  # the joint NIS of the first is known only now
+            for n, (record, numbers, nis) in enumerate(fits):  # the joint NIS of the first fit is known only now
                 record.joint.extend((nis if n else belief.fit(numbers), numbers))
             self._learn(due, measurements)  # maps and clones
         self._track.note(belief)
 
     def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:
-        """Compute and record the innovations of reading i; return the accepted ones and their number of rows."""
+        """Compute and record the innovations of reading i; return the accepted ones and the number of rows."""
         model = self.models[sensor]
         seen = model.innovations(m, i, self._views[sensor])
         if sensor in self._inflates and not isinstance(seen, Reading):
@@ -154,10 +154,10 @@ class Filter:
         return ones, len(ones)
 
     def _queue(self, due: Sequence[Due], passed: Sequence[Passed]) -> list[Fit]:
-        """Queue accepted innovations; those of listening sensors correct only the sensor's own states.
+        """Queue the accepted innovations; those of listening sensors correct only the states of the sensor itself.
 
-        Return the joint NIS of readings with several rows, if models add states while driving. The first of these
-        readings comes first in the equation, so that its whitened rows do not depend on other readings.
+        If models add states during the drive, return the joint NIS of readings with several rows. The first of
+        these readings comes first in the equation, so that its whitened rows do not depend on other readings.
         """
         belief, fits = self.belief, list[Fit]()
         listened: list[Innovation | Reading] = []
@@ -182,7 +182,7 @@ class Filter:
         return fits
 
     def _learn(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Let each model learn from its readings; then start a new map if the present map is full."""
+        """Update each model with its readings; then start a new map if the present map is full."""
         for sensor, i in due:
             if sensor in self._learning:
                 self.models[sensor].learn(measurements[sensor], i, self._views[sensor])
@@ -201,7 +201,7 @@ class Filter:
         return self.belief.pose_in_map()
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
-        """Return the estimates of the run, with predictions at the truth's stamps."""
+        """Return the estimates of the run, including predictions at the truth's stamps."""
         pose, triangles = self._track.recorded()
         blocks, variances = self._track.blocks(), self._track.blocks(variances=True)
         maps = [m.lines(self._views[s]) for s, m in self.models.items()]
@@ -272,10 +272,10 @@ def _at_truth(
 
 
 def inflate(seen: Innovation, state: State) -> None:
-    """Accept a rejected one-number innovation with R increased until its NIS equals the gate.
+    """Accept a rejected innovation of one number, with R increased until its NIS equals the gate.
 
-    For a sensor with heavy-tailed errors this keeps information that a rejection would lose (it is the weight of
-    Huber's estimator at that point). Other innovations are not changed.
+    For a sensor with heavy-tailed errors, this keeps information that a rejection would lose; it is the weight of
+    Huber's estimator at this innovation. Other innovations are not changed.
     """
     if seen.verdict != GATE or seen.numbers != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
         return
@@ -284,13 +284,13 @@ def inflate(seen: Innovation, state: State) -> None:
     seen.verdict, seen.nis, seen.sigma = 0, seen.threshold, (math.sqrt(needed),)
 
 
-# ---- the input of the loop at each update time: the motion that leads to it, and its readings ----
+# ---- input of the loop at each update time: the motion to this time, and its readings ----
 #
 # Readings become Python values in blocks of BLOCK_INSTANTS, to save memory.
 
 
 def steps_of(drive: Drive) -> Steps:
-    """Return the wheel motions of a drive as `Steps`: step k leads to update time k."""
+    """Return the wheel motions of a drive as `Steps`; step k ends at update time k."""
     return _steps(drive.motions, np.diff(drive.t, prepend=drive.t[:1]))
 
 

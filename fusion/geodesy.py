@@ -1,4 +1,4 @@
-"""Conversion of latitude and longitude to metres east and north of an origin (WGS 84)."""
+"""Conversion of latitude and longitude to metres east and north of an origin (WGS 84 ellipsoid)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ E2 = FLATTENING * (2.0 - FLATTENING)
 
 
 def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -> Array:
-    """Return metres (n, 2) east and north of `origin` (latitude, longitude [deg]) on its tangent plane.
+    """Return metres (n, 2) east and north of `origin` (latitude, longitude [deg]), on the tangent plane there.
 
     Heights are set to 0, so that a receiver's vertical error has no effect.
     """

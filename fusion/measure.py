@@ -1,7 +1,8 @@
 """Measuring a log: streams of sensor readings become a Drive. No pose of the robot is used here.
 
-Wheels are read first, since scans are deskewed by them; then every sensor of the log is measured once for all
-configurations; then wheel motion is computed between the update times, which all configurations share.
+Wheels are read first, since scans are deskewed with the wheel motion. Then every sensor of the log is measured
+once, for all configurations. Then the wheel motion between the update times is computed, which all configurations
+share.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from .sensor import FoundStart
 from .streams import count_dropped, gap_limit, outside
 from .truth import body_poses, read_truth
 
-MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # of jittered drives: largest shift of a time [s], share of readings left out
-MAX_SILENCE_S = 0.2  # s: in longer gaps of all sensors, wheel readings are update times
+MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # jittered drives: largest shift of a time [s], share of readings left out
+MAX_SILENCE_S = 0.2  # s: in longer gaps without sensor readings, wheel readings are update times
 
 
 def measure(
@@ -40,10 +41,10 @@ def measure(
     motion: WheelReading | None = None,
     before: Mapping[str, Measurements] | None = None,
 ) -> Drive:
-    """Return the drive of a log; `streams` holds "wheels", sensors by name, and perhaps "truth".
+    """Return the drive of a log; `streams` has "wheels", sensors by name, and optionally "truth".
 
-    `known` are measurements by the same settings of sensor and wheels, `before` measurements by other settings;
-    `motion` is the wheel motion, if already read. Raises LocfuseError if the wheels give no motion.
+    `known` are measurements with the same settings of sensor and wheels, `before` measurements with other
+    settings. `motion` is the wheel motion, if already read. Raises LocfuseError if the wheels give no motion.
     """
     if motion is None:
         progress("measuring the wheels")
@@ -101,12 +102,11 @@ def measure(
 
 
 def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
-    """Return the robot with the start pose that a sensor with a known map found, and the drive with a note.
+    """Return the robot with the start pose that a sensor with a known map found, and the drive with a note on it.
 
-    Of several sensors, the one with the smallest position sigma gives the pose. If [start] is given or no sensor
-    finds a pose, the robot stays unchanged.
-
-    A sensor with an ambiguous start is left out, since its map would be in another frame.
+    If several sensors find a pose, the one with the smallest position sigma is used. If the user configured
+    [start], or no sensor finds a pose, the robot stays unchanged. A sensor with an ambiguous start is left out,
+    since its map would be in another frame.
     """
     found, measurements, absent = dict[str, FoundStart](), dict(drive.measurements), dict(drive.absent)
     for name, m in drive.measurements.items() if not robot.start_given else ():
@@ -131,10 +131,10 @@ def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
 
 
 def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robot, Drive]:
-    """Return the robot with its pose at the first wheel reading, for a [start] at a later time; and the drive.
+    """Return the robot with its pose at the first wheel reading, if [start] is at a later time; and the drive.
 
-    The wheels give the motion in between, whose noise is added to the sigmas of [start]. `first_scan` [s] is the
-    time of the laser's first scan, None without one. Raises LocfuseError for a time outside the drive.
+    The wheels give the motion in between, and its noise is added to the sigmas of [start]. `first_scan` [s] is the
+    time of the laser's first scan; None if there is none. Raises LocfuseError for a time outside the drive.
     """
     start, end = robot.start, float(drive.t[-1])
     at = start.at
@@ -164,10 +164,11 @@ def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robo
 def cut(
     wheels: Wheels, robot: Robot, measurements: Mapping[str, Measurements], truth: Truth | None
 ) -> dict[str, Any]:
-    """Return the fields of a drive that depend on its update times: wheel motions and indices of readings.
+    """Return the fields of a drive that depend on its update times: wheel motions and indices of update times.
 
     `motions` lead to each update time from the one before, `truth_motions` to each truth stamp from the last
-    update time; `instant` and `truth_instant` are indices of update times.
+    update time before it. `instant` and `truth_instant` are the indices of these update times for readings and
+    truth stamps.
     """
     t, estimate = instants(wheels.t, [m.t for m in measurements.values()]), robot.wheels.estimate
     truth_motions = truth_instant = None
@@ -175,7 +176,7 @@ def cut(
         inside = (truth.t >= t[0]) & (truth.t <= t[-1])
         truth_instant = np.where(inside, np.searchsorted(t, truth.t, side="right") - 1, -1)
         start = t[np.maximum(truth_instant, 0)]
-        # stamps may share the update time before them
+        # several stamps may have the same update time before them
         truth_motions = wheels.between(start, np.where(inside, truth.t, start), estimate)
     return {
         "t": t,
@@ -209,7 +210,10 @@ def _gap_notes(wheels: Wheels) -> list[str]:
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
-    """Return the update times: all measurement stamps, both ends of the drive, wheel readings in long gaps."""
+    """Return the update times: all measurement stamps, and both ends of the drive.
+
+    In long gaps without sensor readings, some wheel readings are added.
+    """
     t = np.unique(np.concatenate([*sensor_t, wheel_t[[0, -1]]]))
     cells = np.floor(wheel_t / MAX_SILENCE_S)
     empty = ~np.isin(cells, np.floor(t / MAX_SILENCE_S))
@@ -218,9 +222,10 @@ def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
 
 
 def _within(m: Measurements, wheels: Wheels) -> Measurements:
-    """Return the readings between the first and the last wheel reading, in order, without copies; count the rest.
+    """Return the readings between the first and the last wheel reading, in order; count the others as dropped.
 
-    A copy has stamp and values of the reading before it: its message was sent or recorded twice.
+    Copies are dropped too: they have the stamp and the values of the reading before, since the message was sent or
+    recorded twice.
     """
     inside = np.isfinite(m.t) & (m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])
     if inside.all() and (np.diff(m.t) > 0.0).all():
@@ -241,9 +246,9 @@ def _are_equal(m: Measurements, one: int, other: int) -> bool:
 
 
 def _thawed(truth: Truth, wheels: Wheels, dropped: dict[str, int]) -> Truth:
-    """Return the truth without copies of a pose from before the robot moved on, which are counted in `dropped`.
+    """Return the truth without copies of a pose from before the robot moved on; count them in `dropped`.
 
-    A tracker that loses its marker goes on to send the last pose.
+    A tracker that loses its marker sends its last pose again and again.
     """
     poses = truth.xy if truth.theta is None else np.column_stack((truth.xy, truth.theta))
     gone = frozen(np.append(False, (np.diff(poses, axis=0) == 0.0).all(axis=1)), truth.t, wheels)
@@ -255,10 +260,10 @@ def _thawed(truth: Truth, wheels: Wheels, dropped: dict[str, int]) -> Truth:
 
 
 def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None) -> tuple[Drive, Robot]:
-    """Return the drive between two times [s], and the robot with its pose at the first time as start.
+    """Return the drive between two times [s], and the robot with a start pose at the first time.
 
-    Times stay those of the whole drive. The start pose is the truth's, if it has headings, else [start] moved on
-    by the wheels. Raises LocfuseError for an interval without wheel readings.
+    Times stay those of the whole drive. The start pose is the truth's if it has headings, else [start] moved on by
+    the wheels. Raises LocfuseError for an interval without wheel readings.
     """
     last = float(drive.t[-1])
     a, b = 0.0 if begin is None else begin, last if end is None else end
@@ -283,7 +288,7 @@ def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None)
 
 
 def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]:
-    """Return the start settings with the pose at time t [s], and a text on the source of this pose."""
+    """Return the start settings with the pose at time t [s], and a text that names the source of this pose."""
     if t <= float(drive.t[0]):
         return robot.start, ""
     truth, start = drive.truth, robot.start
@@ -298,9 +303,9 @@ def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]
 
 
 def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:
-    """Return the drive with at most `rates[sensor]` readings per second: the first of every period.
+    """Return the drive with at most `rates[sensor]` readings per second: the first reading of every period.
 
-    The update times stay, so that all configurations have the same ones.
+    The update times stay unchanged, so that all configurations have the same ones.
     """
     measurements, instant = dict(drive.measurements), dict(drive.instant)
     for sensor, rate in rates.items():
@@ -311,10 +316,10 @@ def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:
 
 
 def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
-    """Return the drive with stamps moved by up to 1 microsecond and 1 % of the readings left out at random.
+    """Return the drive with stamps moved by up to 1 microsecond, and 1 % of the readings left out at random.
 
     The result depends only on `seed`. Small changes move readings across thresholds (gates, association, map
-    building), so differences between results of such drives are chance. Wheels and truth are unchanged.
+    building), so differences between the results of such drives are chance. Wheels and truth are unchanged.
     """
     first, last = float(drive.wheels.t[0]), float(drive.wheels.t[-1])
     found = {
@@ -325,7 +330,7 @@ def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
 
 
 def _jittered(m: Measurements, first: float, last: float, rng: np.random.Generator) -> Measurements:
-    """Return randomly kept readings with randomly moved stamps, sorted, between `first` and `last` [s]."""
+    """Return randomly selected readings, with randomly moved stamps between `first` and `last` [s], sorted."""
     n = len(m.t)
     t: Array = np.clip(m.t + MOVED_S * rng.uniform(-1.0, 1.0, n), first, last)
     stays = np.flatnonzero(rng.random(n) >= DROPPED_SHARE)

@@ -1,8 +1,8 @@
 """Mount of a sensor on the base: known exactly, or estimated as states of the filter.
 
-An error of the laser's yaw rotates the whole map, which innovations hardly show: with a mount assumed to be exact
-the filter becomes overconfident. So uncertain components are states. Where the drive can show the mount (a laser
-that builds its map), the default sigmas are those of a measurement by hand: 1 cm and 0.5 degrees.
+An error of the laser's yaw rotates the whole map, and innovations hardly show it. So if a mount is wrongly taken
+as exact, the filter becomes overconfident; therefore uncertain components are states. If the drive can show the
+mount (a laser that builds its map), the default sigmas are those of a measurement by hand: 1 cm and 0.5 degrees.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ASK_MOUNT = (
 )
 PARTS = ("x", "y", "yaw")  # components of a mount: suffixes of its states' names
 SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: default sigmas of an observable mount
-MAX_PRIOR_SIGMAS = 3.0  # configured sigmas; a larger change may be another error
+MAX_PRIOR_SIGMAS = 3.0  # configured sigmas; a larger change may come from another error
 OTHER_MOUNT = "it seems to sit at"  # start of the note on a changed mount
 MIN_CHANGE_SIGMAS = 4.0  # estimated sigmas; a smaller change is not reported
 
@@ -33,19 +33,19 @@ NOT_ON_BODY = (
     *("camera", "zed", "realsense", "oak", "d435", "t265", "lidar", "livox", "ouster", "velodyne"),
     *("gripper", "wrist", "arm", "hand", "head", "tilt", "tool"),
 )
-BARE_NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # without unit, direction and frame: used last
+BARE_NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # no unit, direction, frame: used last
 
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of a sensor with a mount (x, y, yaw) on the base."""
 
-    x: float = 0.0  # m, sensor on the base
-    y: float = 0.0  # m, likewise, to the left
-    yaw_deg: float = 0.0  # degrees, turned to the left
-    # standard deviations: above 0 a state, 0 exact; None: SIGMA_M and SIGMA_DEG if the drive can tell it, else 0
-    sigma_x: float | None = None  # m; 0 is exact. A laser that builds its map: 0.01 unless set
-    sigma_y: float | None = None  # m, likewise
-    sigma_yaw_deg: float | None = None  # degrees; 0 is exact. A laser that builds its map: 0.5 unless set
+    x: float = 0.0  # m, position of the sensor on the base, forward
+    y: float = 0.0  # m, position of the sensor on the base, to the left
+    yaw_deg: float = 0.0  # degrees, direction of the sensor, counter-clockwise
+    # standard deviations: above 0 a state, 0 exact; None: SIGMA_M, SIGMA_DEG if the drive shows the mount, else 0
+    sigma_x: float | None = None  # m; 0: exact. Default of a laser that builds its map: 0.01
+    sigma_y: float | None = None  # m, as sigma_x
+    sigma_yaw_deg: float | None = None  # degrees; 0: exact. Default of a laser that builds its map: 0.5
 
     only_fused: ClassVar[frozenset[str]] = SensorSettings.only_fused | {"sigma_x", "sigma_y", "sigma_yaw_deg"}
 
@@ -69,7 +69,7 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
 
 
 def exact(settings: SensorSettings) -> SensorSettings:
-    """Return the settings with the standard deviations of the mount set to 0."""
+    """Return the settings with all standard deviations of the mount set to 0."""
     if not isinstance(settings, MountedSettings):
         return settings
     return replace(settings, sigma_x=0.0, sigma_y=0.0, sigma_yaw_deg=0.0)
@@ -81,7 +81,7 @@ class Mount:
     def __init__(self, sensor: str, settings: MountedSettings, observable: bool = False) -> None:
         """Make a state of each component with a sigma above 0.
 
-        `observable`: the drive shows the mount, so sigmas that are not configured are above 0.
+        `observable`: whether the drive shows the mount; sigmas that are not configured are then above 0.
         """
         self.sensor, self.configured = sensor, settings.mount
         sigmas = settings.sigmas(observable)
@@ -110,7 +110,7 @@ class Mount:
         return tuple(belief.column(name) for name in self._names.values())
 
     def words(self, belief: Any) -> list[str]:
-        """Return a note on the estimated mount if it differs significantly from the configured one."""
+        """Return a note on the estimated mount, if it differs significantly from the configured mount."""
         parts, sets, far = [], [], False
         for i, name in self._names.items():
             column, value = belief.block(name)
@@ -131,17 +131,23 @@ class Mount:
         return [f"{OTHER_MOUNT} {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
-        """Return the columns of the estimated components from derivatives (d, 3) by the mount's (x, y, yaw)."""
+        """Return the columns of the estimated components.
+
+        They are taken from derivatives (d, 3) by x, y and yaw of the mount.
+        """
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
 
 
 def found_mount(sensor: str, configured: Array, blocks: Mapping[str, Array]) -> Array:
-    """Return the estimated mount (3,), x [m], y [m], yaw [rad]; `configured` for components without a state."""
+    """Return the estimated mount (3,), x [m], y [m], yaw [rad]; components without a state as in `configured`."""
     return np.array([blocks[n][-1, 0] if n in blocks else value for n, value in _by_name(sensor, configured)])
 
 
 def mount_blocks(sensor: str, mount: Array, blocks: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the sensor's mount states in `blocks`, each (n, 1) filled with its value from `mount` (3,)."""
+    """Return the blocks of the sensor's mount, those in `blocks`, with the values of `mount` (3,).
+
+    Each is (n, 1), filled with one value.
+    """
     return {name: np.full_like(blocks[name], value) for name, value in _by_name(sensor, mount) if name in blocks}
 
 

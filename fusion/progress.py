@@ -1,7 +1,7 @@
 """Progress of long computations, reported to one listener such as the terminal.
 
 The listener is a context variable, so that functions need no argument for it. A library or a worker process has
-no listener.
+none.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-Hear = Callable[[float | None], None]  # its argument: completed share of log time, 0 to 1; None: unknown
+Hear = Callable[[float | None], None]  # argument: completed share of log time, 0 to 1; None: unknown
 _listener: ContextVar[Hear | None] = ContextVar("listener", default=None)
 
 

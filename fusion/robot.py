@@ -1,6 +1,7 @@
 """Settings of robot.toml that belong to no sensor: wheels, start and truth.
 
-SI units, angles in degrees where the key ends in `_deg`. Sensor tables live with their sensors.
+Values are in SI units, angles in degrees if the key ends in `_deg`. Tables of sensors are defined with their
+sensors.
 """
 
 from __future__ import annotations
@@ -20,49 +21,52 @@ Order = Literal["auto", "stamp", "recorded"]
 Preset = Literal["default", "paper"]
 Mirrored = Literal["none", "left", "right", "both"]
 Steering = Literal["angle", "rate", "heading"]
-# limits of the start's sigmas: larger variances lose small ones in double precision
+# limits of the start's sigmas: beside larger variances, small ones are lost in double precision
 MAX_START_SIGMA_M = 1e5
 MAX_START_SIGMA_DEG = 3600.0
-MAX_NOISE_M = 1e3  # largest variance per metre of the wheels, as for rounding above
+MAX_NOISE_M = 1e3  # largest wheel noise, for the same reason
 Moment = Annotated[float, msgspec.Meta(ge=0.0)] | Literal["scan"]
 PerMetre = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_NOISE_M)]
-VIRTUAL_TRACK = 0.3  # m: track of the two wheels that stand for an odometry topic
+VIRTUAL_TRACK = 0.3  # m: track of the two virtual wheels that replace an odometry topic
 
 
 class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of [wheels] in robot.toml: geometry, encoders and noise of the wheels."""
 
     topic: str | None = None  # not set: found
-    left_topic: str | None = None  # where either wheel has a topic of its own (std_msgs numbers)
-    right_topic: str | None = None  # likewise
+    left_topic: str | None = None  # topic of the left wheel alone (std_msgs numbers)
+    right_topic: str | None = None  # topic of the right wheel alone
     left: str | None = None  # joint name
     right: str | None = None  # joint name
     radius: float | None = None  # m, mean of both wheels
-    ratio: float = 1.0  # right wheel's radius over the left one's
+    ratio: float = 1.0  # radius of the right wheel / radius of the left wheel
     track: float | None = None  # m between the wheels' contact points
-    wheelbase: float | None = None  # m between the axles: of a steering angle
-    steering: Steering = "angle"  # what its field holds: that angle, a turning rate [rad/s], a heading
-    steering_topic: str | None = None  # of a car's motor: where its steering stands; not set: found
-    erpm_per_mps: float | None = None  # electrical revolutions per minute of its motor at 1 m/s
+    wheelbase: float | None = None  # m between the axles; needed for a steering angle
+    steering: Steering = "angle"  # meaning of the steering value: an angle [rad], a turn rate [rad/s], a heading
+    steering_topic: str | None = None  # topic with the steering position of a car; not set: found
+    erpm_per_mps: float | None = None  # electrical revolutions per minute of the car's motor at 1 m/s
     servo_gain: float | None = None  # servo position = gain * angle [rad] + offset
     servo_offset: float = 0.0  # servo position of straight wheels
-    ticks_per_revolution: float | None = None  # positions are ticks, not radians
-    mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
-    rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; not set: found
-    max_speed: float | None = None  # m/s of a wheel; readings that need more are faults; not set: found
-    reverse_by_twist: bool = True  # an odometry's pose that goes ahead while its twist says backward is turned
-    noise: PerMetre = 4e-4  # m: variance per metre that a wheel rolls (docs/paper.md, eq. 9: k)
+    ticks_per_revolution: float | None = None  # set: wheel positions are in ticks, else in radians
+    mirrored: Mirrored = "none"  # wheels whose counter falls while the robot drives forward
+    rollover: float | None = None  # range of the counter, in its unit; 0: it never rolls over; not set: found
+    max_speed: float | None = None  # m/s of a wheel; readings that mean a higher speed are faults; not set: found
+    reverse_by_twist: bool = True  # reverse an odometry's pose that moves ahead while its twist is backward
+    noise: PerMetre = 4e-4  # m: variance [m^2] per metre that a wheel rolls (k in docs/paper.md, eq. 9)
     time_offset: float = 0.0  # s
-    estimate: bool = False  # scale of either wheel and track as states
-    sigma_scale: float = 0.02  # prior of the estimated scales, relative
-    sigma_track: float = 0.2  # prior of the estimated track, relative
+    estimate: bool = False  # whether the scale of each wheel and the track are states
+    sigma_scale: float = 0.02  # prior standard deviation of the estimated scales, relative
+    sigma_track: float = 0.2  # prior standard deviation of the estimated track, relative
 
-    # keys that no measurement depends on
+    # keys on which no measurement depends
     only_fused: ClassVar[frozenset[str]] = frozenset({"noise", "estimate", "sigma_scale", "sigma_track"})
 
     @property
     def is_of_driver(self) -> bool:
-        """Whether the odometry driver's radius and track apply: robot.toml gives neither radius nor wheelbase."""
+        """Whether the radius and track of the odometry driver apply.
+
+        They do if robot.toml has neither radius nor wheelbase.
+        """
         return self.radius is None and self.wheelbase is None
 
     @property
@@ -80,7 +84,7 @@ class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     theta_deg: float = 0.0  # degrees, heading
     sigma_xy: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_M)] = 0.0  # m, 1 sigma per axis
     sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_DEG)] = 0.0  # degrees, 1 sigma
-    at: Moment = 0.0  # when the robot has this pose: s after the first wheel reading, or "scan": at the first scan
+    at: Moment = 0.0  # time of this pose: s after the first wheel reading, or "scan": at the first scan
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -94,18 +98,18 @@ class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings of [truth] in robot.toml: topic of the reference, and the tracked point on the base."""
+    """Settings of [truth] in robot.toml: topic of the reference, and tracked point on the base."""
 
     topic: str | None = None  # or a .tum or .csv file, or two frames of /tf: "/tf:map:base_link"
-    body: str | None = None  # name of the rigid body, where a mocap tracks several
-    origin: tuple[float, float] | None = None  # latitude, longitude [deg] of the map's origin, of satellite fixes
-    east_deg: float = 0.0  # where east lies in the map, counter-clockwise from its x axis, of satellite fixes
-    x: float = 0.0  # m, the tracked point on the base
-    y: float = 0.0  # m, likewise
-    time_offset: float = 0.0  # s, added to its stamps
+    body: str | None = None  # name of the rigid body, if motion capture tracks several
+    origin: tuple[float, float] | None = None  # for satellite fixes: latitude, longitude [deg] of the map's origin
+    east_deg: float = 0.0  # for satellite fixes: direction of east in the map, counter-clockwise from its x axis
+    x: float = 0.0  # m, position of the tracked point on the base
+    y: float = 0.0  # m, position of the tracked point on the base
+    time_offset: float = 0.0  # s, added to the truth's stamps
     sigma: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # m, standard deviation per axis
-    sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # of the truth's heading
-    max_speed: float | None = None  # m/s: readings that jump away faster and return are not used
+    sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # standard deviation of the truth's heading
+    max_speed: float | None = None  # m/s: readings that jump away at a higher speed and return are not used
 
 
 class Robot(msgspec.Struct, frozen=True):

@@ -19,7 +19,7 @@ TAU = 2.0 * math.pi
 
 
 def wrap(angle: float) -> float:
-    """Return `angle` [rad] in [-pi, pi). Plain floats, for the filter's inner loop."""
+    """Return `angle` [rad] wrapped to [-pi, pi), in plain floats for the inner loop of the filter."""
     return (angle + math.pi) % TAU - math.pi
 
 
@@ -48,7 +48,7 @@ def sight(pose: Plain, point: tuple[float, float], mount: Plain, nearest: float)
 
 
 def wrap_all(angle: Array) -> Array:
-    """Return every angle [rad] in [-pi, pi), any shape."""
+    """Return every angle [rad] wrapped to [-pi, pi), any shape."""
     return (angle + np.pi) % TAU - np.pi
 
 
@@ -99,13 +99,16 @@ def chained(a: Array, steps: Array) -> Array:
 
 
 def chain(steps: Array) -> Array:
-    """Return the poses (n + 1, 3) along steps (n, 3) from (0, 0, 0), which is the first pose."""
+    """Return the poses (n + 1, 3) along steps (n, 3), beginning with the pose (0, 0, 0)."""
     origin = np.zeros(3)
     return np.vstack((origin, chained(origin, steps)))
 
 
 def carried(at: Plain, a: Plain, b: Plain) -> Plain:
-    """Return the pose `at` moved on as from a to b, at ⊕ (⊖a ⊕ b), in plain floats: 10 x faster than `chained`."""
+    """Return the pose `at` after the motion from a to b: at ⊕ (⊖a ⊕ b).
+
+    In plain floats, ten times faster than `chained`.
+    """
     c, s = direction(a[2])
     x = -c * a[0] - s * a[1] + c * b[0] + s * b[1]
     y = s * a[0] - c * a[1] - s * b[0] + c * b[1]
@@ -154,7 +157,8 @@ def yaw(x: Array, y: Array, z: Array, w: Array) -> Array:
 def exp(twist: Array) -> Array:
     """Return the pose reached by a constant body twist (..., 3) = (forward, left, turn) over unit time.
 
-    A circular arc: for (ds, 0, dtheta) the chord is ds sin(dtheta/2) / (dtheta/2) along dtheta/2.
+    It lies on a circular arc: for (ds, 0, dtheta) the chord is ds sin(dtheta/2) / (dtheta/2), in the direction
+    dtheta/2.
     """
     half = 0.5 * twist[..., 2]
     # sinc is exact near zero; np.sinc(x) = sin(pi x) / (pi x)
@@ -176,7 +180,7 @@ def log(pose: Array) -> Array:
 
 
 def transform(pose: Array, points: Array) -> Array:
-    """Return points (..., 2), given in the frame of `pose` (..., 3), in the pose's parent frame."""
+    """Convert points (..., 2) from the frame of `pose` (..., 3) to the parent frame of the pose."""
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = points[..., 0], points[..., 1]
     return np.stack((pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y), axis=-1)
@@ -185,8 +189,8 @@ def transform(pose: Array, points: Array) -> Array:
 def laid_on(a: Array, b: Array) -> tuple[float, float]:
     """Return the rotation [rad] and the scale that map points a (n, 2) to points b (n, 2), by least squares.
 
-    Both sets are centred on their means first (Umeyama 1991, in the plane); the rotation does not depend on the
-    scale, which is 1 if all points of a are equal.
+    Both sets are first centred on their means (Umeyama 1991, in the plane). The rotation does not depend on the
+    scale. If all points of a are equal, the scale is 1.
     """
     p, q = a - a.mean(axis=0), b - b.mean(axis=0)
     across, along = float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum())

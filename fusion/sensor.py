@@ -29,26 +29,26 @@ from .data import (
 GATE = VERDICTS.index("gate")
 Row = tuple[float, ...]
 Matrix = tuple[Row, ...]
-NO_COLUMNS: tuple[int, ...] = ()  # of a measurement that depends on the pose only
+NO_COLUMNS: tuple[int, ...] = ()  # state columns of a measurement that depends only on the pose
 NO_BLOCK: Matrix = ()
 PoseRows = tuple[tuple[float, float, float], ...]  # (d, 3) derivatives by x [m], y [m], theta [rad] of the pose
 
 
 class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings that all sensors share; SI units, angles in degrees where the key ends in `_deg`."""
+    """Settings of all sensors; SI units, angles in degrees if the key ends in `_deg`."""
 
-    topic: str | None = None  # not set: the only topic of a type the sensor reads
+    topic: str | None = None  # not set: the only topic of a type that the sensor reads
     time_offset: float = 0.0  # s, added to the stamps of this sensor
-    gate: float = 0.9999  # confidence of the chi-square gate: one good reading in 10 000 is lost; 1 accepts all
-    outliers: Literal["reject", "inflate"] = "reject"  # beyond the gate: refused, or R grown until they fit
+    gate: float = 0.9999  # confidence of the chi-square gate: one good reading in 10 000 is rejected; 1: none
+    outliers: Literal["reject", "inflate"] = "reject"  # beyond the gate: reject, or increase R
 
-    only_fused: ClassVar[frozenset[str]] = frozenset({"gate", "outliers"})  # keys that no measurement depends on
+    only_fused: ClassVar[frozenset[str]] = frozenset({"gate", "outliers"})  # keys on which no measurement depends
 
-    # keys that must be above 0, of those that a sensor has
+    # keys that must be above 0, if a sensor has them
     positive: ClassVar[tuple[str, ...]] = ("sigma", "sigma_deg", "sigma_range")
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a sigma of 0 or below, with which P would become singular."""
+        """Raise ValueError for a sigma that is not above 0: P would become singular."""
         for key in self.positive:
             if getattr(self, key, 1.0) <= 0.0:
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
@@ -83,11 +83,11 @@ class Equation(NamedTuple):
 class Reading:
     """Innovations of a reading with many rows, stored in columns for speed."""
 
-    row: int  # of the first in Measurements.z
-    lines: int  # rows of the measurements
-    accepted: int  # of them, that correct the filter
-    first: int  # where their equation begins in the state's table
-    numbers: int  # of that equation
+    row: int  # index of the first row in Measurements.z
+    lines: int  # number of rows in Measurements.z
+    accepted: int  # number of rows that correct the filter
+    first: int  # first row of their equation in the state's table
+    numbers: int  # number of rows of this equation
 
     def write(self, audit: AuditColumns, at: int, instant: int, row: int) -> None:
         """Write the verdicts of all rows into the columns of an audit, starting at index `at`."""
@@ -99,9 +99,9 @@ class Reading:
 
 
 def positive(greatest: float) -> None:
-    """Raise LocfuseError if an innovation covariance is singular: `greatest` is then not positive.
+    """Raise LocfuseError if an innovation covariance is singular, that is, `greatest` is not positive.
 
-    `greatest` is the largest of its variances, with a minus sign if the covariance is not positive definite.
+    `greatest` is the largest variance, with a minus sign if the covariance is not positive definite.
     """
     if not greatest > 0.0:
         raise LocfuseError(
@@ -114,13 +114,13 @@ class Block(NamedTuple):
     """Named states of a sensor in the filter, such as a compass offset or a gyro bias."""
 
     name: str
-    x: Array  # (k,) start
-    P: Array  # (k, k) start covariance
-    drift: Array  # (k,) variance per second of its random walk
+    x: Array  # (k,) initial values
+    P: Array  # (k, k) initial covariance
+    drift: Array  # (k,) variance per second of the random walk of each state
 
 
 class Belief(Protocol):
-    """The filter's state as a model sees it: pose, covariance, and state blocks."""
+    """State of the filter as a model sees it: pose, covariance, and state blocks."""
 
     @property
     def x(self) -> float:
@@ -147,7 +147,7 @@ class Belief(Protocol):
         """Return the state in a column."""
 
     def variance(self, H: Row, columns: tuple[int, ...] = (), H_block: Row = ()) -> float:
-        """Return H P H' for one derivative: H (3,) by the pose, H_block (c,) by the states `columns` (c,)."""
+        """Return H P H' of one number: H (3,) by the pose, H_block (c,) by the states `columns` (c,)."""
 
     def compare(
         self,
@@ -159,10 +159,10 @@ class Belief(Protocol):
         columns: tuple[int, ...] = (),
         H_block: Matrix = (),
     ) -> Innovation:
-        """Return the innovation y (d,) of measurement `row` with its covariance, NIS and verdict.
+        """Return the innovation y (d,) of measurement `row`, with its covariance, NIS and verdict.
 
         S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). H (d, 3) is by the pose,
-        H_block (d, c) by the states `columns` (c,), R (d, d). The verdict is "accepted" or "gate" by the NIS, and
+        H_block (d, c) by the states `columns` (c,); R (d, d). By the NIS, the verdict is "accepted" or "gate", and
         no landmark is set; the model may change both. Raises LocfuseError if S is not positive definite.
         """
 
@@ -170,21 +170,21 @@ class Belief(Protocol):
 class Model:
     """Measurement model of one sensor in one run of the filter; it may also keep a map."""
 
-    joint: bool = False  # whether it adds states during the drive, beyond its blocks
+    joint: bool = False  # whether it adds states other than its blocks during the drive
     local: bool = False  # whether it observes the pose in the local frame, not in the map frame
     maps: bool = False  # whether it may build a map, with which a local frame begins
-    leads: bool = False  # whether it builds several maps in turn: then no other model begins a frame
-    teaches: bool = True  # whether readings that only listen may correct its states
+    leads: bool = False  # whether it builds several maps, one after another; then no other model begins a frame
+    teaches: bool = True  # whether readings that only listen (fuse) may correct its states
 
     def blocks(self) -> list[Block]:
         """Return the state blocks that this sensor adds at the start of a run."""
         return []
 
     def begin(self, given: Sequence[MapLine], belief: Any) -> None:
-        """Load the line map of an earlier run. Raises LocfuseError if it is needed and missing."""
+        """Load the line map of an earlier run. Raises LocfuseError if a map is needed but missing."""
 
     def meet(self, others: Mapping[str, Model]) -> None:
-        """Link the other models of the run, by sensor name; a model may use another one's map."""
+        """Link the other models of the run, by sensor name; a model may use the map of another one."""
 
     def rolled(self, u: Sequence[float]) -> None:
         """Process the wheel motion (x [m], y [m], theta [rad]) since the previous update time."""
@@ -194,16 +194,16 @@ class Model:
         return False
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Reading:
-        """Return the innovations of reading i given the prior; those with verdict 0 correct the filter."""
+        """Return the innovations of reading i relative to the prior; those with verdict 0 correct the filter."""
         raise NotImplementedError
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Update the model (e.g. its map) with reading i, after the correction of the pose."""
 
     def begin_next_map(self, belief: Any) -> None:
-        """Start a new map if the present one is full.
+        """Start a new map if the present one is full; the local frame may change.
 
-        Called after all readings of an update time, only for a model that `leads`. The local frame may change.
+        Called after all readings of an update time, only for a model that `leads`.
         """
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
@@ -227,7 +227,7 @@ class Model:
         return []
 
     def notes(self, belief: Any) -> list[str]:
-        """Return notes on this run for the report, given the last belief."""
+        """Return notes on this run for the report; `belief` is the last one."""
         return []
 
 
@@ -236,16 +236,16 @@ class Ask(NamedTuple):
 
     words: str  # unit, and how to measure it
     needed: bool = False  # whether the sensor cannot be used without the setting
-    blank: bool = False  # whether the value is left blank, as a default would look measured
+    blank: bool = False  # whether the value is left blank, since a default would look like a measured value
 
 
 class Bias(NamedTuple):
     """Setting that corrects a constant error of a sensor's readings."""
 
-    key: str  # in the unit of the sensor's first component
-    sign: float  # of the setting's change for a positive mean innovation
-    estimated: bool = False  # whether the filter estimates it if the setting is left out
-    sigma: str | None = None  # setting of its standard deviation, same unit; above 0 it is a state
+    key: str  # setting, in the unit of the sensor's first component
+    sign: float  # sign of the setting's change for a positive mean innovation
+    estimated: bool = False  # whether the filter estimates the error if the setting is left out
+    sigma: str | None = None  # setting of the error's standard deviation, same unit; above 0 the error is a state
 
 
 class Reversal(NamedTuple):
@@ -270,7 +270,7 @@ class Sensor(ABC):
     instance has no state: the estimates of a run are in its `Model`.
     """
 
-    # ---- what it is, and what it reads ----
+    # ---- description of the sensor, and its topics ----
 
     name: ClassVar[str]
     """Name in `--sensors`, and of the table in robot.toml."""
@@ -312,11 +312,11 @@ class Sensor(ABC):
     """Sensor that this one depends on -> reason, such as "held against the map of lrf"."""
 
     def carries(self, stream: Stream) -> bool:
-        """Return whether a topic contains readings of this sensor; called if several topics fit."""
+        """Return whether a topic has readings of this sensor; called if several topics are possible."""
         return True
 
     def missing(self, settings: Any) -> str | None:
-        """Return a message about a required setting that is missing, or None."""
+        """Return a message about a required setting that is missing; None if none is missing."""
         return None
 
     # ---- how it measures ----
@@ -329,9 +329,9 @@ class Sensor(ABC):
         """
 
     def again(self, before: Measurements, settings: Any, epoch_ns: int) -> Measurements | None:
-        """Return what `measure` gives under `settings`, computed from `before`, its result under other settings.
+        """Return the result of `measure` with `settings`, computed from `before`, its result with other settings.
 
-        None if `measure` has to be called again.
+        None if `measure` must be called again.
         """
         return None
 
@@ -340,21 +340,21 @@ class Sensor(ABC):
         """Return the filter model of this sensor for a new run."""
 
     def start(self, m: Measurements, settings: Any, wheels: WheelMotion) -> FoundStart | None:
-        """Return the robot's start pose by the readings and a known map; None for a sensor without such a map.
+        """Return the robot's start pose from the readings and a known map; None for a sensor without a known map.
 
         Raises LocfuseError if the start is ambiguous.
         """
         return None
 
     def heading(self, m: Measurements) -> tuple[Array, Array] | None:
-        """Return times (n,) [s] and headings (n,) [rad, unwrapped, unknown constant] by this sensor alone.
+        """Return times (n,) [s] and headings (n,) [rad, unwrapped, up to a constant] from this sensor alone.
 
         None for a sensor that does not measure turns. Used to find clock lags, mirrored wheels and the track.
         """
         return None
 
     def misfit(self, m: Measurements, settings: Any, poses: Array) -> float | None:
-        """Return the spread of the readings about their predictions from poses (n, 3), in any unit, or None.
+        """Return the spread of the readings about their predictions from poses (n, 3), in any unit.
 
         None if poses do not determine the readings. Used to compare the clocks of truth and sensor.
         """
@@ -364,7 +364,7 @@ class Sensor(ABC):
     """Whether an unchanged heading means that the turn is unknown (a scan that matches no line)."""
 
     def reversal(self, settings: Any, msgtype: str) -> Reversal:
-        """Return why this sensor turns opposite to the wheels, and the settings that fix it."""
+        """Return the reason why this sensor may turn opposite to the wheels, and the settings that fix it."""
         if not hasattr(settings, "roll_deg"):
             return Reversal("its sense of turning is wrong")
         return Reversal("it is mounted upside-down", {"roll_deg": (settings.roll_deg + 180.0) % 360.0})
@@ -387,9 +387,9 @@ class Sensor(ABC):
     """Setting that measured distances are multiplied by."""
 
     def brings_covariance(self, m: Measurements) -> bool:
-        """Return whether readings contain their own covariance, so that no sigma has to be tuned.
+        """Return whether the readings contain their own covariance, so that no sigma has to be tuned.
 
-        By default, if the extra column "has_covariance" is nonzero in some row.
+        Default: whether the extra column "has_covariance" is nonzero in any row.
         """
         return "has_covariance" in m.extra and bool(m.extra["has_covariance"].any())
 
@@ -399,7 +399,7 @@ class Sensor(ABC):
     """Whether `locfuse info` warns if the mount on the base is unknown."""
 
     def mount(self, settings: Any) -> tuple[float, float, float]:
-        """Return the mount on the base: x [m], y [m], yaw [rad]; 0 for a sensor without these settings."""
+        """Return the mount on the base: x [m], y [m], yaw [rad]; zeros for a sensor without these settings."""
         if not hasattr(settings, "x") or not hasattr(settings, "y"):
             return 0.0, 0.0, 0.0
         return settings.x, settings.y, math.radians(getattr(settings, "yaw_deg", 0.0))
@@ -413,7 +413,7 @@ class Sensor(ABC):
     """Setting that no log contains -> meaning of its default."""
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a setting applies to messages of this type ("" without a topic)."""
+        """Return whether a setting applies to messages of this type ("": no topic)."""
         return True
 
     sees: ClassVar[str] = "value"
@@ -422,7 +422,7 @@ class Sensor(ABC):
     blind_is_severe: ClassVar[bool] = False
     """Whether readings without measurements mean wrong settings."""
 
-    # ---- how it is shown ----
+    # ---- display of the sensor ----
 
     components: ClassVar[tuple[Component, ...]]
     """Names, units and scales of the d numbers of a measurement (d,)."""
@@ -437,7 +437,7 @@ class Sensor(ABC):
     """Picture of a measurement on the map: ray along the heading, ray to a landmark, wall segments; "": none."""
 
     def landmark(self, settings: Any) -> tuple[float, float] | None:
-        """Return the landmark's position in the map, (x, y) [m], for a sensor of a single landmark; else None."""
+        """Return the position of the landmark (x, y) [m, map frame] for a sensor of one landmark, else None."""
         return None
 
     locates: ClassVar[bool] = False

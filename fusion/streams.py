@@ -1,4 +1,4 @@
-"""Streams of readings: join and choose rows, merge several topics, find gaps, integrate rates."""
+"""Streams of readings: joining and selecting rows, merging topics, finding gaps, integrating rates."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream
 
-MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # s, median periods
-MIN_BLANK_STEPS = 20.0  # median steps: from values that are larger, a step to zero is no motion
+MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # a gap is longer than both: s, median periods
+MIN_BLANK_STEPS = 20.0  # median steps: from a larger value, a step to zero is no motion
 
 
 def concat(parts: Sequence[Column]) -> Column:
@@ -33,7 +33,7 @@ def concat(parts: Sequence[Column]) -> Column:
 
 
 def take(column: Column, rows: NDArray[Any]) -> Column:
-    """Return the rows of a column with the indices `rows` (k,), in the order of these indices."""
+    """Return the rows of a column with the indices `rows` (k,), in this order."""
     if isinstance(column, list):
         return [column[i] for i in rows.tolist()]
     if isinstance(column, np.ndarray):
@@ -50,7 +50,7 @@ def take(column: Column, rows: NDArray[Any]) -> Column:
 
 
 def taken(stream: Stream, rows: Ints, *fields: str) -> ArrayStream:
-    """Return the rows with these indices (k,) of a stream, at least one, with these fields in memory."""
+    """Return a stream of the rows with these indices (k,), at least one, with these fields in memory."""
     parts: list[Block] = []
     for at, columns in stream.blocks(*fields):
         if len(kept := np.flatnonzero(np.isin(at, rows))):
@@ -62,12 +62,12 @@ def taken(stream: Stream, rows: Ints, *fields: str) -> ArrayStream:
 
 
 def gap_limit(t: Array) -> float:
-    """Return the longest step [s] between stamps t (n,) that is not a gap: 5 median periods, at least 0.5 s."""
+    """Return the longest step [s] between stamps t (n,) that is no gap: 5 median periods, at least 0.5 s."""
     return max(MIN_GAP_S, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else MIN_GAP_S
 
 
 def outside(t: Array, of_drive: Array, role: str, offset: float) -> LocfuseError:
-    """Return the error that all times t (n,) [s] of a role lie outside the drive, with the offset to try.
+    """Return the error that all times t (n,) [s] of a role are outside the drive, with the offset to try.
 
     `offset` [s] is the present time_offset.
     """
@@ -83,9 +83,9 @@ def outside(t: Array, of_drive: Array, role: str, offset: float) -> LocfuseError
 
 
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
-    """Add numbers of unused readings to `dropped`; each argument is a reason with a number or flags (n,).
+    """Add numbers of unused readings to `dropped`, reason -> number.
 
-    A reason that never occurs is not listed.
+    Each keyword argument is a reason with a number, or with flags (n,). A reason that never occurs is not listed.
     """
     for reason, which in unused.items():
         if n := int(np.sum(which)):
@@ -93,10 +93,9 @@ def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
 
 
 def blank(values: Array) -> NDArray[np.bool_]:
-    """Return which rows of values (n, k) are zeros in place of a reading.
+    """Return flags (n,) of the rows of values (n, k) that are zeros in place of a reading.
 
-    The rows before and after such zeros are longer than MIN_BLANK_STEPS median steps, and go on as if nothing was
-    between.
+    The rows before and after such zeros are similar, and larger than MIN_BLANK_STEPS median steps.
     """
     out: NDArray[np.bool_] = (values == 0.0).all(axis=1)
     known, at = np.flatnonzero(~out), np.flatnonzero(out)
@@ -133,7 +132,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def dropped(self) -> Mapping[str, int]:
-        """Number of messages without a row, of all parts, by reason."""
+        """Reason -> number of messages without a row, over all parts."""
         return dict(sum((Counter(part.dropped) for part in self.parts), Counter()))
 
     @cached_property
@@ -148,12 +147,12 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def source(self) -> Ints:
-        """Index of the part that each row came from, (n,)."""
+        """Index of the part from which each row comes, (n,)."""
         counts = [len(part.t_ns) for part in self.parts]
         return np.repeat(np.arange(len(self.parts)), counts)[self._order]
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return the numbers of all n rows for each of these fields, by the field's dotted path."""
+        """Return the numbers of all n rows for each of these fields, by dotted field path."""
         found = [cast("dict[str, Array]", part.columns(*fields)) for part in self.parts]
         return {name: np.concatenate([columns[name] for columns in found])[self._order] for name in fields}
 
@@ -163,7 +162,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 
 
 def parts_of(stream: Any) -> tuple[Any, ...]:
-    """Return the streams of single topics that a stream consists of."""
+    """Return the streams that a merged stream consists of; another stream is its own only part."""
     return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
@@ -185,6 +184,9 @@ def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
 
 
 def last_of_periods(t: Array, period: float) -> Ints:
-    """Return the index of the last reading in every period [s], for strictly increasing times t (n,) [s]."""
+    """Return the index of the last reading in every period of length `period` [s].
+
+    The times t (n,) [s] of the readings are strictly increasing.
+    """
     cell = np.floor(t / period) if period > 0.0 else t
     return np.flatnonzero(np.append(np.diff(cell) > 0, True)[: len(t)])

@@ -1,4 +1,4 @@
-"""Ground truth from reference poses, points, mocap bodies or satellite fixes; never used for estimation."""
+"""Ground truth from reference poses, points, motion capture or satellite fixes; never used for estimation."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .streams import blank, count_dropped
 
 BODIES = "mocap4r2_msgs/msg/RigidBodies"
 FIX = "sensor_msgs/msg/NavSatFix"
-NO_TRUTH = "truth.topic=none"  # the setting that leaves a truth out
-# Types that hold several bodies -> the fields of their names and poses: motion capture, and what Gazebo simulates.
+NO_TRUTH = "truth.topic=none"  # setting by which a truth is left out
+# Types with several bodies (motion capture, Gazebo) -> the fields of the bodies' names and poses.
 SEVERAL: Mapping[str, tuple[str, ...]] = {
     kind: (names, *pose_fields(pose))
     for kind, names, pose in (
@@ -30,22 +30,22 @@ SEVERAL: Mapping[str, tuple[str, ...]] = {
         ("gazebo_msgs/msg/LinkStates", "name", "pose"),
     )
 }
-KNOWN_TRUTH = (BODIES, "gazebo_msgs/msg/ModelStates")  # types that are truth for any topic name
+KNOWN_TRUTH = (BODIES, "gazebo_msgs/msg/ModelStates")  # types that count as truth under any topic name
 TRUTH_READS: Mapping[str, tuple[str, ...]] = {
     **POSE,
     "geometry_msgs/msg/PointStamped": ("point.x", "point.y"),
     **SEVERAL,
     FIX: ("latitude", "longitude"),
 }
-MIN_MOVED_M = 0.1  # m: a body that moves less is not the robot
-TRUTH_NAMES = (  # never /odom, never /amcl_pose
+MIN_MOVED_M = 0.1  # m: a body that moves less cannot be the robot
+TRUTH_NAMES = (  # must not match /odom or /amcl_pose
     *("ground_truth", "groundtruth", "gt", "mocap"),
     *("vicon", "optitrack", "vrpn", "qualisys", "natnet", "leica"),
 )
 
 
 def looks_like_truth(topic: str) -> bool:
-    """Return whether a topic's name is typical of ground truth, such as "mocap"."""
+    """Return whether the name of a topic is typical of ground truth, such as "mocap"."""
     parts = topic.lower().strip("/").replace("-", "_").split("/")
     return any(name == part or (name != "gt" and name in part) for part in parts for name in TRUTH_NAMES)
 
@@ -92,7 +92,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
 
 
 def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) -> Array:
-    """Return x, y [m] and, if recorded, a quaternion: (n, 2) or (n, 6), NaN without a pose."""
+    """Return x, y [m] and, if recorded, a quaternion: (n, 2) or (n, 6); NaN for a row without a pose."""
     columns = stream.columns(*TRUTH_READS[stream.msgtype])
     if stream.msgtype in SEVERAL:
         return _of_body(stream.topic, columns, settings.body, dropped)
@@ -101,7 +101,7 @@ def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) ->
 
 
 def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: dict[str, int]) -> Array:
-    """Return the poses (n, 6) of one rigid body, NaN for messages without this body."""
+    """Return the poses (n, 6) of one rigid body; NaN for messages without this body."""
     names, *fields = columns.values()
     rows = cast("list[tuple[str, ...]]", names)
     known = sorted({name for row in rows for name in row})
@@ -122,7 +122,10 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
 
 
 def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str]) -> list[str]:
-    """Return the names of the bodies that move more than MIN_MOVED_M; a single known body is always returned."""
+    """Return the names of the bodies that move more than MIN_MOVED_M.
+
+    If only one body is known, it is always returned.
+    """
     if len(known) == 1:
         return known
     found = []
@@ -146,7 +149,7 @@ def _in_plane(where: Array, settings: TruthSettings) -> Array:
 def body_poses(truth: Truth, t: Array) -> Array:
     """Return poses (n, 3) of the robot's base, interpolated from the truth at times t (n,) [s]; theta not wrapped.
 
-    The truth must have headings, which convert the position of the tracked point to that of the base.
+    The truth must have headings: they convert the position of the tracked point to the position of the base.
     """
     assert truth.theta is not None
     x, y, theta = (np.interp(t, truth.t, column) for column in (*truth.xy.T, np.unwrap(truth.theta)))

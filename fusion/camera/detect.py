@@ -1,7 +1,7 @@
 """Detection of red vertical objects in image messages, by several threads.
 
-OpenCV releases the interpreter lock while it decodes, so a few threads share a block of pictures. The result does
-not depend on their number.
+OpenCV releases Python's global interpreter lock while it decodes, so a few threads share a block of pictures. The
+result does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .optics import Optics
 from .panorama import Picture, Red, RedCandidate
 
 Chain = Literal["fast", "paper", "printed"]
-MAX_THREADS = 4  # more threads only wait for the interpreter lock
+MAX_THREADS = 4  # more threads would only wait for the interpreter lock
 MIN_HALF_RADIUS_PX = 120.0  # px, smallest radius of the mirror for detection at half size
 
 
@@ -38,7 +38,7 @@ class Detection(NamedTuple):
 
 
 class Detector(msgspec.Struct, frozen=True):
-    """Detector of red vertical objects; a calibration value of None follows from the picture's size."""
+    """Detector of red vertical objects; None: the calibration value follows from the size of the picture."""
 
     chain: Chain = "fast"
     red: Red = field(default_factory=Red)
@@ -51,7 +51,7 @@ class Detector(msgspec.Struct, frozen=True):
     swapped: bool = False  # pictures are RGB
 
     def optics(self, shape: tuple[int, ...]) -> Optics:
-        """Return the calibration for pictures (h, w, 3); by default the largest circle about the middle."""
+        """Return the calibration for pictures (h, w, 3); default: the largest circle about the middle."""
         height, width = shape[:2]
         x, y = self.centre or ((width - 1) / 2.0, (height - 1) / 2.0)
         outer = self.outer or max(1.0, min(x, y, width - 1 - x, height - 1 - y))
@@ -59,7 +59,10 @@ class Detector(msgspec.Struct, frozen=True):
         return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
 
     def looks_like(self, other: Detector) -> bool:
-        """Return whether both detectors find the same candidates: they differ at most in `zero`, `clockwise`."""
+        """Return whether both detectors find the same candidates.
+
+        Then they differ at most in `zero` and `clockwise`, which only convert angles to bearings.
+        """
         return replace(self, zero=other.zero, clockwise=other.clockwise) == other
 
     def coloured(self, picture: Picture) -> Picture:
@@ -76,7 +79,10 @@ class Detector(msgspec.Struct, frozen=True):
         return Detection((picture.shape[0], picture.shape[1]), optics, found)
 
     def is_half_enough(self, shape: tuple[int, int]) -> bool:
-        """Return whether detection at half size is exact enough for a picture (h, w) with coarse colour."""
+        """Return whether detection at half size is exact enough for a picture (h, w).
+
+        The picture has colour at half resolution.
+        """
         return self.chain == "fast" and self.optics(shape).outer >= MIN_HALF_RADIUS_PX
 
     def find_in_half(self, picture: Picture, shape: tuple[int, int]) -> Detection:
@@ -89,7 +95,7 @@ class Detector(msgspec.Struct, frozen=True):
 def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
     """Return the red objects in the picture of one message, or the reason why it cannot be decoded.
 
-    A JPEG with colour at half resolution is decoded at half size: a third of the work, without loss of colour.
+    A JPEG with colour at half resolution is decoded at half size: a third of the work, with no loss of colour.
     """
     shape = coarse_size(message)
     if shape is not None and detector.is_half_enough(shape):
@@ -100,7 +106,7 @@ def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
 
 
 def detections(stream: Stream, detector: Detector) -> Iterator[tuple[int, Detection | str]]:
-    """Yield (row number, detection or the reason for none) for every message of a stream, in order."""
+    """Yield (row number, detection or reason why there is none) for every message of a stream, in order."""
     with ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1)) as pool:
         for block in messages(stream):
             found = pool.map(partial(detect, detector=detector), [fields for _, fields in block])

@@ -1,4 +1,4 @@
-"""Decoding of image messages to BGR pictures (h, w, 3) uint8, or to the reason why that fails."""
+"""Decoding of image messages to BGR pictures (h, w, 3) uint8; if it fails, the reason is returned instead."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from .optics import FIELDS
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG, EOI = b"\xff\xd8", b"\xff\xd9"
-MIN_TAIL_BYTES = 8  # bytes, less than follow a frame header
+MIN_TAIL_BYTES = 8  # fewer bytes than follow a frame header
 FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF markers: the frame's size follows
 BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
-END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the frame header comes before
+END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the frame header comes before these markers
 COLOUR_COMPONENTS = 3  # components of a colour picture: Y, Cb, Cr
 Picture = NDArray[np.uint8]
 PICTURES_AT_ONCE = 16  # pictures held undecoded at a time
 # reasons why a message has no picture
 NO_COLOUR = "no_colour"  # grey (mono8): red needs colour
 UNREADABLE = "unreadable"  # truncated, or neither JPEG nor PNG
-NOT_WHOLE = "not_whole"  # damaged data: the picture is wrong from there on
+NOT_WHOLE = "not_whole"  # damaged data: the picture is wrong after the damage
 TOO_LARGE = "too_large"  # more than MAX_PIXELS
 TOO_SHORT = "too_short"  # less data than height x step
 UNKNOWN_ENCODING = "unknown_encoding"
@@ -48,7 +48,7 @@ def image_size(data: memoryview) -> tuple[int, int] | None:
 
 
 def _is_coarse(data: memoryview, at: int | None) -> bool:
-    """Return whether a JPEG, frame header at index `at`, has colour at half resolution (4:2:0, 4:2:2)."""
+    """Return whether a JPEG with its frame header at `at` has colour at half resolution (4:2:0, 4:2:2)."""
     if at is None or len(data) < at + 10 + 3 * COLOUR_COMPONENTS or data[at + 9] != COLOUR_COMPONENTS:
         return False
     sampling = [data[at + 11 + 3 * k] for k in range(COLOUR_COMPONENTS)]  # horizontal in the high half of the byte
@@ -58,14 +58,14 @@ def _is_coarse(data: memoryview, at: int | None) -> bool:
 def _jpeg_size(data: memoryview, at: int | None) -> tuple[int, int] | None:
     if at is None:
         return None
-    # inside a scan 0xFF is always followed by 0; the end mark is nearly always last
+    # the end mark is nearly always last; it cannot occur inside a scan, where 0 follows every 0xFF
     whole = EOI in bytes(data[-MIN_TAIL_BYTES:]) or EOI in bytes(data[at + 9 :])
     height, width = (int.from_bytes(data[at + k : at + k + 2], "big") for k in (5, 7))
     return (width, height) if whole else None
 
 
 def _frame(data: memoryview) -> int | None:
-    """Return the index of a JPEG's frame header (ITU-T T.81, B.2.2); None without one."""
+    """Return the index of a JPEG's frame header (ITU-T T.81, B.2.2); None if there is none."""
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
@@ -83,13 +83,11 @@ def _frame(data: memoryview) -> int | None:
 
 
 def compressed(data: Any, layout: str, coarse: tuple[int, int] | None = None) -> Picture | str:
-    """Return the BGR picture of a sensor_msgs/CompressedImage, or the reason for none.
+    """Return the BGR picture of a sensor_msgs/CompressedImage, or the reason why there is none.
 
-    Decoded at half size if its size `coarse` (height, width) is given.
-
-    `layout` is the message's format: "jpeg", or image_transport's "bgr8; jpeg compressed bgr8", where
-    "compressed rgb8" says that R and B are swapped in the file. An EXIF rotation is not
-    applied.
+    `layout` is the format in the message: "jpeg", or image_transport's "bgr8; jpeg compressed bgr8". With
+    "compressed rgb8", R and B are swapped in the file. An EXIF rotation is not applied. If the full size `coarse`
+    (height, width) [px] is not None, the picture is decoded at half size.
     """
     encoding, _, rest = layout.partition(";")
     if encoding.startswith(GREY):
@@ -111,7 +109,10 @@ def compressed(data: Any, layout: str, coarse: tuple[int, int] | None = None) ->
 
 
 def coarse_size(message: tuple[Any, ...]) -> tuple[int, int] | None:
-    """Return (height, width) [px] of a message's picture if it is a JPEG with colour at half resolution."""
+    """Return (height, width) [px] of a message's picture, if it is a JPEG with colour at half resolution.
+
+    Else return None.
+    """
     if len(message) != 2:
         return None
     data = memoryview(message[0]).cast("B")
@@ -130,7 +131,10 @@ def _decoded(data: Any, half: bool) -> NDArray[Any] | None:
 
 
 def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture | str:
-    """Return the BGR picture of a sensor_msgs/Image, or the reason for none; rows may be padded to `step`."""
+    """Return the BGR picture of a sensor_msgs/Image, or the reason why there is none.
+
+    A row takes `step` bytes, perhaps with padding at its end.
+    """
     if encoding not in _ENCODINGS:
         return NO_COLOUR if encoding.startswith(GREY) else UNKNOWN_ENCODING
     channels, conversion = _ENCODINGS[encoding]
@@ -144,9 +148,9 @@ def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture
 
 
 def decode(message: tuple[Any, ...], coarse: tuple[int, int] | None = None) -> Picture | str:
-    """Return the BGR picture (h, w, 3) of a message given as its `FIELDS`, or the reason for none.
+    """Return the BGR picture (h, w, 3) of a message, or the reason why there is none; `message` has its `FIELDS`.
 
-    If its full size `coarse` (height, width) [px] is given, a compressed picture is decoded at half size.
+    If the full size `coarse` (height, width) [px] is not None, a compressed picture is decoded at half size.
     """
     if len(message) == 2:
         return compressed(*message, coarse)

@@ -1,7 +1,7 @@
 """Import of OpenCV with limits on picture size and threads.
 
-Importing this module costs 60 ms and more: import it (or what imports it: images, panorama, radial, preview)
-only inside functions that process pictures.
+The import takes 60 ms or more. So this module, and those that import it (images, panorama, radial, preview), are
+imported only inside functions that process pictures.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-# A 5 kB JPEG can claim 20000 x 20000 pixels. An 8K frame (7680 x 4320) still fits: 100 MB decoded.
-# images.py checks every header against the same limit.
+# A 5 kB JPEG can declare 20000 x 20000 pixels. An 8K frame (7680 x 4320) is below the limit: 100 MB decoded.
+# images.py checks every header against this limit too.
 MAX_PIXELS = 2**25
 MAX_MAP_PIXELS = 2**26  # of a map: 400 m x 400 m in cells of 5 cm
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MAX_MAP_PIXELS))  # for the whole process
 
 import cv2  # noqa: E402
 
-# One picture per core (detect.py) is faster than many cores per picture; results do not depend on the cores.
+# One picture per core (detect.py) is faster than several cores per picture, and gives the same results.
 cv2.setNumThreads(1)
 
 __all__ = ["MAX_MAP_PIXELS", "MAX_PIXELS", "cv2", "listened", "reports_damage"]
@@ -35,7 +35,7 @@ __all__ = ["MAX_MAP_PIXELS", "MAX_PIXELS", "cv2", "listened", "reports_damage"]
 
 T = TypeVar("T")
 STDERR = 2
-# a few extra bytes before the end mark are padding of some cameras; many extra bytes mean damaged data
+# some cameras add a few bytes of padding before the end mark; more extra bytes mean damaged data
 PADDING = re.compile(rb"(\d+) extraneous bytes before marker 0xd9")
 MAX_PADDING_BYTES = 15
 
@@ -54,7 +54,7 @@ class _StderrRedirect:
     def redirected(self, alone: bool) -> Iterator[int]:
         """Context manager: while a picture is decoded, stderr goes to a file; yields its file descriptor.
 
-        If `alone`, no other thread decodes meanwhile, so that the file's new text belongs to one picture.
+        With `alone`, no other thread decodes at this time, so that new text in the file belongs to one picture.
         """
         with self._change:
             while alone and self._decoding:
@@ -94,13 +94,13 @@ _REDIRECT = _StderrRedirect()
 
 
 def listened(decode: Callable[[], T]) -> tuple[T, bytes]:
-    """Return the result of `decode`, and the text that libraries wrote to stderr during it."""
+    """Return the result of `decode`, and the text that libraries wrote to stderr during its call."""
     with _REDIRECT.redirected(alone=False) as file:
         before = _REDIRECT.read
         found = decode()
         if _size(file) == before:
             return found, b""
-    with _REDIRECT.redirected(alone=True) as file:  # the text may be of another thread's picture
+    with _REDIRECT.redirected(alone=True) as file:  # the text may belong to another picture: decode again
         before = _size(file)
         found = decode()
         _REDIRECT.read = _size(file)
@@ -108,7 +108,7 @@ def listened(decode: Callable[[], T]) -> tuple[T, bytes]:
 
 
 def reports_damage(words: bytes) -> bool:
-    """Return whether a text that a library wrote to stderr reports a damaged picture."""
+    """Return whether the stderr text `words` of a picture library reports a damaged picture."""
     padding = (PADDING.search(line) for line in words.splitlines() if b"JPEG" in line)
     return any(found is None or int(found[1]) > MAX_PADDING_BYTES for found in padding)
 

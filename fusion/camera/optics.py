@@ -1,7 +1,7 @@
 """Geometry of omni-directional pictures: from pixels to bearings (omni eq. 1).
 
-Pixel (i, j) has its centre at x = i (right), y = j (down). The picture angle theta is 0 straight down in the
-picture and grows counter-clockwise on the screen (down, right, up, left), as in eq. (1).
+Pixel (i, j) has its centre at x = i (right), y = j (down). The picture angle theta is 0 downwards in the picture
+and grows counter-clockwise on the screen (down, right, up, left), as in eq. (1).
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Optics(NamedTuple):
 
     x_c: float  # px, the mirror's axis in the picture
     y_c: float  # px
-    inner: float  # px, radius of the panorama's row 0; inside it is the robot itself
+    inner: float  # px, radius of row 0 of the panorama; pixels inside this circle show the robot itself
     outer: float  # px, radius where the mirror ends
     width: int = 720  # columns of the panorama
-    zero: float = 0.0  # rad, bearing in the camera's frame that column 0 looks at
-    clockwise: bool = False  # columns turn clockwise in the world, seen from above
+    zero: float = 0.0  # rad, bearing of column 0 in the camera's frame
+    clockwise: bool = False  # whether columns proceed clockwise in the world, seen from above
 
     def halved(self) -> Optics:
         """Return the calibration for the picture at half its size."""
@@ -46,10 +46,10 @@ class Optics(NamedTuple):
 
 
 def omni_1(x_p: Array, y_p: Array, optics: Optics) -> tuple[Array, Array]:
-    """Return the picture's pixels (x_0, y_0) for panorama pixels (x_p, y_p), any shape: omni eq. (1), corrected.
+    """Return picture pixels (x_0, y_0) for panorama pixels (x_p, y_p), any shape: omni eq. (1), corrected.
 
-    The print has x_c in both lines, theta = x_p / 2 degrees and r = y_p. Correct are y_c in the second line,
-    theta = 2 pi x_p / W for W columns, and r = r_inner + y_p.
+    The printed equation has x_c in both lines, theta = x_p / 2 degrees and r = y_p. The correct one has y_c in the
+    second line, theta = 2 pi x_p / W for W columns, and r = r_inner + y_p.
     """
     theta = picture_angle(x_p, optics.width)
     r = optics.inner + y_p
@@ -63,7 +63,7 @@ def paper_omni_1(x_p: Array, y_p: Array, x_c: float) -> tuple[Array, Array]:
 
 
 def picture_angle(x_p: Array, width: int) -> Array:
-    """Return theta = 2 pi x_p / W [rad] of panorama columns; the paper's x_p / 2 [deg] where W = 720."""
+    """Return theta = 2 pi x_p / W [rad] of panorama columns; for W = 720 this is the paper's x_p / 2 [deg]."""
     return TAU * np.asarray(x_p, float) / width
 
 

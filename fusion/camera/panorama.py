@@ -1,7 +1,7 @@
 """Landmark detection as in the paper (section II): filter, red, grey, unwrap, Hough lines, bearing.
 
-Slow; `radial` finds the same bearing without unwrapping. The definitions that both use (red pixels, candidates)
-are here.
+This is slow; `radial` finds the same bearing without unwrapping. The definitions for both modules (red pixels,
+candidates) are here.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from .optics import Optics, omni_1, paper_omni_1, picture_angle
 
 Picture = NDArray[np.uint8]
 
-EDGE_PX = 2.0  # px, resolution of an edge: a JPEG keeps colour at half resolution
-SHADE_SHARE = 0.02  # error of the centre as a share of the width, by light from one side
-MAX_LEAN = 0.1  # sideways px per px of height that a "vertical" Hough line may lean
+EDGE_PX = 2.0  # px, resolution of an edge: a JPEG stores colour at half resolution
+SHADE_SHARE = 0.02  # error of the centre by light from one side, as a share of the width
+MAX_LEAN = 0.1  # largest slope of a "vertical" Hough line: px sideways per px of height
 CACHE_LINE_BYTES = 64  # bytes of a cache line
 MAX_CANDIDATES = 8  # candidates kept of one picture, the largest first
 
@@ -34,10 +34,10 @@ class Red(NamedTuple):
     A pixel is red if R - max(G, B) >= max(minimum, ratio R).
     """
 
-    ratio: float = 0.4  # share of R that green and blue lack
-    minimum: float = 30.0  # grey levels, below which the colour of a pixel is noise
-    length: float = 12.0  # px along the radius
-    slender: float = 1.5  # length over width
+    ratio: float = 0.4  # least (R - max(G, B)) / R
+    minimum: float = 30.0  # grey levels; the colour of a pixel below is noise
+    length: float = 12.0  # px, least length along the radius
+    slender: float = 1.5  # least length / width
 
     def halved(self) -> Red:
         """Return the conditions for a picture at half its size."""
@@ -47,17 +47,17 @@ class Red(NamedTuple):
 class RedCandidate(NamedTuple):
     """Vertical red object in a picture."""
 
-    theta: float  # rad, picture angle of its middle, [0, 2 pi)
+    theta: float  # rad, picture angle of the object's middle, [0, 2 pi)
     variance: float  # rad^2
     pixels: float  # area in the raw picture
     length: float  # px along the radius
     width: float  # rad
-    radius: float  # px, middle of its length
+    radius: float  # px, radius of the object's middle
 
     def doubled(self) -> RedCandidate:
         """Return a candidate found in a half-size picture, in pixels of the full picture.
 
-        The resolution of its edge is EDGE_PX in the full picture, since the colour had half resolution anyway.
+        Its edges have the resolution EDGE_PX in the full picture, since the colour has half resolution anyway.
         """
         length, radius = 2.0 * self.length, 2.0 * self.radius
         known = variance(self.theta, radius, length, self.width)
@@ -65,20 +65,20 @@ class RedCandidate(NamedTuple):
 
 
 def red_grey(picture: Picture, red: Red) -> Picture:
-    """Return the redness (h, w) of a BGR picture: R - max(G, B) where the pixel counts as red, else 0.
+    """Return the redness (h, w) of a BGR picture: R - max(G, B) for red pixels, else 0.
 
-    The difference is proportional to the share of a pixel that a red object covers, next to any grey, which gives
-    sub-pixel accuracy. The ratio makes the rule independent of brightness.
+    On a grey background, R - max(G, B) is proportional to the part of a pixel that a red object covers, which
+    gives sub-pixel accuracy. The condition on the ratio makes red independent of brightness.
     """
     excess, r = red_excess(picture, red, room_for_planes(picture.shape[:2]))
     return red_share(excess, r, red)
 
 
 def red_excess(picture: Picture, red: Red, room: list[Picture]) -> tuple[Picture, Picture]:
-    """Return (R - max(G, B), R) of a BGR picture, both (h, w); the first is 0 where it is below red.minimum.
+    """Return (R - max(G, B), R) of a BGR picture, both (h, w); the first is 0 if it is below red.minimum.
 
-    Both are in the buffers `room`: allocating new memory would take several times as long as the arithmetic
-    (benchmarks: "omni bearing").
+    The results are in the buffers `room`: to allocate new memory would take several times as long as the
+    arithmetic (benchmarks: "omni bearing").
     """
     b, g, r = room
     cv2.split(picture, room)
@@ -96,7 +96,7 @@ def red_share(excess: Picture, r: Picture, red: Red) -> Picture:
 def room_for_planes(shape: tuple[int, ...]) -> list[Picture]:
     """Return three buffers (h, w) for the colour planes of a picture.
 
-    They begin one byte apart within a cache line: cv2.split is ten times slower with equally aligned arrays.
+    They begin at different bytes of a cache line: cv2.split is ten times slower with equally aligned arrays.
     """
     size = shape[0] * shape[1]
     stride = -(-size // CACHE_LINE_BYTES) * CACHE_LINE_BYTES + 1
@@ -119,9 +119,9 @@ def unwrap(picture: Picture, optics: Optics, printed: bool = False) -> Picture:
 
 
 def vertical_lines(panorama: Picture, red: Red) -> NDArray[np.int64]:
-    """Return vertical Hough lines (n, 3) in a grey panorama: column at mid-height, first and last row.
+    """Return vertical Hough lines (n, 3) in a grey panorama: column at mid-height, first row, last row.
 
-    The first columns are repeated after the last one, so that a landmark on column 0 is found as a whole.
+    The first columns are repeated after the last one, so that a landmark at column 0 is not divided.
     """
     rows, width = panorama.shape
     wrapped = np.hstack((panorama, panorama[:, : width // 12]))
@@ -158,7 +158,7 @@ def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False
 def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
     """Return columns (k,) and weights (k,) of the red object around column x_p of the panorama.
 
-    Columns of an object across the panorama's edge are negative, or not less than its width.
+    If the object crosses the edge of the panorama, some columns are negative, or equal to its width or larger.
     """
     width = band.shape[1]
     bright = band[band > 0]
@@ -172,7 +172,7 @@ def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inner: float) -> RedCandidate:
-    """Return the candidate in these columns of the panorama, with its weighted mean column."""
+    """Return the candidate in these columns of the panorama; its angle is that of the weighted mean column."""
     width = panorama.shape[1]
     area = panorama[:, columns % width] > 0
     rows = np.flatnonzero(area.any(axis=1))
@@ -186,22 +186,23 @@ def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inne
 
 
 def cap(grey: NDArray[Any]) -> float:
-    """Return the grey level that caps the weight of a pixel, so that shading does not shift the centre."""
+    """Return the largest grey level for the weight of a pixel, so that shading does not shift the centre."""
     return 0.75 * float(grey.mean())
 
 
 def variance(theta: float, radius: float, length: float, width: float) -> float:
-    """Return the variance [rad^2] of a candidate's direction that pixel size and uneven light cause.
+    """Return the variance [rad^2] of a candidate's direction by pixel size and uneven light.
 
-    One edge of one pixel row has the variance EDGE_PX^2 / 12, the middle of two edges half of that. Errors of rows
-    are equal while the edge runs along the pixel grid, so `1 + length min(|sin|, |cos|)` rows (grid lines that it
-    crosses) are independent. Uneven light adds SHADE_SHARE of the width.
+    One edge in one pixel row has the variance EDGE_PX^2 / 12, and the middle of two edges half of that.
+    Neighbouring rows have the same error if the edge runs along the pixel grid. So only `1 + length min(|sin|,
+    |cos|)` rows count as independent: the number of grid lines that the edge crosses. Uneven light adds
+    SHADE_SHARE of the width.
     """
     crossed = 1.0 + length * min(abs(math.sin(theta)), abs(math.cos(theta)))
     return EDGE_PX**2 / (24.0 * max(radius, 1.0) ** 2 * crossed) + (SHADE_SHARE * width) ** 2
 
 
 def largest(found: list[RedCandidate], red: Red) -> list[RedCandidate]:
-    """Return the candidates that are radial lines, largest first, at most MAX_CANDIDATES."""
+    """Return the candidates that are long and slender enough (`red`), largest first, at most MAX_CANDIDATES."""
     lines = [c for c in found if c.length >= max(red.length, red.slender * c.width * c.radius)]
     return sorted(lines, key=lambda c: (-c.pixels, c.theta))[:MAX_CANDIDATES]

@@ -18,14 +18,14 @@ from .opencv import cv2
 from .optics import Optics
 from .panorama import Picture, Red, RedCandidate, cap, largest, red_excess, red_share, room_for_planes, variance
 
-MIN_RED_NEIGHBOURS = 5  # of a pixel and its eight neighbours, so that their median is red
+MIN_RED_NEIGHBOURS = 5  # least red pixels among a pixel and its eight neighbours: their median is then red
 MAX_GAP_PX = 2.0  # larger gaps along the circle separate two objects
 _ROOM = threading.local()  # buffers, reused for the next picture
 
 
 @lru_cache(maxsize=4)
 def _window(height: int, width: int, optics: Optics) -> tuple[slice, slice, Picture]:
-    """Return the rows and the columns that contain the mirror, and its mask there (255 inside)."""
+    """Return the rows and columns of the picture around the mirror, and a mask there (255 inside the mirror)."""
     columns, rows = (
         slice(max(0, int(c - optics.outer)), max(0, min(size, int(c + optics.outer) + 2)))
         for c, size in ((optics.x_c, width), (optics.y_c, height))
@@ -38,7 +38,7 @@ def _window(height: int, width: int, optics: Optics) -> tuple[slice, slice, Pict
 
 
 def _planes(shape: tuple[int, ...]) -> list[Picture]:
-    """Return this thread's three buffers (h, w) for the colour planes of a picture."""
+    """Return the three buffers (h, w) of this thread for the colour planes of a picture."""
     planes: list[Picture] = getattr(_ROOM, "planes", [])
     if not planes or planes[0].shape != shape:
         planes = _ROOM.planes = room_for_planes(shape)
@@ -69,9 +69,10 @@ def candidates(picture: Picture, optics: Optics, red: Red) -> list[RedCandidate]
 
 
 def _objects(pixels: Array) -> list[Array]:
-    """Group red pixels (4, n: angle [rad], radius [px], level, whether at the picture's edge) into objects.
+    """Group red pixels (4, n) into objects (4, k).
 
-    Gaps between the pixels of an object, (4, k), are at most MAX_GAP_PX along the circle.
+    Rows: angle [rad], radius [px], level, whether at the picture's edge. Gaps between the pixels of an object are
+    at most MAX_GAP_PX along the circle.
     """
     pixels = pixels[:, np.argsort(pixels[0], kind="stable")]
     theta, radius = pixels[:2]
@@ -79,21 +80,21 @@ def _objects(pixels: Array) -> list[Array]:
     last = np.flatnonzero(apart > MAX_GAP_PX)  # the last pixel of each object
     if not len(last):
         return [pixels]
-    turned = (last[-1] + 1) % len(theta)  # the last object continues at the first pixels
+    turned = (last[-1] + 1) % len(theta)  # the last object may continue at the first pixels
     ends = np.sort((last - turned) % len(theta)) + 1
     return np.split(np.roll(pixels, -turned, axis=1), ends[:-1], axis=1)
 
 
 def _without_edge(thing: Array) -> Array:
-    """Return the pixels of an object without those at radii where it touches the picture's edge."""
+    """Return an object's pixels at smaller radii than those where it touches the edge of the picture."""
     edge = thing[3] > 0.0
     return thing[:3, thing[1] < thing[1, edge].min() - 1.0] if edge.any() else thing[:3]
 
 
 def _measured(theta: Array, radius: Array, level: Array) -> RedCandidate | None:
-    """Return the candidate of an object's k pixels; None without pixels or if all are on the mirror's axis.
+    """Return the candidate for an object of k pixels; None without pixels or if all are on the mirror's axis.
 
-    Its middle is the weighted mean angle; a pixel's weight is its level, at most `cap`.
+    Its angle is the weighted mean angle; the weight of a pixel is its level, limited to `cap`.
     """
     if not len(theta) or not radius.max() > 0.0:
         return None

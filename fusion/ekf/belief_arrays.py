@@ -2,8 +2,8 @@
 
 State and covariance are changed only by methods of one class: predict, compare, queue, correct, know, listen; add,
 augment, remove, transform, loosen; clone_heading, clone_pose; shift, place; begin_frame, know_frame. The frequent
-ones are compiled (fusion.kernels.ekf, with the paper's eq. 5-7 and 10-12); a textbook filter agrees to 1e-9
-(tests/ekf/test_ekf.py). P stays symmetric by construction. If `events` is set, every method records an event.
+methods are compiled (fusion.kernels.ekf, with the paper's eq. 5-7 and 10-12). They agree with a textbook filter to
+1e-9 (tests/ekf/test_ekf.py). P stays symmetric by construction. If `events` is set, every method records an event.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from .events import (
 from .map_frame import Pose, Triangle, by_frame
 
 POSE = np.arange(3)
-MAX_STATES_OF_A_ROW = 24  # states on which one row of a measurement equation depends
+MAX_STATES_OF_A_ROW = 24  # largest number of states on which one row of a measurement equation depends
 FIRST_ROWS, FIRST_STATES = 32, 16  # initial capacity
 
 
 class JointBelief(ekf.State):
     """Pose, blocks of the sensors, map frame and map lines as one state vector (n,) with covariance (n, n).
 
-    Once a local frame begins (map_frame), x, y, theta, pose(), matrix() and lines are local; InMap is not.
+    After a local frame has begun (map_frame), x, y, theta, pose(), matrix() and lines are in this local frame.
     """
 
     def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block] = ()) -> None:
-        """`P` is the upper triangle xx, xy, xt, yy, yt, tt of the pose covariance; blocks are independent."""
+        """`P` is the upper triangle xx, xy, xt, yy, yt, tt of the pose covariance. Blocks are independent."""
         super().__init__()
         xx, xy, xt, yy, yt, tt = P
         self._x, self._P = np.zeros(FIRST_STATES), np.zeros((FIRST_STATES, FIRST_STATES))
@@ -63,9 +63,9 @@ class JointBelief(ekf.State):
         self._kept: set[int] = set()  # first columns of cloned poses
         self._points: set[str] = set()  # names of blocks that are points [m] in the local frame
         self._lost = False
-        self._rows: tuple[Any, ...] = ()  # at, H, count, y, R: arrays of the kernel
+        self._rows: tuple[Any, ...] = ()  # arrays of the kernel: at, H, count, y, R
         self._queue: Ints = np.zeros(0, np.intp)
-        self._sources: list[Source] = []  # of the queued rows, if events are recorded
+        self._sources: list[Source] = []  # sources of the queued rows, if events are recorded
         self.events: Events | None = None
         self._hold()
         for block in blocks:
@@ -73,11 +73,11 @@ class JointBelief(ekf.State):
 
     @classmethod
     def still(cls, blocks: Sequence[Block]) -> JointBelief:
-        """Return a belief for models outside the filter: its blocks are constant and exactly known."""
+        """Return a belief for models outside the filter; its blocks are constant and exactly known."""
         return cls((0.0,) * 3, (0.0,) * 6, [block._replace(P=0.0 * block.P) for block in blocks])
 
     def stand(self, pose: Array | Sequence[float], P: Any = 0.0) -> None:
-        """Set the pose with covariance P (3, 3), independent of other states; remove all measurement rows."""
+        """Set the pose with covariance P (3, 3), independent of other states; remove all queued rows."""
         self._x[:3], self._P[:3, :3] = pose, P
         self.begin()
 
@@ -95,12 +95,12 @@ class JointBelief(ekf.State):
 
     @property
     def framed(self) -> bool:
-        """Return whether a local frame has begun; before, the local frame is the map."""
+        """Return whether a local frame has begun; until then, the local frame is the map."""
         return self.frame >= 0
 
     @property
     def lost(self) -> bool:
-        """Whether the robot is lost: then corrections of the pose do not change the map frame."""
+        """Whether the robot is lost; then corrections of the pose do not change the map frame."""
         return self._lost
 
     @lost.setter
@@ -142,14 +142,14 @@ class JointBelief(ekf.State):
         return x, y, theta
 
     def frame_covariance(self) -> Array:
-        """Return the covariance (3, 3) of the map frame; of the pose if no local frame has begun."""
+        """Return the covariance (3, 3) of the map frame, or of the pose if no local frame has begun."""
         at = slice(max(self.frame, 0), max(self.frame, 0) + 3)
         return self._P[at, at].copy()
 
     # ---- update: predict, compare, queue, correct ----
 
     def predict(self, steps: Steps, k: int) -> None:
-        """Eq. 5-7: predict over motion step k; drifting states get the noise of their random walk."""
+        """Eq. 5-7: predict over motion step k; drifting states also get the noise of their random walk."""
         if self.events is None:
             self.move(steps, k)
             return
@@ -204,9 +204,9 @@ class JointBelief(ekf.State):
             self._note_turn(self.frame_x, self.frame_y)
 
     def know(self, y: Sequence[float], R: Any, columns: Sequence[int], H: Any) -> None:
-        """Correct by an equation between states without a reading, such as the equality of two states.
+        """Correct by an equation between states without a reading, for example that two states are equal.
 
-        y (d,) = H dx + noise of covariance R (d, d), H (d, c) by the states `columns` (c,).
+        y (d,) = H dx + noise of covariance R (d, d), with derivatives H (d, c) by the states `columns` (c,).
         """
         self.begin()
         self.queue(self.compare(-1, y, ((0.0, 0.0, 0.0),) * len(y), R, np.inf, columns, H))
@@ -214,7 +214,7 @@ class JointBelief(ekf.State):
         self.begin()
 
     def listen(self, seen: Sequence[Innovation | Reading]) -> None:
-        """Correct only the blocks on which the innovations depend; pose and other states are considered."""
+        """Correct only the blocks on which the innovations depend; all other states are considered."""
         at, _, count, *_ = self._rows
         kept = np.ones(self.n, bool)
         for k in (k for s in seen for k in range(s.first, s.first + s.numbers)):
@@ -232,7 +232,7 @@ class JointBelief(ekf.State):
         self._queue[: self.queued] = waiting
 
     def equation(self, seen: Sequence[Innovation] | None = None) -> Equation:
-        """Return the innovations `seen`, by default all queued, as one equation: y (m,), columns, H (m, c), R."""
+        """Return the queued innovations (or `seen`) as one equation: y (m,), columns, H (m, c), R (m, m)."""
         at, H, count, y, R = self._rows
         rows = self._queue[: self.queued].tolist()
         if seen is not None:
@@ -264,14 +264,15 @@ class JointBelief(ekf.State):
             self.drift(columns.astype(np.intp), drift.astype(np.float64))
 
     def drive_with(self, name: str) -> None:
-        """Use a block as wheel parameters: `predict` uses J = du/d(block)."""
+        """Use a block as the wheel parameters: `predict` then uses J = du/d(block)."""
         self.wheels = self._slices[name].start
 
     def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
-        """Append states that are functions of other states plus noise; return their first column.
+        """Append states that are functions of other states, plus noise; return their first column.
 
         `values` (k,) have the derivative G (k, 3 + c) by the pose and the states `columns` (c,), and independent
-        noise (k, k): P gets the block G P G' + noise, with cross covariance P G'.
+        noise of covariance `noise` (k, k). Their covariance is G P G' + noise, that of all states with them is P
+        G'.
         """
         n, k = self.n, len(values)
         where = self._grow(k)
@@ -287,15 +288,15 @@ class JointBelief(ekf.State):
         return int(where.start)
 
     def own_point(self, name: str, column: int) -> None:
-        """Make two appended states a named block: a point in the local frame."""
+        """Give two appended states a name, as a block: a point in the local frame."""
         self._slices[name] = slice(column, column + 2)
         self._points.add(name)
 
     def remove(self, columns: Ints) -> None:
         """Remove state columns that belong to no named block, such as map lines.
 
-        Map lines come after the map frame, so its columns do not move. Only columns after a removed one move; the
-        covariance is not copied.
+        Only columns after a removed column move; the covariance is not copied. Map lines come after the map frame,
+        so the columns of the frame do not move.
         """
         if not len(columns):
             return
@@ -319,9 +320,9 @@ class JointBelief(ekf.State):
             self._slices[name] = slice(start, start + 2)
 
     def transform(self, columns: Ints | Sequence[int], values: Array | Sequence[float], G: Any) -> None:
-        """Replace states (k,) by functions of themselves, with new values (k,) and derivative G (k, k).
+        """Replace states (k,) by functions of themselves: new values (k,) with derivative G (k, k).
 
-        x <- values, P <- T P T', where T is the unit matrix with G in place of the states' block.
+        x <- values, P <- T P T', where T is the unit matrix with G in the rows and columns of these states.
         """
         if self.events is None:
             self.replace(columns, values, G)
@@ -344,7 +345,7 @@ class JointBelief(ekf.State):
             self._P[columns, columns] += variance
             return
         before = self._before()
-        columns, variance = columns.copy(), variance.copy()  # the caller may reuse the arrays
+        columns, variance = columns.copy(), variance.copy()  # copies, since the caller may reuse the arrays
         self._P[columns, columns] += variance
         back = None
         if self.events.backward:
@@ -353,14 +354,14 @@ class JointBelief(ekf.State):
         self.events.add(Loosened(columns, variance, back))
 
     def consider(self, columns: Ints) -> None:
-        """Make states considered (Schmidt-Kalman): their covariance is used, their values do not change."""
+        """Make states considered (Schmidt-Kalman): their covariance is used, but their values do not change."""
         self._considered = np.union1d(self._considered, columns)
         self._mark_kept()
 
     # ---- changes of the pose ----
 
     def shift(self, step: Pose, xy: float, theta: float) -> None:
-        """Add a step (3,) [m, m, rad] to the pose, and variances xy [m^2] and theta [rad^2]."""
+        """Add a step (3,) [m, m, rad] to the pose, and variances xy [m^2], theta [rad^2] to its covariance."""
         behind, before = self._behind(), self._before()
         self._x[:3] += step
         self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
@@ -371,7 +372,7 @@ class JointBelief(ekf.State):
         self._carry(behind)
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
-        """Set the pose to (3,) with variances xy [m^2] and theta [rad^2], independent of other states."""
+        """Set the pose (3,) with variances xy [m^2] and theta [rad^2], independent of all other states."""
         behind = self._behind()
         self._note_change(POSE, np.zeros((3, self.n)), np.diag((xy, xy, theta)))
         self._x[:3] = pose
@@ -383,7 +384,7 @@ class JointBelief(ekf.State):
     # ---- clones ----
 
     def clone_heading(self, column: int, behind: float = 0.0) -> None:
-        """Clone the present heading, minus the angle `behind` [rad], to a state (Roumeliotis and Burdick 2002)."""
+        """Clone the present heading minus the angle `behind` [rad] to a state (Roumeliotis and Burdick 2002)."""
         n = self.n
         if self.events is not None:
             by = np.zeros((1, n))
@@ -395,7 +396,7 @@ class JointBelief(ekf.State):
         self._clones.add(column)
 
     def clone_pose(self, column: int, behind: Array | None = None) -> None:
-        """Clone to three states the present pose, or the pose with the coordinates `behind` (3,) in its frame."""
+        """Clone to three states the present pose, or the pose `behind` (3,) in the frame of the present one."""
         J = np.eye(3) if behind is None else by_frame(self._x[None, :3], behind[None])[0]
         if self.events is not None:
             self._note_change(np.arange(column, column + 3), np.hstack((J, np.zeros((3, self.n - 3)))))
@@ -414,7 +415,7 @@ class JointBelief(ekf.State):
         return turns, {c: se2.between(self._x[:3], self._x[c : c + 3]) for c in self._kept}
 
     def _carry(self, behind: tuple[dict[int, float], dict[int, Array]]) -> None:
-        """Move cloned headings and poses with a corrected pose, since the robot itself did not move."""
+        """Move cloned headings and poses together with a corrected pose, since the robot itself did not move."""
         turns, poses = behind
         for column, turn in turns.items():
             self.clone_heading(column, turn)
@@ -424,10 +425,10 @@ class JointBelief(ekf.State):
     # ---- the map frame ----
 
     def begin_frame(self) -> None:
-        """Begin a local frame at the present pose, which becomes exactly 0 in the frame (map_frame).
+        """Begin a local frame at the present pose, which becomes exactly 0 in the new frame (map_frame).
 
-        Nothing happens if the pose is known exactly, since the map frame would have no uncertainty. At a second
-        call, after a map was left, the map frame is moved to the pose, and the old frame is removed.
+        If the pose is known exactly, nothing happens, since the map frame would have no uncertainty. At a second
+        call (after a map was left), the map frame moves to the pose, and the old frame is removed.
         """
         first = self.frame < 0
         if first and not self._P[:3, :3].any():
@@ -438,7 +439,7 @@ class JointBelief(ekf.State):
                 self.events.list[-1] = Added(self.frame, 3, frame=True)
         else:
             self._move_frame()
-        for column in sorted(self._clones):  # convert cloned headings to the local frame, with their covariances
+        for column in sorted(self._clones):  # convert cloned headings, with their covariances, to the local frame
             turned = np.array([[1.0, 0.0], [-1.0, 1.0]])
             self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
         for column in sorted(self._kept):
@@ -449,10 +450,10 @@ class JointBelief(ekf.State):
         self._mark_kept()
 
     def know_frame(self, frame: Array, P: Array) -> None:
-        """Set the map frame to (3,) with covariance P (3, 3), given by evidence independent of the state.
+        """Set the map frame to (3,) with covariance P (3, 3), by evidence that is independent of the state.
 
-        All other states are corrected by their covariance with the frame (Jeffrey's rule for Gaussians): with
-        K = P_rG P_G^-1, a state moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
+        All other states are corrected by their covariance with the frame (Jeffrey's rule for Gaussians): a state
+        changes by K (frame - G), and its covariance by K (P - P_G) K', with K = P_rG P_G^-1.
         """
         if self.frame < 0:
             raise ValueError("no local frame has begun")
@@ -466,7 +467,7 @@ class JointBelief(ekf.State):
         self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
 
     def _move_frame(self) -> None:
-        """Move the map frame to the present local pose q: its pose in the map, G, becomes G o q (composition)."""
+        """Move the map frame to the local pose q: its pose in the map, G, becomes G o q (composition)."""
         if self.events is not None:
             self.events.add(FrameMoved())
         G, q = np.array(self.frame_pose()), self._x[:3].copy()
@@ -485,7 +486,7 @@ class JointBelief(ekf.State):
         self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:size]), J)
 
     def _forget_pose(self, first: bool) -> None:
-        """Set the local pose to exactly 0, since the map frame now has its value."""
+        """Set the local pose to exactly 0, since the map frame now contains its value."""
         if self.events is not None:
             back = None
             if first:
@@ -515,20 +516,20 @@ class JointBelief(ekf.State):
             (events.wheels,) = (where for where in self._slices.values() if where.start == self.wheels)
 
     def _before(self) -> Before:
-        """Return copies of state and covariance, or views if no events are recorded."""
+        """Return copies of state and covariance if events are recorded, else views."""
         if self.events is None:
             return Before(self.state, self.covariance)
         return Before(self.state.copy(), self.covariance.copy())
 
     def _note_change(self, rows: Ints, by: Array, noise: Array | None = None) -> None:
-        """Record that the states `rows` (r,) become linear functions of states, plus `noise` (r, r)."""
+        """Record that states `rows` (r,) become by (r, n) x before, plus noise of covariance (r, r)."""
         if self.events is not None:
             back = by_others(self._before(), rows) if self.events.backward else None
             none = np.zeros((len(rows), len(rows)))
             self.events.add(Changed(rows, by, none if noise is None else noise, back))
 
     def _note_turn(self, dx: float, dy: float) -> None:
-        """Record a correction of the map frame by (dx, dy) [m] with its rotation (State.turn_frame)."""
+        """Record a correction of the map frame by (dx, dy) [m] and its rotation (State.turn_frame)."""
         assert self.events is not None
         first = self.frame
         rows = np.array((first, first + 1))
@@ -573,7 +574,7 @@ class JointBelief(ekf.State):
         self.hold_rows(*new, queue)
 
     def _mark_kept(self, columns: Ints | None = None) -> None:
-        """Mark the states that corrections do not change: considered ones, and a lost robot's map frame."""
+        """Mark the states whose values corrections keep: considered states, and the map frame of a lost robot."""
         kept = self._considered
         if columns is not None:
             kept = np.union1d(columns, kept)
@@ -584,12 +585,12 @@ class JointBelief(ekf.State):
         self.keeps = len(kept) > 0
 
     def not_positive(self, greatest: float) -> None:
-        """Raise LocfuseError: an innovation covariance with this largest variance is not positive definite."""
+        """Raise LocfuseError: an innovation covariance with variances up to `greatest` is not positive."""
         positive(greatest)
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:
-    """Return (new begin, old slice) of each run of columns to move when columns `gone` (k,) of n are removed."""
+    """Return (new begin, old slice) of the columns that move when columns `gone` (k,) of n are removed."""
     found, to = [], int(gone.min())
     after = np.sort(gone) + 1
     for begin, end in zip(after.tolist(), [*(after[1:] - 1).tolist(), n], strict=True):

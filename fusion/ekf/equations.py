@@ -1,9 +1,9 @@
 """Equations of the filter by their numbers in the paper: 5-7 (predict) and 10-12 (correct), in NumPy.
 
-Used where speed does not matter: prediction at the truth's stamps, smoother, tuning. The filter
+They are used where speed does not matter: prediction at the truth's stamps, smoother, tuning. The filter
 (`kernels.ekf.State`) has the same equations written out. State x = (x, y, theta) [m, m, rad] in the map, followed
 by other states. Leading axes (...) are allowed everywhere. The paper's W (eq. 8) and Q (eq. 9) are for wheel
-speeds; here u and Q are the relative pose of one motion and its covariance in the frame of its start
+speeds. Here u and Q are the relative pose of one motion and its covariance, in the frame at its start
 (fusion.wheels.motion), so W is the rotation of (x, y, theta) by theta.
 """
 
@@ -31,7 +31,7 @@ def eq6_noise(W: Array, Q: Array) -> Array:
 
 
 def eq7_A(x: Array, x_next: Array) -> Array:
-    """Eq. 7: derivative (..., 3, 3) of a later pose x_next (..., 3) by an earlier one x (..., 3)."""
+    """Eq. 7: derivative (..., 3, 3) of a later pose x_next (..., 3) by an earlier pose x (..., 3)."""
     return se2.lever(x[..., 1] - x_next[..., 1], x_next[..., 0] - x[..., 0])
 
 
@@ -44,9 +44,9 @@ def predicted(x: Array, P: Array, u: Array, Q: Array) -> tuple[Array, Array]:
 def eq10_12(PH: Array, S: Array, y: Array) -> tuple[Array, Array, Array]:
     """Return V (..., m, n), e (..., m) and the Cholesky factor L (..., m, m) of S = H P H' + R, for eq. 10-12.
 
-    From P H' (..., n, m), S (..., m, m) and the innovation y (..., m): V = L^-1 H P and e = L^-1 y, whose parts
-    are independent and of unit variance. The gain of eq. 10 is K = V' L^-1, so eq. 11 is x <- x + V' e, and
-    eq. 12 is P <- P - V' V, symmetric by construction. Raises np.linalg.LinAlgError where S is not positive.
+    Arguments: P H' (..., n, m), S (..., m, m) and the innovation y (..., m). V = L^-1 H P; the elements of e =
+    L^-1 y are independent and have variance 1. The gain of eq. 10 is K = V' L^-1. So eq. 11 is x <- x + V' e, and
+    eq. 12 is P <- P - V' V, symmetric by construction. Raises np.linalg.LinAlgError if S is not positive definite.
     """
     L = np.asarray(np.linalg.cholesky(0.5 * (S + np.swapaxes(S, -1, -2))), np.float64)
     right = np.concatenate((np.swapaxes(PH, -1, -2), y[..., None]), axis=-1)

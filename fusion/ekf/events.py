@@ -1,9 +1,9 @@
-"""Events of one filter run, in order, for the smoother and for noise tuning.
+"""Events of one filter run, in order of time, for the smoother and for noise tuning.
 
 The methods of the belief record this list. The smoother (whole_drive) processes it backward: the state before an
-event is c + G after + independent noise of covariance D (Rauch, Tung, Striebel 1965); corrections need no inverse.
-The tuner (fusion.tune) processes it forward with other noise, on deviations from the run. Walls and offsets are
-static, so only rows of moving states are stored: a few times n numbers per update.
+event is c + G x (state after it) + independent noise of covariance D (Rauch, Tung, Striebel 1965); corrections
+need no inverse. The tuner (fusion.tune) processes it forward with other noise, for deviations from the run. Walls
+and offsets are static, so only rows of moving states are stored: a few times n numbers per update.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from locfuse.fusion.data import Array, Ints
 from .equations import eq7_A
 from .map_frame import Pose
 
-RIDGE_VARIANCE = 1e-12  # added to a covariance with unit diagonal; much smaller eigenvalues count as zero
+RIDGE_VARIANCE = 1e-12  # added to a unit diagonal; much smaller eigenvalues then count as zero
 RIDGE_ROUNDS = 3  # iterations that correct the effect of the ridge: by 97 % at an eigenvalue of twice the ridge
-MAX_REST = 1e-13  # largest residual of a solution, relative to the largest number on the right side
+MAX_REST = 1e-13  # largest residual of a solution / largest number on the right side
 Source = tuple[str, int, int]  # sensor, row in its measurements, number of components; ("", -1, number): no sensor
 
 
@@ -34,12 +34,12 @@ class Undone(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """Event: motion by the wheels to the next update time."""
+    """Event: wheel motion to the next update time."""
 
     start: Pose  # local pose before the motion
     end: Pose
-    Q: Array  # (3, 3) noise, in the map's axes
-    coupling: Array | None  # (3, p) derivative by the wheel parameters
+    Q: Array  # (3, 3) covariance of the motion noise, in the axes of the map
+    coupling: Array | None  # (3, p) derivative of the motion by the wheel parameters
     back: Undone | None
 
     @property
@@ -49,12 +49,12 @@ class Moved(NamedTuple):
 
     @property
     def driven(self) -> float:
-        """Return the length of the motion's chord [m]."""
+        """Return the chord length of the motion [m]."""
         return math.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
 
 
 class Corrected(NamedTuple):
-    """Event: correction, y = H dx + noise of covariance R; recorded only for the tuner, not for the smoother."""
+    """Event: correction by y = H dx + noise of covariance R; only recorded for the tuner."""
 
     y: Array  # (m,)
     columns: Ints  # (c,)
@@ -86,11 +86,11 @@ class Added(NamedTuple):
 
     before: int  # number of states before
     states: int  # number of appended states
-    frame: bool = False  # whether they are the map frame, a copy of the pose, which becomes local
+    frame: bool = False  # whether the states are the map frame: a copy of the pose, which then becomes local
 
 
 class Dropped(NamedTuple):
-    """Event: states were removed; `back` gives these states from the remaining ones."""
+    """Event: states were removed; `back` computes them from the remaining states."""
 
     columns: Ints  # (k,) before the removal
     before: int  # number of states before
@@ -107,7 +107,7 @@ class Changed(NamedTuple):
 
 
 class FrameMoved(NamedTuple):
-    """Event: a new submap begins at the local pose q; the map frame's pose G becomes G o q."""
+    """Event: a new submap begins at the local pose q; the pose G of the map frame becomes G o q."""
 
 
 Event = Moved | Corrected | FrameTurned | Loosened | Added | Dropped | Changed | FrameMoved
@@ -121,7 +121,7 @@ class Before(NamedTuple):
 
 
 class Events:
-    """Events of one run: with their inverses if `backward` (smoother), else with the corrections (tuner)."""
+    """Events of one run: if `backward`, with their inverses (smoother), else with the corrections (tuner)."""
 
     def __init__(self, backward: bool) -> None:
         self.backward = backward
@@ -129,7 +129,7 @@ class Events:
         self.start: Before | None = None  # state before the first event
         self.final: Before | None = None  # state after the last event
         self.columns: dict[str, int] = {}  # block -> its first column
-        self.drifts: dict[str, tuple[Ints, Array]] = {}  # block -> columns, variance per s
+        self.drifts: dict[str, tuple[Ints, Array]] = {}  # block -> columns, variance per second
         self.wheels: slice | None = None  # columns of the wheel parameters
 
     def add(self, event: Event) -> None:
@@ -138,11 +138,11 @@ class Events:
 
 
 def undone(before: Before, after: Before, rows: Ints, noise: Array, coupling: Array | None = None) -> Undone:
-    """Return the inverse of a prediction x after = F x before + noise that changes only the states `rows` (r,).
+    """Return the inverse of a prediction, x after = F x before + noise, that changes only the states `rows` (r,).
 
-    `coupling` (3, n) is the derivative of the motion by static states. Gain P F' P_next^-1 (Särkkä 2013, eq. 8.6);
-    D = (1 - G F) P (1 - G F)' + G Q G' stays positive for any rounding errors in G, which matter after an exact
-    start, when P_next is singular.
+    `coupling` (3, n) is the derivative of the motion by static states. The gain is P F' P_next^-1 (Särkkä 2013,
+    eq. 8.6). D = (1 - G F) P (1 - G F)' + G Q G' stays positive for any rounding errors in G; they are large after
+    an exact start, when P_next is singular.
     """
     (x, P), (x_next, P_next) = before, after
     n, r = len(x), len(rows)
@@ -169,7 +169,8 @@ def undone(before: Before, after: Before, rows: Ints, noise: Array, coupling: Ar
 def by_others(before: Before, rows: Ints, dropped: bool = False) -> Undone:
     """Return the states `rows` as linear functions of all other states, for the inverse of an event.
 
-    G has the columns of the state before, with zeros at `rows`; if `dropped`, without these columns.
+    G has a column for each state before the event, with zeros at `rows`; with `dropped`, these columns are left
+    out.
     """
     x, P = before
     n = len(x)
@@ -186,13 +187,12 @@ def by_others(before: Before, rows: Ints, dropped: bool = False) -> Undone:
 
 
 def _solved(P: Array, B: Array) -> Array:
-    """Return P^-1 B; for a singular P (exact start, new frame, clones) about the minimum-norm solution.
+    """Return P^-1 B; if P is singular (exact start, new frame, clones), nearly the minimum-norm solution.
 
     A small ridge avoids division by rounding errors, which differ between processors. Its effect on the solution
-    is corrected by iteration (iterated Tikhonov regularisation, Golub and Van Loan 2013, 6.1.4).
-
-    P is scaled to a unit diagonal, since a pose in a new frame has 1e-14 m^2 and other states 1. Variances
-    slightly below zero by rounding (-1e-35 m^2) count as zero.
+    is corrected by iteration (iterated Tikhonov regularisation, Golub and Van Loan 2013, 6.1.4). P is scaled to a
+    unit diagonal first, since a pose in a new frame has 1e-14 m^2 and other states have 1. Variances slightly
+    below zero by rounding (-1e-35 m^2) count as zero.
     """
     scale = np.sqrt(np.maximum(np.diagonal(P), 0.0))
     scale = np.divide(1.0, scale, out=np.ones_like(scale), where=scale > 0.0)

@@ -31,7 +31,7 @@ Triangle = tuple[float, float, float, float, float, float]  # xx, xy, xt, yy, yt
 
 
 class InMap:
-    """View of a belief with the pose in the map, for sensors that measure this pose (chain rule: State.derive)."""
+    """View of a belief with its pose in the map, for sensors that measure this pose (chain rule: State.derive)."""
 
     def __init__(self, belief: Any) -> None:
         self.belief, self.column, self.value = belief, belief.column, belief.value
@@ -60,7 +60,7 @@ class InMap:
 
 
 def in_map_P(G: Array, q: Array, P: Array) -> Array:
-    """Return the covariances (n, 3, 3) of poses G o q in the map, from those of (q, G), (n, 6, 6)."""
+    """Return the covariances (n, 3, 3) of poses G o q in the map; P (n, 6, 6) is the covariance of (q, G)."""
     J = np.concatenate((se2.rotation(G[:, 2]), by_frame(G, q)), axis=2)
     r = se2.rotated(G[:, 2], q[:, :2])
     out: Array = J @ P @ J.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""Record of one run: the verdict on every measurement, and the state at every update time, in columns."""
+"""Record of one run: the verdict on every measurement, and the state at every update time, as columns."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COLUMNS = {
     "instant": np.int32,
     "row": np.int32,
     "verdict": np.int8,
-    "landmark": np.int64,  # ids of landmarks are the user's
+    "landmark": np.int64,  # landmark ids are chosen by the user and may be large
     "nis": np.float64,
     "threshold": np.float64,
     "y": np.float64,
@@ -33,9 +33,9 @@ PER_COMPONENT = ("y", "sigma")  # columns with one number per component of the m
 
 
 class Record:
-    """Record of measurements in columns, which take tens of megabytes per hour instead of hundreds as objects.
+    """Record of measurements in columns: tens of megabytes per hour, instead of hundreds as Python objects.
 
-    `room` is the expected number of rows, if known: growing columns fragments the memory.
+    `room` is the expected number of rows, if known: growing columns fragment the memory.
     """
 
     def __init__(self, room: int = FIRST_CAPACITY) -> None:
@@ -44,7 +44,7 @@ class Record:
         self._waiting: list[Innovation] = []  # not yet written to columns
         self._columns: dict[str, NDArray[Any]] = {}
         self._kernel: sight.AuditColumns | None = None
-        self.joint = array("d")  # flat: joint NIS of all accepted rows of a reading, degrees of freedom
+        self.joint = array("d")  # in turn: joint NIS of a reading's accepted rows, its dof
 
     def add(self, k: int, seen: Sequence[Innovation] | Reading) -> None:
         """Record the innovations of one reading at update k, with their verdicts."""
@@ -81,7 +81,7 @@ class Record:
         waiting.clear()
 
     def _make_room(self, rows: int, width: int) -> None:
-        """Increase the capacity to `rows` rows; an innovation has `width` components."""
+        """Increase the capacity to `rows` rows; each innovation has `width` components."""
         if self._columns and rows <= self._room:
             return
         self._room = max(self._room if not self._columns else 3 * self._room // 2, rows)
@@ -94,7 +94,7 @@ class Record:
             self._columns[name] = column
 
     def audit(self) -> Audit:
-        """Return the record as columns; they are views, to save memory."""
+        """Return the record as columns, which are views to save memory."""
         self._write()
         self._make_room(0, 1)
         joint = np.array(self.joint).reshape(-1, 2)
@@ -105,7 +105,10 @@ class Track:
     """Record of the states in columns, with spare rows."""
 
     def __init__(self, belief: JointBelief, blocks: Sequence[str], instants: int) -> None:
-        """Begin; `blocks` are names of states to record beside the pose, `instants` the expected rows."""
+        """Begin the record.
+
+        `blocks` are the names of states to record besides the pose, `instants` the expected number of rows.
+        """
         parts = [(name, *belief.block(name)) for name in blocks]
         self._states: Ints = np.array([c + i for _, c, x in parts for i in range(len(x))], np.intp)
         self._names = [(name, len(x)) for name, _, x in parts]

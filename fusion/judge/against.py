@@ -1,7 +1,7 @@
-"""Reference solution: a smoothed whole-drive estimate that replaces truth, for logs without truth.
+"""Reference solution: a smoothed estimate of the whole drive that replaces truth, for logs without truth.
 
-The reference uses the same wheels as every estimate and has the errors of its own sensors. So a sensor is judged
-by a reference that was solved without this sensor, and only if that reference is exact enough.
+The reference uses the same wheels as every estimate, and has the errors of its own sensors. So a sensor is judged
+by a reference that does not use this sensor, and only if this reference is exact enough.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from .credit import Effect
 from .evaluate import Align, evaluate
 
 TOPIC = "reference"
-MAX_SIGMA_SHARE = 1.0 / 3.0  # of the error that a reference judges: it then changes that error by 6 % at most
-MAX_APART_SIGMAS = 3.0  # of two references; if they differ by more, one of them is wrong
-MIN_ERROR_SHARE = 1e-3  # smallest error in the interval, as a share of the measured error
+MAX_SIGMA_SHARE = 1.0 / 3.0  # largest sigma of a reference / judged error: it then changes the error by 6 %
+MAX_APART_SIGMAS = 3.0  # largest difference of two references; with more, one of them is wrong
+MIN_ERROR_SHARE = 1e-3  # smallest true error in the interval, as a share of the measured error
 
 
 class Reference(msgspec.Struct, frozen=True):
     """The smoothed estimate of a drive, used instead of truth."""
 
-    sensors: tuple[str, ...]  # that were used, beside the wheels
+    sensors: tuple[str, ...]  # sensors that the solution uses, besides the wheels
     left_out: tuple[str, ...]  # sensors of the log that were not used
-    sigma: float  # m, median over the drive of its position's standard deviation, sqrt(P_xx + P_yy)
-    drive: Drive  # with the reference as its truth, at every instant
+    sigma: float  # m, median over the drive of the position sigma, sqrt(P_xx + P_yy)
+    drive: Drive  # the drive with the reference as its truth, at every update time
 
     @classmethod
     def of(cls, solved: Estimates, drive: Drive, left_out: tuple[str, ...] = ()) -> Reference:
-        """Return the reference made of a smoothed estimate of this drive."""
+        """Return the reference that a smoothed estimate of this drive gives."""
         spread = np.sqrt(np.maximum(solved.triangles[:, 0] + solved.triangles[:, 3], 0.0))
         truth = Truth(TOPIC, drive.t, solved.pose[:, :2], solved.pose[:, 2])
         return cls(
@@ -56,9 +56,9 @@ class Reference(msgspec.Struct, frozen=True):
         return float(np.sqrt((apart**2).mean())) <= MAX_APART_SIGMAS * math.hypot(self.sigma, other.sigma)
 
     def judge(self, judged: Evaluation, e: Estimates, align: Align = "none") -> Evaluation:
-        """Return an evaluation of an estimate, with its deviations from the reference in place of truth.
+        """Return the evaluation of an estimate by its deviations from the reference, in place of truth.
 
-        ANEES is None: an estimate shares wheels and sensors with the reference, so their errors are correlated.
+        ANEES is None: estimate and reference share wheels and sensors, so their errors are correlated.
         """
         found = evaluate(self.seen(e), self.drive, align)
         figures = {**found.figures, "anees": None, "truth_coverage": None}
@@ -72,17 +72,17 @@ class Reference(msgspec.Struct, frozen=True):
         )
 
     def seen(self, e: Estimates) -> Estimates:
-        """Return the estimate without audits; `truth_pose` is its own pose at the reference's stamps."""
+        """Return the estimate without audits, with its poses at the reference's stamps as `truth_pose`."""
         t = self.drive.t
         same = len(e.t) == len(t) and bool((e.t == t).all())
         pose, P = (e.pose, matrices(e.triangles)) if same else interpolated(t, e.t, e.pose, e.triangles)
         return replace(e, audits={}, truth_pose=pose, truth_P=P)
 
     def widened(self, effect: Effect, before: float, after: float) -> Effect:
-        """Return an effect ln(before / after) of errors [m], its interval widened by the reference's uncertainty.
+        """Return an effect ln(before / after) of errors [m]; the reference's uncertainty widens its interval.
 
-        The true squared error is smaller by sigma^2 if the errors of estimate and reference are independent, and
-        larger by up to sigma^2 if they share sensors.
+        If the errors of estimate and reference are independent, the true squared error is smaller by sigma^2. If
+        they share sensors, it may be larger by up to sigma^2.
         """
         least, most = (self._bounds(error) for error in (before, after))
         low = math.log(least[0] / before) - math.log(most[1] / after)
@@ -97,7 +97,7 @@ class Reference(msgspec.Struct, frozen=True):
 def interpolated(stamps: Array, t: Array, pose: Array, triangles: Array) -> tuple[Array, Array]:
     """Return poses (q, 3) and covariances (q, 3, 3) at stamps (q,), from rows at t (n,); NaN outside and in gaps.
 
-    A covariance is that of the row before, since its growth between two rows is unknown.
+    The covariance is that of the row before the stamp, since its growth between two rows is unknown.
     """
     before = np.maximum(np.searchsorted(t, stamps, side="right") - 1, 0)
     after = np.minimum(before + 1, len(t) - 1)

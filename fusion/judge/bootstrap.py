@@ -1,9 +1,10 @@
-"""Confidence intervals for contrasts of ln(RMSE) between configurations on one drive with correlated errors.
+"""Confidence intervals for contrasts of ln(RMSE) between configurations on one drive, with correlated errors.
 
-Errors of one drive are not independent samples: odometry's are one random walk. So the drive is resampled in
-blocks longer than the correlation time (moving-block bootstrap, Künsch 1989). Since few blocks understate the
-spread, the interval is at least as wide as that of as many independent Gaussian pairs (Pitman 1939, Morgan 1939:
-for paired errors the ln of the ratio of their deviations is known to asinh(t sqrt((1 - r^2) / n))).
+Errors of one drive are not independent samples: those of odometry are one random walk. So the drive is resampled
+in blocks longer than the correlation time (moving-block bootstrap, Künsch 1989). Few blocks give too small a
+spread. So the interval is at least as wide as for the same number of independent Gaussian pairs (Pitman 1939,
+Morgan 1939: for paired errors, the ln of the ratio of their standard deviations has the half width asinh(t sqrt((1
+- r^2) / n))).
 """
 
 from __future__ import annotations
@@ -18,21 +19,21 @@ from locfuse.fusion.chi_square import CONFIDENCE
 from locfuse.fusion.data import Array
 
 RESAMPLE_COUNT = 2000
-STARTS_AT_ONCE = 1 << 20  # block starts in memory at a time
-CHANCE_DRAWS = 20_000  # random effects, for the quantiles of their distribution
-MIN_REPLICATES = 4  # drives or robots: with fewer, Student's interval is too wide to be given
-MAX_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
+STARTS_AT_ONCE = 1 << 20  # block starts in memory at once
+CHANCE_DRAWS = 20_000  # number of random effects that are drawn, for quantiles of their distribution
+MIN_REPLICATES = 4  # drives or robots; with fewer, Student's interval is too wide and not given
+MAX_BLOCKS = 200  # largest number of blocks in a drive: longer blocks do no harm, shorter blocks cost memory
 MIN_MSE_M2 = 1e-18  # m^2: smaller mean squared errors are raised to this
 
 
 class Errors(msgspec.Struct, frozen=True):
-    """Deviations of k configurations at q common truth stamps of one drive, with their autocorrelation."""
+    """Deviations of k configurations at q common truth stamps of one drive, with statistics for intervals."""
 
     deviation: Array  # (k, q, 2) m
     ln_rmse: Array  # (k,)
-    samples: Array  # (k,) effective number of independent stamps
-    correlation: Array  # (k, k) of the deviations, no larger than so few samples support
-    resampled: Array  # (RESAMPLE_COUNT, k) ln_rmse of the bootstrap's drives
+    samples: Array  # (k,) effective number of independent samples
+    correlation: Array  # (k, k) lower confidence bound of the correlation of the deviations
+    resampled: Array  # (RESAMPLE_COUNT, k) ln_rmse of the resampled drives
     block: int  # stamps per block
 
     @classmethod
@@ -60,7 +61,7 @@ class Errors(msgspec.Struct, frozen=True):
         return min(float(low), value - least), max(float(high), value + least)
 
     def _gaussian(self, weights: Array) -> float:
-        """Return the half width of `interval` for Gaussian errors, with `samples` independent stamps (x and y)."""
+        """Return the half width of `interval` for Gaussian errors with `samples` independent stamps (x and y)."""
         n = 2.0 * self.samples
         scaled = weights / np.sqrt(n)
         variance = 0.5 * float(scaled @ self.correlation**2 @ scaled)
@@ -74,8 +75,8 @@ class Errors(msgspec.Struct, frozen=True):
 def effective_samples(deviation: Array) -> float:
     """Return the effective number of independent samples of deviations (q, 2): q / (1 + 2 sum rho).
 
-    The autocorrelation rho is about zero, not about the mean: a constant error counts as one sample. It is summed
-    up to its first negative value (Geyer 1992).
+    The autocorrelation rho is about zero instead of the mean, so a constant error counts as one sample. The sum
+    ends at the first negative rho (Geyer 1992).
     """
     q = len(deviation)
     size = 1 << (2 * q - 1).bit_length()
@@ -92,7 +93,8 @@ def effective_samples(deviation: Array) -> float:
 def block_means(values: Array, block: int) -> Array:
     """Return the means of `values` (k, q) over RESAMPLE_COUNT block-bootstrap samples, (RESAMPLE_COUNT, k).
 
-    Blocks start anywhere and wrap around the end; all k rows use the same blocks, so that they stay paired.
+    Blocks start anywhere and continue at the beginning after the end. All k rows use the same blocks, so that they
+    stay paired.
     """
     k, q = values.shape
     count = math.ceil(q / block)
@@ -115,7 +117,7 @@ def _ln_rms(mean_squares: Array) -> Array:
 
 
 def _correlation(deviation: Array, samples: Array) -> Array:
-    """Return correlations (k, k) of deviations (k, q, 2), reduced to their lower confidence bound (Fisher's z)."""
+    """Return the lower confidence bounds (Fisher's z) of the correlations (k, k) of deviations (k, q, 2)."""
     k = len(deviation)
     flat = deviation.reshape(k, -1)
     norms = np.linalg.norm(flat, axis=1)
@@ -132,8 +134,8 @@ def _correlation(deviation: Array, samples: Array) -> Array:
 def by_chance(move: float, n: float) -> tuple[float, float]:
     """Return the interval of ln(error before / after) that random moves of an estimate cause by chance.
 
-    n independent errors e of size 1 get random moves d; `move` is the standard deviation of d over that of e.
-    |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
+    n independent errors e of size 1 get random moves d. `move` is the standard deviation of d / that of e. The new
+    error is |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
     """
     rng = np.random.default_rng(1)
     along = (math.sqrt(n) + move * rng.standard_normal(CHANCE_DRAWS)) ** 2

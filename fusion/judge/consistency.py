@@ -1,8 +1,9 @@
 """Consistency of each sensor's configured noise, without truth: a verdict and the settings that fix it.
 
 A sensor is judged by a consistent run that does not use it, else by its own innovations. If two sensors disagree,
-the one that other sensors disagree with too is flagged. A run that uses a sensor with understated noise judges no
-other sensor. A truth with headings is used first to find biased sensors, since it is more exact than any run.
+the one that also disagrees with other sensors is flagged. A run with a sensor whose noise is understated judges no
+other sensor. If the truth has headings, biased sensors are found by the truth first, since it is more exact than
+any run.
 """
 
 from __future__ import annotations
@@ -28,21 +29,21 @@ from .innovations import ComparedReadings, OwnInnovations, compare_readings, own
 Verdict = Literal[
     "consistent", "understated", "overstated", "biased", "contradicts", "correlated", "outliers", "unclear"
 ]
-MAX_DRAWN_RATIO = 2.0  # of a mean's sigma over that by the readings' noise; above it, the reference adds errors
-MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between these is consistent
-MIN_SIGMAS = 3.0  # standard errors
-MIN_BIAS_SIGMAS = 0.5  # of the noise: a smaller bias is not reported
-MIN_SLOW_VARIANCE_RATIO = 3.0  # times the reference's own variance: slower errors must be the sensor's
-MIN_MEAN_VARIANCE_RATIO = 4.0  # times the claimed variance: largest consistent variance of a mean
-MAX_REFERENCE_VARIANCE_RATIO = 4.0  # times the sensor's variance: a reference with more is not used
-MIN_NOISE_SHARE = 0.1  # of R in the innovations' variance S: with less, a small S is no sign of a small R
-MIN_WHITE_SHARE = 0.3  # share of the innovations' variance: less is not white noise
-MIN_REPEAT_CORRELATION = 0.5  # autocorrelation of innovations that follow their sensor's own slow errors
-MIN_WANDER_CORRELATION = 0.25  # autocorrelation of innovations from which they count as correlated
-MAX_REFUSED_SHARE, MAX_REFUSED_LINE_SHARE = 0.05, 0.25  # share of readings; of the lines of scans
-MAX_REFERENCE_NIS_RATIO = MAX_SIGMA_FACTOR**2  # of a reference run: its factors on R are below this
-MIN_READINGS = 20  # readings
-MAX_START_M, MAX_START_RAD = 0.5, math.radians(20.0)  # a truth that starts further away is in another frame
+MAX_DRAWN_RATIO = 2.0  # sigma of a mean / its sigma by the readings' noise; above it, the reference adds errors
+MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between both limits is consistent
+MIN_SIGMAS = 3.0  # least significant difference, in standard errors
+MIN_BIAS_SIGMAS = 0.5  # least reported bias, in sigmas of the noise
+MIN_SLOW_VARIANCE_RATIO = 3.0  # slow errors with this multiple of the reference's variance are the sensor's
+MIN_MEAN_VARIANCE_RATIO = 4.0  # largest consistent variance of a mean / claimed variance
+MAX_REFERENCE_VARIANCE_RATIO = 4.0  # largest variance of a usable reference / variance of the sensor
+MIN_NOISE_SHARE = 0.1  # least share of R in the innovations' variance S; with less, S does not show R
+MIN_WHITE_SHARE = 0.3  # least white share of the innovations' variance; with less, it is not white noise
+MIN_REPEAT_CORRELATION = 0.5  # least autocorrelation of innovations if the state follows the sensor's slow errors
+MIN_WANDER_CORRELATION = 0.25  # least autocorrelation of innovations that count as correlated
+MAX_REFUSED_SHARE, MAX_REFUSED_LINE_SHARE = 0.05, 0.25  # of readings; of the lines of scans
+MAX_REFERENCE_NIS_RATIO = MAX_SIGMA_FACTOR**2  # a reference run needs smaller factors on R than this
+MIN_READINGS = 20  # least number of compared readings
+MAX_START_M, MAX_START_RAD = 0.5, math.radians(20.0)  # with a larger distance of both starts, the frames differ
 
 
 class Consistency(msgspec.Struct, frozen=True):
@@ -50,16 +51,16 @@ class Consistency(msgspec.Struct, frozen=True):
 
     verdict: Verdict
     words: str
-    scale: float | None = None  # by which the sensor's sigma should be multiplied
+    scale: float | None = None  # factor by which the sensor's sigma should be multiplied
     fix_values: Mapping[str, float] = field(default_factory=dict)  # robot.toml key -> value
     nis_bounds: tuple[float, float] | None = None  # 95 % bounds of the mean NIS per degree of freedom
     bias_sigma: tuple[float, ...] = ()  # mean innovation in predicted standard deviations
     whiteness: tuple[float, ...] = ()  # autocorrelation of the innovations at lags 1, 2, ...
-    refused: float | None = None  # share of what was compared
+    refused: float | None = None  # rejected share of the compared measurements
 
 
 def disagrees(h: ComparedReadings) -> bool:
-    """Return whether a sensor's mean innovation, in a run without the sensor, is significant and notable."""
+    """Return whether a sensor's mean innovation, in a run without this sensor, is significant and notable."""
     return h.bias is not None and abs(h.bias) > MIN_SIGMAS * h.sure and notable(h)
 
 
@@ -69,7 +70,7 @@ def notable(h: ComparedReadings) -> bool:
 
 
 def by_reference_run(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | None:
-    """Return the verdict on a sensor by a run that does not use it; None if that run is too uncertain."""
+    """Return the verdict on a sensor by a run that does not use it; None if this run is too uncertain."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
     is_slow = h.slow > max(MIN_SLOW_VARIANCE_RATIO * h.reference, 0.1 * h.white)
     if is_slow and not _drifts(sensor, settings, h):
@@ -81,13 +82,13 @@ def by_reference_run(sensor: str, settings: Any, h: ComparedReadings) -> Consist
 
 
 def by_itself(sensor: str, settings: Any, o: OwnInnovations, floor: Sequence[float], period: float) -> Consistency:
-    """Return the verdict on a sensor by the innovations of a run that uses it."""
-    several = len(o.R) > 1  # numbers of one reading
+    """Return the verdict on a sensor by its innovations in a run that uses the sensor."""
+    several = len(o.R) > 1  # whether a reading has several numbers
     if not several and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
         return biased(sensor, settings, o.middle[0], o.sure[0], math.sqrt(o.R[0] / o.compared))
     if not several and o.white < MIN_WHITE_SHARE and o.whiteness[0] > MIN_REPEAT_CORRELATION:
-        repeats = 1.0 + 2.0 * o.whiteness[0] / (1.0 - min(o.whiteness[0], 0.98))  # as of a Markov chain
-        # the state followed the slow errors, so the innovations contain only a part of them
+        repeats = 1.0 + 2.0 * o.whiteness[0] / (1.0 - min(o.whiteness[0], 0.98))  # as for a Markov chain
+        # the state followed the slow errors, so the innovations contain only a part of these errors
         return by_memory(sensor, settings, o.R[0] * o.nis, repeats, period, o.R[0] / MIN_MEAN_VARIANCE_RATIO)
     if o.raw > MIN_SIGMA_FACTOR and o.whiteness[0] > MIN_WANDER_CORRELATION:
         words = (
@@ -97,17 +98,17 @@ def by_itself(sensor: str, settings: Any, o: OwnInnovations, floor: Sequence[flo
         return Consistency("correlated", words)
     factor = _on_sigma(o, floor)
     if factor < MIN_SIGMA_FACTOR and o.share < MIN_NOISE_SHARE:
-        # S = H P H' + R: R is so small a part that a large S does not show a large R
+        # R is such a small part of S = H P H' + R that S does not show its size
         return Consistency("unclear", "noise cannot be judged: its residuals show the error of the prediction")
     if factor < MIN_SIGMA_FACTOR < max(o.raw, o.nis):
-        # if the median or the mean NIS is as configured, the noise is not set too high, even where neighbouring
+        # if the median or the mean NIS fits the configured noise, this noise is not too high, even if successive
         # residuals are similar
         factor = MIN_SIGMA_FACTOR
     return by_share(sensor, o.refused, by_scale(sensor, settings, factor))
 
 
 def _drifts(sensor: str, settings: Any, h: ComparedReadings) -> bool:
-    """Return whether the configured drift of the sensor's offset already covers its slow errors."""
+    """Return whether the configured drift of a sensor's offset already explains the sensor's slow errors."""
     key = REGISTRY[sensor].drift_key
     if key is None or h.bias is not None:
         return False
@@ -116,7 +117,7 @@ def _drifts(sensor: str, settings: Any, h: ComparedReadings) -> bool:
 
 
 def by_memory(sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float) -> Consistency:
-    """Return the verdict on slow errors: "correlated" if their variance is large against R, else by `by_scale`.
+    """Return the verdict on slow errors: "correlated" if their variance is large relative to R, else `by_scale`.
 
     The mean of n readings has the variance `variance` * `repeats` / n.
     """
@@ -126,13 +127,13 @@ def by_memory(sensor: str, settings: Any, variance: float, repeats: float, perio
 
 
 def _on_sigma(o: OwnInnovations, floor: Sequence[float]) -> float:
-    """Return the factor by which to change sigma so that R = sigma^2 R_unit + floor changes by `o.scale`."""
+    """Return the factor on sigma that multiplies R = sigma^2 R_unit + floor by `o.scale`."""
     parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
     return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
 
 
 def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
-    """Return "consistent", or that sigma is too small or too large by `factor`."""
+    """Return "consistent", or the verdict that sigma is too small or too large by `factor`."""
     if MIN_SIGMA_FACTOR <= factor <= MAX_SIGMA_FACTOR:
         return Consistency("consistent", f"{sensor} noise matches the configured noise", factor)
     keys = REGISTRY[sensor].noise_keys
@@ -148,7 +149,10 @@ def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
 
 
 def of_messages(found: Consistency) -> Consistency:
-    """Return the verdict for a sensor whose messages contain covariances, which no setting changes."""
+    """Return the verdict for a sensor whose messages contain covariances.
+
+    No setting changes these, so the verdict has no fix.
+    """
     if found.scale is None or found.verdict not in {"understated", "overstated", "correlated"}:
         return found
     times = f"{rounded(max(found.scale, 1.0 / found.scale)):g} times"
@@ -167,11 +171,12 @@ def biased_against(sensor: str, settings: Any, h: ComparedReadings) -> Consisten
 
 
 def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -> Consistency:
-    """Return the verdict "biased": `bias` is the mean of measured minus predicted [rad or m], `sure` its sigma.
+    """Return the verdict "biased".
 
-    If `sure` is clearly larger than the sigma of the mean by the readings' noise (`drawn`), the reference has a
-    constant error of its own: the fix then also sets the sigma of the offset. As an exact value, this error would
-    pull the estimate with the weight of all readings.
+    `bias` is the mean of measured - predicted [rad or m], `sure` its sigma, `drawn` its sigma by the readings'
+    noise alone. If `sure` is clearly larger than `drawn`, the reference has a constant error of its own. The fix
+    then also sets the sigma of the offset: with an offset taken as exact, this error would pull the estimate with
+    the weight of all readings.
     """
     amount, unit = _human(bias, sensor)
     sigma = rounded(_human(sure, sensor)[0])
@@ -188,7 +193,7 @@ def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -
 
 
 def _accepts(settings: Any, key: str, value: float) -> bool:
-    """Return whether a setting can have this value, given the sensor's other settings."""
+    """Return whether a setting can have this value together with the other settings of the sensor."""
     try:
         type(settings)(**{**asdict(settings), key: value})
     except ValueError:
@@ -197,7 +202,7 @@ def _accepts(settings: Any, key: str, value: float) -> bool:
 
 
 def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> Consistency:
-    """Return the verdict "correlated": errors of `sigma` [rad or m] last for `repeats` readings."""
+    """Return the verdict "correlated": errors of size `sigma` [rad or m] last for `repeats` readings."""
     memory = repeats * period
     amount, _ = _human(sigma, sensor)
     key = REGISTRY[sensor].noise_keys[0]
@@ -212,7 +217,10 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
 
 
 def changing(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | None:
-    """Return the verdict on a mean that steps or drifts by more than half of the noise of a reading, or None."""
+    """Return the verdict on a mean that steps or drifts during the drive; None if it does not.
+
+    The change must exceed half of the noise of a reading.
+    """
     if h.change is None or abs(h.change.amount) < max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.sure):
         return None
     amount, sign = _human(h.change.amount, sensor)[0], _sign(sensor)
@@ -224,19 +232,19 @@ def changing(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | N
 
 
 def drift_fix_values(sensor: str, settings: Any, amount: float, span: float) -> dict[str, float]:
-    """Return the settings for an offset that drifts by `amount` in `span` [s]; {} if the sensor has no offset."""
+    """Return the settings for an offset that drifts by `amount` in `span` [s]; {} if there is no offset."""
     drift, offset = REGISTRY[sensor].drift_key, REGISTRY[sensor].bias
     if drift is None or offset is None:
         return {}
     fix_values = {f"{sensor}.{drift}": rounded(amount / math.sqrt(span))}
     exact = getattr(settings, offset.key) is not None and offset.sigma and not getattr(settings, offset.sigma)
     if exact and _accepts(settings, str(offset.sigma), amount):
-        fix_values[f"{sensor}.{offset.sigma}"] = rounded(amount)  # an offset without sigma cannot drift
+        fix_values[f"{sensor}.{offset.sigma}"] = rounded(amount)  # an offset with sigma 0 cannot drift
     return fix_values
 
 
 def many_refused(sensor: str, share: float) -> bool:
-    """Return whether the share of rejected readings is too large; the limit is higher for laser lines."""
+    """Return whether too large a share of readings is rejected; the limit is higher for laser lines."""
     return share > (MAX_REFUSED_LINE_SHARE if _sees_lines(sensor) else MAX_REFUSED_SHARE)
 
 
@@ -264,7 +272,7 @@ def _sign(sensor: str) -> str:
 
 
 def _human(value: float, sensor: str) -> tuple[float, str]:
-    """Return a value [rad or m] of a sensor's first component in display units, and the unit."""
+    """Return a value [rad or m] of a sensor's first component in the unit for display, and this unit."""
     first = REGISTRY[sensor].components[0]
     return value * first.scale, first.unit
 
@@ -287,7 +295,7 @@ class RunInnovations(NamedTuple):
 
     @classmethod
     def of(cls, drive: Drive, estimates: Estimates) -> RunInnovations:
-        """Return a run with the figures of its innovations, without audits."""
+        """Return a run with figures of its innovations, and without its audits."""
         found = {s: own(estimates.audits[s], drive.measurements[s]) for s in estimates.sensors}
         return cls(drive, replace(estimates, audits={}), found)
 
@@ -295,9 +303,9 @@ class RunInnovations(NamedTuple):
 def judge(
     runs: Sequence[RunInnovations], robot: Robot, overconfident: Collection[str] = ()
 ) -> dict[str, dict[str, Consistency]]:
-    """Return the consistency of each sensor in each configuration, as configuration -> sensor -> Consistency.
+    """Return configuration -> sensor -> consistency of the sensor's noise.
 
-    `overconfident` are configurations that truth shows to be so: their covariance is not used.
+    `overconfident` are configurations that truth shows to be overconfident: their covariance is not used.
     """
     evidence = NoiseEvidence([r for r in runs if not r.estimates.smoothed], robot, overconfident)
     findings = {s: evidence.finding(s) for s in evidence.sensors}
@@ -305,14 +313,14 @@ def judge(
 
 
 def _of_run(o: OwnInnovations | None, found: Consistency) -> Consistency:
-    """Return a sensor's verdict by all runs, with the innovation figures `o` of one run."""
+    """Return the verdict on a sensor by all runs, together with the innovation figures `o` of one run."""
     if o is None:
         return found
     return replace(found, nis_bounds=o.bounds, bias_sigma=o.bias, whiteness=o.whiteness, refused=o.refused)
 
 
 class NoiseEvidence:
-    """Innovations of all sensors in all runs, from which the verdict on each sensor follows."""
+    """Evidence on the noise of all sensors: their innovations in all runs."""
 
     def __init__(self, runs: Sequence[RunInnovations], robot: Robot, overconfident: Collection[str] = ()) -> None:
         self.robot, self.runs, self.overconfident = robot, runs, overconfident
@@ -371,7 +379,7 @@ class NoiseEvidence:
         return sorted(found, key=lambda w: w[1].reference)
 
     def bias(self, sensor: str) -> Consistency | None:
-        """Return the verdict "biased" if a sensor's mean innovation is notable, even if uncertain; else None."""
+        """Return the verdict "biased" if the mean innovation is notable, even if uncertain; else None."""
         found = self._compare_with_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
         if found is None or not notable(found):
             return None
@@ -396,13 +404,16 @@ class NoiseEvidence:
         )
 
     def _purest(self, sensor: str) -> RunInnovations | None:
-        """Return the run with `sensor` and fewest others, all of them healthy or less wrong; None without one."""
+        """Return the run with `sensor` and the smallest number of other sensors; None if there is none.
+
+        The other sensors must be healthy, or have noise that is less understated than that of `sensor`.
+        """
         using = [r for r in self.runs if sensor in r.estimates.sensors]
         pure = [r for r in using if self._healthy(r, sensor) or self._worst(r) == sensor]
         return min(pure, key=lambda r: len(r.estimates.sensors)) if pure else None
 
     def _worst(self, run: RunInnovations) -> str:
-        """Return the sensor of a run whose R is understated most; "" if there is none."""
+        """Return the sensor of a run whose R is understated most; "" if no sensor has innovation figures."""
         scales = {s: o.scale for s in run.estimates.sensors if (o := run.own[s])}
         return max(scales, key=lambda s: scales[s]) if scales else ""
 
@@ -420,7 +431,7 @@ class NoiseEvidence:
             rivals = [x for x in run.estimates.sensors if x in surest]
             others = {x: [w for r, w in self.reference_runs(x) if s not in r.estimates.sensors] for x in rivals}
             if any(disagrees(w) for found_x in others.values() for w in found_x[:1]):
-                continue  # others contradict this reference, which is flagged later
+                continue  # others contradict a sensor of this reference, which is flagged later
             if rivals and not any(others.values()):
                 self.contradict |= {s, *rivals}
             else:
@@ -429,7 +440,7 @@ class NoiseEvidence:
 
 
 def as_run(drive: Drive, estimates: Estimates) -> RunInnovations | None:
-    """Return the truth as a run without sensors; None without headings, or if it is in another frame.
+    """Return the truth as a run without sensors; None if it has no headings or is in another frame.
 
     Its poses are NaN in gaps of the truth.
     """

@@ -1,9 +1,9 @@
 """Effect of each sensor on the position error: Shapley value, confidence interval, one-word verdict.
 
-The value of a set of sensors is -ln(position RMSE), so that effects are factors: +0.69 halves the error. A
-sensor's credit is its Shapley value (Shapley 1953): its effect averaged over every order in which the sensors can
-be added; credits sum to the effect of all sensors together. Two more effects are given: alone (compared with
-odometry) and last (`all` compared with `all` without the sensor).
+The value of a set of sensors is -ln(position RMSE), so effects are factors on the error: +0.69 halves it. A
+sensor's credit is its Shapley value (Shapley 1953): its effect averaged over all orders in which the sensors can
+be added. Credits sum to the effect of all sensors together. There are two more effects: "alone" (compared with
+odometry) and "last" (`all` compared with `all` without the sensor).
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from .bootstrap import MIN_REPLICATES, Errors, by_chance, student_t
 
 Verdict = Literal["helps", "seems to help", "no effect seen", "seems to hurt", "hurts", "no verdict"]
 
-MIN_EFFECT = 0.02  # an effect below 2 % counts as none, however certain
+MIN_EFFECT = 0.02  # an effect below 2 % counts as no effect, even if certain
 MIN_EXPECTED_EFFECT = 0.15  # smallest effect (15 %) that counts if its interval includes zero
-MAX_UNSURE = math.log(10.0)  # largest bound of an effect's interval on the side of the opposite sign
-MIN_HARM_LAST = 0.10  # `all` is significantly 10 % better without the sensor: it hurts
-# overconfident: ANEES above this, and this many times the one before
+MAX_UNSURE = math.log(10.0)  # largest bound of an effect's interval on the opposite side of zero
+MIN_HARM_LAST = 0.10  # a sensor hurts if `all` is significantly 10 % better without it
+# overconfident: ANEES above the first, and above the second times ANEES without the sensor
 OVERCONFIDENT_ANEES, MAX_ANEES_RATIO = 10.0, 5.0
-MAX_CONSISTENT_ANEES = 3.0  # the covariance of a run with more is not used as evidence
+MAX_CONSISTENT_ANEES = 3.0  # with a larger ANEES, the covariance of a run is not used as evidence
 Subset = frozenset[str]
 
 
 class Effect(msgspec.Struct, frozen=True):
     """Contrast of ln(position RMSE): a positive value means that the sensor reduces the error.
 
-    Its bounds are NaN over fewer than MIN_REPLICATES drives.
+    Over fewer than MIN_REPLICATES drives the bounds are NaN.
     """
 
     value: float
     low: float
     high: float
-    expected: float | None  # the same contrast of the filter's own predicted standard deviations
+    expected: float | None  # the same contrast of the predicted standard deviations
 
 
 def verdict(
@@ -50,10 +50,11 @@ def verdict(
 ) -> Verdict:
     """Return the verdict on a sensor's effect; "no verdict" if no effect was computed.
 
-    Helps or hurts: the interval of the effect excludes zero (hurts also if `all` is significantly better without
-    the sensor). Seems to: the effect is large and its interval includes zero, but no large opposite effect
-    (`unsure`). If the covariance of a consistent filter (by ANEES) hardly changes by the sensor, the change of the
-    error is chance: no effect. Overconfidence does not count here; see `overconfident`.
+    "helps", "hurts": the interval of the effect excludes zero ("hurts" also if `all` is significantly better
+    without the sensor). "seems to help", "seems to hurt": the effect is large, and its interval includes zero, but
+    no large opposite effect (`unsure`). "no effect seen": all other cases. Also if the sensor hardly changes the
+    covariance of a consistent filter (by ANEES), since the change of the error is then chance. For overconfidence
+    see `overconfident`.
     """
     main = shapley or alone or last
     if main is None:
@@ -72,20 +73,23 @@ def verdict(
 
 
 def unsure(effect: Effect) -> bool:
-    """Return whether the interval is so wide that the error may change tenfold in the opposite direction."""
+    """Return whether the interval includes a tenfold change of the error in the opposite direction."""
     return (-effect.low if effect.value > 0.0 else effect.high) > MAX_UNSURE
 
 
 def overconfident(anees: tuple[float, float] | None) -> bool:
-    """Return whether a sensor makes the filter overconfident, by `anees`: ANEES (without, with) the sensor."""
+    """Return whether a sensor makes the filter overconfident.
+
+    `anees` is the ANEES (without, with) the sensor.
+    """
     return anees is not None and anees[1] > max(OVERCONFIDENT_ANEES, MAX_ANEES_RATIO * anees[0])
 
 
 def _surely(effect: Effect, sign: float) -> bool:
-    """Return whether an effect of this sign is large enough and its interval excludes zero.
+    """Return whether an effect with the sign `sign` is large enough, and its interval excludes zero.
 
-    The interval counts twice as wide if the predicted covariances hardly change by the sensor: the effect is then
-    probably chance, and 1 in 20 would be too often.
+    If the sensor hardly changes the predicted covariances, the effect is probably chance. The interval is then
+    doubled, since one wrong verdict in 20 would be too many.
     """
     bound = effect.low if sign > 0 else effect.high
     if effect.expected is not None and abs(effect.expected) < MIN_EXPECTED_EFFECT:
@@ -100,9 +104,9 @@ class SensorCredit(msgspec.Struct, frozen=True):
     credit: Effect | None  # Shapley value; None unless every subset was run
     alone: Effect | None  # compared with odometry, or `beside`
     last: Effect | None  # leave one out
-    share: float | None  # of the whole improvement
-    anees: tuple[float, float] | None  # without and with it, for the subset where it grows most
-    beside: tuple[str, ...] = ()  # sensors whose map it reads, or without which it was not run
+    share: float | None  # share of the whole improvement
+    anees: tuple[float, float] | None  # ANEES without and with the sensor, for the subset in which it grows most
+    beside: tuple[str, ...] = ()  # sensors whose map the sensor needs, or that were in every run with it
 
 
 class Credit(msgspec.Struct, frozen=True):
@@ -112,7 +116,7 @@ class Credit(msgspec.Struct, frozen=True):
     total: float | None  # ln(error with odometry / error with all sensors)
     complete: bool  # every subset was run
     method: str
-    effective_samples: float  # independent samples of one drive, or logs
+    effective_samples: float  # number of independent samples of one drive, or of logs
     block_s: float | None
     logs: int = 1
 
@@ -120,8 +124,8 @@ class Credit(msgspec.Struct, frozen=True):
 def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credit | None:
     """Return the effects of `sensors` on one drive, by evaluations of subsets of sensors; None without truth.
 
-    Shapley values need all 2^n subsets; with fewer, only the effects alone and last are computed. A sensor in none
-    of the subsets is left out.
+    Shapley values need all 2^n subsets; with fewer, only the effects "alone" and "last" are computed. A sensor
+    that is in no subset is left out.
     """
     if not judged or not sensors or any(len(e.t) == 0 for e in judged.values()):
         return None
@@ -142,7 +146,7 @@ def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credi
 
 
 def credit_over_logs(drives: Sequence[Credit]) -> Credit:
-    """Return the effects averaged over logs, with Student's t intervals from four logs on."""
+    """Return the effects averaged over logs; from four logs on with Student's t intervals."""
     names = [s for s in drives[0].sensors if all(s in c.sensors for c in drives)]
     sensors = {s: _over_logs([c.sensors[s] for c in drives]) for s in names}
     totals = [c.total for c in drives if c.total is not None]
@@ -171,7 +175,7 @@ class AddedSensor(NamedTuple):
 
 
 def shapley_steps(sensor: str, sensors: Sequence[str]) -> list[AddedSensor]:
-    """Return the 2^(n-1) subsets to which a sensor can be added, with their Shapley weights."""
+    """Return the 2^(n-1) steps that add a sensor to a subset of the other sensors, with Shapley weights."""
     n = len(sensors)
     sets = subsets([s for s in sensors if s != sensor])
     return [
@@ -216,12 +220,12 @@ class _Book(msgspec.Struct, frozen=True):
         return Effect(value, min(low, value - most), max(high, value - least), expected)
 
     def _chance_range(self, i: int, j: int) -> tuple[float, float]:
-        """Return the interval of ln(RMSE before / after) that chance alone gives from sensor subset i to subset j.
+        """Return the interval of ln(RMSE before / after) by chance alone, from sensor subset i to subset j.
 
         A sensor that reduces the predicted variance moves the estimate by about the square root of the reduction.
-        With few independent samples such a move reduces or increases the error by its direction alone, which the
-        bootstrap does not show, as the moved error has the shape of the old one. Errors of x, y and neighbouring
-        samples are correlated through the heading: the number of samples is halved.
+        With few independent samples, the direction of this move alone may reduce or increase the error. The
+        bootstrap does not show this, since the moved error has the same shape as before. The number of samples is
+        halved, since errors of x, y and neighbouring samples are correlated through the heading.
         """
         if self.expected is None:
             return 0.0, 0.0
@@ -243,7 +247,8 @@ class _Book(msgspec.Struct, frozen=True):
     def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
         """Return the sensors to which `sensor` is added for its effect "alone".
 
-        These are the sensors that it depends on, else (if not run) the smallest subset that was run.
+        These are the sensors on which it depends. If this step was not run: the smallest subset for which it was
+        run.
         """
         usual = needed(sensor)  # the effect "alone" is compared with these
         run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
@@ -253,7 +258,7 @@ class _Book(msgspec.Struct, frozen=True):
         return tuple(s for s in sensors if s in fewest)
 
     def _worst_anees(self, sensor: str) -> tuple[float, float] | None:
-        """Return the ANEES (without, with) a sensor, for the subset where adding it increases ANEES most."""
+        """Return ANEES (without, with) a sensor, for the subset in which the sensor increases it most."""
         pairs = [
             (a, b)
             for s, a in zip(self.sets, self.anees, strict=True)

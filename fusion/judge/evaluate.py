@@ -1,11 +1,11 @@
 """Evaluation of an estimate: errors against truth, ANEES and NIS.
 
-Errors are computed at the truth's stamps, to which the filter predicts; by default nothing is aligned, since
+Errors are computed at the truth's stamps, to which the filter predicts. By default nothing is aligned, since
 alignment hides an error of the start.
 
-Length of the truth's path: the sum of steps between readings would be too long, since 2 mm of noise at 100 Hz are
-0.35 m in a second of standing still, and a drift per metre would look better. So the path consists of chords
-between readings that are further apart than noise can move them.
+The length of the truth's path is not the sum of steps between readings: 2 mm of noise at 100 Hz add 0.35 m per
+second of standstill, and a drift per metre would look better. So the path consists of chords between readings that
+are further apart than noise can move them.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ from locfuse.fusion.streams import gap_limit
 
 from .bootstrap import effective_samples
 
-CHORD_SIGMAS = 10.0  # length of a chord in sigmas of the truth's noise, per axis
-TANGENT_SIGMAS = 30.0  # the same for chords that give directions: noise turns them by 3 degrees (1 sigma)
+CHORD_SIGMAS = 10.0  # least length of a chord in sigmas of the truth's noise per axis
+TANGENT_SIGMAS = 30.0  # the same for chords that give directions: noise turns these by 3 degrees (1 sigma)
 MIN_CHORD_M = 1e-6  # m: shorter chords are rounding errors
-MAX_NOISE_S = 0.1  # s: faster variations are noise
+MAX_NOISE_S = 0.1  # s: faster variations of the position are noise
 MAX_PERIOD_S = 1.5  # s: with a longer period, noise and motion of the robot cannot be separated
-NOISE_ORDER = 5  # of the differences: a path that is a polynomial of degree 4 over six readings has no noise
-MAX_NOISE_SAMPLES = 2000  # places along the truth at which the noise is sampled, at most
+NOISE_ORDER = 5  # order of the differences: a polynomial of degree 4 through six readings has no noise
+MAX_NOISE_SAMPLES = 2000  # largest number of places along the truth at which the noise is sampled
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS_M = (1.0, 5.0, 10.0)  # m
 ERRORS_AT_ONCE = 4096  # errors in one step, to limit memory
-MIN_EIGENVALUE_RATIO = 1e-12  # of the smallest to the largest, below which a covariance is singular
+MIN_EIGENVALUE_RATIO = 1e-12  # smallest / largest eigenvalue, below which a covariance is singular
 ERROR_KEYS = (
     "position_rmse_m",
     "position_mean_m",
@@ -69,10 +69,11 @@ ERROR_KEYS = (
 
 
 def steps_of(t: Array, xy: Array, segments: Ints, sigmas: float = CHORD_SIGMAS) -> Array:
-    """Return the robot's displacement up to each stamp (q, 2) [m], from a noisy truth xy (q, 2) [m] at t (q,) [s].
+    """Return the robot's displacement from the stamp before to each stamp, (q, 2) [m], from a noisy truth.
 
-    It is 0 across a gap: `segments` (q,) numbers the pieces between gaps. The rest of a piece after its last chord
-    is not counted. Noise across a chord makes it longer by sigma^2 / length, which is subtracted.
+    The truth is xy (q, 2) [m] at t (q,) [s]; `segments` (q,) numbers its parts between gaps. The displacement
+    across a gap is 0, and a segment's end after its last chord is not counted. Noise makes a chord longer by
+    sigma^2 / length, which is subtracted.
     """
     noise = noise_of(t, xy, segments)
     is_mark = _marks(xy, segments, max(sigmas * noise, MIN_CHORD_M))
@@ -94,7 +95,8 @@ def steps_of(t: Array, xy: Array, segments: Ints, sigmas: float = CHORD_SIGMAS) 
 def directions(t: Array, xy: Array, segments: Ints) -> Array:
     """Return the direction of travel (q,) [rad, map frame] at the stamps of a truth xy (q, 2).
 
-    It is computed from the steps before and after each stamp; at rest, from the last motion or else the first one.
+    It is that of the steps before and after each stamp. At standstill it is that of the last motion, or, before
+    any motion, of the first.
     """
     steps = steps_of(t, xy, segments, TANGENT_SIGMAS)
     both = steps + np.append(steps[1:], np.zeros((1, 2)), axis=0)
@@ -107,10 +109,10 @@ def directions(t: Array, xy: Array, segments: Ints) -> Array:
 
 
 def noise_of(t: Array, xy: Array, segments: Ints) -> float:
-    """Return the standard deviation [m, per axis] of the noise in positions xy (q, 2) faster than MAX_NOISE_S.
+    """Return the standard deviation [m, per axis] of noise in positions xy (q, 2) that is faster than MAX_NOISE_S.
 
-    By divided differences of six readings, scaled to keep the size of white noise, at several spacings: noise may
-    be correlated. The median ignores starts and stops of the robot.
+    It is computed from divided differences of six readings, scaled to keep the size of white noise. Several
+    spacings are used, since noise may be correlated. The median ignores starts and stops of the robot.
     """
     period = float(np.median(np.diff(t))) if len(t) > 1 else math.inf
     if period > MAX_PERIOD_S:
@@ -132,7 +134,10 @@ def noise_of(t: Array, xy: Array, segments: Ints) -> float:
 
 
 def _marks(xy: Array, segments: Ints, least: float) -> NDArray[np.bool_]:
-    """Return flags (q,) of chord ends: each segment's first reading, then any over `least` [m] from the last."""
+    """Return flags (q,) of chord ends.
+
+    These are the first reading of each segment, then each reading more than `least` [m] from the last chord end.
+    """
     marks = np.diff(segments, prepend=-1) > 0
     x = y = 0.0
     columns = (memoryview(column) for column in xy.T.copy())  # lists of floats would need more memory
@@ -233,10 +238,10 @@ def _pairs(estimates: Estimates, truth: Truth) -> _PosePairs:
 
 
 def aligned(pairs: _PosePairs, truth: Truth, align: Align) -> _PosePairs:
-    """Return the pairs with the estimated poses and covariances moved rigidly onto the truth.
+    """Return the pairs with estimated poses and covariances moved rigidly onto the truth.
 
-    "origin": the first pose onto the truth's first pose (only the position, where the truth has no heading).
-    "se2": least squares over all positions (Umeyama 1991 without scale).
+    "origin": the first pose moves to the truth's first pose; without headings, only its position. "se2": least
+    squares over all positions (Umeyama 1991, without scale).
     """
     p = pairs.tracked(truth)
     if align == "origin":
@@ -255,8 +260,8 @@ def aligned(pairs: _PosePairs, truth: Truth, align: Align) -> _PosePairs:
 def _expected(pairs: _PosePairs, deviation: Array, heading: Array | None, truth: Truth) -> tuple[Array, Array]:
     """Return predicted standard deviations (q, 3) of the tracked point and heading [m, m, rad], and NEES (q,).
 
-    The lever arm of the point turns heading error into position error. NEES is per degree of freedom (Bar-Shalom
-    2001, 5.4.2) and includes the truth's noise of position and, where it has one, heading.
+    The lever arm of the tracked point turns a heading error into a position error. NEES is per degree of freedom
+    (Bar-Shalom 2001, 5.4.2). It includes the truth's noise of position and, if the truth has headings, of heading.
     """
     e = deviation if heading is None else np.column_stack((deviation, heading))
     dof, own = e.shape[1], np.diag(np.square((truth.sigma, truth.sigma, truth.sigma_theta)))
@@ -273,8 +278,8 @@ def _expected(pairs: _PosePairs, deviation: Array, heading: Array | None, truth:
 def nees(e: Array, S: Array) -> Array:
     """Return e' S^-1 e / d for errors e (n, d) with covariances S (n, d, d); NaN for a singular S.
 
-    S is singular if 1 / tr S^-1 <= r max(tr S, r), with r = MIN_EIGENVALUE_RATIO: up to the factor d these are its
-    smallest and its largest eigenvalue.
+    S is singular if 1 / tr S^-1 <= r max(tr S, r), with r = MIN_EIGENVALUE_RATIO. Up to the factor d, 1 / tr S^-1
+    is the smallest eigenvalue of S, and tr S the largest.
     """
     found = np.full(len(e), np.nan)
     finite = np.flatnonzero(np.isfinite(S).all(axis=(1, 2)))
@@ -307,8 +312,9 @@ def _drift_figures(
 ) -> dict[str, float | None]:
     """Return the mean relative position error per metre [m/m] over fixed lengths of the truth's path.
 
-    With heading the error is of the relative pose (Kümmerle et al. 2009); without, of the displacement. The end of
-    a length is interpolated between two stamps, so that the truth's rate does not matter.
+    With headings it is the error of the relative pose (Kümmerle et al. 2009), without headings that of the
+    displacement. The end of a length is interpolated between two stamps, so that the rate of the truth has no
+    effect.
     """
     out: dict[str, float | None] = {}
     both = np.column_stack((pairs.xy + deviation, pairs.xy))
@@ -349,18 +355,21 @@ def _mean(values: Array) -> float | None:
     return float(finite.mean()) if len(finite) else None
 
 
-# ---- is the covariance right? ----
+# ---- consistency of the covariance ----
 #
-# With truth: squared errors over predicted variances, for all states together and for each. Without truth: the
-# mean NIS of short intervals, with its bounds for this number of values.
+# With truth: squared error / predicted variance, for all states together and for each state. Without truth: the
+# mean NIS of short intervals, with its bounds for the number of values in an interval.
 
 MAX_INTERVALS = 80
-MIN_MEASUREMENTS = 8  # accepted measurements in one interval, at least
+MIN_MEASUREMENTS = 8  # least number of accepted measurements in one interval
 STATES = ("x", "y", "theta")
 
 
 def running_nis(audit: Audit, t: Array) -> RunningNis:
-    """Return the mean NIS of accepted innovations over successive intervals; `t` (n,) [s] are the update times."""
+    """Return the mean NIS of accepted innovations over successive intervals.
+
+    `t` (n,) [s] are the update times.
+    """
     accepted = audit.verdict == 0
     intervals = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, MAX_INTERVALS))
     edges = np.linspace(t[0], t[-1], intervals + 1)
@@ -375,10 +384,10 @@ def running_nis(audit: Audit, t: Array) -> RunningNis:
 
 
 class CovarianceCheck(msgspec.Struct, frozen=True):
-    """ANEES of one configuration: mean of squared error over predicted variance; above 1 is overconfident."""
+    """ANEES of one configuration: mean of squared error / predicted variance; above 1 means overconfident."""
 
     anees: float
-    bounds: tuple[float, float]  # of a consistent filter's ANEES 95 %, on a drive like this
+    bounds: tuple[float, float]  # 95 % bounds of the ANEES of a consistent filter on such a drive
     states: Mapping[str, float] = field(default_factory=dict)  # ANEES of x, y and theta alone
     independent: float = math.nan  # effective number of independent errors
     words: str = ""

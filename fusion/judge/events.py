@@ -1,4 +1,7 @@
-"""Events of a drive over time: standstill, robot lost, pose jumps, loop closures, rejected readings in a row."""
+"""Events of a drive over time.
+
+These are standstill, lost robot, pose jumps, loop closures, and consecutive rejected readings.
+"""
 
 from __future__ import annotations
 
@@ -28,20 +31,20 @@ from locfuse.fusion.data import (
 )
 
 MIN_REST_S = 2.0
-REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # in one interval of the wheels: smaller is standstill
-SAME_LOOP_S = 5.0  # loops in closer succession are reported as one
-MIN_REFUSED = 5  # readings in a row; fewer are single outliers
+REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # motion in one interval of the wheels; less is standstill
+SAME_LOOP_S = 5.0  # loop closures in closer succession are reported as one event
+MIN_REFUSED = 5  # consecutive rejected readings; fewer are single outliers
 JUMPS = {SLIP: "wheel slip undone", RELOCALISED: "lost robot found", LOOP_TAKEN: "loop closed"}
 USED_VERDICTS = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 def events_of_drive(drive: Drive) -> list[Event]:
-    """Return as events the intervals of at least MIN_REST_S without wheel motion."""
+    """Return the intervals of at least MIN_REST_S without wheel motion, as events."""
     u = drive.motions.u
     if len(u) != len(drive.t):
-        return []  # a result read back from its files
+        return []  # a drive read from the files of a result has no motions
     still = (np.hypot(u[:, 0], u[:, 1]) < REST_STEP_M) & (np.abs(u[:, 2]) < REST_STEP_RAD)
-    still[0] = False  # the first instant ends no interval
+    still[0] = False  # no interval ends at the first update time
     rests = [(float(drive.t[first - 1]), float(drive.t[last])) for first, last in stretches(still)]
     return [Event(a, b, REST, f"at rest for {b - a:.1f} s") for a, b in rests if b - a >= MIN_REST_S]
 
@@ -49,9 +52,7 @@ def events_of_drive(drive: Drive) -> list[Event]:
 def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
     """Return the events of a run (lost, jumps, loop closures, rejections) in order of time.
 
-    Args:
-        drive: the drive whose readings the audits count (thinned as in the run).
-        e: the run, with its audits.
+    `drive` has the readings to which the audits refer (thinned as in the run); `e` is the run, with its audits.
     """
     found = [Event(a, b, LOST, f"lost for {b - a:.1f} s", e.name) for a, b in e.lost]
     found += _loops(e)
@@ -79,7 +80,7 @@ def _step(jump: Jump) -> str:
 
 
 def _refusals(sensor: str, m: Measurements, t: Array, audit: Audit, name: str) -> Iterator[Event]:
-    """Yield as events the intervals with at least MIN_REFUSED consecutive rejected readings of a sensor."""
+    """Yield the intervals with at least MIN_REFUSED consecutive rejected readings of a sensor, as events."""
     n = len(m.t)
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
     taken = np.bincount(owner[np.isin(audit.verdict, USED_VERDICTS)], minlength=n) > 0

@@ -1,7 +1,7 @@
 """Innovation statistics: a sensor's actual noise, without truth (Mehra 1970; Bar-Shalom et al. 2001).
 
-`own` takes the innovations of a run that uses the sensor: the sensor's errors are also in the state. With
-`compare_readings` the run does not use the sensor: the innovations contain its full errors.
+`own` uses the innovations of a run that uses the sensor: the state also contains the sensor's errors.
+`compare_readings` uses a run without the sensor: the innovations contain the full errors of the sensor.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
 )
 MAX_LAG_READINGS = 5
 MIN_AUTOCORRELATION = 0.05  # a smaller autocorrelation counts as zero
-MAX_COMPARED_READINGS, STRETCH_READINGS = 1500, 150  # that are compared, in intervals of consecutive ones
-MIN_CHANGE_SHARE = 0.85  # of the variance that is not white, which a step or a drift must explain
-MIN_SIDE_SHARE = 0.1  # of the readings, before a step and after it
-OUTLIER_SIGMAS = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
+MAX_COMPARED_READINGS, STRETCH_READINGS = 1500, 150  # most compared readings; length of an interval
+MIN_CHANGE_SHARE = 0.85  # share of the variance that is not white, which a step or drift must explain
+MIN_SIDE_SHARE = 0.1  # share of the readings, before a step and after it
+OUTLIER_SIGMAS = 6.0  # a reading further away is an outlier; sigmas by the median deviation
 
 
 class OwnInnovations(NamedTuple):
     """Innovation figures of one sensor, in a run that uses the sensor."""
 
     compared: int
-    refused: float  # share
-    nis: float  # mean per degree of freedom of what was accepted
-    bounds: tuple[float, float]  # of the mean NIS of a consistent filter, 95 %
-    bias: tuple[float, ...]  # mean in predicted standard deviations; with those rejected by the gate
-    middle: tuple[float, ...]  # median innovation; with those rejected by the gate
+    refused: float  # share of rejected measurements
+    nis: float  # mean NIS per degree of freedom of accepted measurements
+    bounds: tuple[float, float]  # 95 % bounds of the mean NIS of a consistent filter
+    bias: tuple[float, ...]  # mean innovation in predicted standard deviations, rejected ones included
+    middle: tuple[float, ...]  # median innovation, rejected ones included
     sure: tuple[float, ...]  # standard error of the median
-    whiteness: tuple[float, ...]  # autocorrelation at lags 1..LAGS
-    raw: float  # factor on the innovations' covariance S
-    scale: float  # factor on the covariance R
+    whiteness: tuple[float, ...]  # autocorrelation at lags 1 to MAX_LAG_READINGS
+    raw: float  # observed / predicted covariance S of the innovations
+    scale: float  # factor by which R should be multiplied
     white: float  # share of the innovations' variance that is white
-    share: float  # of R in the innovations' predicted variance
+    share: float  # share of R in the predicted variance of the innovations
     R: tuple[float, ...]  # mean claimed variance
 
 
 class Change(NamedTuple):
     """Change of a sensor's mean error during a drive: one step or a steady drift."""
 
-    step_s: float | None  # s: when it steps; None: it drifts
+    step_s: float | None  # s: time of the step; None: a drift
     amount: float  # rad or m, over the drive
     span: float  # s, of the readings
 
@@ -62,8 +62,8 @@ class ComparedReadings(NamedTuple):
 
     readings: int
     wild: float  # share of outliers
-    bias: float | None  # None where the sensor's own offset is unknown
-    sure: float  # standard error of the bias, the reference's own uncertainty included
+    bias: float | None  # mean innovation; None if the sensor's offset is unknown
+    sure: float  # standard error of the bias, including the uncertainty of the reference
     white: float  # variance of the white part
     slow: float  # covariance of neighbouring readings
     spread: float  # variance
@@ -75,7 +75,7 @@ class ComparedReadings(NamedTuple):
 
 
 def own(audit: Audit, m: Measurements) -> OwnInnovations | None:
-    """Return innovation figures of one sensor in a run that uses it; None if too few were compared."""
+    """Return innovation figures of one sensor in a run that uses it; None for too few compared measurements."""
     d = audit.y.shape[1]
     far = np.isin(audit.verdict, (GATE, UNMATCHED)) & (audit.nis > audit.threshold)
     compared = np.flatnonzero((audit.verdict == ACCEPTED) | (far & (audit.verdict == GATE)))
@@ -105,10 +105,9 @@ def own(audit: Audit, m: Measurements) -> OwnInnovations | None:
 
 
 def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float], float]:
-    """Return mean NIS / dof of the accepted innovations, its bounds by chance, and the factor that S needs.
+    """Return the mean NIS / dof of the accepted innovations, its 95 % bounds, and the factor that S needs.
 
-    The factor is the median NIS of the accepted innovations and `far` ones beyond the gate, over its expected
-    value.
+    The factor is median NIS / expected median. The median includes `far` innovations beyond the gate.
     """
     used = np.flatnonzero(audit.verdict == ACCEPTED)
     nis, repeats = audit.nis[used], 1.0
@@ -122,11 +121,8 @@ def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float
 
 
 def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
-    """Return medians, robust deviations, normalised means (d,) and autocorrelation of the innovations `compared`.
-
-    Arrays are changed in place to save memory.
-    """
-    y = audit.y.take(compared, axis=0)  # whole rows: ten times faster than audit.y[compared]
+    """Return medians, robust deviations and normalised means (d,), and autocorrelation of `compared` rows."""
+    y = audit.y.take(compared, axis=0)  # ten times faster than audit.y[compared]
     middle = _medians(y)
     deviation = (
         np.array([np.median(np.abs(c - centre)) for c, centre in zip(y.T, middle, strict=True)]) / MAD_OF_NORMAL
@@ -158,7 +154,7 @@ def _medians(values: Array) -> Array:
 def _whiteness(v: Array, mark: Counts) -> Array:
     """Return the autocorrelation of v (k, d), averaged over columns, at lags 1 to MAX_LAG_READINGS.
 
-    `mark` (k,), sorted, is the landmark of each row; only pairs of one landmark count.
+    `mark` (k,), sorted, is the landmark of each row; only pairs of rows of the same landmark count.
     """
     out = np.zeros(MAX_LAG_READINGS)
     if len(v) < 2:
@@ -173,9 +169,9 @@ def _whiteness(v: Array, mark: Counts) -> Array:
 
 
 def compare_readings(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> ComparedReadings | None:
-    """Return the innovation figures of a one-number sensor, from a run that does not use the sensor.
+    """Return the innovation figures of a one-number sensor in a run that does not use the sensor.
 
-    None for a sensor with several components, for a joint model, or with too few readings.
+    None for a sensor with several components, for a joint model, and for too few readings.
     """
     m = drive.measurements[sensor]
     model = REGISTRY[sensor].model(robot.settings(sensor))
@@ -199,7 +195,7 @@ def compare_readings(drive: Drive, robot: Robot, run: Estimates, sensor: str) ->
 
 
 def _sampled(n: int) -> Ints:
-    """Return the indices of all n readings, or of evenly spread intervals of consecutive readings."""
+    """Return the indices of all n readings; of many, those of evenly spaced intervals of consecutive readings."""
     if n <= MAX_COMPARED_READINGS:
         return np.arange(n)
     starts = np.linspace(0, n - STRETCH_READINGS, MAX_COMPARED_READINGS // STRETCH_READINGS).astype(np.int64)
@@ -214,11 +210,11 @@ def usual_period(t: Array) -> float | None:
 
 
 def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | None:
-    """Return innovation figures, without outliers; None if all rows have one stamp.
+    """Return innovation figures without outliers; None if all rows have the same stamp.
 
-    A row of `rows` (k, 5) is t [s], innovation, reference variance, R, heading [rad]. Innovations are in rad where
-    `angular` (their mean is that of directions), else m; `unknown`: they contain an unknown offset. One stamp does
-    not show how long an error lasts.
+    `rows` (k, 5) has t [s], innovation, variance of the reference, R, heading [rad]. Innovations are in rad if
+    `angular` (then their mean is that of directions), else in m. `unknown`: they contain an unknown offset. Rows
+    with a single stamp do not show how long an error lasts.
     """
     period = usual_period(rows[:, 0])
     if period is None:
@@ -260,9 +256,9 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
 
 
 def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
-    """Return a step or a steady drift of errors y (k,), mean 0, at t [s], if it explains most of their slow part.
+    """Return a step or steady drift of errors y (k,) with mean 0 at t [s], if it explains most of their slow part.
 
-    None where the robot's heading `theta` [rad] explains more: iron on the robot, in a drive of few turns.
+    None if the robot's heading `theta` [rad] explains more, as for iron on the robot in a drive with few turns.
     """
     n, span = len(y), float(t[-1] - t[0])
     slow = float((y**2).mean()) - white
@@ -284,7 +280,7 @@ def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
 
 
 def _autocorrelation(y: Array, t: Array, period: float) -> Array:
-    """Return the autocorrelation of y (k,) at lags 0, 1, ... periods; pairs across a gap are left out."""
+    """Return the autocorrelation of y (k,) at lags 0, 1, ... periods, without pairs across a gap."""
     n = len(y)
     variance = float((y**2).mean())
     out = [1.0]
@@ -297,7 +293,7 @@ def _autocorrelation(y: Array, t: Array, period: float) -> Array:
 
 
 def _memory(correlation: Array) -> float:
-    """Return the correlation length in readings: 1 + 2 sum of the autocorrelation up to its first zero."""
+    """Return the correlation length in readings: 1 + 2 (sum of the autocorrelation up to its first zero)."""
     forgotten = np.flatnonzero(correlation < MIN_AUTOCORRELATION)
     end = int(forgotten[0]) if len(forgotten) else len(correlation)
     return 1.0 + 2.0 * float(correlation[1:end].sum())

@@ -1,8 +1,8 @@
 """Path quality from laser scans, without truth: agreement at revisited places, and crispness of the map.
 
-Revisit agreement: of the scans at places that the path visited before, the share of points that coincide with
-points of the earlier scans. Crispness: the number of map cells that contain points; of two paths of one drive the
-better one has fewer. Neither proves that a path is correct: two paths can have the same error.
+Revisit agreement: share of the points of scans at revisited places that coincide with points of earlier scans.
+Crispness: number of map cells that contain points; of two paths of one drive, the better one has fewer. Neither
+proves that a path is right, since two paths can have the same error.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from locfuse.fusion.data import Array, Drive, Estimates, Ints
 from locfuse.fusion.mount import found_mount
 
 LASER = "lrf"
-STRIDE_M, MAX_SCANS = 0.7, 2000  # distance between two selected scans, and their largest number
-# shortest time between two visits of a place; in drives shorter than SHORT_S
+STRIDE_M, MAX_SCANS = 0.7, 2000  # distance between two selected scans; largest number of selected scans
+# least time between two visits of a place; the same in drives shorter than SHORT_S; s
 AGAIN_S, AGAIN_SHORT_S, SHORT_S = 30.0, 8.0, 120.0
-NEAR_M, MAX_EARLIER = 3.0, 10  # largest distance of an earlier scan, and number of compared earlier scans
-SAME_M = 0.1  # a point this near to an earlier one agrees
+NEAR_M, MAX_EARLIER = 3.0, 10  # largest distance of an earlier scan; largest number of earlier scans
+SAME_M = 0.1  # a point at most this far from an earlier one agrees
 # smallest share of scans at revisited places; smallest mean number of scans per cell
 MIN_REVISITS, MIN_OVERLAP = 0.1, 3.0
 CELL_M = 0.05
-# m, and share of the distance driven: paths further apart than both are doubted
+# m; share of the distance driven: paths that are further apart than both are doubted
 DOUBT_M, DOUBT_SHARE = 0.3, 0.0075
-# of the combined sigma of two paths; smaller distances are no contradiction
+# combined sigmas of two paths; m: a distance below either is no contradiction
 MAX_APART_SIGMAS, MIN_APART_M = 3.0, 0.05
-MAX_CLAIM_RATIO = 1.5  # of the distance to the smoothed path over the claimed standard deviation
-MIN_AGREEMENT_RISE, GOOD_AGREEMENT = 0.2, 0.7  # rise of the agreement, or its value, that shows a better path
+MAX_CLAIM_RATIO = 1.5  # distance to the smoothed path / claimed standard deviation; above it: overconfident
+MIN_AGREEMENT_RISE, GOOD_AGREEMENT = 0.2, 0.7  # least rise of the agreement, or least value, of a better path
 
 
 class Distance(msgspec.Struct, frozen=True):
@@ -80,7 +80,7 @@ class OwnScans(msgspec.Struct, frozen=True):
     def judge(self, e: Estimates) -> tuple[float | None, int, float]:
         """Return revisit agreement (0 to 1; None without revisits), number of map cells, and scans per cell.
 
-        If the run estimates the laser's mount, the estimated mount is used.
+        If the run estimates the mount of the laser, this mount is used.
         """
         moved = se2.compose(found_mount(LASER, self.mount, e.blocks), se2.inverse(self.mount))
         pose = se2.compose(e.pose[self.instants], moved)
@@ -131,11 +131,11 @@ def is_better(before: float | None, after: float | None) -> bool:
 
 
 class OwnScanFigures(msgspec.Struct, frozen=True):
-    """Path quality figures of one estimate by the laser scans of its drive."""
+    """Path quality figures of one estimate, from the laser scans of its drive."""
 
     revisit_agreement: float | None
     crispness_cells: int | None
-    smoothed: Distance | None = None  # to the smoothed path of the same sensors, if there is one
+    smoothed: Distance | None = None  # distance to the smoothed path of the same sensors, if there is one
     smoothed_is_better: bool = False  # by revisit agreement
     claimed_m: float = 0.0  # predicted standard deviation over the drive, sqrt(P_xx + P_yy)
     contradicted: bool = False  # smoothed and estimated path differ by more than their sigmas allow
@@ -150,9 +150,9 @@ class OwnScanFigures(msgspec.Struct, frozen=True):
 def judged_by_scans(
     drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
 ) -> dict[str, OwnScanFigures]:
-    """Return the path quality figures of estimates, by name of the estimate.
+    """Return name of the estimate -> its path quality figures.
 
-    `smoothed` are smoothed estimates, by the name of the filter's estimate with the same sensors.
+    `smoothed` maps the name of a filter's estimate to the smoothed estimate with the same sensors.
     """
     scans = OwnScans.of(drive)
     if scans is None or not len(scans.t):

@@ -1,13 +1,14 @@
-"""Ranking of configurations without truth: how well each predicts the readings of sensors it does not use.
+"""Ranking of configurations without truth: how well each predicts the readings of sensors that it does not use.
 
-The readings of sensors that a configuration does not use (they "listen": `fuse(..., listen=...)`) are predicted
-from the pose, its covariance and that sensor's own map or offset, and scored by the logarithm of the predicted
-density (Good 1952; "innovation score"). The score is proper: a large covariance costs, overconfidence costs more.
-Configurations are compared reading by reading, only on sensors that neither of them uses.
+Sensors that a configuration does not use "listen" (`fuse(..., listen=...)`): their readings do not correct the
+pose. They are predicted from the pose, its covariance, and the map or offset of the sensor itself. The score is
+the logarithm of the predicted density (Good 1952; "innovation score"). It is proper: a large covariance costs, and
+overconfidence costs more. Configurations are compared reading by reading, only on sensors that neither of them
+uses.
 
 For a configuration that uses all sensors, each sensor in turn only listens for STRETCH_S. The report notes that
-this favours the configuration, since the same sensor has just corrected the pose. The score does not show an error
-that all sensors share, or walls matched with other walls.
+this favours the configuration, since the same sensor corrected the pose just before. The score does not show an
+error that all sensors share, or walls that are matched with other walls.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from locfuse.fusion.data import Array, Audit, Drive, Estimates
 
 from .bootstrap import block_means
 
-OUTLIER_SHARE = 0.05  # share of readings with any value, so that one outlier does not decide
-MIN_GAIN_NATS = 0.02  # nats per number: a smaller gain counts as none
-BLOCK_S = 5.0  # s: readings this far apart are taken as independent
-LASER = "lrf"  # its scans give the motion if there are no wheels
-STRETCH_S = 5.0  # s that a sensor of the configuration listens at a time
+OUTLIER_SHARE = 0.05  # probability of an outlier with any value, so that a single outlier does not decide
+MIN_GAIN_NATS = 0.02  # nats per number: a smaller gain counts as no gain
+BLOCK_S = 5.0  # s: readings in different blocks count as independent
+LASER = "lrf"  # without wheels, its scans give the motion
+STRETCH_S = 5.0  # s: length of an interval in which a sensor of the configuration listens
 
 
 class Score(msgspec.Struct, frozen=True):
@@ -35,13 +36,13 @@ class Score(msgspec.Struct, frozen=True):
 
     configuration: str
     sensor: str
-    numbers: int  # scored
+    numbers: int  # number of scored numbers
     score: float  # mean logarithm of the predicted density, nats per number
-    gain: float  # compared with odometry on the same readings
-    low: float  # the gain's 95 % interval, by blocks
+    gain: float  # score minus that of odometry on the same readings
+    low: float  # 95 % interval of the gain, by block bootstrap
     high: float
-    stretches: bool  # the sensor belongs to the configuration and listened in stretches only
-    shared: bool = False  # odometry uses the same readings: no evidence of a contradiction
+    stretches: bool  # whether the configuration uses the sensor, which listened only in some intervals
+    shared: bool = False  # whether odometry uses the same readings: then there is no evidence of a contradiction
 
 
 class Ranked(msgspec.Struct, frozen=True):
@@ -50,14 +51,14 @@ class Ranked(msgspec.Struct, frozen=True):
     configuration: str
     gain: float | None  # mean over the sensors that listened; None without rank
     on: tuple[str, ...]  # the sensors that listened
-    stretches: bool  # these sensors belong to the configuration and listened in stretches only
+    stretches: bool  # whether the configuration uses these sensors, which listened only in some intervals
 
 
 def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
     """Return sensor -> flags (n,): true for readings that a run with `sensors` predicts but does not use.
 
-    Sensors that are not used always listen. If all are used, intervals of STRETCH_S take turns: in the first all
-    sensors are used, then one after the other listens.
+    Sensors that are not used always listen. If all are used, intervals of STRETCH_S alternate: in the first, all
+    sensors are used; in each of the next ones, one sensor listens.
     """
     out = {s: np.ones(len(m.t), dtype=bool) for s, m in drive.measurements.items() if s not in sensors}
     if out:
@@ -69,8 +70,8 @@ def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, NDArray[np.bool
 def log_density(audit: Audit, z: Array) -> Array:
     """Return the log predicted density (m,) of measurements z (m, d), mean over components; NaN if not compared.
 
-    The density is a mixture: with probability OUTLIER_SHARE a value is uniform over all values of the sensor. A
-    measurement without a prediction has this uniform density.
+    The density is a mixture: with probability OUTLIER_SHARE, a value is uniform over the range of all values of
+    the sensor. A measurement without a prediction has only this uniform density.
     """
     m, d = z.shape
     width = np.maximum(z.max(axis=0) - z.min(axis=0), 1e-9) if m else np.ones(d)
@@ -118,7 +119,10 @@ def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
 
 
 def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool_]]) -> float | None:
-    """Return the mean log predicted density [nats per number] of flagged readings; None if none is predicted."""
+    """Return the mean log predicted density [nats per number] of flagged readings.
+
+    None if no flagged reading has a prediction.
+    """
     means = []
     for sensor in (s for s in e.audits if s in flags):
         m = drive.measurements[sensor]
@@ -130,7 +134,7 @@ def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool
 
 
 def ranking(found: Sequence[Score], configurations: Sequence[str]) -> list[Ranked]:
-    """Return the configurations sorted by mean predictive gain, best first; those without a score come last.
+    """Return the configurations sorted by mean predictive gain, best first; those without a score are last.
 
     A configuration that uses all sensors has a rank only if the log has a single sensor.
     """
@@ -144,9 +148,10 @@ def ranking(found: Sequence[Score], configurations: Sequence[str]) -> list[Ranke
 
 
 def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return pairs of contradicting sensors: a run with one predicts the other significantly worse than odometry.
+    """Return the pairs of sensors that contradict each other.
 
-    `alone` maps each sensor to the configuration that uses only this sensor.
+    A run with only one of them predicts the other one significantly worse than odometry does. `alone` maps each
+    sensor to the configuration that uses only this sensor.
     """
     sensor_of = {name: sensor for sensor, name in alone.items()}
     pairs = {
@@ -162,7 +167,7 @@ def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tup
 
 
 def _later(audit: Audit, rows: int) -> NDArray[np.bool_]:
-    """Return which rows come after the sensor's first reading, which only initialises its map or offset."""
+    """Return flags of the rows after the first reading, which only initialises the map or offset of the sensor."""
     out = np.ones(rows, dtype=bool)
     if len(audit.instant):
         out[audit.row[audit.instant == audit.instant[0]]] = False

@@ -1,10 +1,11 @@
 """Line extraction from laser scans: lines (r, psi), covariance, extent (paper section III, LRF).
 
 A line is x cos(psi) + y sin(psi) = r with r >= 0, in the frame of the scan. If an object hides a part of a wall,
-the wall gives two lines, unless the gap is narrower than `bridge` and than each part, and both parts are
-statistically the same line. Across wider gaps, parts would be joined in some scans and not in others, and could
-not be matched with the map one to one. Beams near a corner that may belong to either wall are not used. Curved
-walls give no lines. All scans of a batch are processed at once, by `kernels.segments` and `kernels.line_fits`.
+the wall gives two lines. They are joined only if the gap is narrower than `bridge` and than each part, and both
+parts are statistically the same line: across wider gaps, parts would be joined in some scans but not in others,
+and could not be matched one to one with the map. Beams near a corner that may belong to either wall are not used.
+Curved walls give no lines. All scans of a batch are processed at once, by `kernels.segments` and
+`kernels.line_fits`.
 """
 
 from __future__ import annotations
@@ -20,20 +21,18 @@ from locfuse.fusion.kernels import line_fits, places, segments
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.sensor import WheelMotion
 
-# pieces of a scan's duration with independent wheel slip: three before its middle and three after
+# a scan's duration is divided into pieces with independent wheel slip: three before its middle, three after it
 SWEEP_PIECES = 6
-PIECE_EDGES = np.linspace(-0.5, 0.5, SWEEP_PIECES + 1)  # of the pieces, in sweeps from its middle
+PIECE_EDGES = np.linspace(-0.5, 0.5, SWEEP_PIECES + 1)  # in scan durations, from the middle of the scan
 MAX_RANGE_M = 1e6  # larger ranges count as no return
 _SCANS_AT_ONCE = 256  # scans processed at once,
-_BEAMS_AT_ONCE = (
-    100_000  # unless they have more beams than this in total: working memory is some 300 bytes per beam
-)
+_BEAMS_AT_ONCE = 100_000  # or fewer, so that they have at most this many beams: about 300 bytes of memory per beam
 _OF_R = np.array((2, 3, 3, 4))
-LINE_COLUMNS = 7  # columns of a line in a table, by kernels.places and kernels.sight
+LINE_COLUMNS = 7  # columns of a line in a table, as in kernels.places and kernels.sight
 
 
 class BeamMotion(NamedTuple):
-    """Mount of the laser, in the form needed for the motion of beams with the base."""
+    """Mount of the laser, in the form for computing how beams move with the base."""
 
     lever: tuple[float, float]  # m, from the base to the laser, in the laser frame
     ahead: tuple[float, float]  # forward direction of the base in the laser frame
@@ -49,7 +48,7 @@ def motion_of(mount: Array) -> BeamMotion:
 def shares(beams: int) -> Array:
     """Return how much the wheel slip within each piece of a scan moves each beam, 0 to 1, (pieces, beams).
 
-    It is 0 for the beam at the middle of the scan, to which the other beams are deskewed.
+    It is 0 for the beam at the middle of the scan, since the other beams are deskewed to this beam.
     """
     at = np.linspace(-0.5, 0.5, beams)
     low, high = PIECE_EDGES[:-1, None], PIECE_EDGES[1:, None]
@@ -61,9 +60,9 @@ def shares(beams: int) -> Array:
 def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
     """Return derivatives G (m, 2, 2 pieces) of lines (r, psi) by the wheel slip in each piece of a scan.
 
-    The slip is in standard deviations: of the left wheel in all pieces, then of the right wheel. `per_unit` (m, 2,
-    2, pieces) are derivatives by turn and move (`kernels.line_fits.loadings`); scan (m,) is the index of the scan
-    of each line; middle, duration (n,) [s] are those of the scans.
+    The slip is in standard deviations: that of the left wheel in all pieces, then that of the right wheel.
+    `per_unit` (m, 2, 2, pieces) are derivatives by turn and move (`kernels.line_fits.loadings`). `scan` (m,) is
+    the index of each line's scan; middle and duration (n,) [s] are those of the scans.
     """
     slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * PIECE_EDGES))[scan]  # (m, pieces, 2) m
     turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, pieces)
@@ -75,8 +74,8 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
 def in_base(loads: Array, z: Array, mount: Array) -> Array:
     """Convert derivatives of lines (r, psi) from the laser frame to the base frame.
 
-    `loads` (m, 2, ...) are the derivatives by any parameters, z (m, 2) the lines, `mount` (3,) is x [m], y [m],
-    yaw [rad].
+    `loads` (m, 2, ...) are derivatives by any parameters, z (m, 2) the lines, `mount` (3,) is x [m], y [m], yaw
+    [rad].
     """
     out = np.empty(loads.shape)
     if loads.size:
@@ -95,9 +94,9 @@ class LineSettings(msgspec.Struct, frozen=True):
     min_points: int = 5  # beams in the fit
     min_length: float = 0.30  # m, before corners are trimmed
     max_gap: float = 0.30  # m between neighbouring beams on one wall ...
-    gap_spacings: float = 6.0  # ... or this many beam spacings at that range (a wall seen at 80 degrees)
-    bridge: float = 0.1  # m, widest gap within a line: of a stray beam, not of a pole
-    split_sigmas: float = 3.0  # a point farther from the chord is a corner; wrong splits by noise are merged again
+    gap_spacings: float = 6.0  # ... or this many beam spacings at the range (for a wall seen at 80 degrees)
+    bridge: float = 0.1  # m, widest gap within a line: that of a stray beam, but not of a pole
+    split_sigmas: float = 3.0  # a point farther from the chord is a corner; splits by noise are merged later
     split_floor: float = 0.02  # m, least distance of a corner from the chord
     flatness: float = 0.005  # m, unevenness of real walls: added to the noise when lines are compared
     # two pieces with a lower chi2 are merged (2 degrees of freedom, split at the worst point)
@@ -107,26 +106,26 @@ class LineSettings(msgspec.Struct, frozen=True):
     stray_sigmas: float = 3.3  # a beam farther from its line is not part of the wall
     corner_sigmas: float = 2.5  # a beam closer to the neighbouring wall may belong to either wall
     max_sigma_psi: float = math.radians(3.0)  # rad; lines with a larger standard deviation are too short
-    max_swing: float = 0.5  # in sigmas: beyond it the error of (r, psi) is not Gaussian
+    max_swing: float = 0.5  # in sigmas: above it, the error of (r, psi) is not Gaussian
     max_chi2: float = 4.0  # largest residual chi2 per degree of freedom of a straight wall
-    max_bow: float = 0.03  # largest height of the bow over its chord: more is a column, or two walls ...
-    max_bend: float = 12.0  # ... if the bow is significant: chi2 that a parabola explains (99.95 % of 1 degree)
+    max_bow: float = 0.03  # m, largest height of the bow over its chord; more is a column, or two walls ...
+    max_bend: float = 12.0  # ... if the bow is significant: chi2 explained by a parabola (99.95 %, 1 dof)
 
 
 PAPER_LASER = LineSettings()
 
 
 class Lines(msgspec.Struct, frozen=True):
-    """Lines of n scans, in scan order, and in beam order within a scan."""
+    """Lines of n scans, in the order of scans, and within a scan in the order of beams."""
 
     first: Ints  # (n + 1,) scan i has the lines first[i]:first[i + 1]
     z: Array  # (m, 2) r [m] >= 0, psi [rad] in [-pi, pi), in the scan's frame
     R_unit: Array  # (m, 2, 2) covariance / sigma_range^2: depends on sigma_angle / sigma_range only
     ends: Array  # (m, 2) extent along the tangent (-sin psi, cos psi), lo < hi [m]
-    points: Ints  # (m,) beams in the fit
+    points: Ints  # (m,) number of beams in the fit
     chi2: Array  # (m,) residual chi2 per degree of freedom
-    span: Ints  # (m, 2) first and last beam in the fit; first > last where the line crosses beam 0
-    # (m, 2, 2, pieces) derivatives of (r, psi) by the robot's turn and move in every piece of the scan
+    span: Ints  # (m, 2) first and last beam in the fit; first > last if the line crosses beam 0
+    # (m, 2, 2, pieces) derivatives of (r, psi) by the turn and move of the robot in each piece of the scan
     sweep: Array
     curved: Ints  # (n,) number of walls left out as curved
 
@@ -136,7 +135,7 @@ class RawScans(NamedTuple):
 
     ranges: Array  # (n, b) m; NaN, Inf and 0 are no return
     angles: Array  # (b,) or (n, b) rad, increasing or decreasing
-    offsets: Array | None  # (n, b, 3) laser pose of each beam in the scan's frame; None: at its origin
+    offsets: Array | None  # (n, b, 3) laser pose of each beam in the scan's frame; None: at the origin
 
     def take(self, rows: slice) -> RawScans:
         """Return the scans in a slice."""
@@ -153,7 +152,10 @@ class RawScans(NamedTuple):
         return np.broadcast_to(spread, (n,))
 
     def rays(self) -> tuple[Array, Array, Array, Array]:
-        """Return direction (cos, sin) and origin x, y [m] of every beam, (n, b), or (b,) if equal in all scans."""
+        """Return direction (cos, sin) and origin x, y [m] of every beam.
+
+        Each is (n, b), or (b,) if it is equal in all scans.
+        """
         angles = self.angles
         if self.offsets is not None:
             x, y, turn = self.offsets.transpose(2, 0, 1)
@@ -173,9 +175,9 @@ def extract_lines(
     """Extract straight walls from `ranges` (n, b) [m] at `angles` (b,) or (n, b) [rad].
 
     `offsets` (n, b, 3) are the laser poses (x [m], y [m], theta [rad]) of the beams in the frame of their scan,
-    for deskewing. `motion` is needed for the derivatives by wheel slip (Lines.sweep). NaN, Inf and 0 are no
-    returns. Angles increase or decrease; full-circle scans may have walls across beam 0. The result of a scan does
-    not depend on other scans.
+    for deskewing. `motion` is needed for the derivatives by wheel slip (Lines.sweep). NaN, Inf and 0 mean no
+    return. Angles increase or decrease; in a full-circle scan, a wall may extend across beam 0. The result of a
+    scan does not depend on other scans.
     """
     scans = RawScans(ranges, angles, offsets)
     batch = min(_SCANS_AT_ONCE, max(_BEAMS_AT_ONCE // max(ranges.shape[1], 1), 1))

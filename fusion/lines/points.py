@@ -1,4 +1,4 @@
-"""Points of laser scans, read again from the log when needed: most runs need those of few scans only."""
+"""Points of laser scans, read again from the log when needed, since most runs need those of a few scans only."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from .scans import Laser, equal_scans, limited, limits, points_in_base
 
 T = TypeVar("T")
 
-# the longest range of a log means "no return" if it was read MIN_REPEATS times, and more than CROWD_FACTOR times
-# as often as ranges from NEAR_SHARE times the longest range on: a wall gives different ranges
+# the longest range of a log means "no return" if it occurs at least MIN_REPEATS times, and more than CROWD_FACTOR
+# times as often as other ranges above NEAR_SHARE times the longest: a wall gives different ranges
 MIN_REPEATS, NEAR_SHARE, CROWD_FACTOR = 20, 0.99, 3
 SCANS_PER_BLOCK = 256  # scans processed at once (benchmarks: "lines per scan")
 
 
 class Longest:
-    """Longest range in a stream of scans, and how often it occurs: it may mean "no return"."""
+    """Longest range in a stream of scans, and its number of occurrences: it may mean "no return"."""
 
     def __init__(self) -> None:
         self.value = 0.0  # m
         self.count = 0  # number of ranges equal to `value`
-        self._near = 0  # number of other ranges from NEAR_SHARE * value on
+        self._near = 0  # number of other ranges of at least NEAR_SHARE * value
         self._read = 0
-        self._scans = self._unlimited = 0  # number of scans; of scans without valid limits
-        self._limits = (0.0, 0.0)  # m: invalid range_min and range_max of one scan
+        self._scans = self._unlimited = 0  # number of scans; number of scans without valid limits
+        self._limits = (0.0, 0.0)  # m: range_min and range_max of one scan without valid limits
 
     def add(self, scans: Mapping[str, Any]) -> None:
         """Count the ranges (k, b) [m] of k scans that are within the limits of their scan."""
@@ -44,7 +44,7 @@ class Longest:
             self._limits = float(scans["range_min"][unknown[0]]), float(scans["range_max"][unknown[0]])
         self._read += ranges.size
         longest = float(ranges.max())
-        if not longest <= far.min():  # NaN, Inf, or ranges beyond range_max: no wall is there
+        if not longest <= far.min():  # NaN, Inf, or ranges above range_max do not come from a wall
             ranges = np.where(ranges <= far[:, None], ranges, 0.0)
             longest = float(ranges.max())
         if longest < NEAR_SHARE * self.value or longest <= 0.0:
@@ -58,7 +58,7 @@ class Longest:
 
     @property
     def no_return(self) -> float | None:
-        """Return the range [m] that means "no return"; None if the longest range is that of a wall."""
+        """Return the range [m] that means "no return"; None if the longest range comes from a wall."""
         repeated = self.count >= MIN_REPEATS and self.count > CROWD_FACTOR * self._near
         return self.value if repeated else None
 
@@ -83,12 +83,11 @@ class Longest:
 
 
 def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:
-    """Read the scans of a log, without the range that means "no return"; return result, laser and notes.
+    """Read the scans of a log without the range that means "no return"; return result, laser and notes.
 
-    If the longest range means "no return", the scans are read again with a `range_max` below it, which the
-    returned laser contains.
-
-    If the user configured `range_max`, all ranges within it are used. `read` adds all ranges to its `Longest`.
+    `read` reads the scans and adds all their ranges to its `Longest`. If the longest range means "no return", they
+    are read again with a `range_max` below this range, which the returned laser has. If the user configured
+    `range_max`, all ranges up to it are used.
     """
     longest = Longest()
     found = read(laser, longest)
@@ -101,19 +100,19 @@ def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Lase
 
 
 class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
-    """Points of n chosen scans of a stream, read from the log when needed.
+    """Points of n selected scans of a stream, read from the log when needed.
 
     Reading i is the message `rows[i]` of the stream.
     """
 
     stream: Stream
     fields: tuple[str, ...]
-    stamps: Array  # (all rows,) s since the drive's epoch, as read
+    stamps: Array  # (all rows,) s since the drive's epoch, as in the log
     laser: Laser
     wheels: WheelMotion
     rows: Ints  # (n,)
-    _last: list[Block] = msgspec.field(default_factory=list)  # last used block, at most one
-    _next: list[Iterator[Block]] = msgspec.field(default_factory=list)  # the blocks after it, at most one iterator
+    _last: list[Block] = msgspec.field(default_factory=list)  # the block used last; at most one
+    _next: list[Iterator[Block]] = msgspec.field(default_factory=list)  # the blocks after it; at most one iterator
 
     @property
     def mount(self) -> Array:
@@ -133,7 +132,7 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
         return self.wheels.relative(t_from, t_to)
 
     def read(self, readings: Ints) -> list[Array]:
-        """Read the points (k, 2) [m, base frame] of each reading, deskewed like its lines.
+        """Read the points (k, 2) [m, base frame] of each reading, deskewed like the lines of the reading.
 
         Points are in beam order; beams without a return are left out.
         """
@@ -160,14 +159,15 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
         return [found.get(row, np.zeros((0, 2))) for row in rows.tolist()]
 
     def _blocks(self, first: int) -> Iterator[Block]:
-        """Yield the last used block, those after it unless row `first` lies before it, and all from the beginning.
+        """Yield the block used last, the blocks after it unless row `first` is earlier, and then all blocks.
 
-        Callers often read the same or later scans next, and a walk from the beginning unpacks the file up to them.
+        Callers often read the same or later scans next. A pass from the beginning would unpack the file up to
+        these scans.
         """
         if last := tuple(self._last):
             yield last[0]
             if first >= last[0][0][0]:
-                for block in self._next[0]:  # "yield from" would close it together with this generator
+                for block in self._next[0]:  # "yield from" would close this iterator together with the generator
                     yield block
         self._next[:] = [self.stream.blocks(*self.fields, rows=SCANS_PER_BLOCK)]
         for block in self._next[0]:

@@ -35,24 +35,24 @@ LEAST_RANGE_M, LARGEST_RANGE_M = (
     np.nextafter(0.0, 1.0),
     np.finfo(np.float64).max,
 )  # m: limits of a valid range, without 0 and Inf
-MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
-MAX_LINES = 500  # of one scan: an update with n lines takes 32 n^2 bytes and n^3 time
+MAX_BEAMS = 100_000  # largest number of beams of a scan: no 2D laser has more
+MAX_LINES = 500  # largest number of lines of a scan: an update with n lines takes 32 n^2 bytes and n^3 time
 BEAMS_AT_ONCE = 1 << 19  # beams processed at once, to save memory
 KNOTS_PER_SCAN = 5  # times within a scan at which the robot's pose is computed
-MIN_MOVED_M, MIN_TURNED_RAD = 0.02, math.radians(1.0)  # motion after which a scan must change
-STANDING_MPS, STANDING_RADPS = 0.005, 0.005  # largest drift of the odometry at rest
-MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = 0.6, 0.4  # largest differences of one wall in consecutive scans
+MIN_MOVED_M, MIN_TURNED_RAD = 0.02, math.radians(1.0)  # after more motion, equal scans are copies
+STANDING_MPS, STANDING_RADPS = 0.005, 0.005  # largest drift of the odometry at standstill
+MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = 0.6, 0.4  # largest differences of the line of one wall in consecutive scans
 
 
 class Padded(NamedTuple):
-    """Rows of the lines of k readings as a table (k, w); shorter readings are padded to w columns."""
+    """Row numbers of the lines of k readings as a table (k, w), padded for readings with fewer lines."""
 
     row: Ints  # (k, w) row in Measurements.z; 0 in padding
     there: NDArray[np.bool_]  # (k, w) False in padding
 
 
 def blocks(first: Ints, before: Ints, after: Ints) -> Iterator[tuple[Ints, Padded, Padded]]:
-    """Yield (indices (k,), lines of readings before[indices], lines of readings after[indices]) in blocks."""
+    """Yield (indices (k,), lines of readings before[indices], lines of readings after[indices]) block by block."""
     counts = np.diff(first)
     if not len(before) or not first[-1]:
         return
@@ -70,22 +70,22 @@ def _padded(first: Ints, counts: Ints, readings: Ints) -> Padded:
 def misfit(turn: Array, shift: Array, scale: tuple[float, float], a: Padded, b: Padded) -> Array:
     """Return the normalised squared distance of each line of a from each line of b, (k, w_a, w_b).
 
-    Below 1 two lines may match; in padding it is inf. `turn` [rad] and `shift` [m] are the differences of the
-    lines, `scale` (rad, m) their largest values.
+    Two lines with a value below 1 may match; in padding the value is inf. `turn` [rad] and `shift` [m] are the
+    differences of the lines, `scale` (rad, m) the largest differences of matching lines.
     """
     cost = (turn / scale[0]) ** 2 + (shift / scale[1]) ** 2
     return np.where(a.there[:, :, None] & b.there[:, None, :], cost, np.inf)
 
 
 def turn_of(a: Array, b: Array) -> Array:
-    """Return the angle from line j of b (k, w_b) to line i of a (k, w_a) [rad], (k, w_a, w_b)."""
+    """Return the angle [rad] from each line of b (k, w_b) to each line of a (k, w_a), (k, w_a, w_b)."""
     return wrap_all(a[:, :, None] - b[:, None, :])
 
 
 def nearest(values: Array, cost: Array) -> tuple[Array, Array, Ints]:
-    """Return for each line of a its nearest line in b: entry of `values`, cost, and index, (k, w_a) each.
+    """Return for each line of a its nearest line in b: element of `values`, cost, and index, (k, w_a) each.
 
-    `values` and `cost` (k, w_a, w_b) belong to pairs of lines; the nearest line has the least cost.
+    `values` and `cost` (k, w_a, w_b) are those of pairs of lines; the nearest line has the lowest cost.
     """
     j = cost.argmin(axis=2)
     at = j[:, :, None]
@@ -99,18 +99,17 @@ class Laser(NamedTuple):
     flipped: bool  # mounted upside-down: beams run clockwise seen from above
     scale: float  # true range = scale * reading + offset
     offset: float  # m
-    range_max: float | None  # m, readings beyond are not used
+    range_max: float | None  # m, larger ranges are not used
     deskew: bool
     lines: LineSettings
-    backward: bool = False  # the last beam of a scan is measured first, whatever time_increment says
+    backward: bool = False  # whether the last beam of a scan is measured first, for any sign of time_increment
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
     """Split a block of scans into groups with equal numbers of beams b; return a list of groups.
 
     A group is (indices (k,) of its scans in the block, columns of these scans, with `ranges` as a matrix (k, b)).
-
-    Groups hold at most BEAMS_AT_ONCE beams; scans of more than MAX_BEAMS are left out.
+    It has at most BEAMS_AT_ONCE beams; scans of more than MAX_BEAMS are left out.
     """
     ranges = cast("Ragged", columns["ranges"])
     scalars = {k: v for k, v in columns.items() if k != "ranges"}
@@ -132,10 +131,10 @@ def too_many_beams(columns: dict[str, Any]) -> int:
 
 
 def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[NDArray[np.bool_], bytes]:
-    """Return for each of k scans whether it equals the scan before, (k,), and the bytes of the last scan.
+    """Return flags (k,) of the scans that equal the scan before, and the bytes of the last scan.
 
-    `before` are the bytes of the scan before these scans. A scan with fewer than `least` returns never counts as
-    equal.
+    `before` are the bytes of the scan before the first of these k scans. A scan with fewer than `least` returns
+    never counts as equal.
     """
     same = np.zeros(len(ranges), bool)
     for i in range(len(ranges)):
@@ -146,12 +145,12 @@ def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[NDArray[np.bool_
 
 
 def frozen(same: NDArray[np.bool_], t: Array, wheels: WheelMotion) -> NDArray[np.bool_]:
-    """Return which scans (n,) at times t [s] are copies of an earlier scan although the robot moved since then.
+    """Return flags (n,) of the scans that are copies of an earlier scan although the robot has moved since then.
 
-    `same` (n,): equal to the scan before. The scans of a noise-free simulated laser are equal while the robot is
-    at rest, so drift of the odometry at rest does not count as motion.
+    t (n,) [s] are their times, `same` (n,) flags of scans equal to the scan before. A noise-free simulated laser
+    gives equal scans at standstill, so drift of the odometry at standstill does not count as motion.
     """
-    first = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))  # of equal scans in a row
+    first = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))  # first of consecutive equal scans
     at = np.flatnonzero(same)
     if not len(at):
         return same
@@ -179,7 +178,10 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
 
 
 def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Array, Array]:
-    """Return the points (k, b, 2) [m] of k scans in the base frame, NaN without a return; and times (k,) [s]."""
+    """Return the points (k, b, 2) [m] of k scans in the base frame, and times (k,) [s].
+
+    A beam without a return gives NaN.
+    """
     ranges, angles = returns(scans, laser)
     t, offsets = deskew(scans["time_increment"].astype(np.float64), ranges.shape[1], stamps, laser, wheels)
     points = np.stack((ranges * np.cos(angles), ranges * np.sin(angles)), axis=-1)
@@ -189,12 +191,15 @@ def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: W
 
 
 def limited(scans: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """Return whether the limits of each scan (k,) are valid: range_max is above range_min."""
+    """Return flags (k,) of the scans with valid limits: range_max is above range_min."""
     return np.asarray(np.asarray(scans["range_max"]) > np.asarray(scans["range_min"]))  # False for NaN
 
 
 def limits(scans: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Return least and greatest range (k,) [m] of a return; all positive finite ranges without valid limits."""
+    """Return the smallest and largest valid range (k,) [m] of each scan.
+
+    Without valid limits in a scan, all positive finite ranges are valid.
+    """
     near, far = (np.asarray(scans[name], np.float64) for name in ("range_min", "range_max"))
     known = limited(scans)
     return np.where(known, np.maximum(near, LEAST_RANGE_M), LEAST_RANGE_M), np.where(
@@ -215,7 +220,7 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
     ranges = scans["ranges"][:, taken].astype(np.float64)  # a copy
     near, far = limits(scans)
     far = np.minimum(far, laser.range_max or np.inf)
-    invalid = ~((near[:, None] <= ranges) & (ranges <= far[:, None]))  # also NaN
+    invalid = ~((near[:, None] <= ranges) & (ranges <= far[:, None]))  # also true for NaN
     ranges *= laser.scale
     ranges += laser.offset
     ranges[invalid] = np.nan
@@ -225,10 +230,10 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
 def deskew(
     increment: Array, beams: int, stamps: Array, laser: Laser, wheels: WheelMotion
 ) -> tuple[Array, Array | None]:
-    """Return the middle time of each scan (n,), and each beam's laser pose relative to that time (n, b, 3).
+    """Return the middle time of each scan (n,), and the laser pose of each beam relative to this time, (n, b, 3).
 
-    The poses are in the laser frame at the middle time. Wheel odometry gives them at KNOTS_PER_SCAN times, and
-    those between are interpolated linearly: the error is some micrometres. They are None without deskewing.
+    The poses are in the laser frame at the middle time; None without deskewing. Wheel odometry gives them at
+    KNOTS_PER_SCAN times; between these they are interpolated linearly, with an error of some micrometres.
     """
     if not laser.deskew or beams < 2 or not np.any(increment > 0.0):
         return stamps, None
@@ -257,8 +262,8 @@ class Gathered:
         self._counts: list[Ints] = []
         self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
         self._sweep: list[Array] = []
-        self.curved = self.straight = 0  # number of walls left out as curved, and of lines
-        self.giants = self.crowded = 0  # number of unused scans: more than MAX_BEAMS beams, or MAX_LINES lines
+        self.curved = self.straight = 0  # number of walls left out as curved, and number of lines
+        self.giants = self.crowded = 0  # unused scans: over MAX_BEAMS beams; over MAX_LINES lines
 
     def add(self, at: Ints, lines: Lines) -> None:
         """Add the lines of the readings with indices `at` (k,)."""
@@ -278,7 +283,7 @@ class Gathered:
         self._sweep.append(lines.sweep[kept])
 
     def in_order(self, n: int) -> tuple[Ints, Array, Array, Array, Array]:
-        """Return the lines of n readings in the order of the readings: first (n + 1,), z, R_unit, ends, sweep.
+        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep.
 
         Reading i has the rows first[i]:first[i + 1]. The collected parts are freed.
         """
@@ -297,13 +302,13 @@ class Gathered:
 
 
 def _as_wide(pieces: list[Array]) -> list[Array]:
-    """Return derivatives (m, 2, k) with one width k: those with k = 0 (no shared errors) become zeros."""
+    """Return derivatives (m, 2, k) with one width k; arrays with k = 0 (no shared errors) become zeros."""
     widest = max([piece.shape[2] for piece in pieces], default=0)
     return [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in pieces]
 
 
 def _joined(pieces: list[Array], rows: Ints | None) -> Array:
-    """Join arrays to one and clear the list `pieces` to save memory.
+    """Join arrays into one, and clear the list `pieces` to save memory.
 
     Line k of the joined array moves to row `rows[k]`, (m,); None: the order stays.
     """
@@ -317,9 +322,9 @@ def _joined(pieces: list[Array], rows: Ints | None) -> Array:
 
 
 def turns(first: Ints, z: Array, variance: Array) -> Array:
-    """Estimate the robot's turn [rad] from the scan before to each scan, (n,), by lines z (m, 2) of n scans.
+    """Estimate the robot's turn [rad] between the scan before and each scan, (n,), from lines z (m, 2) of n scans.
 
-    Scan i has the lines from row first[i] on. Each line is paired with the nearest line of the next scan. The turn
+    The lines of scan i begin at row first[i]. Each line is paired with the nearest line of the next scan. The turn
     is the median change of psi, weighted by the `variance` (m,) of psi, so that short walls and wrong pairs have
     little effect. Without pairs the turn is 0.
     """
@@ -335,10 +340,10 @@ def turns(first: Ints, z: Array, variance: Array) -> Array:
 
 
 def _medians(values: Array, weights: Array) -> Array:
-    """Return the weighted median of each row (k, w); 0 without weight.
+    """Return the weighted median of each row (k, w); 0 if all weights of a row are zero.
 
-    The median is interpolated between values by their cumulative weights: equal weights give the ordinary median,
-    two values their weighted mean.
+    The median is interpolated between values by cumulative weight: equal weights give the ordinary median, and two
+    values give their weighted mean.
     """
     order = np.argsort(np.where(weights > 0.0, values, np.inf), axis=1)
     values, weights = np.take_along_axis(values, order, 1), np.take_along_axis(weights, order, 1)
@@ -354,27 +359,27 @@ def _medians(values: Array, weights: Array) -> Array:
 
 
 # ---- unevenness of walls ----  The angle between two walls does not depend on the pose. If it changes by more
-# than the noise of the fits, the walls are not planes (plaster, door frames). This gives a least noise of every
-# line: 0 in a simulated room, 0.5° in an old corridor.
+# than the noise of the fits, the walls are not flat (rough plaster, door frames). This gives the least noise of
+# each line: 0 in a simulated room, 0.5° in an old corridor.
 
-LAG_SCANS = 20  # scans between two lines of a wall: another part of the same wall is seen
+LAG_SCANS = 20  # distance in scans of two compared lines of a wall, to see another part of the wall
 MAX_SIGMA_RAD = math.radians(0.6)  # largest standard deviation of the angle of a used line
-# largest differences of one wall from the position by wheel odometry
+# largest differences of a wall from its position predicted by wheel odometry
 MAX_WALL_TURN_RAD, MAX_WALL_OFFSET_M = 0.3, 0.3
-MIN_PAIRS = 150  # pairs of walls
-MIN_MISFIT_RATIO = 1.2  # median change over its noise from which walls are uneven
-CHI_SQUARE_MEDIAN = 0.455  # of chi-square with one degree of freedom
+MIN_PAIRS = 150  # least number of pairs of walls
+MIN_MISFIT_RATIO = 1.2  # median change / its noise, above which walls are uneven
+CHI_SQUARE_MEDIAN = 0.455  # median of a chi-square distribution with one degree of freedom
 OFFSET_PER_ANGLE_M = 1.3  # m per rad: 8 mm with 0.35 degrees
 
 
 def wall_floor(
     t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array | None = None
 ) -> tuple[float, float]:
-    """Return the standard deviations of r [m] and psi [rad] that the unevenness of walls causes.
+    """Return the standard deviations of r [m] and psi [rad] caused by the unevenness of walls.
 
-    They are (0, 0) for flat walls or too few lines. z (m, 2) are lines of scans at times t (n,), those of scan i
-    from first[i] on; `variance` (m,) is that of psi by the fit [rad^2]; `sweep` (m, k) is the effect [rad] of
-    wheel slip within a scan on psi, common to its lines (lines.extract).
+    They are (0, 0) for flat walls, or too few lines. z (m, 2) are the lines of scans at times t (n,), those of
+    scan i from row first[i] on. `variance` (m,) is that of psi by the fit [rad^2]. `sweep` (m, k) is the effect
+    [rad] on psi of wheel slip within a scan, which its lines share (lines.extract).
     """
     change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
     if (
@@ -396,7 +401,7 @@ def bend(uneven: Array) -> Array:
     """Return the process noise (2,) per scan of a line on an uneven wall: variances [m^2, rad^2].
 
     The error by unevenness, of variance `uneven` (2,), is constant while the same part of a wall is seen, so it
-    must not average out. It is modelled as a random walk of the line with variance 2 `uneven` over LAG_SCANS
+    must not average out. It is modelled as a random walk of the line with the variance 2 `uneven` over LAG_SCANS
     scans.
     """
     return 2.0 * uneven / LAG_SCANS
@@ -405,13 +410,13 @@ def bend(uneven: Array) -> Array:
 def _changes(
     t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array
 ) -> tuple[Array, Array]:
-    """Return how much the angle between two walls changed over LAG_SCANS scans [rad], for many pairs of walls.
+    """Return the changes [rad] of the angle between two walls over LAG_SCANS scans, for many pairs of walls.
 
     Also return the variances [rad^2] of these changes by line fits and wheel slip. The arguments are those of
     `wall_floor`.
     """
     exact = variance < MAX_SIGMA_RAD**2
-    first = np.concatenate(([0], np.cumsum(exact)))[first]  # from here on only the exact lines
+    first = np.concatenate(([0], np.cumsum(exact)))[first]  # from here on, only lines with an exact angle are used
     z, variance, sweep = z[exact], variance[exact], sweep[exact]
     several = np.diff(first) >= 2
     before = (

@@ -1,8 +1,8 @@
 """The equations of the paper as printed: Hoang, Duong, Van, Viet, Vinh, "Multi-Sensor Perceptual System ...".
 
-One function per numbered equation, misprints included; `filter` runs them. docs/paper.md describes the corrected
-equations of locfuse. State (x, y, theta) [m, m, rad]; L is the distance of the wheels [m], in eq. 8 called l.
-Leading axes are allowed for shapes with (...).
+There is one function per numbered equation, with the misprints; `filter` runs them. docs/paper.md describes the
+corrected equations of locfuse. State (x, y, theta) [m, m, rad]; L is the distance of the wheels [m], called l in
+eq. 8. Leading axes are allowed for shapes with (...).
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ def eq7_A(ds: Array, dtheta: Array, theta: Array) -> Array:
 
 
 def eq8_W(ds: Array, dtheta: Array, theta: Array, L: float) -> Array:
-    """Eq. 8 as printed, (..., 3, 2) for (right, left) wheel.
+    """Eq. 8 as printed, (..., 3, 2) for the (right, left) wheel.
 
-    Missing are the terms cos/2 and sin/2, so that noise on a straight path is only sideways, and the factor dt R
-    from wheel speeds to distances.
+    Two things are missing: the terms cos/2 and sin/2, so that noise on a straight path is only sideways; and the
+    factor dt R from wheel speeds to distances.
     """
     m = theta + dtheta / 2
     W = np.empty((*np.shape(m), 3, 2))
@@ -107,19 +107,19 @@ def eq12_P(K: Array, H: Array, P: Array) -> Array:
 
 
 def eq13_H_line(C: float, beta: float) -> Array:
-    """Rows of eq. 13 for one line, (2, 3) for (r, psi); |C| is differentiated as in the paper."""
+    """Rows of eq. 13 for one line, (2, 3) for (r, psi); the derivative is that of |C|, as in the paper."""
     return np.array([[-C * math.cos(beta), -C * math.sin(beta), 0.0], [0.0, 0.0, -1.0]])
 
 
 def eq13_H_heading() -> Array:
-    """Row of eq. 13 for the compass, (1, 3); as printed also for the camera."""
+    """Row of eq. 13 for the compass, (1, 3); as printed, it is also that of the camera."""
     return np.array([[0.0, 0.0, 1.0]])
 
 
 def eq14_line(x: Array, r: float, psi: float) -> tuple[float, float]:
     """Return (rho, beta) of eq. 14 for a line (r, psi) of eq. 15 and the pose x (3,): the inverse of eq. 18.
 
-    The scan's 0 degrees point to the robot's right, so beta = psi + theta - pi/2; C = r > 0.
+    0 degrees of the scan point to the robot's right, so beta = psi + theta - pi/2 and C = r > 0.
     """
     beta = psi + float(x[2]) - math.pi / 2
     return r + float(x[0]) * math.cos(beta) + float(x[1]) * math.sin(beta), beta
@@ -137,6 +137,6 @@ def eq18_prediction(C: float, beta: float, theta: float) -> tuple[float, float]:
 
 
 def eq19_R(lines: int, compass: bool, camera: bool) -> Array:
-    """Eq. 19: diagonal covariance (m, m) of a measurement (16): lines (r, psi), then phi, then gamma."""
+    """Eq. 19: diagonal covariance (m, m) of the measurement (16): lines (r, psi), then phi, then gamma."""
     variances = [PRINTED.var_r, PRINTED.var_psi] * lines
     return np.diag(variances + [PRINTED.var_phi] * compass + [PRINTED.var_gamma] * camera)

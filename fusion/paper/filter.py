@@ -1,7 +1,7 @@
 """The paper's filter as printed: every 100 ms it uses the newest reading of every sensor (eq. 16).
 
-Measurements (lines, headings, bearings) are those of locfuse's filter, so that only the filter differs.
-docs/paper.md describes how gaps in the print are filled.
+Its measurements (lines, headings, bearings) are those of locfuse's filter, so that only the filters differ.
+docs/paper.md describes how gaps in the printed equations are filled.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .equations import PRINTED
 from .rows import PARTS, LineRows, MeasurementEquation, MeasurementRow
 
 MAX_STAMP_ROUNDING_S = 1e-9  # s: largest rounding error of a stamp on the grid
-MAX_STEPS = 2_000_000  # of 100 bytes each: more than two days
+MAX_STEPS = 2_000_000  # with 100 bytes each; this is more than two days
 
 
 def fuse_as_printed(
@@ -35,8 +35,8 @@ def fuse_as_printed(
 ) -> Estimates:
     """Run the printed filter with these sensors; arguments and result are those of `fuse.fuse`.
 
-    Between two steps the pose is predicted by the wheels, so that errors do not include the delay. Raises
-    LocfuseError if the drive lacks a sensor or the print has no equation for it.
+    Between two steps, the wheels predict the pose, so that errors do not include the delay. Raises LocfuseError if
+    the drive lacks a sensor, or if the paper has no equation for it.
     """
     listen = listen or {}
     for sensor in (*sensors, *listen):
@@ -58,14 +58,14 @@ def fuse_as_printed(
 
 
 class Counts:
-    """Distances that both wheels rolled since the start, by encoder readings."""
+    """Distances that both wheels have rolled since the start, from encoder readings."""
 
     def __init__(self, wheels: Wheels) -> None:
         self.t = wheels.t
         self.rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))  # (n, 2) left, right
 
     def latest(self, t: Array) -> Array:
-        """Return the distances (..., 2) [m] by the newest reading at each time t (...) [s]."""
+        """Return the distances (..., 2) [m] from the newest reading before each time t (...) [s]."""
         newest = np.searchsorted(self.t, t + MAX_STAMP_ROUNDING_S, side="right") - 1
         distances: Array = self.rolled[np.maximum(newest, 0)]
         return distances
@@ -100,9 +100,7 @@ class PrintedFilter:
         self.counts = Counts(drive.wheels)
         self.rolled = np.diff(self.counts.latest(self.grid), axis=0, prepend=0.0)  # (m, 2) left, right by step
         self.L = float(drive.wheels.track)
-        self.dt_R = PRINTED.period * (
-            robot.wheels.radius or 1.0
-        )  # an odometry topic has no radius; it cancels out
+        self.dt_R = PRINTED.period * (robot.wheels.radius or 1.0)  # odometry has no radius; any value cancels out
         self.x = np.array(robot.start.pose)
         self.P = np.diag(robot.start.variances)
         self.used = tuple(s for s in drive.measurements if s in sensors)
@@ -129,7 +127,7 @@ class PrintedFilter:
         self._poses[k], self._covariances[k] = self.x, self.P
 
     def predict(self, x: Array, P: Array, rolled: Array) -> tuple[Array, Array]:
-        """Return pose and covariance by eq. 2, 3, 6-9 after wheel distances (..., 2) [m] of left and right wheel.
+        """Return pose and covariance by eq. 2, 3, 6-9, for rolled distances (..., 2) [m] of left and right wheel.
 
         The missing factor dt R of eq. 8 is added: as printed, the noise of a step at 0.4 m/s is 108 degrees.
         """
@@ -180,7 +178,7 @@ class PrintedFilter:
         )
 
     def _notes(self) -> list[str]:
-        """Return notes on readings that the fixed period leaves out."""
+        """Return notes on the readings that the filter leaves out because of its fixed period."""
         notes = []
         for sensor, used in self._newest.items():
             n = len(self.drive.measurements[sensor].t)
@@ -193,7 +191,10 @@ class PrintedFilter:
 
 
 def newest(grid: Array, t: Array) -> Ints:
-    """Return the index of the newest reading since the previous step, (m,), -1 for none; t (n,) [s] is sorted."""
+    """Return the index of the newest reading since the previous step, (m,); -1 if there is none.
+
+    t (n,) [s] are the sorted times of the readings.
+    """
     last = np.searchsorted(t, grid + MAX_STAMP_ROUNDING_S, side="right") - 1
     before = np.concatenate(([-1], last[:-1]))
     found: Ints = np.where(last > before, last, -1)

@@ -1,4 +1,4 @@
-"""Choice of the filter by preset: the one of locfuse, or the paper's as printed."""
+"""Choice of the filter by preset: locfuse's filter, or the filter of the paper as printed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOTE = (
 
 
 def fuser(preset: Preset) -> Callable[..., Estimates]:
-    """Return the function that runs the filter of a preset, with the arguments of `fusion.fuse.fuse`."""
+    """Return the function that runs the filter of a preset; its arguments are those of `fusion.fuse.fuse`."""
     if preset == "paper":
         from .filter import fuse_as_printed
 

@@ -16,7 +16,7 @@ from . import equations
 from .equations import PRINTED
 
 UNMATCHED, NEW = VERDICTS.index("unmatched"), VERDICTS.index("new")
-TO_RIGHT = math.pi / 2  # the scan's 0 degrees point to the robot's right, the base frame's ahead
+TO_RIGHT = math.pi / 2  # 0 degrees point right in the paper's scans, ahead in the base frame
 
 
 class MeasurementRow(NamedTuple):
@@ -34,7 +34,7 @@ class MeasurementEquation(Protocol):
 
 
 class LineRows:
-    """Rows for lines (r, psi), compared with the map of the first scan, which counts as exact."""
+    """Rows for lines (r, psi), compared with the map of the first scan; this map counts as exact."""
 
     def __init__(self, robot: Robot) -> None:
         self.R = equations.eq19_R(1, compass=False, camera=False)
@@ -43,7 +43,10 @@ class LineRows:
         self.hits: list[int] = []
 
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[MeasurementRow]:
-        """Return the rows for the lines of scan i by the nearest map lines; the first scan becomes the map."""
+        """Return the rows for the lines of scan i, each with the nearest map line.
+
+        The first scan becomes the map.
+        """
         lines = range(int(m.first[i]), int(m.first[i + 1]))
         if not self.map:
             self._remember(m, lines, x)
@@ -87,7 +90,7 @@ class LineRows:
 
 
 class CompassRow:
-    """Row for the compass heading phi; without a configured offset, the first reading defines it."""
+    """Row for the compass heading phi; if no offset is configured, the first reading defines the offset."""
 
     def __init__(self, robot: Robot) -> None:
         offset = robot.settings("compass").offset_deg
@@ -104,7 +107,7 @@ class CompassRow:
 
 
 class CameraRow:
-    """Row for the camera's heading gamma: direction from the start pose to the landmark minus its bearing."""
+    """Row for the camera's heading gamma: direction from start pose to landmark, minus measured bearing."""
 
     def __init__(self, robot: Robot) -> None:
         settings, start = robot.settings("camera"), robot.start

@@ -1,6 +1,6 @@
 """Point clouds of scans, with the surface normal at each point.
 
-The surface at a point is the line fitted to the points of the neighbouring beams, if they lie on a line.
+The surface at a point is the line fitted to the points of neighbouring beams, if they lie on a line.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from msgspec.structs import astuple
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements
 
-MAX_BEAMS = 360  # matched beams of a scan: more take time and do not improve the match
-NEIGHBOUR_BEAMS = 3  # beams at each side to which a surface is fitted
-MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # of a surface: least number of neighbours, largest distance from the line
+MAX_BEAMS = 360  # largest number of matched beams of a scan: more take time, without a better match
+NEIGHBOUR_BEAMS = 3  # a surface is fitted to this many beams on each side
+MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # surface: least number of neighbours, largest distance from the line
 MAX_GAP_M, GAP_SPACINGS = 0.25, 5.0  # neighbours further apart (m, beam spacings) belong to different surfaces
 MAX_RANGE_M = 30.0
 CELL_M = 0.05  # grid cell in which `thinned` keeps one point
 
 
 class Columns(msgspec.Struct, frozen=True):
-    """A record of arrays with equal length, like a table."""
+    """Record of arrays with equal length, like a table."""
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(astuple(self)[0])
 
     def take(self, at: Any) -> Self:
-        """Return the rows at the indices `at`, or where a mask `at` is true."""
+        """Return the rows at the indices `at`, or where the mask `at` is true."""
         return type(self)(*(column[at] for column in astuple(self)))
 
     @classmethod
@@ -45,7 +45,7 @@ class Clouds(msgspec.Struct, frozen=True):
 
     first: Ints  # (n + 1,)
     xy: Array  # (m, 2) [m], each cloud in its own frame
-    normal: Array  # (m, 2) unit vectors from the surface to its seen side; NaN without a surface
+    normal: Array  # (m, 2) unit normals towards the laser; NaN if there is no surface
 
     @classmethod
     def of_scans(cls, scans: Sequence[Array], origin: Array) -> Clouds:
@@ -55,7 +55,7 @@ class Clouds(msgspec.Struct, frozen=True):
         return cls(first, xy, normals(xy, np.repeat(np.arange(len(scans)), np.diff(first)), origin))
 
     def kept(self, rows: Ints) -> Clouds:
-        """Return clouds with only the points at the increasing rows (k,)."""
+        """Return clouds with only the points in these rows (k,), which increase."""
         first = np.concatenate(([0], np.cumsum(np.bincount(self.owner[rows], minlength=len(self)))))
         return Clouds(first, self.xy[rows], self.normal[rows])
 
@@ -69,7 +69,7 @@ class Clouds(msgspec.Struct, frozen=True):
         return np.repeat(np.arange(len(self)), np.diff(self.first))
 
     def rows(self, clouds: Ints) -> tuple[Ints, Ints]:
-        """Return the rows of all points of some clouds, and for each row the position of its cloud in `clouds`.
+        """Return the rows of all points of these clouds, and for each row the position of its cloud in `clouds`.
 
         `clouds` (p,) are indices of clouds.
         """
@@ -88,15 +88,18 @@ def clouds_of(m: Measurements, readings: Ints) -> Clouds:
 
 
 def few(points: Array, origin: Array, most: int) -> Array:
-    """Return at most `most` points (k, 2) of a scan within MAX_RANGE_M of the laser's `origin`, evenly thinned."""
-    near: Array = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]  # False for NaN: no return
+    """Return at most `most` points (k, 2) of a scan, evenly thinned.
+
+    Points further than MAX_RANGE_M from the laser at `origin` are left out.
+    """
+    near: Array = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]  # False for NaN (no return)
     return near[:: max(1, -(-len(near) // most))]
 
 
 def normals(xy: Array, owner: Ints, origin: Array) -> Array:
-    """Return unit normals (m, 2) towards the laser, at points (m, 2) in beam order.
+    """Return unit normals (m, 2) that point to the laser, at points (m, 2) in beam order.
 
-    `owner` (m,) is the index of the scan of each point. Normals are NaN without a surface.
+    `owner` (m,) is the index of each point's scan. A normal is NaN if there is no surface.
     """
     m = len(xy)
     if not m:
@@ -127,7 +130,10 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
 
 
 def _median_of_each(values: Array, owner: Ints) -> Array:
-    """Return for each value (k,) the median of all values of its scan; `owner` (k,) is sorted."""
+    """Return for each value (k,) the median over all values of its scan.
+
+    `owner` (k,), sorted, is the index of the scan of each value.
+    """
     order = np.lexsort((values, owner))
     first = np.flatnonzero(np.diff(owner, prepend=-1))
     counts = np.diff(np.append(first, len(owner)))
@@ -136,9 +142,10 @@ def _median_of_each(values: Array, owner: Ints) -> Array:
 
 
 def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
-    """Merge the clouds of each group into one cloud, in a frame of the group.
+    """Merge the clouds of each group into one cloud.
 
-    `groups` are indices (k,) of clouds, `poses` the poses (k, 3) of these clouds in the frame of their group.
+    `groups` are indices (k,) of clouds; `poses` are the poses (k, 3) of these clouds in the frame of their group,
+    which is the frame of the merged cloud.
     """
     xy, normal, counts = [np.zeros((0, 2))], [np.zeros((0, 2))], [0]
     for group, pose in zip(groups, poses, strict=True):
@@ -151,7 +158,10 @@ def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
 
 
 def thinned(clouds: Clouds) -> Clouds:
-    """Return for every cloud one surface point per grid cell of CELL_M: overlapping scans repeat surfaces."""
+    """Return clouds with at most one surface point per grid cell of CELL_M.
+
+    Overlapping scans in a cloud repeat surfaces.
+    """
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     square = np.floor(clouds.xy[rows] / CELL_M).astype(np.int64) + (1 << 20)
     of = clouds.owner[rows]

@@ -2,10 +2,10 @@
 
 In a corridor the points do not constrain the position along it, so a prior from wheel odometry is needed (Censi
 2008, "An ICP variant using a point-to-line metric"). One search tree finds the nearest points of all pairs: each
-cloud has its own layer, far from all others.
+cloud has its own layer in the tree, far from all others.
 
-Frames: the pose of a pair is that of cloud j in the frame of cloud i, (x, y, theta); its information is in the
-frame of i too.
+The pose of a pair of clouds (i, j) is that of cloud j in the frame of cloud i, (x, y, theta). Its information is
+also in the frame of i.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from locfuse.fusion.data import Array, Ints
 
 from .clouds import Clouds, Columns
 
-LAYER_M = 1e4  # distance of two clouds in the search tree
-NOWHERE_M = 1e6  # coordinate out of reach of all points
+LAYER_M = 1e4  # distance of the layers of two clouds in the search tree
+NOWHERE_M = 1e6  # coordinate that is out of reach of all points
 RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # largest distance of matched points in each iteration
 SIGMA_M = 0.03  # standard deviation of a point's distance from its line
-DEPENDENT_POINTS = 16.0  # errors of neighbouring points are correlated: this many count as one
+DEPENDENT_POINTS = 16.0  # errors of neighbouring points are correlated: this many points count as one
 FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # least standard deviations of a match
 MIN_FACING = 0.7  # least cosine between the normals of matched points: a wall has two sides
-INLIER_M = 0.1  # largest distance of an inlier from its line
+INLIER_M = 0.1  # largest distance of an inlier from the matched line
 # m, rad: 1 sigma of a weak prior, which gives a solution in directions without points (along a corridor)
 MAX_ALONE_SIGMAS = (0.3, 0.3, np.radians(10.0))
-MATCHED_POINTS = 120  # of one cloud: more take time, and neighbouring points add little
+MATCHED_POINTS = 120  # matched points of one cloud: more take time, and neighbouring points add little
 POINTS_AT_ONCE = 1_000_000
 SETTLED_M = 2e-4  # m, rad: a pair with a smaller step has converged
 
@@ -38,11 +38,11 @@ class Matches(Columns, frozen=True):
     """Matches of p pairs of clouds: relative poses and quality."""
 
     pose: Array  # (p, 3)
-    alone: Array  # (p, 3) pose without the prior, for a graph in which the prior is a separate edge
+    alone: Array  # (p, 3) pose without the prior, for a graph that has the prior as a separate edge
     information: Array  # (p, 3, 3) of `alone`
     inliers: Array  # (p,) share of inliers among the matched points
     overlap: Array  # (p,) share of matched points among all points
-    rms: Array  # (p,) m, rms distance of the inliers from their lines
+    rms: Array  # (p,) m, rms distance of the inliers from the matched lines
 
     def put(self, at: Ints, others: Matches) -> None:
         """Replace the matches at the indices `at` (k,) by others."""
@@ -58,12 +58,15 @@ class Targets:
 
         rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
         self.xy, self.normal, layer = clouds.xy[rows], clouds.normal[rows], LAYER_M * clouds.owner[rows]
-        if not len(rows):  # an empty tree is not possible: add a surface out of reach
+        if not len(rows):  # an empty tree is not possible, so add a surface that is out of reach
             self.xy, self.normal, layer = np.full((1, 2), NOWHERE_M), np.zeros((1, 2)), np.zeros(1)
         self._tree = cKDTree(np.column_stack((self.xy, layer)))
 
     def nearest(self, xy: Array, clouds: Ints, reach: float) -> tuple[Array, Ints]:
-        """Return distance and row of the nearest surface point of its cloud for points (m, 2); inf without one."""
+        """Return distance and row of the nearest surface point in cloud `clouds` (m,), for points (m, 2).
+
+        The distance is inf if there is none within `reach` [m].
+        """
         distance, row = self._tree.query(
             np.column_stack((xy, LAYER_M * clouds)), distance_upper_bound=reach, workers=1
         )
@@ -71,7 +74,7 @@ class Targets:
 
 
 def sources_of(clouds: Clouds, most: int = MATCHED_POINTS) -> Clouds:
-    """Return the surface points to match, evenly thinned to at most about `most` per cloud."""
+    """Return the surface points to match, evenly thinned to about `most` points per cloud."""
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     owner = clouds.owner[rows]
     counts = np.bincount(owner, minlength=len(clouds))
@@ -84,7 +87,8 @@ def match(
 ) -> Matches:
     """Match clouds j (p,) of `sources` with clouds i (p,) of `targets`, from initial poses `guess` (p, 3).
 
-    `prior` (p, 3, 3) is the information of the guess, in the frame of i.
+    `prior` (p, 3, 3) is the information of `guess`, in the frame of i. Points further apart than `reach` [m] do
+    not match.
     """
     counts = np.diff(sources.first)[j]
     cuts = np.flatnonzero(np.diff(np.cumsum(counts) // POINTS_AT_ONCE)) + 1
@@ -96,7 +100,7 @@ def match(
 
 
 def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:
-    """Return the share (p,) of the points of clouds j at poses (p, 3) that have a nearest point in clouds i."""
+    """Return the share (p,) of the points in clouds j, at poses (p, 3), that are near a point of cloud i."""
     return _PointPairs.made(targets, i, sources, j, pose, reach).quality(np.diff(sources.first)[j])[1]
 
 
@@ -138,11 +142,11 @@ def floored(information: Array) -> Array:
 
 
 class _PointPairs(msgspec.Struct, frozen=True):
-    """Matched points of all pairs of clouds; points without a nearest point within reach are left out."""
+    """Matched points of all pairs of clouds; points without a point within reach are left out."""
 
     n: int  # number of pairs of clouds
     of: Ints  # (k,) index of the pair of clouds
-    e: Array  # (k,) signed distance from the line at the matched point [m]
+    e: Array  # (k,) signed distance [m] from the line through the matched point
     row: Array  # (k, 3) derivative of e by the pose
 
     @classmethod
@@ -156,7 +160,7 @@ class _PointPairs(msgspec.Struct, frozen=True):
         own = se2.rotated(turn, sources.normal[rows])
         normal = targets.normal[partner]
         with np.errstate(invalid="ignore"):
-            other_side = (own * normal).sum(axis=1) < MIN_FACING  # False without a surface of its own
+            other_side = (own * normal).sum(axis=1) < MIN_FACING  # False for a point without its own surface
         near &= ~other_side
         of, arm, at, normal, partner = of[near], arm[near], at[near], normal[near], partner[near]
         e = ((at - targets.xy[partner]) * normal).sum(axis=1)
@@ -164,7 +168,10 @@ class _PointPairs(msgspec.Struct, frozen=True):
         return cls(len(i), of, e, np.column_stack((normal, by_turn)))
 
     def normal_equations(self) -> tuple[Array, Array]:
-        """Return H (n, 3, 3) and g (n, 3) with Cauchy weights, since people and doors are outliers."""
+        """Return H (n, 3, 3) and g (n, 3) of the normal equations.
+
+        Cauchy weights reduce the effect of outliers such as people and doors.
+        """
         w = 1.0 / (1.0 + (self.e / (2.0 * SIGMA_M)) ** 2) / (DEPENDENT_POINTS * SIGMA_M**2)
         H, g = np.empty((self.n, 3, 3)), np.empty((self.n, 3))
         for a in range(3):

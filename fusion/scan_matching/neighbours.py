@@ -1,8 +1,8 @@
-"""Matches of consecutive scans, starting from wheel odometry, with a search for wheel slips.
+"""Matches of consecutive scans, starting from wheel odometry, with a search for wheel slips; key scans of a drive.
 
-If the robot turns, all scans between two key scans are matched one by one, since consecutive scans show the same
-surfaces. After half a metre or half a turn, a point may be matched with a wrong surface. Also the key scans of a
-drive and the matches among them.
+If the robot turns between two key scans, all scans between them are matched, each with the next one, since
+consecutive scans show the same surfaces. After half a metre or half a turn, a point may be matched with a wrong
+surface.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from .solve import Edges
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
 MAX_SIGMA_RAD = np.radians(3.0)  # largest standard deviation of the heading of a reliable match
 SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
-SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # share of inliers below which a slip is searched; least increase by the slip
-STEP_P = np.diag([0.05**2, 0.05**2, np.radians(1.0) ** 2])  # covariance of an initial pose, per step
-REACH_M = 0.3  # largest distance of matched points from such an initial pose
+SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # a slip is searched below this share of inliers; least increase by the slip
+STEP_P = np.diag([0.05**2, 0.05**2, np.radians(1.0) ** 2])  # covariance of an initial pose, per step between scans
+REACH_M = 0.3  # largest distance of matched points at such an initial pose
 # prior information during the search for a slip
 LOOSE_INFORMATION = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])
-# m, rad: standard deviations of wheel odometry between two scans, with slip; added share of the turn
+# standard deviations of wheel odometry between two scans, with slip: m; rad; share of the turn, added to rad
 SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, np.radians(2.0), 0.1
 
 
 def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array, information: Array) -> Matches:
-    """Match scans j (p,) with scans i, starting from wheel odometry (p, 3); search for a slip if a match is bad.
+    """Match scans j (p,) with scans i, starting from wheel odometry (p, 3); if a match is bad, search for a slip.
 
     `information` (p, 3, 3) is that of the wheel odometry, in the frame of i.
     """
@@ -55,9 +55,9 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
 
 
 def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: float) -> tuple[Ints, Matches]:
-    """Match every scan with the scan n before it, if nearer than `apart` [m]; keep reliable matches.
+    """Match every scan with the n-th scan before it, if nearer than `apart` [m]; keep reliable matches.
 
-    Return the indices of the earlier scans, and the matches. `x` (k, 3) are the poses by matches over fewer steps.
+    Return the indices of the earlier scans, and the matches. `x` (k, 3) are poses from matches over fewer steps.
     """
     i = np.arange(max(len(x) - n, 0))
     guess = se2.between(x[i], x[i + n])
@@ -70,7 +70,7 @@ def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: flo
 
 
 def by_wheels(moved: Array) -> Array:
-    """Return the information matrices (n, 3, 3) of wheel odometry for its motions `moved` (n, 3) between scans."""
+    """Return the information matrices (n, 3, 3) of wheel odometry for motions `moved` (n, 3) between scans."""
     information = np.zeros((len(moved), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = SLIP_M**-2
     information[:, 2, 2] = 1.0 / (SLIP_RAD**2 + (SLIP_SHARE * moved[:, 2]) ** 2)
@@ -78,7 +78,7 @@ def by_wheels(moved: Array) -> Array:
 
 
 def good(found: Matches) -> NDArray[np.bool_]:
-    """Return which matches (p,) are reliable, by inliers, overlap, residuals and heading uncertainty."""
+    """Return flags (p,) of the reliable matches, by inliers, overlap, residuals and heading uncertainty."""
     fits = (found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M)
     return np.asarray(fits & (found.information[:, 2, 2] > MAX_SIGMA_RAD**-2))
 
@@ -89,8 +89,8 @@ SCANS_AT_ONCE = 1024  # scans whose points are in memory at once
 def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Array:
     """Return the poses (n, 3) of readings `end` relative to earlier readings `begin`, (n,) indices each.
 
-    All scans in between are matched, each with the next one. If a match is not reliable, wheel odometry gives this
-    step.
+    All scans in between are matched, each with the next one. For a step without a reliable match, wheel odometry
+    is used.
     """
     counts = end - begin
     first = np.cumsum(counts) - counts
@@ -101,7 +101,10 @@ def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Arr
 
 
 def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
-    """Return the pose (k, 3) of the next scan relative to each scan: by matching, else by the wheels."""
+    """Return the pose (k, 3) of the next scan relative to each scan `scans` (k,).
+
+    It comes from matching, or from the wheels if the match is not reliable.
+    """
     u = points.moved(m.t[scans], m.t[scans + 1])
     readings, at = np.unique(np.concatenate((scans, scans + 1)), return_inverse=True)
     clouds = clouds_of(m, readings)
@@ -114,9 +117,10 @@ _beyond: WeakKeyDictionary[Points, dict[tuple[int, int, float, float], Array | N
 
 
 def beyond_wheels(m: Measurements, a: int, b: int) -> Array | None:
-    """Return the motion from reading a to b by scan matching minus that by the wheels, (3,) m, m, rad.
+    """Return the motion from reading a to b by scan matching, minus that by the wheels, (3,) m, m, rad.
 
-    In the frame of reading a; None without a reliable match. It depends on no pose, so all runs share it.
+    It is in the frame of reading a; None without a reliable match. All runs share the result, since it depends on
+    no pose.
     """
     if m.points is None or a < 0:
         return None
@@ -142,11 +146,11 @@ def _beyond_wheels(m: Measurements, points: Points, a: int, b: int) -> Array | N
 # A match depends only on its two scans and the wheel odometry between them. So a causal filter at key b may use
 # all matches between keys up to b.
 
-STRIDE_M, TURN_RAD = 0.5, np.radians(30.0)  # path length or turn between two keys
+STRIDE_M, TURN_RAD = 0.5, np.radians(30.0)  # path length or turn from one key to the next
 MATCH_WIDTH = 4.0  # sigmas, width of the robust kernel
 FURTHER_STEPS = (2, 4)  # a key is matched with the next key and with the keys this many steps later
 MAX_APART_M = 6.0  # largest distance of matched keys
-MAX_TURN_RAD = np.radians(10.0)  # if the turns between two keys sum up to more, all scans between them are matched
+MAX_TURN_RAD = np.radians(10.0)  # if the turns between two keys sum to more, all scans between are matched
 
 _matched: WeakKeyDictionary[Points, KeyScans] = WeakKeyDictionary()
 
@@ -156,12 +160,12 @@ class KeyScans(msgspec.Struct, frozen=True):
 
     t: Array  # (all readings,) s
     readings: Ints  # (n,) indices of the keys among the readings, increasing
-    steps: Array  # (n - 1, 3) motion from key to key, by the match, else by the scans between, else by the wheels
+    steps: Array  # (n - 1, 3) motion from key to key: by the match, the scans between, or the wheels
     matches: Edges  # between keys
 
 
 def key_scans(m: Measurements) -> KeyScans:
-    """Return the key scans of a laser's readings; computed at the first call and cached."""
+    """Return the key scans among a laser's readings; they are computed once and cached."""
     assert m.points is not None
     known = _matched.get(m.points)
     if known is None or not np.array_equal(known.t, m.t):
@@ -191,7 +195,7 @@ def _next(
 ) -> tuple[Ints, Matches, Array]:
     """Match every key with the next one; return indices of matched keys, matches, and all motions (n - 1, 3).
 
-    If the robot `turns` (n - 1,), or two keys do not match directly, the scans between them are matched.
+    If the robot turns (`turns` (n - 1,)), or two keys do not match directly, the scans between them are matched.
     """
     steps = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
     i = np.flatnonzero(np.hypot(*steps[:, :2].T) < MAX_APART_M)

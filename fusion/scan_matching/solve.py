@@ -1,8 +1,8 @@
 """Pose-graph solver: sparse Gauss-Newton with a direct factorisation (Dellaert and Kaess 2006).
 
-The variables are poses (x, y, theta) in the map, followed by states of sensors. An edge measures pose j in the
-frame of pose i: e = between(x_i, x_j) - z, angle wrapped, information in the frame of pose i. With i = NOWHERE it
-measures the pose in the map: e = x_j - z.
+The variables are poses (x, y, theta) in the map, then states of sensors. An edge measures pose j in the frame of
+pose i: e = between(x_i, x_j) - z with a wrapped angle; its information is in the frame of pose i. An edge with i =
+NOWHERE measures the pose in the map: e = x_j - z.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from locfuse.fusion.data import Array, Ints, LocfuseError
 
 from .clouds import Columns
 
-NOWHERE = -1  # index i of an edge from the origin of the map
-MAX_STEPS, STEPS_BETWEEN = 10, 2  # Gauss-Newton steps with the last kernel width, and with those before
+NOWHERE = -1  # index i of an edge that starts at the origin of the map
+MAX_STEPS, STEPS_BETWEEN = 10, 2  # most Gauss-Newton steps with the last kernel width; with each before
 MIN_STEP = 1e-4  # m, rad: Gauss-Newton stops after a smaller step
 COLUMNS_AT_ONCE = 384  # columns of the covariance computed at once, to save memory
 # prior standard deviations of the systematic errors of a drive: heading drift along the path, and yaw error of the
-# laser mount (the robot seems to move sideways). Without these states the map would be bent
+# laser mount (by which the robot seems to move sideways). Without these states the map would be bent
 SYSTEMATIC_SIGMAS = (np.radians(0.1), np.radians(1.0))  # rad per metre; rad
 
 
 class Edges(Columns, frozen=True):
-    """Edges (m) of a pose graph: relative poses, each with a robust kernel of `width` [sigmas]; inf: no kernel."""
+    """Edges (m) of a pose graph: relative poses, each with a robust kernel of `width` [sigmas]; inf: none."""
 
     i: Ints  # (m,)
     j: Ints  # (m,)
@@ -44,7 +44,10 @@ class Edges(Columns, frozen=True):
 
     @classmethod
     def of(cls, i: Ints, j: Ints, z: Array, information: Array, width: float) -> Edges:
-        """Return edges with one kernel `width` [sigmas], whose z do not depend on the systematic errors."""
+        """Return edges with one kernel `width` [sigmas].
+
+        Their z do not depend on the systematic errors.
+        """
         return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC_SIGMAS))))
 
     @classmethod
@@ -80,19 +83,25 @@ class Edges(Columns, frozen=True):
         return by_i, by_j
 
     def _from(self, x: Array) -> Array:
-        """Return the poses at which the edges start, (m, 3); zero for NOWHERE."""
+        """Return the poses (m, 3) at which the edges start; zero for NOWHERE."""
         return np.where((self.i == NOWHERE)[:, None], 0.0, x[self.i])
 
 
 def chi2_of(poses: Array, expected: Array, P: Array) -> Array:
-    """Return squared Mahalanobis distances (n,) of poses (n, 3) from `expected` (3,), with joint covariance P."""
+    """Return the squared Mahalanobis distances (n,) of poses (n, 3) from `expected` (3,).
+
+    P (3, 3) or (n, 3, 3) are the covariances of the differences.
+    """
     off = se2.difference(poses, expected)
     found: Array = np.einsum("ni,nij,nj->n", off, np.broadcast_to(np.linalg.inv(P), (len(off), 3, 3)), off)
     return found
 
 
 class Summands(msgspec.Struct, frozen=True):
-    """Summands of the normal equations H dx = g from terms other than edges, linearised at the present poses."""
+    """Summands of the normal equations H dx = g from terms that are not edges.
+
+    They are linearised at the present poses.
+    """
 
     at: Ints  # (k, d) state columns of each block; blocks at equal columns are added
     H: Array  # (k, d, d)
@@ -100,7 +109,7 @@ class Summands(msgspec.Struct, frozen=True):
 
 
 def _not_fixed(n: int, why: str) -> LocfuseError:
-    """Return the error of n poses that matches of scans leave open."""
+    """Return the error that the matches of scans do not determine the n poses."""
     return LocfuseError(
         f"the matches of scans do not fix the {n} poses of the whole drive ({why});",
         hint="leave smoothing out with --no-smooth",
@@ -108,7 +117,7 @@ def _not_fixed(n: int, why: str) -> LocfuseError:
 
 
 class Normal:
-    """Factorised normal equations at poses x and systematic errors s, which give steps and covariances.
+    """Factorised normal equations at poses x and systematic errors s; they give steps and covariances.
 
     The state has the poses (3 n), the systematic errors (2), and the states of other sensors.
     """
@@ -152,7 +161,7 @@ class Normal:
         return found
 
     def columns(self, poses: Ints) -> Array:
-        """Return the covariance (n, 3 k) of all states with the poses of indices (k,)."""
+        """Return the columns (n, 3 k) of the covariance that belong to the poses with indices (k,)."""
         at = (3 * poses[:, None] + np.arange(3)).ravel()
         unit = np.zeros((self.n, len(at)))
         unit[at, np.arange(len(at))] = 1.0
@@ -160,15 +169,15 @@ class Normal:
         return found
 
     def joint(self, poses: Ints) -> Array:
-        """Return the joint covariance (k, 3, k, 3) of the poses of indices (k,)."""
+        """Return the joint covariance (k, 3, k, 3) of the poses with indices (k,)."""
         at = (3 * poses[:, None] + np.arange(3)).ravel()
         found, few = np.empty((len(at), len(at))), COLUMNS_AT_ONCE // 3
-        for first in range(0, len(poses), few):  # all columns of all states together take hundreds of MB
+        for first in range(0, len(poses), few):  # all columns at once would take hundreds of MB
             found[:, 3 * first : 3 * (first + few)] = self.columns(poses[first : first + few])[at]
         return found.reshape(len(poses), 3, len(poses), 3)
 
     def chain(self, n: int) -> tuple[Array, Array]:
-        """Return the covariances of poses (n, 3, 3), and cross covariances with the next pose (n - 1, 3, 3).
+        """Return the covariances of poses (n, 3, 3), and those between each pose and the next one (n - 1, 3, 3).
 
         Raises LocfuseError if a variance is not positive.
         """
@@ -186,19 +195,19 @@ class Normal:
 
 
 class OtherTerms(Protocol):
-    """Terms of the least-squares problem other than edges, such as sensor readings, with states of their own."""
+    """Terms of the least-squares problem that are not edges, such as sensor readings, with their own states."""
 
     states: int
 
     def rows(self, x: Array) -> list[Summands]:
-        """Return the terms' blocks of the normal equations at key poses x (n, 3) and the terms' present states."""
+        """Return blocks of the normal equations at key poses x (n, 3) and at the present states of the terms."""
 
     def move(self, step: Array) -> None:
         """Add a step (states,) to the states of the terms."""
 
 
 def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
-    """Return poses j (c,) relative to poses i (c,), as (c, 3), and their covariances (c, 3, 3).
+    """Return poses j (c,) relative to poses i (c,), (c, 3), and their covariances (c, 3, 3).
 
     `joint` (n, 3, n, 3) is the joint covariance of the poses x (n, 3).
     """
@@ -210,7 +219,7 @@ def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
 
 
 class Problem:
-    """Pose-graph problem: prior on the start, other sensors, and systematic errors, for several solves."""
+    """Pose-graph problem for several solves: prior on the start, other sensors, and systematic errors."""
 
     def __init__(self, start: Edges | None = None, others: OtherTerms | None = None) -> None:
         self.start, self.others = Edges.none() if start is None else start, others
@@ -219,9 +228,9 @@ class Problem:
     def solve(
         self, x: Array, edges: Edges, graduations: tuple[float, ...] = (1.0,), min_step: float = MIN_STEP
     ) -> tuple[Array, Normal]:
-        """Return the least-squares poses (n, 3), starting from poses x (n, 3), and the normal equations there.
+        """Return the least-squares poses (n, 3), found from poses x (n, 3), and the normal equations there.
 
-        `graduations` are factors on the kernel widths, applied one after another; the last is 1.
+        `graduations` are factors on the kernel widths that are used one after another; the last is 1.
         """
         x, n, edges = x.copy(), 3 * len(x), Edges.joined(self.start, edges)
         for graduation in graduations:

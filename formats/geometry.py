@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -38,10 +39,10 @@ def segments(z: Array, ends: Array) -> Array:
     return points
 
 
-def wall(line: MapLine) -> Array:
-    """Return both ends of a map line, (2, 2) [m, map frame]."""
-    (ends,) = segments(np.array([[line.rho, line.beta]]), np.array([line.ends]))
-    return np.asarray(ends)
+def walls(lines: Sequence[MapLine]) -> Array:
+    """Return both ends of map lines, (k, 2, 2) [m, map frame]."""
+    z = np.array([(line.rho, line.beta) for line in lines]).reshape(-1, 2)
+    return segments(z, np.array([line.ends for line in lines]).reshape(-1, 2))
 
 
 def wall_band(line: MapLine) -> Array:

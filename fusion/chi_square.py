@@ -6,7 +6,7 @@ import math
 from functools import cache
 from statistics import NormalDist
 
-EXACT_DOF, BISECTION_STEPS = 300, 50
+EXACT_DOF, MAX_NEWTON_STEPS = 300, 50
 CONFIDENCE = 0.95  # confidence of intervals and bounds
 SIGMAS_95 = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 MAD_OF_NORMAL = 0.6745  # median absolute deviation / standard deviation of a normal distribution
@@ -36,7 +36,7 @@ def chi_square(confidence: float, dof: int) -> float:
 def _by_newton(x: float, confidence: float, dof: int) -> float:
     """Return the quantile, computed from the initial value x by Newton's method."""
     half = 0.5 * dof
-    for _ in range(BISECTION_STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         density = 0.5 * math.exp((half - 1.0) * math.log(0.5 * x) - 0.5 * x - math.lgamma(half))
         step = (_upper_tail(x, dof) - (1.0 - confidence)) / density
         x = max(x + step, 0.1 * x)

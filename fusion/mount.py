@@ -161,29 +161,6 @@ def mount_states(sensor: str) -> dict[str, tuple[Component, ...]]:
     return {f"{sensor}_{part}": (Component(f"{sensor} mount {part}", *unit),) for part, unit in units.items()}
 
 
-def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
-    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), from sensor axes to base axes, as in URDF."""
-    r, p, y = (math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg))
-    cr, sr, cp, sp, cy, sy = math.cos(r), math.sin(r), math.cos(p), math.sin(p), math.cos(y), math.sin(y)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def rotated(q: Array, v: Array) -> Array:
-    """Return vector v (3,) rotated by quaternions (n, 4) x, y, z, w of any length, (n, 3)."""
-    n = (q**2).sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        axis, w = q[:, :3] / np.sqrt(n)[:, None], q[:, 3] / np.sqrt(n)
-    t = 2.0 * np.cross(axis, v)
-    turned: Array = v + w[:, None] * t + np.cross(axis, t)
-    return turned
-
-
 def to_a_tenth_of(sigma: float, value: float) -> float:
     """Return a value rounded to a tenth of its standard deviation `sigma`."""
     return round(value, 1 - math.floor(math.log10(sigma))) + 0.0 if sigma > 0.0 else value

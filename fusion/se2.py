@@ -154,6 +154,29 @@ def yaw(x: Array, y: Array, z: Array, w: Array) -> Array:
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
 
 
+def rotation_3d(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
+    """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), from sensor axes to base axes, as in URDF."""
+    r, p, y = (math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg))
+    cr, sr, cp, sp, cy, sy = math.cos(r), math.sin(r), math.cos(p), math.sin(p), math.cos(y), math.sin(y)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rotated_3d(q: Array, v: Array) -> Array:
+    """Return vectors v (3,) or (n, 3) rotated by quaternions (n, 4) or (1, 4) x, y, z, w of any length, (n, 3)."""
+    n = (q**2).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        axis, w = q[:, :3] / np.sqrt(n)[:, None], q[:, 3] / np.sqrt(n)
+    t = 2.0 * np.cross(axis, v)
+    turned: Array = v + w[:, None] * t + np.cross(axis, t)
+    return turned
+
+
 def exp(twist: Array) -> Array:
     """Return the pose reached by a constant body twist (..., 3) = (forward, left, turn) over unit time.
 

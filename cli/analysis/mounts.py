@@ -13,8 +13,8 @@ from msgspec.structs import replace
 from locfuse.formats.messages.fields import CAMERA_MATRIX
 from locfuse.formats.robot.transforms import FrameMount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Array, LocfuseError, Stream
-from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.level import FIELD, IMU, LevelledField, tilt_of
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -103,7 +103,7 @@ def _placed(mount: FrameMount, looks: Mapping[str, Any]) -> list[float]:
 
 def _view(mount: FrameMount) -> dict[str, Any]:
     """Return yaw and pitch [deg] of an optical frame's view (REP 103: z ahead); {} if its z axis is vertical."""
-    ahead = rotation(*(math.degrees(angle) for angle in (mount.roll, mount.pitch, mount.yaw)))[:, 2]
+    ahead = rotation_3d(*(math.degrees(angle) for angle in (mount.roll, mount.pitch, mount.yaw)))[:, 2]
     if abs(ahead[2]) > MAX_VERTICAL:
         return {}
     return {
@@ -251,4 +251,4 @@ def _imu_rotation(
     elif gyro is not None and gyro.topic == imu.topic:
         settings = robot.settings("gyro")
         roll, pitch = settings.roll_deg, settings.pitch_deg
-    return rotation(roll, pitch, yaw)
+    return rotation_3d(roll, pitch, yaw)

@@ -12,10 +12,9 @@ from html import escape
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.formats.thin import extremes
-from locfuse.fusion.data import REFUSED, Array, Event, Ints
+from locfuse.fusion.data import REFUSED, Array, Event, stretches
 
 from .palette import EVENTS, SHAPES
 from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, TimedPlaces, ranges, ticks
@@ -51,8 +50,8 @@ def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
     good = np.isfinite(low) & np.isfinite(high)
     edges = np.stack((low, high), axis=-1)
     parts = []
-    for run in _runs(good):
-        kept = run[extremes(edges[run], 4 * pixels)]
+    for first, last in stretches(good):
+        kept = first + extremes(edges[first : last + 1], 4 * pixels)
         top = straightened(np.stack((x[kept], high[kept]), axis=-1))
         bottom = straightened(np.stack((x[kept], low[kept]), axis=-1))
         parts.append(_path_text(np.concatenate((top, bottom[::-1]))) + "z")
@@ -112,13 +111,7 @@ def straightened(points: Array) -> Array:
 
 def _pieces(points: Array) -> str:
     good = np.isfinite(points[:, 0]) & np.isfinite(points[:, 1])
-    return "".join(_path_text(straightened(points[run])) for run in _runs(good))
-
-
-def _runs(good: NDArray[np.bool_]) -> list[Ints]:
-    """Return the indices of each group of consecutive True values."""
-    at = np.flatnonzero(good)
-    return [run for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(run)]
+    return "".join(_path_text(straightened(points[first : last + 1])) for first, last in stretches(good))
 
 
 def _path_text(points: Array) -> str:

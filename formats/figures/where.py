@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.formats.geometry import segments
+from locfuse.formats.geometry import walls
 from locfuse.formats.thin import evenly
-from locfuse.fusion.data import VERDICTS, Array, Estimates, Evaluation, MapLine
+from locfuse.fusion.data import VERDICTS, Array, Estimates, Evaluation
 
 from .palette import LEVELS
 from .panels import Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces, values_of
@@ -90,7 +90,7 @@ def trajectories(scene: Scene) -> Section:
         first = {line.id for line in mapped.first_map}
         old = [line for line in mapped.final_map if line.id in first]
         new = [line for line in mapped.final_map if line.id not in first]
-        marks += [Strokes(role, ends(lines)) for role, lines in zip(WALLS, (old, new), strict=True) if lines]
+        marks += [Strokes(role, walls(lines)) for role, lines in zip(WALLS, (old, new), strict=True) if lines]
     paths = {e.name: timed_path(e, j) for e, j in scene.shown()}
     most = MAX_POINTS // (len(paths) + 1)
     marks += [_curve(name, xy, most) for name, (_, xy) in paths.items()]
@@ -143,11 +143,6 @@ def framed(path: Array, marks: Sequence[Mark]) -> list[tuple[float, float] | Non
 
 def _curve(name: str, xy: Array, most: int) -> Curve:
     return Curve(name, *xy[evenly(len(xy), most)].T)
-
-
-def ends(lines: list[MapLine]) -> Array:
-    """Return both ends of map lines, (k, 2, 2) [m, map frame]."""
-    return segments(np.array([(line.rho, line.beta) for line in lines]), np.array([line.ends for line in lines]))
 
 
 # --- Paths coloured by their error, or without truth by the filter's sigma

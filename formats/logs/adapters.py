@@ -13,6 +13,7 @@ import numpy as np
 
 from locfuse.formats.geometry import quaternions
 from locfuse.fusion.data import Array, Column, Ints, Ragged
+from locfuse.fusion.se2 import rotated_3d
 from locfuse.fusion.se2 import yaw as yaw_of
 
 Columns = Mapping[str, Column]
@@ -271,13 +272,8 @@ def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id
 
 def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
     """Return points (n, 3) [m] transformed by a pose: position (3,) [m], quaternion x, y, z, w (4,)."""
-    axis, w = quaternion[:3], quaternion[3]
-    norm = float(quaternion @ quaternion)
-    if not 0.0 < norm < np.inf:  # no valid orientation: use the identity
-        return xyz + np.nan_to_num(place)
-    across = np.cross(axis, xyz)
-    turned: Array = xyz + 2.0 / norm * (w * across + np.cross(axis, across))
-    return turned + np.nan_to_num(place)
+    valid = 0.0 < float(quaternion @ quaternion) < np.inf  # else use the identity
+    return (rotated_3d(quaternion[None], xyz) if valid else xyz) + np.nan_to_num(place)
 
 
 def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:

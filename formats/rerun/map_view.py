@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 from msgspec.structs import asdict
 
-from locfuse.formats.geometry import ellipses, quaternions, segments, wall, wall_band
+from locfuse.formats.geometry import ellipses, quaternions, segments, wall_band, walls
 from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, MapLine, Measurements, matrices
 from locfuse.fusion.se2 import compose, transform
@@ -98,17 +98,17 @@ def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
     if not e.first_map and not e.final_map:
         return
     start, born = _first_matches(e)
-    first = np.array([wall(line) for line in e.first_map]).reshape(-1, 2, 2)
+    first = walls(e.first_map)
     to.static(f"{root}/first_scan", ink.lines(ink.FIRST_WALL, 1.0, alpha=200))
-    columns = rr.LineStrips2D.columns(strips=first)
+    columns = rr.LineStrips2D.columns(strips=list(first))
     to.send(f"{root}/first_scan", np.array([start]), columns, lengths=[len(first)])
-    walls = sorted(e.final_map, key=lambda line: (born.get(line.id, start), line.id))
-    t = np.array([born.get(line.id, start) for line in walls])
+    final = sorted(e.final_map, key=lambda line: (born.get(line.id, start), line.id))
+    t = np.array([born.get(line.id, start) for line in final])
     to.static(f"{root}/refined", ink.lines(ink.WALL, 1.5))
-    ends = rr.LineStrips2D.columns(strips=[wall(line) for line in walls], labels=[_label(x) for x in walls])
+    ends = rr.LineStrips2D.columns(strips=list(walls(final)), labels=[_label(x) for x in final])
     to.send(f"{root}/refined", t, ends)
     to.static(f"{root}/three_sigma", ink.lines(ink.WALL, 0.5, alpha=110))
-    to.send(f"{root}/three_sigma", t, rr.LineStrips2D.columns(strips=[wall_band(x) for x in walls]))
+    to.send(f"{root}/three_sigma", t, rr.LineStrips2D.columns(strips=[wall_band(x) for x in final]))
 
 
 def _first_matches(e: Estimates) -> tuple[float, dict[int, float]]:

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import field
 from numpy.typing import NDArray
 
-from locfuse.formats.geometry import wall
+from locfuse.formats.geometry import walls
 from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
 from locfuse.fusion.data import VERDICTS, Array, Component, Drive, Estimates, Evaluation, Event, Ints
 
@@ -105,7 +105,7 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         parts: list[Array] = [self.best.pose[:, :2]]
         if self.drive.truth is not None and len(self.drive.truth.xy):
             parts.append(self.drive.truth.xy)
-        parts += [wall(line) for line in self.best.final_map if line.hits > 1]
+        parts.append(walls([line for line in self.best.final_map if line.hits > 1]).reshape(-1, 2))
         parts += [np.array([s.landmark]) for s in self.sights.values() if s.landmark is not None]
         points = np.concatenate(parts)
         return points.min(axis=0), points.max(axis=0)

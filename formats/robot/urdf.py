@@ -11,6 +11,7 @@ import numpy as np
 
 from locfuse.formats.caps import MAX_JOINTS, MAX_TEXT
 from locfuse.fusion.data import Array
+from locfuse.fusion.se2 import rotation_3d
 
 from .transforms import StaticTransforms, Transform, ancestors
 
@@ -68,13 +69,7 @@ def _origin(joint: ET.Element) -> Array:
     T = np.eye(4)
     if origin is None:
         return T
-    roll, pitch, yaw = _numbers(origin.get("rpy"))
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    T[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
+    T[:3, :3] = rotation_3d(*map(math.degrees, _numbers(origin.get("rpy"))))
     T[:3, 3] = _numbers(origin.get("xyz"))
     return T
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, LocfuseError, Stream
-from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
 from locfuse.fusion.sensors.iron import MAX_MISSING_ARC_RAD, Iron, fit_iron, iron_error_deg, plausible
 
@@ -74,7 +74,7 @@ def tilted(
         if stream is None:
             continue
         settings = robot.settings(name)
-        configured = rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
+        configured = rotation_3d(settings.roll_deg, settings.pitch_deg, 0.0)[2]
         up, by = None, "gravity"
         if stream.msgtype == IMU_TYPE:
             up = by_gravity(_vectors(stream, ACCELERATION_FIELDS))
@@ -104,8 +104,8 @@ def _apart(a: Array, b: Array) -> float:
 
 
 def _same_ahead(settings: CompassSettings, roll: float, pitch: float) -> bool:
-    configured = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
-    return _apart(configured, rotation(roll, pitch, settings.yaw_deg)[0]) < MIN_TILT_RAD
+    configured = rotation_3d(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
+    return _apart(configured, rotation_3d(roll, pitch, settings.yaw_deg)[0]) < MIN_TILT_RAD
 
 
 def by_gravity(acceleration: Array) -> Array | None:

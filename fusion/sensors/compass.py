@@ -16,8 +16,8 @@ import numpy as np
 from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, LocfuseError, Measurements, Stream
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotated, rotation
-from locfuse.fusion.se2 import wrap, wrap_all
+from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
+from locfuse.fusion.se2 import rotated_3d, rotation_3d, wrap, wrap_all
 from locfuse.fusion.sensor import (
     NO_BLOCK,
     NO_COLUMNS,
@@ -230,7 +230,7 @@ def from_field(
     """
     x, y = columns["magnetic_field.x"], columns["magnetic_field.y"]
     m = np.column_stack((x, y, columns.get("magnetic_field.z", np.zeros_like(x))))
-    m = m @ rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg).T
+    m = m @ rotation_3d(settings.roll_deg, settings.pitch_deg, settings.yaw_deg).T
     m[:, :2] = (m[:, :2] - settings.hard_iron) @ np.reshape(settings.soft_iron, (2, 2)).T
     ahead, left = m[:, :2].T if up is None else levelled(m, up)
     return -np.arctan2(left, ahead), np.hypot(ahead, left)
@@ -248,7 +248,7 @@ def from_imu(
     if refuse and len(q) and none.all():
         raise LocfuseError(f"{topic} carries no orientation (orientation_covariance[0] is -1)", role="compass")
     # the base's x axis in the IMU's axes, turned into the world
-    ahead = rotated(q, rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0])
+    ahead = rotated_3d(q, rotation_3d(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0])
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
     if settings.convention.startswith("compass"):  # its world is north, east, down: headings grow clockwise
         yaw = wrap_all(math.pi / 2 - yaw)

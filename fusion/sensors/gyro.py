@@ -26,7 +26,8 @@ import numpy as np
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotation
+from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
+from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import count_dropped, last_of_periods, summed
 
@@ -221,7 +222,7 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
     if not finite.any():
         says = "says 0" if len(finite) or not len(omega) else "has no finite angular velocity"
         raise LocfuseError(f"{topic} {says} in all {len(omega)} messages: no gyro writes there", role="gyro")
-    rate: Array = omega @ rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
+    rate: Array = omega @ rotation_3d(settings.roll_deg, settings.pitch_deg, 0.0)[2]
     return np.radians(rate) if settings.unit == "deg" else rate
 
 

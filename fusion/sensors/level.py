@@ -19,7 +19,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion.data import Array, Block, Column, Ints, Stream
-from locfuse.fusion.mount import rotated
+from locfuse.fusion.se2 import rotated_3d
 
 IMU = "sensor_msgs/msg/Imu"
 FIELD = "sensor_msgs/msg/MagneticField"
@@ -112,7 +112,7 @@ def by_orientation(columns: dict[str, Array]) -> Array | None:
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ~((q**2).sum(axis=1) >= 0.25)
     if none.all():
         return None
-    up = rotated(q * np.array([-1.0, -1.0, -1.0, 1.0]), np.array([0.0, 0.0, 1.0]))
+    up = rotated_3d(q * np.array([-1.0, -1.0, -1.0, 1.0]), np.array([0.0, 0.0, 1.0]))
     up[none] = np.nan
     return up if float(np.nanmax(np.nanmax(up, axis=0) - np.nanmin(up, axis=0))) > MIN_UP_CHANGE else None
 

@@ -39,8 +39,8 @@ from locfuse.fusion.checks.truth import (
 )
 from locfuse.fusion.checks.turning import explain, of_track, turnings
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
-from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import StartSettings
+from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.wheels.motion import Wheels
 
 
@@ -469,7 +469,7 @@ def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0, 0), (90, 0), (180, 0), (-90, 0), (0, 90), (0, -90), (30, -20)])
 def test_gravity_tells_roll_and_pitch(roll: int, pitch: int) -> None:
-    up = present(by_gravity(9.81 * np.tile(rotation(roll, pitch, 0.0)[2], (20, 1))))
+    up = present(by_gravity(9.81 * np.tile(rotation_3d(roll, pitch, 0.0)[2], (20, 1))))
     assert angles(up) == (roll, pitch)
 
 

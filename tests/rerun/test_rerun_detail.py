@@ -17,7 +17,7 @@ from small_drive import robot as small_robot
 from locfuse.cli.rerun.scene import palette as shades
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
-from locfuse.formats.geometry import ellipses, segments, wall, wall_band
+from locfuse.formats.geometry import ellipses, segments, wall_band, walls
 from locfuse.formats.rerun import drawing as style
 from locfuse.formats.rerun.blueprint import ticked
 from locfuse.formats.rerun.drawing import STATES
@@ -235,7 +235,7 @@ def test_the_band_of_a_wall_is_three_sigma_of_its_offset_there() -> None:
     line = MapLine(0, 3.0, 0.4, (-2.0, 5.0), P)
     band = wall_band(line)
     assert band[0].tolist() == band[-1].tolist()
-    (start, end), n = wall(line), np.array([math.cos(0.4), math.sin(0.4)])
+    ((start, end),), n = walls([line]), np.array([math.cos(0.4), math.sin(0.4)])
     draws = np.random.default_rng(2).multivariate_normal((3.0, 0.4), P, 200_000)
     for point, offset in ((start, band[0]), (end, band[8])):
         # where the drawn wall crosses the normal through the point

@@ -21,7 +21,7 @@ from locfuse.fusion.data import VERDICTS, Array, ArrayStream, LocfuseError, Meas
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
-from locfuse.fusion.mount import rotation
+from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import Compass, CompassModel, CompassSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron, iron_error_deg, plausible
 from locfuse.fusion.sensors.level import LevelledField, tilt_of
@@ -316,7 +316,7 @@ def test_by_the_orientation_the_heading_is_the_yaw_whatever_roll_and_pitch(sign:
     """An IMU yawed and rolled on the base, iron on the robot; with the world's z axis up, and down (NED)."""
     yaw = 0.3 * AT
     body = attitude(12.0, yaw)
-    mount = rotation(180.0, 3.0, 40.0)
+    mount = rotation_3d(180.0, 3.0, 40.0)
     data = imu_of(body, Rotation.from_matrix(mount), orientation=True)
     if sign < 0.0:  # seen from a world whose z axis is down
         world = Rotation.from_euler("x", 180, degrees=True) * body * Rotation.from_matrix(mount)

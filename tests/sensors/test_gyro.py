@@ -16,8 +16,8 @@ from locfuse.fusion.data import Array, ArrayStream, Column, Drive, LocfuseError,
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
-from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.gyro import BEFORE, BIAS, Gyro, GyroSettings
 from locfuse.fusion.wheels.motion import Wheels
@@ -168,7 +168,7 @@ def test_readings_are_summed_so_that_their_rate_costs_nothing() -> None:
 def test_an_imu_mounted_at_any_angle_measures_the_same_turn(turned: tuple[float, float]) -> None:
     rng = np.random.default_rng(9)
     t, theta, speed = way()
-    mounted = imu(t, theta, rng, mount=rotation(*turned, 17.0))
+    mounted = imu(t, theta, rng, mount=rotation_3d(*turned, 17.0))
     streams = {"wheels": wheels(t, theta, speed, rng), "gyro": mounted}
     drive = measure(streams, robot({"roll_deg": turned[0], "pitch_deg": turned[1]}))
     m = drive.measurements["gyro"]

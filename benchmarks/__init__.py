@@ -1,1 +1,1 @@
-"""Measuring the product: accuracy over simulated drives, speed as ratios against public packages."""
+"""Measurements of locfuse: accuracy over simulated and recorded drives, speed relative to public packages."""

@@ -1,8 +1,9 @@
-"""Speed as ratios against public packages: python -m benchmarks.
+"""Speed relative to public packages: python -m benchmarks.
 
-Generates its logs, runs every figure against its yardstick, taking turns, and prints a markdown table: medians,
-the ratio's spread over the rounds, and the goal. CPU times of whole processes, wall times beside them: trust the
-ratios. Run it from the repository's root. With LOCFUSE_DATA set, a recorded building is among them.
+It generates its logs, and runs pairs of commands: one of locfuse, and one to compare with. In each round every
+command runs once. A markdown table has the median CPU times of whole processes, their ratio with its spread over
+the rounds, the goal, and the wall times. The ratios are more reliable than the times. Run it from the repository's
+root. If LOCFUSE_DATA is set, a recorded building is measured too.
 """
 
 from __future__ import annotations
@@ -50,13 +51,13 @@ def cost(command: Sequence[str]) -> Cost:
 
 
 class Figure(NamedTuple):
-    """Two commands, locfuse's and one to compare with, and the goal for the ratio of their CPU times."""
+    """Command of locfuse, command to compare with, and the largest wanted ratio of their CPU times."""
 
     name: str
     goal: float
     ours: Command
     theirs: Command
-    peak: float | None = None  # MB: our peak memory is a figure too
+    peak: float | None = None  # MB: largest wanted peak memory of our command; None: it is not printed
 
 
 FROZEN = ("--set", "lrf.map=first-scan")
@@ -77,7 +78,7 @@ def figures(logs: Sequence[Path], out: Path, minutes: float) -> list[Figure]:
     minute, ten, hour = logs
     length = "1 h" if minutes == 60 else f"{minutes:g} min"
     advised = ("--write", "json", "--quiet", "--overwrite", "--no-smooth", "--out", out)
-    how = (*advised, "--no-advice")  # how often advice fuses again depends on what looks wrong with the log
+    how = (*advised, "--no-advice")  # with advice, the number of filter runs depends on the faults of the log
 
     def ours(command: str, log: Path, *words: str) -> Command:
         return locfuse(command, log, *words, *how)
@@ -158,7 +159,7 @@ def memory_row(name: str, goal: float, seen: list[Cost]) -> Sequence[str]:
 @click.option("--folder", type=click.Path(file_okay=False, path_type=Path), help="Where the logs are kept.")
 def main(rounds: int, minutes: float, only: str, folder: Path | None) -> None:
     """Measure the product's speed against public packages and print a markdown table."""
-    compileall.compile_dir(ROOT, quiet=2)  # as pip does when it installs: no process compiles
+    compileall.compile_dir(ROOT, quiet=2)  # as pip does at installation, so that no measured process compiles
     place = folder or experiment.scratch()
     place.mkdir(parents=True, exist_ok=True)
     logs = [

@@ -3,8 +3,9 @@
     python -m benchmarks.accuracy --drives 50
     python -m benchmarks.accuracy --drives 50 --no-camera --smooth
 
-The drives are the paper's robot in lock-step (paper, section IV): every sensor and the truth once per 0.1 s,
-compass and camera as exact as maths allows. `--robot-set` changes the filter's settings.
+The drives are those of the paper's robot with synchronous sensors (paper, section IV): every sensor and the truth
+are sampled once per 0.1 s, and compass and camera have no systematic errors. `--robot-set` changes the filter's
+settings.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 MODES = ("first-scan", "consider", "refine", "grow")
-SMOOTHED = ("refine", "grow")  # smoothing assumes optimal weights
-# Every sensor at each step of 0.1 s and truth just after: the set-up of the paper. The compass is the sketch's,
-# white and calibrated; its rate and the camera's are those of the laser. Noise is configured as it is: that of the
-# camera as `locfuse tune` finds it.
+SMOOTHED = ("refine", "grow")  # map modes with the optimal gain, which smoothing needs
+# As in the paper, every sensor is sampled at each step of 0.1 s, and the truth just after. The compass is that of
+# the sketch, with white noise and calibrated; compass and camera have the laser's rate. The true noise is
+# configured, for the camera the noise that `locfuse tune` finds.
 LOCK_STEP = (
     *("compass.rate=10", "compass.phase=0.05", "compass.noise_deg=0.1", "compass.sigma_deg=0.1"),
     *("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]", "lrf.phase=0.05", "lrf.duration=1e-6"),
@@ -33,7 +34,7 @@ LOCK_STEP = (
 
 
 def work(seed: int, robot_sets: tuple[str, ...] = (), no_camera: bool = False, smooth: bool = False) -> Row:
-    """Simulate one drive and judge it: "<mode> <configuration>" -> figures."""
+    """Simulate and evaluate one drive; return "<mode> <configuration>" -> figures."""
     more = ("camera.enabled=false",) if no_camera else ()
     run = experiment.simulated("rounded_rectangle", (*LOCK_STEP, *more), seed)
     sensors = ("compass", "lrf", "camera")[: 2 if no_camera else 3]

@@ -3,19 +3,20 @@
     python -m benchmarks.advice --seeds 8 --jobs 2 -o advice.jsonl
     python -m benchmarks.advice --case none --seeds 15 -o clean.jsonl
 
-Each seed is one lap of the paper's robot with one or two faults (benchmarks/advice_cases.py). `compare` is asked
-what is wrong, with and without truth in the log; all its fixes are set, and the errors are compared with those
-before and with those of the right settings. Errors are those by the simulator's own truth, which no fault touches.
-A fault costs something where an error is above 1.2 x + 1 mm of that with the right settings; it is judged there:
+Each seed is one lap of the paper's robot with one or two faults (benchmarks/advice_cases.py). `compare` searches
+for faults, with and without truth in the log. All its fixes are set, and the errors are compared with those before
+and with those of the right settings. Errors are computed by the simulator's own truth, which no fault changes. A
+fault counts if it increases an error to more than 1.2 times the error with the right settings + 1 mm. The columns:
 
-- right key: a fix sets one of its keys; where no key can, a finding names the sensor.
-- others: somebody else gets a fix.
-- plaster: noise is raised or a sensor left out, where a key sets the fault right; noise that means "not used".
+- right key: a fix sets one of the fault's keys; if no key can fix the fault, a finding names the sensor.
+- others: a fix for another sensor is printed.
+- plaster: a fix that only hides the fault. It increases a noise or leaves out a sensor although a key would fix
+  the fault, or sets a noise so large that the sensor has no effect.
 - worse: an error of `all`, or of the best configuration, grew by more than 2 % + 0.2 mm (heading: 0.02 degrees).
-- gap closed: (before - after) / (before - right), the median. Where the truth itself is wrong, `before` and
-  `after` are the errors that `compare` prints (`after` at least the real one), and `right` is what they should be.
+- gap closed: median of (before - after) / (before - right). If the truth itself is wrong, `before` and `after` are
+  the errors that `compare` prints (`after` at least the real error), and `right` is the right value of the error.
 
-The cases "none" have no fault, the compass offset given or estimated: each line that is printed there is needless.
+The cases "none" have no fault; the compass offset is given or estimated. Every finding in these cases is needless.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ from locfuse.sample_logs.simulate import EPOCH_NS
 
 SIDES = {"with truth": True, "without": False}
 MAX_LOSS, MAX_LOSS_M, MAX_LOSS_DEG = 0.02, 2e-4, 0.02
-MIN_COST, MIN_COST_M = 0.2, 1e-3  # relative, m: a fault that costs less costs nothing
-LOADED = (CAMERA,)  # set when a log is opened: with another camera noise its pictures are searched again
+MIN_COST, MIN_COST_M = 0.2, 1e-3  # relative, m: a fault counts if it increases an error by more
+LOADED = (CAMERA,)  # set when a log is opened: a later change would search all pictures again
 PLASTER = re.compile(
     r"wheels\.noise=|(compass|camera)\.sigma_deg=|lrf\.sigma_(range|angle_deg)=|(truth|start)\.sigma|"
     r".*\.field_tolerance=|.*\.topic=none"
@@ -84,7 +85,7 @@ class Lap:
         return math.sqrt(float((away**2).mean())), math.sqrt(float((turn**2).mean()))
 
 
-lap = lru_cache(maxsize=3)(Lap)  # many cases share one
+lap = lru_cache(maxsize=3)(Lap)  # many cases use the same lap
 
 
 def work(name: str, seed: int) -> Row:
@@ -93,7 +94,7 @@ def work(name: str, seed: int) -> Row:
     clean, drive = lap(seed, CASES["none"].scenario), lap(seed, case.scenario)
     found: Row = {}
     for side, truth in SIDES.items():
-        if case.of_truth and not truth:  # nothing is wrong without it
+        if case.of_truth and not truth:  # only the truth is wrong
             continue
         report = drive.report(case.sets, truth)
         obeyed = (*case.sets, *report["fixes"])
@@ -111,17 +112,17 @@ def work(name: str, seed: int) -> Row:
 
 
 def printed(report: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the position errors [m] in a report; None for void ones."""
+    """Return the position errors [m] in a report; None for errors that `compare` does not print."""
     return {name: values["position_rmse_m"] for name, values in report["configurations"].items()}
 
 
 def judged(name: str, row: Row) -> Row:
-    """Return one side (with truth or without) of a case with its judgement: named, others, plaster ..."""
+    """Return the row of a case (with or without truth), with the columns named, others, plaster and so on."""
     # position errors [m]
     right, before, after = ({n: e for n, (e, _) in row[key].items()} for key in ("right", "before", "after"))
     if "printed" in row:
-        # A withheld error does not mislead, as the right one. Who bends the filter until it agrees with a wrong
-        # truth has closed nothing: afterwards the larger counts, of what is printed and what is so.
+        # An error that is not printed counts as right, since it does not mislead. A fix that only makes the filter
+        # agree with a wrong truth is no success: after the fixes, the larger of printed and real error counts.
         shown = [{n: right[n] if e is None else e for n, e in one.items() if n in right} for one in row["printed"]]
         before, after = shown[0], {n: max(e, after[n]) for n, e in shown[1].items() if n in after}
     harmed = worse(row["right"], row["before"], row["after"])
@@ -129,7 +130,7 @@ def judged(name: str, row: Row) -> Row:
 
 
 def named(case: Case, row: Row) -> Row:
-    """Return whether a fix sets the right key, or a finding names the right sensor, and what else is advised."""
+    """Return whether a fix sets the right key (or a finding names the right sensor), and the other advice."""
     keys = {fix.partition("=")[0] for fix in row["fixes"]}
     roles = {role for role, _, _ in row["findings"]}
     plaster = [fix for fix in row["fixes"] if PLASTER.match(fix)]
@@ -151,7 +152,7 @@ def worse(right: Errors, before: Errors, after: Errors) -> list[str]:
     for name in dict.fromkeys(("all", min(before, key=lambda n: before[n][0]))):
         if name not in after or name not in right:
             continue
-        # what the right settings give is no harm, even where chance made the wrong ones better on this drive
+        # an error up to that of the right settings is no harm, even if the wrong ones are better by chance
         (was, turned), (now, turns) = map(max, zip(before[name], right[name], strict=True)), after[name]
         if now > was * (1 + MAX_LOSS) + MAX_LOSS_M:
             found.append(f"{name} {1000 * before[name][0]:.1f} -> {1000 * now:.1f} mm")
@@ -161,7 +162,7 @@ def worse(right: Errors, before: Errors, after: Errors) -> list[str]:
 
 
 def gap(right: Mapping[str, float], before: Mapping[str, float], after: Mapping[str, float]) -> Row:
-    """Return the error due to a fault, and the share of it that the fixes remove, where it is largest."""
+    """Return the errors of the configuration that a fault affects most, and the share that the fixes remove."""
     both = [n for n in before if n in after and n in right]
     gaps = {n: before[n] - right[n] for n in both if before[n] > right[n] * (1 + MIN_COST) + MIN_COST_M}
     if not gaps:

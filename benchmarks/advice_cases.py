@@ -1,7 +1,6 @@
 """Cases of benchmarks.advice: faults of a setting or of the robot, alone and in pairs.
 
-A drive is one lap of the paper's robot. Its settings are right, and nothing is wrong with the robot, but for what
-a fault says.
+A drive is one lap of the paper's robot. Settings and robot are right, except for the faults of the case.
 """
 
 from __future__ import annotations
@@ -13,23 +12,23 @@ SCENARIO = (
     *("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]"),
 )
 NORTH = -65.0  # compass.offset_deg: the scenario's magnetic north
-CAMERA_DEG = 0.18  # camera.sigma_deg, as its bearings against the truth show
+CAMERA_DEG = 0.18  # camera.sigma_deg, from its bearing errors
 OFFSET, CAMERA = f"compass.offset_deg={NORTH}", f"camera.sigma_deg={CAMERA_DEG}"
 RIGHT = (OFFSET, CAMERA)
-MIDDLE_S = 30.0  # of the lap, when what happens in its middle happens
+MIDDLE_S = 30.0  # s: middle of the lap, the time of events in the middle
 
 
 @dataclass(frozen=True)
 class Fault:
     """A fault, the sensors that a finding may name, and the settings that fix it."""
 
-    roles: tuple[str, ...]  # who may be named: no other
-    keys: tuple[str, ...] = ()  # one of which a right fix sets; () = no key can, the finding alone is right
-    sets: tuple[str, ...] = ()  # settings that are wrong
-    scenario: tuple[str, ...] = ()  # what is wrong with the robot, as --set of `locfuse simulate`
-    faults: tuple[str, ...] = ()  # the same, entries of its [[faults]] as inline TOML
-    right: tuple[str, ...] = ()  # what sets it right, where that is not the log's own settings
-    closes: bool = True  # whether the right settings take the error away
+    roles: tuple[str, ...]  # sensors that a right finding may name
+    keys: tuple[str, ...] = ()  # a right fix sets one of these keys; (): no key can fix it, a finding is enough
+    sets: tuple[str, ...] = ()  # wrong settings
+    scenario: tuple[str, ...] = ()  # faults of the robot, as --set of `locfuse simulate`
+    faults: tuple[str, ...] = ()  # faults of the robot, as entries of the scenario's [[faults]] in inline TOML
+    right: tuple[str, ...] = ()  # settings that fix it, if these are not the log's own settings
+    closes: bool = True  # whether the right settings remove the error
 
 
 def _wrong(*settings: str, also: tuple[str, ...] = (), right: tuple[str, ...] = ()) -> Fault:
@@ -54,7 +53,7 @@ def _robot(roles: str, *scenario: str, right: str = "") -> Fault:
     return Fault(tuple(roles.split()), keys, scenario=scenario, right=rights)
 
 
-FIELD_T = 20e-6  # of the earth, in the plane
+FIELD_T = 20e-6  # T, horizontal part of the earth's field
 HARD_IRON = f"compass.hard_iron=[{0.14 * FIELD_T}, 0]"
 OPTICS = ("camera.centre=[241.5, 238.2]", "camera.inner=62", "camera.outer=232")
 FAULTS: dict[str, Fault] = {
@@ -158,7 +157,7 @@ class Case:
     """One or two faults together."""
 
     faults: tuple[Fault, ...]
-    base: tuple[str, ...] = RIGHT  # what the user knows of the robot
+    base: tuple[str, ...] = RIGHT  # settings that the user knows
 
     def _all(self, field: str) -> tuple[str, ...]:
         return tuple(value for fault in self.faults for value in getattr(fault, field))
@@ -196,7 +195,7 @@ class Case:
 
     @property
     def of_truth(self) -> bool:
-        """Whether the truth is wrong, so that nothing is wrong without it."""
+        """Whether only the truth is wrong."""
         return any(fault.roles == ("truth",) for fault in self.faults)
 
 

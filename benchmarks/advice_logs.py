@@ -2,11 +2,11 @@
 
     LOCFUSE_DATA=folder python -m benchmarks.advice_logs -o advice_logs.jsonl
 
-The table has the fixes of each log and what they do together: position error, heading error and ANEES of the best
-configurations, odometry and `all`, by the log's truth. Without truth it is how well the sensors are predicted that
-only listen, in nats per number (more is better; a reference would be another one under other settings). "Worse"
-is an error that grows by more than 2 % + 0.2 mm (0.02 degrees). The last column: CPU time of `locfuse compare`
-over that of `locfuse compare --no-advice`; at most 2 + the number of printed fixes is wanted.
+The table has the fixes of each log and their joint effect on the best configurations, odometry and `all`: position
+error, heading error and ANEES by the log's truth. Without truth it has the likelihood of the sensors that are not
+fused, in nats per number (more is better; a reference is not used, since it depends on the settings). An error is
+"worse" if it grows by more than 2 % + 0.2 mm (0.02 degrees). The last column is the CPU time of `locfuse compare`
+divided by that of `locfuse compare --no-advice`; it should be at most 2 + the number of printed fixes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LOGS: dict[str, dict[str, Any]] = {  # name -> settings
     "warthog": DATA_SHEET,
     **{name: {} for name in ("turtlebot4", "pimouse", "mrclam", "freiburg-101", "edmonton", "fr079", "aces")},
 }
-DOUBTFUL = 3  # exit code of a log of which something is doubtful
+DOUBTFUL = 3  # exit code of a command whose result is doubtful
 KEYS = ("position_rmse_m", "heading_rmse_deg", "anees")
 
 
@@ -63,7 +63,7 @@ def compared(name: str, sets: Sequence[str], *words: str) -> tuple[dict[str, Any
 
 
 def figures(report: Mapping[str, Any]) -> dict[str, list[float | None]]:
-    """Return position error [m], heading error [deg] and ANEES of every configuration, void or not; else nats."""
+    """Return position error [m], heading error [deg] and ANEES of every configuration; without truth nats."""
     configurations = report["configurations"]
     if report["truth"] is not None:
         seen = {name: (found.get("void") or {}).get("figures", found) for name, found in configurations.items()}

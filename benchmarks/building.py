@@ -4,17 +4,17 @@
     python -m benchmarks.building --log office --drives 20 --smooth
     LOCFUSE_DATA=... python -m benchmarks.building --log edmonton --set lrf.recover=false
 
-Drive 0 of a recorded log is the log as it is. The others are the same log measured anew: with more noise of the
-ranges, without some of the scans, and from another start heading. Every drive of a scenario has another seed:
-other noise, other walls, other walks of the people.
+Drive 0 of a recorded log is the unchanged log. The other drives are the same log with more noise of the ranges,
+without some of the scans, and with another start heading. Every drive of a scenario has another seed: other noise,
+other walls, other paths of the people.
 
-A recorded log is judged by the relations beside it: `t1 t2 dx dy dz droll dpitch dyaw`, pose 2 seen from pose 1,
-verified by hand (Kümmerle et al. 2009). They need no common frame. They say where scans were taken: their stamps
-are those of the scans (it is the wheels that are 0.13 s off), and a run that finds another mount of the laser
-than the configured one is judged at its laser. Its base lies elsewhere: fr079 with x = 0.00 m, not -0.04 m.
-Without relations the truth judges, after the best rigid alignment; without truth the distance to the smoothed
-path of the log as it is. ANEES is that of the simulated drives, whose start is known. Doubted are the drives
-that the headline doubts: the causal path is too far from the smoothed one.
+A recorded log is evaluated by relations in a file: `t1 t2 dx dy dz droll dpitch dyaw`, pose 2 relative to pose 1,
+verified by hand (Kümmerle et al. 2009). They need no common frame. Their poses are those of scans, with the stamps
+of the scans (the wheels' stamps are 0.13 s off). If a run estimates another mount of the laser than the configured
+one, its base is elsewhere (fr079: x = 0.00 m, not -0.04 m), so the poses of its laser are compared. Without
+relations, the truth is used, after the best rigid alignment; without truth, the distance to the smoothed path of
+the unchanged log. ANEES is computed for simulated drives only, whose start is known. A drive counts as doubted if
+the headline doubts it: the filtered path is too far from the smoothed one.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 RECORDED = ("fr079", "aces", "edmonton", "freiburg-101", "pimouse", "turtlebot4")
 SCENARIOS = ("office", "hall", "campus")
-FIRST_SEED = 2000  # of a scenario: nothing else looks at these drives
-FAR_S = 60.0  # between two scans of a relation: beyond, no filter bridges them without closing a loop
+FIRST_SEED = 2000  # of a scenario: these drives are not used elsewhere
+FAR_S = 60.0  # s between two scans of a relation from which the filter needs a loop closure
 EXTRA_RANGE, DROPPED = 0.008, 0.02  # m of extra range noise, share of scans dropped
 EPOCH_S = 1e9  # s: the stamps of a relation plus this are those of the logs in docs/maps.md
 
@@ -130,7 +130,7 @@ def judged(name: str, run: Estimates, drive: Drive) -> Row:
 
 
 def at_laser(run: Estimates, drive: Drive) -> Array:
-    """Return poses (n, 3) of the base that the configured mount gives, where the run sees the laser."""
+    """Return poses (n, 3) of the base, from the run's poses of the laser and the configured mount."""
     scans = drive.measurements["lrf"].points
     assert scans is not None
     return se2.compose(
@@ -179,7 +179,7 @@ def pose_at(t: Array, pose: Array, when: Array) -> Array:
     return se2.compose(pose[k], se2.exp(share[:, None] * se2.log(step)))
 
 
-FORMS = {  # of the figures of a run
+FORMS = {  # figure of a run -> its format
     "error_m": "{:.3f} m", "heading_deg": "{:.2f}°", "inside": "{:.0%}", "far_error_m": "{:.3f} m",
     "far_inside": "{:.0%}", "anees": "{:.3g}", "lost_s": "{:.1f} s",
 }  # fmt: skip

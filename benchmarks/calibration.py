@@ -20,7 +20,7 @@ LIGHT = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")
 
 
 def work(seed: int, sets: tuple[str, ...]) -> Row:
-    """Run both experiments of one seed, wheels and truth only, and calibrate on both."""
+    """Simulate both experiments of one seed, with wheels and truth only, and calibrate with both logs."""
     runs = [experiment.simulated(name, (*LIGHT, *sets), seed) for name in ("straight_runs", "turns_on_the_spot")]
     found = calibrate_wheels([run.measured()[0] for run in runs])
     return {

@@ -1,7 +1,7 @@
 """A floor of 160 x 100 m as a scenario: python -m benchmarks.campus > campus.toml.
 
-Three corridors each way, of 2.4 m, with rooms on both sides whose doors are closed, ajar or open. The first loop
-is half a kilometre long and the drive 1.4 km: what no shipped building asks of a map.
+There are three corridors in each direction, 2.4 m wide, with rooms on both sides; doors are closed, ajar or open.
+The first loop is half a kilometre long, and the drive 1.4 km: more than in any shipped building.
 """
 
 from __future__ import annotations

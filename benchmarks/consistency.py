@@ -3,21 +3,22 @@
     python -m benchmarks.consistency --drives 30
     python -m benchmarks.consistency --drives 10 --case "laser alone" --case "laser at 40 Hz"
 
-Each row is a case: the mean over drives with the worst in brackets, and the goals. `walls` is the smallest sigma
-of a map line's direction at the end, over the sigma of the heading at the first scan. With a laser alone it must
-not fall below 1: nothing that is measured can improve it. Nothing is judged where the filter says it is lost.
+Each row is a case: the mean over drives with the worst drive in brackets, and the goals. `walls` is the smallest
+sigma of a map line's direction at the end, divided by the sigma of the heading at the first scan. With a laser
+alone this ratio must not fall below 1, since no measurement can improve the direction of the map. Times at which
+the filter reports that it is lost are not evaluated.
 
-The robot is the simulator's own, on the rounded rectangle. It begins to drive at once. Its first scan comes at
-0.6 s, in motion, when the heading is uncertain by 1 degree: only an absolute heading can ever improve that. The
-compass has no iron: its 2 degrees are white noise, and the filter knows that. Thirty drives give an ANEES near 1
-to about 0.1. A start that is drawn, and that nothing observes, errs by one draw in a whole drive: the starts of
-the usual 30 seeds alone have an ANEES of 1.18, and 98 % of such drives are inside 3 sigma. A laser whose clock is
-off is judged with its clock set to what the drive and its truth show.
+The robot is the simulator's default one, on the rounded rectangle. It begins to drive at once. Its first scan is
+at 0.6 s, in motion, when the heading is uncertain by 1 degree: only an absolute heading can improve that later.
+The compass has no iron: its 2 degrees are white noise, as configured. With thirty drives, an ANEES near 1 is known
+to about 0.1. If the start is drawn at random and not observed, its error is the same in the whole drive: the
+starts of the usual 30 seeds alone have an ANEES of 1.18, and 98 % of such drives are within 3 sigma. If the
+laser's clock is wrong, the offset that drive and truth show is set.
 
-Below the table stands what no filter can beat: the posterior Cramer-Rao bound (Tichavsky, Muravchik and Nehorai
-1998) of a filter that knows the true walls, from the first scan on. It uses every beam with its own noise, and the
-wheels with theirs. A scan is used from its end on: the truth's stamps of the cases fall into the first half of a
-sweep, where the product too has only the scan before. A filter that must estimate the walls knows less.
+Below the table is a lower bound for the error of any filter: the posterior Cramer-Rao bound (Tichavsky, Muravchik
+and Nehorai 1998) of a filter that knows the true walls, from the first scan on. It uses every beam and the wheels,
+each with their noise. A scan is used from its end on: the truth's stamps of these cases are in the first half of a
+sweep, where locfuse too has only the scan before. A filter that must estimate the walls has less information.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from locfuse.sample_logs.world import Plan, cast
 
 SCENARIO = "rounded_rectangle"
 LASER, COMPASS = ("lrf",), ("compass", "lrf")
-OFFSET = "compass.offset_deg=-65"  # the true one: the simulated north lies 65 degrees from the map's x axis
+OFFSET = "compass.offset_deg=-65"  # the true offset: the simulated north is 65 degrees from the map's x axis
 STANDING = (
     *("camera.enabled=false", "truth.rate=10", "compass.noise_deg=2", "compass.sigma_deg=2"),
     *("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]"),
@@ -55,7 +56,7 @@ MOVING = (*STANDING, "control.wait=0", "lrf.phase=0.6")
 LATE_S = 0.02
 LATE_CLOCK = f'faults=[{{kind="clock_offset", sensor="lrf", seconds={LATE_S}}}]'
 Span = tuple[float, float]  # s since the first wheel reading: from, to
-# figure -> least and most; or another case and the most of its figure
+# figure -> smallest and largest value; or another case, and the largest ratio to its figure
 Goals = dict[str, tuple[float | str, float]]
 
 
@@ -70,7 +71,7 @@ class Case(msgspec.Struct, frozen=True):
     scenario: str = SCENARIO
     smooth: bool = False  # the smoothed estimate is judged
     aligned_from: float = 0.0  # s since the first wheel reading: the aligned error counts from here
-    unknowable: Span = (0.0, 0.0)  # not judged, since no sensor can know yet
+    unknowable: Span = (0.0, 0.0)  # not evaluated, since no sensor has observed the state yet
 
 
 def dropout(sensor: str, start: float, end: float) -> str:
@@ -79,12 +80,12 @@ def dropout(sensor: str, start: float, end: float) -> str:
 
 
 def vague(degrees: float, metres: float) -> tuple[str, ...]:
-    """Return the settings of a moving drive with an uncertain start (sigmas), which is off by a draw from them."""
+    """Return the settings of a moving drive whose start has these sigmas, with an error drawn from them."""
     return (*MOVING, f"start.sigma_theta_deg={degrees}", f"start.sigma_xy={metres}")
 
 
 def up_to(anees: float, least: float = 0.0, **goals: float | tuple[float | str, float]) -> Goals:
-    """Return goals: ANEES at most `anees`, 99 % of errors within 3 sigma, and others (one number: a minimum)."""
+    """Return goals: ANEES at most `anees`, 99 % of errors within 3 sigma, and `goals` (one number: a minimum)."""
     both = {name: goal if isinstance(goal, tuple) else (goal, math.inf) for name, goal in goals.items()}
     return {"anees": (least, anees), "inside": (0.99, 1.0), **both}
 
@@ -95,7 +96,7 @@ PLACED = 'faults=[{kind="kidnap", start=30, end=30.1, x=-0.5, y=-0.5, theta_deg=
 CARRIED = (29.9, 30.3)
 GPS = ("gps.enabled=true", "gps.rate=5")
 ORIGIN = ("gps.topic=/gps/fix", "gps.origin=[21.038, 105.782]", "gps.east_deg=0")
-# a precise laser whose beams err by a fixed 6 mm: over the scans of a robot at rest this never averages out
+# a precise laser with a constant error of 6 mm in each beam, which does not average out while the robot is at rest
 PATTERN = (*STANDING, "lrf.pattern=0.006", "lrf.sigma_range=0.004", "lrf.sigma_angle_deg=0.05")
 FAR, NEAR = vague(20, 0.5), vague(5, 0.1)
 PLACED_FAR, LATE = (*FAR, PLACED), (*MOVING, LATE_CLOCK)
@@ -140,15 +141,15 @@ NAMED = {case.name: case for case in CASES}
 class Figures(NamedTuple):
     """Figures of one drive against truth, or their means over drives."""
 
-    anees: float  # of x, y and heading together, per degree of freedom: 1 is right
-    position: float  # mm, rmse as estimated
-    aligned: float  # mm, rmse after the best rigid motion onto the truth: the shape alone
-    inside: float  # share of all errors of x, y and heading within 3 of their sigmas
-    walls: float  # smallest sigma of a map line's direction at the end, over that of the heading at the first scan
+    anees: float  # of x, y and heading together, per degree of freedom: 1 is consistent
+    position: float  # mm, rmse without alignment
+    aligned: float  # mm, rmse after the best rigid alignment with the truth
+    inside: float  # share of all errors of x, y and heading within 3 sigma
+    walls: float  # (smallest sigma of a map line's direction at the end) / (heading sigma at the first scan)
 
 
 def drive_of(case: Case, seed: int) -> tuple[Drive, Robot]:
-    """Simulate and measure one drive; a shifted laser clock is set as estimated by truth."""
+    """Simulate and measure one drive; if the laser's clock is shifted, set the offset that the truth shows."""
     drive, robot = simulated(case.scenario, case.sets, seed).measured(case.given)
     if LATE_CLOCK not in case.sets:
         return drive, robot
@@ -159,7 +160,7 @@ def drive_of(case: Case, seed: int) -> tuple[Drive, Robot]:
 
 
 def judged(case: Case, seed: int) -> Figures:
-    """Fuse one drive and judge it, except while the filter is lost and in the unknowable span."""
+    """Fuse and evaluate one drive, except while the filter is lost and in the case's `unknowable` span."""
     drive, robot = drive_of(case, seed)
     run = fuse_and_smooth(drive, robot, case.sensors)[1] if case.smooth else fuse(drive, robot, case.sensors)
     spans = (*run.lost, case.unknowable)
@@ -189,7 +190,7 @@ def inside(judged: Evaluation) -> float:
 
 
 def walls_kept(estimates: Estimates, drive: Drive) -> float:
-    """Return the smallest sigma of a line's direction at the end over that of the heading at the first scan."""
+    """Return (smallest sigma of a line's direction at the end) / (sigma of the heading at the first scan)."""
     heading = math.sqrt(estimates.triangles[drive.instant["lrf"][0], 5])
     directions = [math.sqrt(line.P_map[1, 1]) for line in estimates.final_map]
     return min(directions) / heading if directions and heading > 0 else math.nan
@@ -240,18 +241,18 @@ def table(rows: list[Row]) -> Iterator[str]:
 
 # --- the bound
 
-PIECES = 12  # of a sweep: its beams are used piece by piece, with the wheels' slips in between
-STEP = 1e-6  # m, rad: of the derivatives
-MAX_SLOPE = 50.0  # m/m: beyond, a beam grazes a wall or passes its end by less than a step
+PIECES = 12  # pieces of a sweep, with the wheels' noise in between
+STEP = 1e-6  # m, rad: step of numerical derivatives
+MAX_SLOPE = 50.0  # m/m: with a larger derivative, a beam grazes a wall or passes its end within one step
 
 
 class Roll(NamedTuple):
-    """The true drive: poses, and the distance rolled by each wheel."""
+    """True motion of a drive: poses, and the distance rolled by each wheel."""
 
     t: Array  # (n,) s
     pose: Array  # (n, 3)
     rolled_t: Array  # (k,) s
-    rolled: Array  # (k, 2) m, left and right, never falling
+    rolled: Array  # (k, 2) m, left and right, sum of absolute distances
 
     @classmethod
     def of(cls, outcome: Outcome) -> Roll:
@@ -267,7 +268,7 @@ class Roll(NamedTuple):
 
 
 def bound(scenario: Scenario, seed: int, outcome: Outcome) -> tuple[float, float]:
-    """Return the lower bound of the rms position error [m]: at the truth's stamps, and at the end of scans."""
+    """Return the lower bounds of the rms position error [m]: at the truth's stamps, and at the ends of scans."""
     roll, plan = Roll.of(outcome), Simulation(scenario, seed).scene.plan(scenario.lrf.z)
     lrf, wheels, end = scenario.lrf, scenario.wheels, float(roll.t[-1])
     scans = np.arange(lrf.phase, end - lrf.duration, 1.0 / lrf.rate)

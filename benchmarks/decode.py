@@ -1,7 +1,7 @@
 """Read and decode a whole log, as one process: python -m benchmarks.decode stock|rosbags|ours LOG.
 
-`stock` is what a good engineer writes with public packages: python mcap, mcap-ros2-support, cv2.imdecode. `ours`
-reads the columns that the product reads.
+`stock` uses public packages: mcap, mcap-ros2-support, cv2.imdecode. `rosbags` uses the package rosbags. `ours`
+reads the columns that locfuse reads.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python -m benchmarks.dependencies           print the table of docs/install.md
 
-Sizes are those of the installed files (of this platform), imports the CPU time of a fresh interpreter less that of
-an empty one, the least of five. `locfuse --help` imports click only.
+A size is that of the installed files on this platform. An import time is the CPU time of a new interpreter that
+imports the package, minus that of an empty one: the smallest of five runs. `locfuse --help` imports only click.
 """
 
 from __future__ import annotations

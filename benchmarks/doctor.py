@@ -2,8 +2,8 @@
 
     python -m benchmarks.doctor --drives 20
 
-Random tours with a robot.toml that is right but for one key: the value that `info` then says to set is compared
-with the right one. A complaint about anything else, or about a robot.toml that is right, is a false alarm.
+Random tours with one wrong key in robot.toml: the value that `info` proposes is compared with the right one. A
+finding about another key, or about a right robot.toml, is a false alarm.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import on_truth, write_log
 
-# key, wrong value, right value, how far a fix may be off (0: a word), and a key that has to follow
+# key, wrong value, right value, largest error of the fix (0: a word), and a key that has to change with it
 WRONG: tuple[tuple[str, str, str, float, str], ...] = (
     ("lrf.time_offset", "0.3", "0", 0.08, ""),
     ("compass.time_offset", "-0.3", "0", 0.08, ""),
@@ -47,7 +47,7 @@ def findings(log: Path, *sets: str) -> list[Finding]:
 
 
 def work(seed: int) -> Row:
-    """Return false alarms of a right tour; for each wrong setting the error of its fix, and the other findings."""
+    """Return false alarms without a wrong setting; for each wrong setting its fix's error, and other findings."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "tour.mcap"
         outcome = write_log(load("tour", ("camera.enabled=false", "control.estimator=truth")), seed, on_truth, log)

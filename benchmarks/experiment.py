@@ -1,15 +1,15 @@
 """Experiments with many drives and one table: cases x seeds -> rows -> table, resumable, in parallel.
 
-A question of benchmarks/ is a function that makes the row of one task, and one that makes a table of all rows:
+An experiment consists of a function that makes the row of one task, and a function that makes a table of all rows:
 
     found = experiment.rows(work, [(case, seed) for seed in seeds for case in cases], Path("out.jsonl"), jobs=2)
 
-Most are a command of these two: `main = experiment.command(work, table, CASES)`. `simulated` makes their drives.
+`main = experiment.command(work, table, CASES)` makes a command of both. `simulated` makes the drives.
 
-`work(*task)` returns a dict that JSON can hold. Every row is appended to the file as soon as it is there; tasks
-that the file holds are not done again, so that an experiment can be stopped at any time. A task that raises an
-error is a row as well, with the error's words under "failed", and is done again the next time. Delete the file
-when the code changes: all rows of a table are of one state of it.
+`work(*task)` returns a dict that JSON can store. Every row is appended to the file at once, and tasks with a row
+in the file are not repeated, so that an experiment can be stopped at any time. If a task raises an error, its row
+has the message under "failed", and the task is repeated in the next run. Delete the file when the code changes:
+all rows of a table must be made by the same code.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.simulate import Outcome
 
-FIRST_SEED = 1000  # the shipped logs use small seeds: nothing here has been looked at before
+FIRST_SEED = 1000  # the shipped logs use small seeds; drives with these seeds are not used elsewhere
 Task = tuple[str | int | bool, ...]
 Row = dict[str, Any]
 Work = Callable[..., Mapping[str, Any]]
@@ -69,7 +69,7 @@ class Simulated(NamedTuple):
 
 @lru_cache(maxsize=16)
 def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> Simulated:
-    """Return a drive of a scenario under more settings of it; tasks in a row often share their drives."""
+    """Return a drive of a scenario with changed settings; it is cached, since tasks often share a drive."""
     topics, tables, outcome = in_memory(load(scenario, sets), seed)
     roles = ("wheels", "truth", *REGISTRY)
     streams = {r: topics[tables[r]["topic"]] for r in roles if r in tables and tables[r].get("topic") in topics}
@@ -109,10 +109,11 @@ def locfuse(*words: Any) -> Done:
 def in_processes(work: Callable[[Any], Any], units: Iterable[Any], jobs: int) -> Iterator[tuple[Any, Any]]:
     """Yield (unit, result of `work`) for each unit, in the order in which they finish.
 
-    Each runs in a forked process of its own. One that dies takes no other along: its answer is a RuntimeError.
+    Each unit runs in its own forked process. If a process dies, its result is a RuntimeError, and the others go
+    on.
     """
     fork, left = multiprocessing.get_context("fork"), iter(units)
-    running: dict[Any, Any] = {}  # the end where its answer comes -> process, unit
+    running: dict[Any, Any] = {}  # pipe end that receives the result -> process, unit
     while True:
         for unit in itertools.islice(left, jobs - len(running)):
             end, its_end = fork.Pipe(duplex=False)
@@ -149,15 +150,15 @@ def rows(
 
     Args:
         work: makes one row.
-        tasks: what it is called with.
-        out: a file of rows, one JSON object per line; None: nothing is kept.
-        jobs: processes; 1 works in this one.
-        about: options under which the rows are made; a row of other options is not taken from the file.
+        tasks: arguments of `work`, a tuple for each row.
+        out: a file of rows, one JSON object per line; None: rows are not stored.
+        jobs: number of processes at a time; 1: in this process.
+        about: options of the experiment; rows that were made with other options are not read from the file.
     """
     wanted, options = list(tasks), json.loads(json.dumps(about or {}))
     done = {tuple(row["task"]): row for row in _kept(out) if FAILED not in row and row.get("about", {}) == options}
     left = [task for task in wanted if task not in done]
-    scratch()  # of this process, which removes it, and not of another one
+    scratch()  # create the folder in this process, which removes it at its end
     for made in map(partial(_row, work), left) if jobs == 1 else _in_turn(work, left, jobs):
         row = {**made, "about": options} if options else made
         done[tuple(row["task"])] = row
@@ -188,7 +189,7 @@ def _in_turn(work: Work, tasks: Iterable[Task], jobs: int) -> Iterator[Row]:
 def _row(work: Work, task: Task) -> Row:
     try:
         return {"task": list(task), **work(*task)}
-    except Exception as error:  # whatever it is, the other tasks go on
+    except Exception as error:  # any error; the other tasks go on
         where = traceback.extract_tb(error.__traceback__)[-1]
         return {"task": list(task), FAILED: f"{type(error).__name__}: {error} ({where.name}, line {where.lineno})"}
 
@@ -230,12 +231,12 @@ def command(
     """Return a command that runs `work` on every case and seed and prints `table` of the rows.
 
     Args:
-        work: called with (case, seed), of which either may be missing, and the values of `options`.
-        table: returns lines of the rows that did not fail.
-        cases: names; `--case` takes those that hold a word.
-        drives: seeds, unless `--drives` says another number; 0: cases have none, they are recorded logs.
+        work: called with (case, seed) and the values of `options`; case or seed is left out if there is none.
+        table: returns lines of text for the rows that did not fail.
+        cases: names; `--case WORD` selects those that contain the word.
+        drives: default of `--drives`, the number of seeds; 0: the cases are recorded logs, without seeds.
         first: the first seed.
-        options: more options of the command; they change the rows.
+        options: more options of the command, which are passed to `work`.
     """
 
     def main(

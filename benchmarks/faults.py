@@ -2,9 +2,9 @@
 
     python -m benchmarks.faults --drives 10
 
-A sensor fault may make `all` at most twice as wrong as `all` without that sensor; a wheel slip at most
-three times as wrong as the same drive without it. Outside the fault (plus 5 s) the filter must stay consistent. A
-clock offset must be reported within 20 ms, and cost nothing once it is set.
+With a sensor fault, the error of `all` may be at most twice the error of `all` without this sensor. With a wheel
+slip, it may be at most three times the error of the same drive without the slip. Outside the fault (plus 5 s) the
+filter must stay consistent. A clock offset must be reported within 20 ms, and have no effect once it is set.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Case(NamedTuple):
     """One fault, the sensor it affects, and the allowed ratio of the error of `all` to its reference."""
 
     fault: str  # inline TOML
-    sensor: str  # the yardstick is `all` without it; "" = `all` without the fault
+    sensor: str  # the reference is `all` without this sensor; "": `all` without the fault
     factor: float
 
 
@@ -76,7 +76,7 @@ def driven(fault: str, seed: int) -> Simulated:
 def work(name: str, seed: int) -> Row:
     """Return the error [m] with the fault and that of the reference, and the ANEES outside the fault.
 
-    A clock offset is set as it was reported: `off` [s] by the error of that.
+    For a clock offset, the reported value is set first; `off` [s] is the error of this value.
     """
     case, found = CASES[name], {}
     run = driven(case.fault, seed)

@@ -1,4 +1,4 @@
-"""A floor plan as an image and a YAML file for ROS map_server: an occupancy grid of static things."""
+"""A floor plan as an image and a YAML file for ROS map_server: an occupancy grid of walls and furniture."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from locfuse.fusion.data import Array
 from locfuse.sample_logs.table import Point
 from locfuse.sample_logs.world import Plan
 
-OCCUPIED, UNKNOWN, FREE = 0, 205, 254  # grey levels that map_server writes itself
-MARGIN = 0.5  # m around everything
-SHIFT = 8  # bits of a pixel's fraction: lines are drawn between places, not between cells
+OCCUPIED, UNKNOWN, FREE = 0, 205, 254  # grey levels, as written by map_server
+MARGIN = 0.5  # m around all segments and circles
+SHIFT = 8  # bits of a pixel's fraction, so that ends of lines are not rounded to cells
 
 
 class FloorPlan(NamedTuple):
@@ -27,12 +27,12 @@ class FloorPlan(NamedTuple):
 
 
 def floor_plan(plan: Plan, inside: Point, cell_m: float = 0.05) -> FloorPlan:
-    """Return static things as an occupancy grid; cells not connected with `inside` are unknown.
+    """Return a plan as an occupancy grid; cells that are not connected with `inside` are unknown.
 
     Args:
         plan: segments and circles at one height, such as `scene.obstacles(0.25)`.
-        inside: m, map frame: a free place.
-        cell_m: m.
+        inside: a free position, m, map frame.
+        cell_m: size of a cell, m.
     """
     ends, radius = plan.segments.reshape(-1, 2), plan.circles[:, 2:]
     points = np.concatenate((ends, plan.circles[:, :2] - radius, plan.circles[:, :2] + radius))

@@ -1,14 +1,16 @@
-"""Damaged and lying input held to the promise: python -m benchmarks.fuzz --cases 10000.
+"""Test of the behaviour with damaged and wrong input: python -m benchmarks.fuzz --cases 10000.
 
     python -m benchmarks.fuzz --parsers 240              every parser by itself, seconds of CPU each
     python -m benchmarks.fuzz --cases 10000              random damage to whole logs, through the command line
     python -m benchmarks.fuzz --cases 10000 --directed   logs, maps and tables that are wrong on purpose (DEEDS)
 
-A parser refuses in its own words and in one line, within SLOW seconds. A command never ends in a traceback, in two
-lines, or without a result; every number of a result is finite and every covariance positive; damage that checksums
-show is counted or changes nothing; no control character of a log acts on a terminal or in a file; every input
-stays as it was. Each case is a seed and runs in a process of its own, under limits of memory and CPU time. What
-fails is saved in --keep; `--first SEED --cases 1` runs it again. Exit 1 if anything failed.
+The tested rules: a parser rejects input by an error of its own with one line, within SLOW seconds. A command ends
+with a result or with an error of one line, never with a traceback. Every number of a result is finite, and every
+covariance positive. Damage that checksums show is counted or changes nothing. Control characters of a log have no
+effect on a terminal or in a file. Input files are not changed.
+
+Each case is a seed, and runs in its own process with limited memory and CPU time. Cases that fail are saved in
+--keep; `--first SEED --cases 1` runs one again. The exit code is 1 if a case failed.
 """
 
 from __future__ import annotations
@@ -36,11 +38,11 @@ from locfuse.cli.analysis.errors import silence_overflows
 from locfuse.formats.visible import UNSEEN
 from locfuse.formats.whole_files import TEMPORARY
 
-MAX_WALL_RATIO = 20  # wall time of a case over its limit of CPU time: one that waits uses no CPU
-MIN_VARIANCE = 1e-18  # that of a nanometre: below, it is what rounding leaves of an exact start
-MAX_BYTES, MAX_CPU_S = 1 << 30, 60  # of address space on top, and CPU time, that a case may take
-TEXTS = {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"}  # files that people read
-LOSSES = ("lost", "void", "file:", "not used")  # words of a message that counts what is lost
+MAX_WALL_RATIO = 20  # largest wall time / limit of CPU time: a process that waits uses no CPU time
+MIN_VARIANCE = 1e-18  # (1 nm)^2: a smaller variance is a rounding error of an exact start
+MAX_BYTES, MAX_CPU_S = 1 << 30, 60  # limits of a case: additional address space, CPU time
+TEXTS = {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"}  # text files
+LOSSES = ("lost", "void", "file:", "not used")  # words of messages that count lost data
 
 
 @cache
@@ -116,7 +118,7 @@ def of_results(out: Path, lost: bool) -> Iterator[str]:
             yield f"{path.name} is not finite"
     if (out / "trajectory.csv").exists():
         rows = np.loadtxt(out / "trajectory.csv", delimiter=",", skiprows=1, ndmin=2)
-        P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)  # behind t, x, y, theta: its triangle
+        P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)  # columns 4 to 9 are its triangle
         scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), MIN_VARIANCE))
         least = np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min()
         if not np.isfinite(rows).all() or least < -1e-9:
@@ -138,7 +140,7 @@ def judged(make: Callable[[int], Case], seed: int) -> tuple[str, float, str]:
     with tempfile.TemporaryDirectory(dir=scratch()) as folder:
         try:
             wrong = next(problems(case, Path(folder) / "case"), "")
-        except Exception:  # of the product, or of what judges it
+        except Exception:  # an error of locfuse, or of this test
             wrong = traceback.format_exc()
     return case.title, time.process_time() - begin, wrong
 
@@ -152,7 +154,7 @@ def judged(make: Callable[[int], Case], seed: int) -> tuple[str, float, str]:
 @click.option("--jobs", default=2, show_default=True)
 @click.option("--keep", type=click.Path(path_type=Path), default=Path("fuzz-failures"), show_default=True)
 def main(parsers: float | None, jobs: int, keep: Path, **how: Any) -> None:
-    """Run random cases and print what failed."""
+    """Run random cases and print the failed ones."""
     if parsers is not None:
         raise SystemExit(all_parsers(parsers, how["first"], keep))
     make = partial(directed_case, tuple(how["deeds"].split(","))) if how["directed"] else damaged_case

@@ -35,7 +35,7 @@ LARGEST = 2_000_000  # bytes of a real log: a case must stay fast
 
 
 class Spoken(NamedTuple):
-    """One message with everything needed to write it again."""
+    """One message of a log, with schema and channel, so that it can be written again."""
 
     schema: Schema
     channel: Channel
@@ -49,7 +49,7 @@ class Case:
     title: str = ""
     log: bytes = b""
     suffix: str = ".mcap"
-    healthy: str = ""  # the log whose trajectory must come out if the damage is not noticed
+    healthy: str = ""  # undamaged log, whose trajectory must result if no damage is reported
     beside: Mapping[str, bytes] = field(default_factory=dict)  # name -> content
     words: tuple[str, ...] = ()
     command: tuple[str, ...] = ("run",)
@@ -72,7 +72,7 @@ class Case:
         for path, content in {log: self.log, **{folder / n: c for n, c in self.beside.items()}}.items():
             path.write_bytes(content)
         results = {
-            "run": ["-o", f"{folder}/out", "--write", "all"],  # what is judged stands in trajectory.csv
+            "run": ["-o", f"{folder}/out", "--write", "all"],  # trajectory.csv is evaluated
             "compare": ["-o", f"{folder}/out"],
             "recover": ["-o", f"{folder}/fixed.mcap"],
             "view": ["--save", f"{folder}/drive.rrd"],
@@ -88,7 +88,7 @@ def contents(data: bytes) -> list[Spoken]:
 
 
 def recorded(spoken: list[Spoken], robot: bytes, **options: Any) -> bytes:
-    """Write messages as they are given, by the public writer; channels and schemas by their content."""
+    """Write messages unchanged by the public writer; equal channels and equal schemas are written once."""
     file, known = io.BytesIO(), dict[Any, int]()
     writer: Any = Writer(file, **options)
     writer.start(profile="ros2", library="locfuse fuzz")
@@ -172,7 +172,7 @@ def damaged_case(seed: int) -> Case:
     return replace(base, title=f"{base.title}: {', '.join(names)}", log=data, command=command)
 
 
-# --- cases that are wrong on purpose: each deed changes one thing
+# --- cases that are wrong on purpose: each function ("deed") changes one thing
 
 STORE: Any = get_typestore(Stores.ROS2_JAZZY)
 KINDS = (
@@ -224,7 +224,7 @@ def a_topic(rng: Random, case: Case) -> tuple[str, Schema]:
 def another_definition(rng: Random, case: Case) -> Case:
     """Change a field's type in a message definition, or replace the definition by nonsense."""
     topic, schema = a_topic(rng, case)
-    lines = schema.data.decode("utf-8", "replace").split("\n")  # an earlier deed may have damaged it
+    lines = schema.data.decode("utf-8", "replace").split("\n")  # an earlier function may have damaged it
     own = [i for i, line in enumerate(lines) if len(line.split()) == 2 and "=" not in line and "MSG" not in line]
     if own and rng.random() < 0.7:
         i = rng.choice(own)
@@ -259,7 +259,7 @@ def odd_values(rng: Random, case: Case) -> Case:
             message = STORE.deserialize_cdr(one.message.data, schema.name)
             make_odd(Random(seed), message)
             data = bytes(STORE.serialize_cdr(message, schema.name))
-        except Exception:  # another deed has changed the definition, or a field cannot hold the value
+        except Exception:  # another function has changed the definition, or a field cannot store the value
             return one
         return one._replace(message=replace(one.message, data=data))
 
@@ -348,7 +348,7 @@ def filled(rng: Random, store: Any, name: str) -> Any:
 
 
 def odd_robot(rng: Random, case: Case) -> Case:
-    """Give a robot.toml of nonsense, in the log or beside it, or set one key to an odd value."""
+    """Add a robot.toml of nonsense, in the log or beside it, or set one key to an odd value."""
     if rng.random() < 0.5:
         table, kind = rng.choice(sorted(table_types().items()))
         return case.more(("--set", f"{table}.{rng.choice(kind.__struct_fields__)}={rng.choice(VALUES)}"))
@@ -359,7 +359,7 @@ def odd_robot(rng: Random, case: Case) -> Case:
 
 
 def files_beside(rng: Random, case: Case) -> Case:
-    """Give text files of nonsense: truth, landmarks, detections, a map, a baseline, an estimate."""
+    """Add text files of nonsense: truth, landmarks, detections, a map, a baseline, an estimate."""
     csv, tum, places = (mutated(name, rng) for name in ("csv", "tum", "landmarks"))
     ways: list[tuple[str, dict[str, bytes]]] = [
         ("--truth {here}/t.csv", {"t.csv": csv}),
@@ -394,7 +394,7 @@ def with_map(rng: Random, case: Case, text: str, suffix: str, files: Mapping[str
 
 
 def map_pictures(rng: Random, case: Case) -> Case:
-    """Give a map as a picture: of the room, of noise, up to the caps, of other depths, damaged."""
+    """Add a map as a picture: of the room, of noise, of the largest size, of other pixel depths, or damaged."""
     noise, side = np.random.default_rng(rng.randrange(2**32)), rng.choice((1, 2, 33, 200, 200, 200, 2000, 8200))
     grey = np.full((side, min(side, 2**26 // side)), 254, np.uint8)
     for x0, y0, x1, y1 in ((short_drive().walls + 0.5) / 0.05).round().astype(int).tolist():
@@ -417,7 +417,7 @@ IMAGES = (*["m.png"] * 12, "/dev/zero", "map.yaml", ".", "../x", "nothing.png")
 
 
 def line_maps(rng: Random, case: Case) -> Case:
-    """Give a line map of few or very many walls, some of which are odd."""
+    """Add a line map of few or very many walls, some of which are odd."""
     count = rng.choice((1, 0, 0, 64, 1000, 10_000))
     ends = (
         short_drive().walls.tolist()
@@ -430,7 +430,7 @@ def line_maps(rng: Random, case: Case) -> Case:
 
 
 def detection_files(rng: Random, case: Case) -> Case:
-    """Give detections.csv: many lines and ids, some of which are odd; with a map of landmarks, or none."""
+    """Add detections.csv with many lines and ids, some of which are odd, with or without a map of landmarks."""
     noise, count = np.random.default_rng(rng.randrange(2**32)), rng.choice((10, 100, 1000, 5000, 20_000))
     known = max(rng.choice((1, 5, count // 200, count // 20, count)), 1)
     places, which = noise.uniform((-1.0, -1.0), (9.0, 7.0), (known, 2)), noise.integers(0, known, count)

@@ -38,7 +38,7 @@ CORPUS = Path(__file__).parent / "corpus"
 SLOW, LONGEST = 5.0, 1 << 16  # s of CPU for one input of a parser, and its bytes
 REASONS = (LocfuseError, SchemaError, DamagedError)
 
-# --- what stands in the place of what is right
+# --- replacements for right bytes and words
 
 INTEGERS = (0, 1, 2, 0x7F, 0xFF, 0x7FFF, 2**31 - 1, 2**31, 2**32 - 1, 2**62, 2**63 - 1, 2**63, 2**64 - 1)
 FLOATS = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e308, -1e308, 1e-310, 1e30, -1e30, 1e9, -1.0)

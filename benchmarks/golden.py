@@ -4,14 +4,14 @@
     (cd ../before; pip install -e .; python -m benchmarks.golden --write /tmp/golden)
     python -m benchmarks.golden --check /tmp/golden         # on the code as it is now
 
-Both with the same LOCFUSE_DATA. Sample logs, simulated drives and real logs are fused under many options
-(`benchmarks.golden_cases`). Kept are poses, covariances, states, the verdict on every measurement, maps, reports
-and what commands print. Simulated logs are made when they are first needed and stay in the folder, so that both
-sides read the same bytes.
+Use the same LOCFUSE_DATA for both. Sample logs, simulated drives and real logs are fused under many options
+(`benchmarks.golden_cases`). Poses, covariances, states, the verdict on every measurement, maps, reports and the
+output of commands are recorded. Simulated logs are made when they are first needed and stay in the folder, so that
+both versions read the same bytes.
 
-Two numbers are equal within 1e-9: metres and radians of a pose, numbers of a report relative to their size (floor
-1e-12). Other columns are equal within 1e-7 of their largest number, a covariance within 1e-7 of its sigmas. Where
-an atlas closes loops, all this is ten times wider, as the solver of its graph stops at a tolerance.
+Largest differences: 1e-9 m or rad for a pose, 1e-9 relative for a number of a report (at least 1e-12), 1e-7 of the
+largest number for other columns, 1e-7 of the sigmas for a covariance. If submaps close loops, these limits are ten
+times larger, since the solver of the graph stops at a tolerance.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from locfuse.fusion.data import VERDICTS, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.predictive import listeners
 
-MOST = 500  # rows that are kept of what has one per instant or measurement; instants, rows and verdicts are whole
-LISTED = 10  # differences of a report
+MOST = 500  # largest number of recorded rows of most columns; update times and verdicts are complete
+LISTED = 10  # largest number of printed differences of a report
 WITHIN, WIDER, LOOPS = 1e-9, 100.0, 10.0
 FLOOR = 1e-12
-FIRST = ("pose", "covariance", "verdict", "state")  # of what differs, the most important
-VALUES = ""  # the name of what is no column of a run
-NOT_COMPARED = ("made_with", "locfuse", "key", "cpu_s")  # of a report
+FIRST = ("pose", "covariance", "verdict", "state")  # most important columns, printed first if they differ
+VALUES = ""  # name of the values that are not columns of a run
+NOT_COMPARED = ("made_with", "locfuse", "key", "cpu_s")  # keys of a report that may differ
 Columns = dict[str, NDArray[Any]]
 Values = dict[str, Any]
 
@@ -260,7 +260,7 @@ def main(record: Path | None, check: Path | None, only: str, quick: bool, jobs: 
             click.echo(f"{case.name}: not recorded")
             chosen.remove(case)
     needed = dict.fromkeys(name for case in chosen for name in case.simulated())
-    for name, failed in in_processes(partial(simulate, logs), needed, 1):  # cv2's threads would not outlive a fork
+    for name, failed in in_processes(partial(simulate, logs), needed, 1):  # threads of cv2 do not survive a fork
         if failed:
             raise click.ClickException(f"the log {name} could not be simulated: {failed}")
     cpu, equal = 0.0, 0

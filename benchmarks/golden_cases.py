@@ -19,7 +19,7 @@ from locfuse.sample_logs.record import to_log
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation
 
 Words = tuple[str, ...]
-LOGS, HERE = "{logs}", "{data}"  # in words: the folder of simulated logs, that of real ones
+LOGS, HERE = "{logs}", "{data}"  # placeholders for the folders of simulated and of real logs
 
 
 class Case(NamedTuple):
@@ -30,8 +30,8 @@ class Case(NamedTuple):
     sets: Words = ()
     what: str = "compare"  # or run, listen, given (the map of a first run), image, several, command
     options: Mapping[str, Any] = {}  # of `load` (order, preset, between), and of `compare` or `run`
-    words: Words = ()  # of a command, of several logs
-    slack: float = 1.0  # by which larger differences count as equal
+    words: Words = ()  # words of a command, or several logs
+    slack: float = 1.0  # factor on the largest allowed differences
 
     def simulated(self) -> list[str]:
         """Return the names of the simulated logs that the case reads."""
@@ -66,7 +66,7 @@ SIMULATED: dict[str, tuple[str, int, Words]] = {  # log -> scenario, seed, its s
     "clock": ("tour", 8, (*BLIND, 'faults=[{kind="clock_offset", sensor="lrf", seconds=0.02}]')),
     "office": ("office", 1, (OFFICE,)),
 }
-PLANNED = ("every", "tour", "office")  # whose floor plan is there as an image
+PLANNED = ("every", "tour", "office")  # scenarios with a floor plan as an image
 OTHERS = ("gyro", "pose", "twist", "landmarks", "sonar", "gps", "compass", "lrf", "camera")
 PLACES = {6: (0.5, 0.7), 7: (4.5, 1.0), 11: (4.0, 4.2), 20: (0.8, 3.9)}  # m, landmarks in the logs every_*
 
@@ -290,7 +290,7 @@ def _commands() -> Iterator[Case]:
 
 
 CALIBRATE = ("calibrate", f"{LOGS}/straight_runs.mcap", f"{LOGS}/turns.mcap", "--json", "-q")
-TUNED = 1e4  # an optimiser stops at a tolerance
+TUNED = 1e4  # slack for results of an optimiser, which stops at a tolerance
 
 
 def _real() -> Iterator[Case]:

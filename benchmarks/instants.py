@@ -1,6 +1,6 @@
 """CPU time of one update of the filter: python -m benchmarks.instants. A Markdown table with goals.
 
-Microseconds are medians of `Filter.advance` over all instants of a kind, with the kernels as they are installed.
+The times are medians of `Filter.advance` over all update times of a kind, with the installed kernels.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from locfuse.fusion.fuse import Filter, due_readings, steps_of
 
 
 class Kind(NamedTuple):
-    """Updates of one drive with certain sensors, at which exactly these readings are due."""
+    """Updates of one drive with certain sensors: those at which exactly the readings `due` are used."""
 
     name: str
     log: str

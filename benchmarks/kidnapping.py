@@ -3,9 +3,10 @@
     python -m benchmarks.kidnapping --drives 20
     python -m benchmarks.kidnapping --drives 20 --seconds 0.1
 
-After 20 s the robot is carried to a random place for `--seconds`. Marked: when the run first says that it is lost.
-Worst: the largest position error where it does not say so. Found: runs that know their place again at the end. A
-bare rectangle looks the same turned by 180 degrees: without a compass nothing may be found there.
+After 20 s the robot is carried to a random place, which takes `--seconds`. The columns: "marked", the time at
+which the run first reports that it is lost; "worst", the largest position error while it does not report that;
+"found", the runs that are relocalised at the end. A bare rectangle looks the same after a turn by 180 degrees:
+without a compass, no run may be relocalised there.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 
 AT = 20.0  # s
-SETTLES = 0.15  # s: between two scans it cannot be known
+SETTLES = 0.15  # s, more than the time between two scans: before the next scan the filter cannot be lost
 ROOMS = {"with plates": (), "bare rectangle": ("room.plates=[]",)}
 SENSORS = (("lrf",), ("compass", "lrf"))
 

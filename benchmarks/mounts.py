@@ -2,8 +2,8 @@
 
     python -m benchmarks.mounts --drives 20
 
-The laser of each drive sits where its prior allows: configured values are off by a draw from lrf.sigma_x, sigma_y
-and sigma_yaw_deg. `stated` gives the filter these sigmas, `certain` does not, `exact` gives it the true mount.
+In each drive the configured mount has an error drawn from lrf.sigma_x, sigma_y and sigma_yaw_deg. In the case
+`stated` the filter uses these sigmas, in the case `certain` sigmas of 0, in the case `exact` the true mount.
 """
 
 from __future__ import annotations

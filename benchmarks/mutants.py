@@ -1,9 +1,9 @@
 """Mutation test: change one operator, number or guard at a time, and see whether the file's tests fail.
 
-Only tests of the thing itself count (TESTS names them by file). Pages whose printed figures change tell that
-something changed and not that it is wrong, so they are not run. Kernels that are changed run interpreted, and
-tests that hold the interpreted form to the compiled one are left out: they would notice every change.
-Every mutant is printed: its line, and the expression before and after.
+A guard is an `if` with only a raise, return, continue or break. Only direct tests of a file count (TESTS names
+them). Tests that compare printed numbers of pages are not run: they show that a number changed, not that it is
+wrong. Changed kernels run interpreted, without the tests that compare interpreted and compiled kernels, since
+these would fail for every change. Every mutant is printed: its line, and the expression before and after.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import click
 
 ROOT = Path(__file__).parents[1]
 MCAP = tuple(f"tests/container/test_mcap_{name}.py" for name in ("chunk", "survey", "elsewhere", "walk"))
-# files: the tests that must know what is right there, the sharpest and fastest first
+# file -> tests that must fail if it is wrong, the strictest and fastest first
 TABLE = """
 fusion/se2: fusion/se2
 fusion/ekf/belief_arrays: ekf map/small_maps fusion/fuse
@@ -80,16 +80,16 @@ SWAPPED: Swaps = {
     ast.RShift: ast.LShift, ast.And: ast.Or, ast.Or: ast.And, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.USub: ast.UAdd,
 }  # fmt: skip
-# of floats, which are never at the bound; of whole numbers, as readers compare
+# changed comparisons: of floats, which are never exactly at the limit; of integers, as in readers
 OPPOSITE = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt}
 BOUND = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
 SIZES = re.compile(r"MAX_|\w+_(BYTES|AT_ONCE)\b")  # whole numbers with such names cap or divide work
 LEAVES = ast.Raise | ast.Return | ast.Continue | ast.Break  # a guard is an `if` of one such statement
 NAMES = {"cos": "sin", "sin": "cos", "min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum"}
-TOLERANCE = 1e-6  # a number up to this guards against rounding: twice as large, it does so as well
-INFINITE = 1e9  # a number from here on stands for one that none reaches: twice as large, it does so as well
-MANY = 64  # a whole number from here on says how many are enough: one more, it does so as well
-PATIENCE = 1800  # s for the tests of one mutant: one that hangs is noticed
+TOLERANCE = 1e-6  # smaller numbers are tolerances for rounding: doubling one does not matter
+INFINITE = 1e9  # larger numbers stand for infinity: doubling one does not matter
+MANY = 64  # larger integers are rough counts: one more does not matter
+PATIENCE = 1800  # s, longest time for the tests of one mutant
 
 
 class Mutant(NamedTuple):
@@ -173,7 +173,7 @@ def laid_out(folder: Path, interpreted: bool) -> Path:
     left_out = shutil.ignore_patterns("__pycache__", *(("*.so", "*.pyd") if interpreted else ()))
     for name in ("fusion", "formats"):
         shutil.copytree(ROOT / name, package / name, ignore=left_out)
-        # bytecode that knows its source by its content: a changed file is noticed within the same second
+        # bytecode that is checked by the content of its source, so that a change within the same second is noticed
         compileall.compile_dir(package / name, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
     return package
 
@@ -201,7 +201,7 @@ def main(count: int, seed: int, only: str | None, least: float) -> None:
     rng = random.Random(seed)
     every = [list(mutants(file)) for file in TESTS if only is None or only in file]
     each = [rng.sample(found, len(found)) for found in every]
-    drawn = [found[i] for i in range(count) for found in each if i < len(found)][:count]  # as many of each file
+    drawn = [found[i] for i in range(count) for found in each if i < len(found)][:count]  # equally many per file
     survivors = 0
     with tempfile.TemporaryDirectory() as folder:
         package = laid_out(Path(folder), any("kernels" in m.file for m in drawn))

@@ -1,11 +1,11 @@
-"""Accuracy of noise verdicts: many wrong settings, without truth; is the right sensor named with the right fix?
+"""Accuracy of noise verdicts without truth: how often is the right sensor named, with the right fix?
 
     python -m benchmarks.noise_verdicts --seeds 20
 
-Each seed is one lap of the paper's robot. The filter is given the noise that the simulator drew, except for one
-setting that is wrong; `compare`'s runs are judged. Right is: the sensor's verdict is the expected one, its key
-gets a right value, and no other sensor is named. A clean drive gets no complaint. The simulated camera is more
-exact than any real mirror, so 0.5 degrees of white noise are added to its bearings.
+Each seed is one lap of the paper's robot. The filter uses the noise of the simulator, except for one wrong
+setting, and the verdicts of `compare` are evaluated. They are right if the sensor has the expected verdict, its
+key gets a right value, and no other sensor is named. Without a wrong setting, no sensor may be named. The
+simulated camera is more exact than any real mirror, so 0.5 degrees of white noise are added to its bearings.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Case(NamedTuple):
 
     sets: tuple[str, ...] = ()
     verdict: str = ""
-    right: tuple[float, float] = (-math.inf, math.inf)  # between which the value of the first key is right
+    right: tuple[float, float] = (-math.inf, math.inf)  # interval of right values of the first key
 
     @property
     def key(self) -> str:
@@ -43,7 +43,7 @@ class Case(NamedTuple):
         return self.sets[0].partition("=")[0] if self.sets else ""
 
 
-DEGREES, METRES = (0.3, 0.8), (0.015, 0.06)  # around the noise that was drawn
+DEGREES, METRES = (0.3, 0.8), (0.015, 0.06)  # right values: intervals about the simulated noise
 SLOW_CASE = "compass noise of 2 s"
 CASES = {
     "clean": Case(),

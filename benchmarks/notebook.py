@@ -3,8 +3,9 @@
     python -m benchmarks.notebook           exit 1 where a notebook differs from what its cells print today
     python -m benchmarks.notebook --write   put today's outputs into the notebooks
 
-A cell's output is what it prints, the value of its last expression, and the figures that it draws. It needs no
-Jupyter: a notebook is JSON (nbformat 4). Figures are not compared, their bytes depend on the fonts of the machine.
+A cell's output is the text that it prints, the value of its last expression, and the figures that it draws.
+Jupyter is not needed: a notebook is JSON (nbformat 4). Figures are not compared, since their bytes depend on the
+fonts of the machine.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Make docs/images/observability.svg: python -m benchmarks.observability
 
-What a filter claims to know of one wall's direction in the map while a laser alone drives a lap: with the map
-frame as states, and without, where pose and lines stand in the map itself (the usual EKF-SLAM, and version 0.1).
+It shows the claimed sigma of one wall's direction in the map during a lap with a laser alone, for two filters. One
+has the pose of a local frame in the map as states. In the other one (the usual EKF-SLAM, and version 0.1), pose
+and lines are relative to the map itself.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ PICTURE = Path(__file__).parents[1] / "docs" / "images" / "observability.svg"
 
 
 class WithoutFrame(Filter):
-    """The filter whose map has no frame of its own."""
+    """Filter without a local frame: pose and lines are relative to the map."""
 
     def _begin_frame(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         return

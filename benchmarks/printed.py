@@ -2,8 +2,8 @@
 
     python -m benchmarks.printed --drives 20
 
-Both filters get the same measurements of the same simulated drives, and the same figures judge them. A row called
-`repaired` is the printed filter with some of its equations put right, the rest as printed.
+Both filters process the same measurements of the same simulated drives, and are evaluated in the same way. A row
+called `repaired` is the printed filter with some corrected equations.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
     python -m benchmarks.readme           exit 1 where a page differs from what its commands print today
     python -m benchmarks.readme --write   put today's output into the pages
 
-A block is a fence of ```console with lines `$ locfuse ...`, each followed by its stdout, if it is not sent to
-/dev/null. On a Python page every fence of ```python is run in page order, in one namespace, and a fence of ```text
-below it holds what it prints.
+A ```console block has lines `$ locfuse ...`, each followed by its stdout, unless that is sent to /dev/null. On a
+Python page, all ```python blocks are run in page order, in one namespace; a ```text block after one has its
+output.
 """
 
 from __future__ import annotations

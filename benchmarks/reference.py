@@ -27,8 +27,8 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 MADE = "Made by `python -m benchmarks.reference --write`; do not edit.\n"
 WIDTH = 100
-MIN_SHARED = 3  # tables that hold a key with the same words: it stands once on the page
-FIRST_KEYS = {  # of robot.toml: what users set first
+MIN_SHARED = 3  # a key that this many tables have, with the same description, is listed once on the page
+FIRST_KEYS = {  # keys of robot.toml that users set first
     "wheels": "topic radius track ticks_per_revolution noise time_offset",
     "start": "x y theta_deg",
     "truth": "topic sigma",

@@ -1,13 +1,13 @@
-"""Agreement of verdicts by a reference with those by truth: logs with a truth, judged with it and without it.
+"""Agreement of the verdicts on sensors by a reference with those by truth, for logs with a truth.
 
     LOCFUSE_DATA=... python -m benchmarks.references
     python -m benchmarks.references --log rounded_triangle
 
-Each log is compared twice: by its truth, and with the truth hidden, so that only a reference and prediction judge.
-The sample logs are also compared under wrong settings, where a sensor harms. Printed are both verdicts of every
-sensor, and the error of its own configuration by truth and by reference (*: which has the sensor in it). A sensor
-helps or hurts, or neither: verdicts agree where they say the same of that, and contradict where one says helps and
-the other hurts.
+Each log is compared twice: by its truth, and without the truth, by a reference and by predictions. The sample logs
+are also compared under wrong settings, with which a sensor makes the estimate worse. The table has both verdicts
+of every sensor ("helps", "hurts", or neither), and the error of its own configuration by truth and by reference
+(*: a reference that uses the sensor). Verdicts agree if they are equal, and contradict if one is "helps" and the
+other one "hurts".
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def work(name: str) -> Row:
 
 
 def judged(sensor: str, by_truth: dict[str, Any], hidden: dict[str, Any]) -> Row:
-    """Return one sensor's verdicts by truth and by reference; `error` [m]: with this sensor alone, by both."""
+    """Return one sensor's verdicts by truth and by reference, and both errors [m] of this sensor alone."""
     name = next(n for n, v in hidden["configurations"].items() if list(v["sensors"]) == [sensor])
     shared = (hidden["configurations"][name]["reference"] or {"shared": [sensor]})["shared"]
     return {

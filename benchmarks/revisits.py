@@ -1,10 +1,10 @@
-"""Accuracy of figures without truth: do revisit agreement and crispness rank paths like their errors?
+"""Accuracy of two measures without truth: do revisit agreement and crispness rank paths like their errors?
 
     LOCFUSE_DATA=... python -m benchmarks.revisits
 
-Every log with a laser and a truth is fused in several ways, some of them wrong on purpose. Of each two rows whose
-errors differ by a fifth, agreement should be higher and cells fewer in the better one. A pair is asked only where
-the figures differ enough to say something (MIN_HINT, MIN_RATIO), as in the report.
+Every log with a laser and a truth is fused in several ways, some of them wrong on purpose. If the errors of two
+paths differ by a fifth, the better one should have the higher agreement, and a crisper map: fewer occupied cells.
+A pair counts only if the measures differ enough (MIN_HINT, MIN_RATIO), as in the report.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ WAYS: dict[str, dict[str, Any]] = {  # how a log is fused, beside odometry: name
     "without recovery": {"lrf.recover": False},
 }
 FORMS = (".3f", ".0%", ".0f")  # of a path's figures: error, agreement, cells
-MIN_DIFFERENCE = 1.2  # of two errors that count as different
-MIN_RATIO = 1.2  # of cells
+MIN_DIFFERENCE = 1.2  # least ratio of two errors that count as different
+MIN_RATIO = 1.2  # least ratio of the numbers of cells
 
 
 def work(name: str) -> Row:

@@ -1,7 +1,7 @@
 """A sample of docstrings for a new reader to mark: python -m benchmarks.riddles --seed 7.
 
-Prints first paragraphs drawn from the product. A riddle is one that a student who reads English as a second
-language must read twice. The reader's marks stand in benchmarks/riddles.md.
+It prints first paragraphs drawn at random. A riddle is a paragraph that a student who reads English as a second
+language must read twice. The results are in benchmarks/riddles.md.
 """
 
 from __future__ import annotations

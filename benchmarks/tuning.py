@@ -4,8 +4,8 @@
     python -m benchmarks.tuning --drives 1 --scenario straight_runs
     python -m benchmarks.tuning --drives 1 --set camera.enabled=true
 
-Standard deviations are configured 10 times too large and too small (wheels.noise, a variance: 100 times). The
-table says what was found over what the simulator drew from. The compass has no iron, so that its noise is white.
+Standard deviations are configured 10 times too large or too small (wheels.noise, a variance: 100 times). The table
+has the ratios of tuned to simulated noise. The compass has no iron, so that its noise is white.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ WHITE = (
 
 
 def work(seed: int, scenario: str, sets: tuple[str, ...]) -> Row:
-    """Return the tuned noise over the true noise for one simulated drive, and the CPU time [s]."""
+    """Return the ratio of tuned to true noise for one simulated drive, and the CPU time [s]."""
     run = experiment.simulated(scenario, (*WHITE, *sets), seed)
     true, found = run.robot(), {}
     keys = [(sensor, key) for sensor in REGISTRY if sensor in run.tables for key in REGISTRY[sensor].noise_keys]

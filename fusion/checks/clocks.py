@@ -1,9 +1,10 @@
 """Clock checks: all pairs of clocks are compared, and the smallest set of wrong clocks is reported.
 
-Turns are compared for sensors and for a truth with headings, speeds for a truth without, at every lag. Wheels
-slip: over a lap of the paper's robot they show a lag to 7 ms at best (docs/trust.md), and slips change the lags of
-all sensors equally, while two sensors measure the same turns. The truth is one of the clocks: if two sensors have
-the same lag relative to the truth, and none to the wheels, the truth's clock is wrong.
+Two clocks are compared by turns at every lag; a truth without headings is compared by speeds. Since wheels slip,
+they show a lag to 7 ms at best over a lap of the paper's robot (docs/trust.md), and a slip changes the lags of all
+sensors equally. Two sensors measure the same turns, so their comparison has no such error. The truth is one of the
+clocks: if two sensors have the same lag relative to the truth, and no lag relative to the wheels, the truth's
+clock is wrong.
 """
 
 from __future__ import annotations
@@ -41,28 +42,28 @@ from .truth import MIN_START_ERROR_M, MIN_START_ERROR_RAD
 
 WINDOW_S = 1.0  # s over which distances are compared
 MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s
-# a truth on another clock: s of both that are compared, s between windows, windows
+# for a lag above MAX_LAG_S: s of the drive that are compared, s between windows, least number of windows
 MAX_FAR_S, FAR_STEP_S, MIN_FAR_STEPS = 600.0, 0.1, 200
-MAX_RIVAL_CORRELATION = 0.7  # at any other lag: with more, a drive that repeats itself would show several lags
-MIN_FAR_CHANGE = 0.02  # m or rad per window, 1 sigma: less shows no lag
+MAX_RIVAL_CORRELATION = 0.7  # at other lags: a drive that repeats itself would fit at several lags
+MIN_FAR_CHANGE = 0.02  # m or rad per window, least standard deviation from which a lag is found
 MIN_TRUTH_LAG_S, MAX_MISFIT_RATIO, MIN_CORRELATION = 0.06, 0.75, 0.9
 SEVERE_LAG_S = 0.1  # s: at half a metre per second and a radian per second this is centimetres and degrees
-MAX_STAMPED_RATIO = 0.85  # of the misfits with recorded and shifted stamps: nearer to 1 they do not show the clock
+MAX_STAMPED_RATIO = 0.85  # largest ratio of the misfits with recorded and with shifted stamps, to show the clock
 MIN_LAG_S = 0.01  # s: a smaller lag is not reported
 SPEED_SIGMA_S = 0.03  # s, 1 sigma of a lag by speeds or positions
-MODEL_SIGMA_S = 0.002  # s, 1 sigma of a lag beyond the one by its readings
-# of chi-square: added for these clocks, so that others are preferred
+MODEL_SIGMA_S = 0.002  # s, 1 sigma by model errors, added to the sigma of every lag
+# chi-square added to explanations with these clocks, so that other clocks are preferred
 PREFERENCE_COST = {"truth": 0.1, "wheels": 0.2}
-NEAR_CHI2 = 4.0  # of chi-square: explanations that differ by less are equally good
+NEAR_CHI2 = 4.0  # explanations whose chi-square differs by less are equally good
 CLOCK = "lag"  # code of the finding on a wrong clock
 LASER = "lrf"
-MAX_WRONG = 3  # clocks of one log
+MAX_WRONG = 3  # largest number of wrong clocks in one log
 UNEVEN = "uneven"  # code of the finding that stamps scatter about an even clock
 EQUAL = "equal stamps"  # code of the finding that messages of a topic share their stamps
-MAX_EQUAL_SHARE = 0.1  # largest share of readings with the stamp of another reading before
+MAX_EQUAL_SHARE = 0.1  # largest share of readings with the same stamp as the reading before
 MIN_SCATTER_S, MIN_SCATTER_SHARE = 0.01, 0.1  # s and share of the period, 1 sigma: less is not reported
-MAX_EVEN_CORRELATION = -0.35  # of neighbouring intervals: -0.5 about an even clock, 0 where periods vary
-MAX_ALTERNATING_CORRELATION = 0.3  # of intervals that are two apart: 0 about an even clock, 1 of long, short, long
+MAX_EVEN_CORRELATION = -0.35  # of neighbouring intervals: it is -0.5 for an even clock, 0 if periods vary
+MAX_ALTERNATING_CORRELATION = 0.3  # of every second interval: it is 0 for an even clock, 1 for long, short, long
 MIN_EVEN_PERIODS = 50
 WHEEL_LAG_SHARE = 0.1  # share of the wheels' lag that a laser's run may contain
 AS_STAMPED = Lag(0.0, 1.0, 1.0)
@@ -70,7 +71,7 @@ Pair = tuple[str, str]  # two clocks
 
 
 class Clock(NamedTuple):
-    """A clock with a wrong offset, by comparison with other clocks."""
+    """A wrong clock, with its offset by comparison with other clocks."""
 
     name: str
     offset: float  # s to add to its stamps
@@ -81,7 +82,8 @@ class Clock(NamedTuple):
 def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
     """Return findings on wrong clocks, with the time offset that corrects each.
 
-    If one of two clocks is wrong, and neither is the laser's, the laser's run in `compare` shows which: no fix.
+    If either of two clocks may be wrong, and neither is the laser's, there is no fix: the laser's run in `compare`
+    shows which clock is wrong.
     """
     explanations = wrong_clocks(differences(drive, robot), SAID_SIGMAS)
     rival = rival_of(explanations)
@@ -97,7 +99,7 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
 
 
 def rival_of(explanations: Sequence[Sequence[Clock]]) -> Clock | None:
-    """Return another clock that alone explains the lags as well as the only one of the first explanation."""
+    """Return the clock of a second explanation with one wrong clock, as good as the first; None if none is."""
     first, *others = explanations or ((),)
     return next((e[0] for e in others if len(first) == len(e) == 1), None)
 
@@ -110,19 +112,19 @@ def rival_words(rival: Clock | None, robot: Robot) -> str:
 
 
 def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
-    """Report stamps t (n,) [s] that scatter about an even clock: intervals that are too long, then too short.
+    """Report stamps t (n,) [s] that scatter about an even clock: a short interval follows each long one.
 
-    Where periods vary by themselves, neighbouring intervals do not depend on each other.
+    If the periods themselves vary, neighbouring intervals are independent.
     """
     if len(t) <= MIN_EVEN_PERIODS:
         return []
     dt = np.diff(t)
     period = float(np.median(dt))
-    # a period has the errors of two stamps
+    # an interval has the errors of two stamps
     sigma = float(np.median(np.abs(dt - period))) / MAD_OF_NORMAL / math.sqrt(2.0)
     if sigma < max(MIN_SCATTER_S, MIN_SCATTER_SHARE * period):
         return []
-    off = np.clip(dt, 0.0, 2.0 * period)  # of dropped readings, a part
+    off = np.clip(dt, 0.0, 2.0 * period)  # limits the effect of dropped readings
     one, two = (float(np.corrcoef(off[k:], off[:-k])[0, 1]) for k in (1, 2))
     if one > MAX_EVEN_CORRELATION or two > MAX_ALTERNATING_CORRELATION:
         return []
@@ -134,9 +136,9 @@ def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
 
 
 def of_equal_stamps(drive: Drive, stream: Callable[[str], Stream]) -> list[Finding]:
-    """Report topics whose stamps stand still: different readings in a row have one stamp.
+    """Report topics whose stamps stand still: consecutive, different readings have the same stamp.
 
-    The mean error of such stamps is half the time to the next stamp. Several topics of a role may share stamps.
+    The mean error of such stamps is half the time to the next stamp. Equal stamps of different topics are normal.
     `stream` returns the raw readings of a role.
     """
     times = {"wheels": drive.wheels.t, **{name: m.t for name, m in drive.measurements.items()}}
@@ -151,7 +153,7 @@ def of_equal_stamps(drive: Drive, stream: Callable[[str], Stream]) -> list[Findi
         part, *others = parts_of(stream(role))
         if others:
             continue
-        if getattr(part, "delay_s", None) is None:  # a file, without times of recording
+        if getattr(part, "delay_s", None) is None:  # a file has no times of recording
             words = f"{part.topic}: {equal} of {n} rows have the time of the row before. Export all decimals"
             found.append(Finding(role, EQUAL, words, severe=True))
             continue
@@ -185,9 +187,9 @@ def offset_of(clock: Clock, robot: Robot, digits: int = 3, sigmas: float = 0.0) 
 def start_kept(offset: float, drive: Drive, robot: Robot) -> tuple[str, ...]:
     """Return the start settings that keep the path in its frame if the wheels' clock changes by `offset` [s].
 
-    [start] is the pose at the first wheel reading. If the robot moves when the log begins, another clock turns and
-    shifts the whole path. () if the robot stands, if the start has a time of its own, or if neither a truth nor a
-    configured start says where the path lies.
+    [start] is the pose at the first wheel reading. If the robot moves then, another clock would rotate and shift
+    the whole path. The result is () if the robot stands, if the start has its own time, or if neither a truth nor
+    a configured start determines where the path lies.
     """
     start, wheels = robot.start, drive.wheels
     if start.at or not (robot.start_given or drive.truth is not None):
@@ -202,8 +204,8 @@ def start_kept(offset: float, drive: Drive, robot: Robot) -> tuple[str, ...]:
 def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> dict[Pair, Lag]:
     """Return the lag of each pair of clocks: the time to add to the first clock to match the second.
 
-    The laser's own run, if among `runs`, shows the laser's clock better than turns from scan to scan; it may
-    contain a part of the wheels' lag.
+    If `runs` has a run with only the laser, this run shows the laser's clock better than turns from scan to scan;
+    but its lag may contain a part of the wheels' lag.
     """
     wheels, truth = drive.wheels, drive.truth
     turned = headings(drive.measurements)
@@ -229,10 +231,10 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
 
 
 def _known(lag: Lag) -> Lag:
-    """Return a lag with a realistic sigma: model errors are added to it.
+    """Return a lag with a realistic sigma, which includes model errors.
 
-    A lag found by correlation only has no sigma: it gets SPEED_SIGMA_S and its spread over parts of the drive, and
-    offset 0 unless it is significant.
+    If a lag was found by correlation only, its sigma is computed from SPEED_SIGMA_S and its spread over parts of
+    the drive; its offset becomes 0 if it is not significant.
     """
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
@@ -244,7 +246,8 @@ def _known(lag: Lag) -> Lag:
 def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
     """Return a lag that was found by a run's headings, with a larger sigma.
 
-    Such a lag may contain a part of the wheels' lag `by_wheels`: WHEEL_LAG_SHARE of that is added to the sigma.
+    Such a lag may contain a part of the wheels' lag `by_wheels`, so WHEEL_LAG_SHARE of the latter is added to the
+    sigma.
     """
     drawn = 0.0 if by_wheels is None else WHEEL_LAG_SHARE * by_wheels.offset
     return lag._replace(sigma=math.hypot(lag.sigma, drawn))
@@ -264,9 +267,9 @@ def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: W
 def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LAG_S) -> list[tuple[Clock, ...]]:
     """Return the smallest set of wrong clocks that explains the lags, then equally good sets; [] for none.
 
-    Each wrong clock costs `sigmas`^2 of chi-square. With three clocks the one that two others contradict is wrong;
-    of two clocks either may be. Lags relative to the wheels share the error by slip, so several are as uncertain
-    as one. Offsets below `least` [s] are left out.
+    Each wrong clock adds `sigmas`^2 to chi-square. With three clocks, the one that the two others contradict is
+    wrong; with two clocks, either may be wrong. Lags relative to the wheels share the error by slip, so several of
+    them are as uncertain as one. Offsets below `least` [s] are left out.
     """
     names = sorted({name for pair in pairs for name in pair})
     number = {name: sum(name in pair for pair in pairs) for name in names}
@@ -313,10 +316,11 @@ def explained(
 
 
 def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
-    """Return (sensor, "truth") for each sensor on the truth's clock: it fits clearly better without `lag`.
+    """Return (sensor, "truth") for each sensor on the truth's clock.
 
-    `lag` is the truth's, relative to the wheels. For sensors of positions, such as landmarks. (A robot that
-    follows commands late looks like a late truth.)
+    Their readings fit the truth clearly better with the recorded stamps than with stamps shifted by `lag`, the lag
+    of the truth relative to the wheels. This test is for sensors of positions, such as landmarks. (If the robot
+    follows commands late, the truth seems to be late.)
     """
     truth = drive.truth
     if truth is None or truth.theta is None or lag is None or abs(lag.offset) < MIN_LAG_S:
@@ -351,7 +355,7 @@ def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
     """Return the lag of the clock of a run's only sensor relative to the truth's, by the headings of the run.
 
     For a laser the sigma is about half of that by turns from scan to scan, since its map determines the heading at
-    each scan. For a sensor with less weight than the wheels the run would show only a part of the lag.
+    each scan. With a sensor that has less weight than the wheels, the run would show only a part of the lag.
     """
     reference, (sensor,) = _by_headings(drive, truth), run.sensors
     if reference is None or len(drive.instant[sensor]) < MIN_READINGS:
@@ -380,7 +384,7 @@ def truth_lag(drive: Drive) -> Lag | None:
 
 
 def far_lag(truth: Truth, wheels: Wheels) -> Lag | None:
-    """Return a lag of truth and wheels beyond MAX_LAG_S, by turns or speeds; None unless only one fits."""
+    """Return a lag of truth and wheels above MAX_LAG_S, by turns or speeds; None if no lag or several lags fit."""
     own, theirs = (
         np.arange(t[0], min(t[-1], t[0] + MAX_FAR_S) - WINDOW_S, FAR_STEP_S) for t in (truth.t, wheels.t)
     )

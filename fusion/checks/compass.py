@@ -23,7 +23,7 @@ MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
 
 
 def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
-    """Return a finding on an unusable bare heading: the unit and sense of turning that its values show; or [].
+    """Return a finding on the unit and sense of turning of headings that are bare numbers; [] if both are right.
 
     The unit follows from the largest value, the sense from a comparison with the wheels' turns.
     """
@@ -66,7 +66,7 @@ def tilted(
 ) -> list[Finding]:
     """Return findings on wrong roll and pitch of compass and gyro, by gravity or by the rotating magnetic field.
 
-    If gravity looks upside-down but the gyro turns with the wheels, gravity has the opposite sign.
+    If gravity points up but the gyro turns with the wheels, the accelerations have the opposite sign.
     """
     found = []
     for name in ("compass", "gyro"):
@@ -144,7 +144,7 @@ def by_field(stream: Stream, drive: Drive) -> Array | None:
 
 
 def angles(up: Array) -> tuple[int, int]:
-    """Return roll and pitch [deg] of a mount, given the vertical `up` (3,) in the sensor frame: R's last row."""
+    """Return roll and pitch [deg] of a mount; `up` (3,) is the vertical in the sensor frame (last row of R)."""
     x, y, z = (float(v) for v in up)
     pitch = math.degrees(-math.asin(max(-1.0, min(1.0, x))))
     roll = math.degrees(math.atan2(y, z)) if math.hypot(y, z) > 1e-3 else 0.0
@@ -171,7 +171,7 @@ def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     field = _vectors(stream, MAGNETIC_FIELDS[:2])
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
     inside = plausible(field) & (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
-    # about a wrong centre the field's own angle turns too far: the robot's heading must turn
+    # about a wrong centre the angle of the field turns too far, so the robot's heading is used
     if not inside.any() or np.ptp(drive.wheels.heading(t[inside])) < 2.0 * math.pi - MAX_MISSING_ARC_RAD:
         return []
     try:

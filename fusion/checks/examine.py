@@ -1,7 +1,7 @@
 """Examination of a log: its sensors are compared with each other, before any filter runs.
 
-No estimated pose is needed: turns are compared over windows, motion between scans with that of the wheels, the
-truth with both. A finding names the setting that fixes it.
+No estimated pose is needed. Turns are compared over windows; the motion between scans is compared with that of the
+wheels, and the truth with both. A finding names the setting that fixes it.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ REASONS = {
 }
 REPAIRED = {"spike", "other_joints"}
 HOLE = "hole"  # code of the finding on a time in which nothing was recorded
-# m, rad, of the whole way: a smaller motion the wheels bridge well enough
+# least motion in a hole: m, rad, share of the drive's distance; over a smaller one, wheel odometry is good enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
 PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
-MIXED = frozenset({EQUAL, PUBLISHERS})  # codes of findings beside which no other check is right
-MIN_CHANGES = 10  # from frame to frame, above which two publishers write in turn
+MIXED = frozenset({EQUAL, PUBLISHERS})  # codes of findings that make all other checks wrong
+MIN_CHANGES = 10  # least number of changes of the frame from message to message that shows two publishers
 BLIND = "blind"  # code of the finding on a sensor without measurements
 CHECK_SENSOR = "Check the sensor and its driver, then record again"
 
@@ -56,8 +56,8 @@ def examine(
 ) -> list[Finding]:
     """Return all findings on a measured drive; `streams` are the raw readings by role.
 
-    `least` is the smallest reported error of a scale or the track, for a caller that tries the fixes; None: the
-    larger defaults of each check.
+    `least` is the smallest reported error of a scale or the track, set by a caller that tries the fixes. None:
+    each check uses its own, larger limit.
     """
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
@@ -130,7 +130,7 @@ def _scales(
             motion = motion._replace(scale_sigma=math.inf)
     size = of_size(drive, motion)
     if size:
-        drive = replace(drive, truth=None)  # nothing can be held against such a truth
+        drive = replace(drive, truth=None)  # nothing can be compared with such a truth
     factor, scaled = metre(drive, robot, least)
     by_truth = wheels_metre(drive) is not None
     radius = [] if by_truth else of_radius(motion, robot, least)
@@ -219,7 +219,7 @@ def of_holes(drive: Drive, found: Sequence[tuple[float, float]]) -> list[Finding
 def longest_part(drive: Drive, found: Sequence[tuple[float, float]]) -> tuple[float | None, float | None]:
     """Return begin and end [s] of the longest part without one of the holes `found` [s]; None: no bound.
 
-    The start pose is known of the first part only, so another one must be twice as long.
+    Another part than the first one must be twice as long, since only the first part has a known start pose.
     """
     ends = [float(drive.t[0]), *(t for hole in found for t in hole), float(drive.t[-1])]
     spans = [(b - a) * (1.0 if i else 2.0) for i, (a, b) in enumerate(zip(ends[::2], ends[1::2], strict=True))]

@@ -1,9 +1,9 @@
 """Lag of a sensor's clock relative to the wheels', by correlation of turns.
 
-Turns over a second are correlated (Knapp & Carter 1976), which does not depend on constant offsets and on a wrong
-track (a scale). Then least squares refine the lag on short windows where the turning rate changes:
+Turns over a second are correlated (Knapp & Carter 1976): a constant offset or a wrong track (a scale) does not
+matter. Then the lag is refined by least squares on short windows in which the turning rate changes:
 
-- slip is white noise of the wheels' rates, so long windows blur the lag;
+- slip is white noise of the wheels' rates, so the lag would be less exact with long windows;
 - windows with a constant turning rate bias the lag by 10 ms: a robot that steers by its pose compensates its slips
   later by turning its wheels (identification in closed loop: Ljung 1999, 13.4).
 
@@ -55,7 +55,7 @@ class HeadingReference(NamedTuple):
     heading: Heading
     span: tuple[float, float]  # s
     wheels: Heading  # headings with little noise from reading to reading, for turning rates
-    wanders: bool = True  # whether its errors accumulate, as those of wheels or of scan matching do
+    wanders: bool = True  # whether its errors accumulate, as for wheels and scan matching
 
     @classmethod
     def of(cls, t: Array, heading: Array, wheels: Wheels, wanders: bool = True) -> HeadingReference:
@@ -121,9 +121,9 @@ def by_wheels(wheels: Wheels) -> HeadingReference:
 
 
 def find_lag(t: Array, heading: Array, reference: HeadingReference) -> Lag | None:
-    """Return the lag of headings (n,) [rad, unwrapped] at t (n,) [s] relative to a reference, or None.
+    """Return the lag of headings (n,) [rad, unwrapped] at t (n,) [s] relative to a reference.
 
-    None if the robot hardly turned, or if the two agree at no lag.
+    None if the robot hardly turned, or if headings and reference do not agree at any lag.
     """
     ok = np.isfinite(heading)
     t, heading = t[ok], heading[ok]

@@ -1,9 +1,9 @@
 """Compare walls seen in two scans, to check the laser's distance scale and mount yaw, and the wheels' track.
 
-Between two positions of the laser, d apart, the distance of a wall with normal n changes by n.d. Over many walls
-y = a n.d + b n.(Jd) gives the laser's distance scale, 1 / sqrt(a^2 + b^2), and its yaw error. The change of the
-wall's direction is the robot's turn. The same walls, seen in turns, show whether the beams of a scan are measured
-in the configured order.
+When the laser moves by d, the distance of a wall with normal n decreases by y = n.d. A fit of y = a n.d + b
+n.(Jd), with the rotation J by 90 degrees, to many walls gives the laser's distance scale 1 / sqrt(a^2 + b^2) and
+its yaw error. The change of the wall's direction is the robot's turn. Walls that are seen while the robot turns
+show whether the beams of a scan are measured in the configured order.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def laser_motion(drive: Drive, robot: Robot, offset: float) -> WallMotion | None
 def bumped(walls: WallPairs, scale: float) -> tuple[float, float] | None:
     """Return the time [s] and size [rad] of a step of the laser's yaw during the drive; None without a step.
 
-    By least squares, with one yaw before a time and one after it; the time is that of the best fit.
+    A least-squares fit has one yaw before a time and another yaw after it; the time is that of the best fit.
     """
     n, edge = len(walls.y), math.ceil(MIN_BUMP_SHARE * len(walls.y))
     if edge < MIN_WALLS:
@@ -140,7 +140,7 @@ def _slope_sigma(across: Array, left: Array, stretches: int) -> float:
     """Return the sigma of the slope of residuals `left` (k,) over `across` (k,).
 
     The residuals may be correlated within each of `stretches` > 3 consecutive parts (cluster-robust standard
-    error; of few parts times the standard deviation of Student's t).
+    error). As the parts are few, it is multiplied by the standard deviation of Student's t.
     """
     parts = (np.array_split(column, stretches) for column in (across, left))
     scores = np.array([float(a @ b) for a, b in zip(*parts, strict=True)])
@@ -149,7 +149,7 @@ def _slope_sigma(across: Array, left: Array, stretches: int) -> float:
 
 
 def _by_mount(walls: WallPairs) -> Array:
-    """Return by how much each wall comes nearer (k, 2) per metre of an error of the mount, in x and in y."""
+    """Return the decrease of each wall's distance (k, 2) per metre of an error of the mount in x and in y."""
     (c, s), (x, y) = (np.cos(walls.by_wheels) - 1.0, np.sin(walls.by_wheels)), walls.n.T
     return np.stack((c * x + s * y, c * y - s * x), axis=-1)
 
@@ -194,10 +194,10 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
 def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = None) -> list[Finding]:
     """Return a finding on the wheel radius if distances and turns of the wheels are wrong by the same factor.
 
-    A wrong range scale does not change turns, a wrong track does not change distances: a wrong radius changes
-    both. For a caller that tries the fix (it gives the limits, `least`) both factors together must be
-    significant, and nearer to each other than to 1; if they differ significantly, the distances determine the
-    radius.
+    A wrong range scale does not change turns, and a wrong track does not change distances, but a wrong radius
+    changes both. If the caller tries the fix, it sets the limits `least`. Then the mean of both factors must be
+    significant, and the factors nearer to each other than to 1. If they differ significantly, the distances alone
+    determine the radius.
     """
     radius = robot.wheels.radius
     if motion is None or radius is None or motion.turns is None:
@@ -324,8 +324,8 @@ def _slope(walls: WallPairs, rows: NDArray[np.bool_]) -> float | None:
 def _spread(estimate: Callable[[WallPairs], Any], walls: WallPairs) -> Array:
     """Return the standard errors of `estimate(walls)`: one stretch of the drive is left out at a time (jackknife).
 
-    Pairs of scans overlap, so they are not independent. In turns a mount that is off by SIGMA_M looks like another
-    scale and yaw: that is added. Infinite if an estimate is None.
+    Pairs of scans overlap, so they are not independent. In turns, a position error of the mount by SIGMA_M changes
+    scale and yaw: these changes are added. The result is infinite if an estimate is None.
     """
     errors = jackknife(
         lambda some: estimate(WallPairs(*(column[some] for column in walls))), len(walls.y), STRETCH_COUNT
@@ -340,7 +340,7 @@ def _spread(estimate: Callable[[WallPairs], Any], walls: WallPairs) -> Array:
 
 
 def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> WallPairs:
-    """Return walls seen in two scans, paired by the motion of the wheels."""
+    """Return walls seen in two scans, paired by the wheels' motion between the scans."""
     first, second = map(_evenly, _places(t, drive))
     moved = drive.wheels.relative(t[first], t[second])
     c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
@@ -406,9 +406,9 @@ def who_is_right(robot: Robot, scale: float, fix: str) -> str:
 
 # ---- the order in which the beams are measured ----
 
-MIN_RATE_RADPS = 0.3  # rad/s between the turn rates of two scans: equal smear shows nothing
-MIN_PAIRS = 60  # walls seen at such different turn rates
-MAX_MISFIT_RATIO = 0.65  # of the misfit in the other order over the one as configured
+MIN_RATE_RADPS = 0.3  # rad/s, least difference of the turn rates of two scans: an equal distortion shows nothing
+MIN_PAIRS = 60  # least number of walls seen at such different turn rates
+MAX_MISFIT_RATIO = 0.65  # largest ratio of the misfits with the reverse and with the configured order
 RATE_STEP_S = 0.1  # s over which the turn rate is taken
 ORDERS = {"forward": "backward", "backward": "forward"}
 
@@ -426,7 +426,7 @@ def of_sweep(stream: Stream, drive: Drive, robot: Robot, offset: float) -> list[
         return []
     settings = replace(settings, time_offset=settings.time_offset + offset)
     pairs = _places((stream.t_ns - drive.epoch_ns) * np.float64(1e-9) + settings.time_offset, drive)
-    rows = np.unique(np.concatenate([_evenly(scans) for scans in pairs]))  # the others are not compared
+    rows = np.unique(np.concatenate([_evenly(scans) for scans in pairs]))  # only these scans are compared
     if not len(rows):
         return []
     stream = taken(stream, rows, *SCAN_FIELDS)

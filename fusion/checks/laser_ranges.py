@@ -18,11 +18,11 @@ from locfuse.fusion.streams import take
 
 from .finding import Finding
 
-MIN_IN_TURN = 5  # scans with the second most frequent first angle
+MIN_IN_TURN = 5  # least number of scans with the second most frequent first angle
 SAMPLE_SCANS = 300
 MIN_TRIPLES = 1000  # of neighbouring ranges, for an estimate of the noise
 MAX_SCATTER = 1.4  # times sigma_range: more noise is reported
-# quantiles of |x| for normal x, and their values in standard deviations; other noise has other ratios
+# quantiles of |x| for normal x, and their values in standard deviations, to recognise Gaussian noise
 NORMAL_SHARES, NORMAL_SIZES = (0.1, 0.25, 0.5), (0.1257, 0.3186, 0.6745)
 MAX_NOISE_M = 0.1  # m: more scatter is not noise of a laser
 MAX_SIGMA_RATIO = 1.2  # largest ratio of the sigmas by these quantiles
@@ -52,7 +52,8 @@ def driver(stream: Stream) -> list[Finding]:
 def of_angles(stream: Stream) -> list[Finding]:
     """Return a finding if angle_max contradicts angle_increment times the number of beams.
 
-    Severe if the beams would span more than a whole turn: then angle_increment is wrong, which locfuse uses.
+    The finding is severe if the beams would cover more than a full turn: then angle_increment, which locfuse uses,
+    is wrong.
     """
     columns: Mapping[str, Any] | None = None
     with suppress(LocfuseError):  # scans without angle_max

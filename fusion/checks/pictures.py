@@ -24,8 +24,8 @@ SAMPLE_PICTURES = 24  # decoding all would take long
 MAX_BAD_SHARE = 0.5  # share of the pictures
 MIN_TURN_RAD, MAX_TURN_RAD = math.radians(4.0), math.radians(90.0)  # between two pictures that are compared
 MIN_WHOLE_TURN_RAD = math.pi  # smallest sum of the robot's turns
-MIRRORED_SHARE = 0.8  # of these turns, in which the bearing turned in the same direction
-START_WAY_M, MIN_BEARINGS = 2.0, 3  # m after the start with a pose by the wheels, and pictures there
+MIRRORED_SHARE = 0.8  # least share of the turns in which the bearing turned in the robot's direction
+START_WAY_M, MIN_BEARINGS = 2.0, 3  # m after the start in which wheel odometry is used; pictures needed there
 MIN_ZERO_RAD = math.radians(5.0)
 PROBLEMS = {
     "no_colour": "are grey (mono): red needs colour",

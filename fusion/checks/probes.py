@@ -1,4 +1,7 @@
-"""Find better settings from the estimates of a run: mount, track, range scale, constant offsets."""
+"""Find better settings from the estimates of filter runs: mount, track, range scale, constant offsets.
+
+A probe is a filter run in which the mount of one sensor and the track are states.
+"""
 
 from __future__ import annotations
 
@@ -23,22 +26,25 @@ from .truth import Plane, axle_path, robust
 
 # codes of the findings: on a mount; on mount or sideways motion of the wheels
 MOUNT, DIRECTION = "mount", "direction"
-MAX_CREEP_DEG = 1.5  # angle between heading and motion of creeping wheels: 2 % of the path are 1.1 degrees
+MAX_CREEP_DEG = 1.5  # largest angle between heading and motion by sideways slip: 2 % of the path are 1.1 degrees
 DIRECTION_WORDS = (
     "it and the wheels differ by {:.1f}° (1 sigma {:.1g}°) in the direction of driving: its mount, or wheels that "
     "drive sideways. To find out drive 3 m along a line on the floor: if the robot leaves it, it is the wheels"
 )
 MIN_SIGMAS = 4.0  # standard deviations: smallest difference between estimate and configured value
-MIN_EXPLAINED_SHARE = 0.8  # of the true path's squares by the laser's path, for equal shapes
+MIN_EXPLAINED_SHARE = 0.8  # least share of the true path's squares that the laser's path explains: equal shapes
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are not reported
 MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
-# prior standard deviations of the states of a probe: wide enough for a rough measurement with a ruler
+# prior standard deviations of the mount in a probe: wide enough for a rough measurement with a ruler
 PROBE_XY_M, PROBE_YAW_DEG = 0.05, 4.0
 MOUNT_KEYS = {"x": ("x", 1.0), "y": ("y", 1.0), "yaw": ("yaw_deg", math.degrees(1.0))}
 
 
 def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
-    """Return the settings that make a sensor's mount and the track states; () for a sensor without a mount."""
+    """Return the settings that make a sensor's mount and the track states.
+
+    () for a sensor without a mount, or if its mount is a state already.
+    """
     settings = robot.settings(sensor)
     if not hasattr(settings, "sigma_yaw_deg") or settings.sigma_x or settings.sigma_yaw_deg:
         return ()
@@ -52,7 +58,7 @@ def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
 
 
 def of_probe(robot: Robot, sensor: str, e: Estimates, judged: bool) -> Iterator[Finding]:
-    """Yield findings on mount and track that a run estimated differently than configured."""
+    """Yield findings on mount and track if a run's estimates differ from the configured values."""
     yield from of_mount(robot, sensor, e, judged, PROBE_XY_M, PROBE_YAW_DEG)
     yield from _track(robot, e, judged)
 
@@ -67,10 +73,11 @@ def of_mount(
 ) -> Iterator[Finding]:
     """Yield a finding if the mount that a run estimated differs from the configured one.
 
-    Without truth (`judged`) a difference must be plausible by the prior sigmas, `prior_xy` [m] and `prior_yaw_deg`
-    unless the sensor's settings are larger, and larger than errors of measured mounts: on a drive of left
-    turns, a clock that is 20 ms late looks like a yaw of a third of a degree, and sideways motion of the wheels
-    looks like a yaw too. A yaw below MAX_CREEP_DEG is a finding without a fix.
+    With truth (`judged`), every significant difference counts. Without truth, it must be plausible by the sigmas
+    of the mount in the sensor's settings (if 0: `prior_xy` [m] and `prior_yaw_deg`), and larger than usual errors
+    of measured mounts. The reason: if all turns are to the left, a clock that is 20 ms late causes a yaw error of
+    a third of a degree, and sideways motion of the wheels also seems to be a yaw error. So a yaw error below
+    MAX_CREEP_DEG is a finding without a fix.
     """
     fixes, words = [], []
     for part, (key, scale) in MOUNT_KEYS.items():
@@ -120,7 +127,7 @@ def _track(robot: Robot, e: Estimates, judged: bool) -> Iterator[Finding]:
         return
     right, left, turning = e.blocks[WHEELS][-1].tolist()
     if not judged and abs(turning) > MAX_TURNING_SIGMAS * robot.wheels.sigma_track:
-        return  # one slip in a turn does that
+        return  # a single slip in a turn may cause this
     # the track that, with the configured radius, gives the same turns as the states
     off = 1.0 / (1.0 + 0.5 * (right + left) - turning) - 1.0
     by = np.array([-0.5, -0.5, 1.0]) * (1.0 + off) ** 2
@@ -174,10 +181,10 @@ def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
         yield Finding(sensor, "offset", words, (f"{sensor}.{bias.key}={value:.2f}",))
 
 
-# ---- the antenna of a GPS receiver, which is rarely above the base ----
+# ---- the antenna of a GPS receiver, which is rarely at the middle of the base ----
 
 GPS, ANTENNA = "gps", "antenna"  # sensor; code of the finding
-WINDOW_S, SPEED_S = 5.0, 0.2  # s between two fixes that are compared; s over which the speed is taken
+WINDOW_S, SPEED_S = 5.0, 0.2  # s between two compared fixes; s before and after a time, for the speed at this time
 MIN_WINDOWS, STRETCH_COUNT = 40, 8  # windows; stretches of the drive, for the jackknife
 MIN_TURNED = 1.0  # sum of squared changes of the direction of driving, unit vectors
 # m, standard errors: smallest error reported; m
@@ -185,19 +192,20 @@ MIN_ANTENNA_M, ANTENNA_SIGMAS, SEVERE_ANTENNA_M = 0.05, 4.0, 0.1
 
 
 class Antenna(NamedTuple):
-    """The antenna's place on the base by one run, and the lag that would explain the configured place."""
+    """Antenna position on the base by the headings of one run, and the clock error that would explain the same."""
 
     rest: float  # m, median residual of the steps
     x: float  # m
     y: float  # m
     sigma: float  # m
-    early: float  # s
+    early: float  # s by which the stamps of the fixes would be early; negative: late
 
 
 def of_antenna(drive: Drive, robot: Robot, runs: Iterable[Estimates]) -> tuple[Finding, tuple[str, ...]] | None:
-    """Return a finding on the antenna's place on the base, and the rival fix: another clock of the fixes.
+    """Return a finding on the antenna's position on the base, and an alternative fix: the clock of the fixes.
 
-    `runs` are without the fixes, whose noise would be in the headings; the one that explains them best counts.
+    `runs` do not use the fixes, whose noise would be in the headings. The run that explains the fixes best is
+    used.
     """
     settings = robot.settings(GPS)
     fits = [a for e in runs if (a := _antenna(drive, settings, e)) is not None]
@@ -220,9 +228,10 @@ def of_antenna(drive: Drive, robot: Robot, runs: Iterable[Estimates]) -> tuple[F
 def _antenna(drive: Drive, settings: Any, run: Estimates) -> Antenna | None:
     """Fit the antenna to the fixes by the headings of a run; None for a drive that is too short or too straight.
 
-    With points as complex numbers, a step of the fixes over WINDOW_S is a (dp + dr l): dp is that of the axle's
-    path by the wheels' distances and the run's headings, dr that of exp(i theta), l the antenna, and a turns the
-    map to east and north. At a constant speed a late fix is one of an antenna behind.
+    Points are complex numbers. Over WINDOW_S, the fixes change by a (dp + dr l). dp is the change of the axle's
+    position by the wheels' distances and the run's headings, dr that of exp(i theta), l the antenna position, and
+    the factor a rotates the map to east and north. At a constant speed, a late fix has the same effect as an
+    antenna further back.
     """
     m, theta = drive.measurements[GPS], np.unwrap(run.pose[:, 2])
     path = axle_path(Truth("", run.t, run.pose[:, :2], theta), drive.wheels)
@@ -249,7 +258,7 @@ def _antenna(drive: Drive, settings: Any, run: Estimates) -> Antenna | None:
 
 
 def _ratio(moved: Plane, other: Plane, y: Plane) -> tuple[complex, float]:
-    """Return b / a of the fit a moved + b other = y of complex columns (n,), and its median residual [m]."""
+    """Fit a * moved + b * other = y to complex columns (n,); return b / a and the median residual [m]."""
     A = np.stack((moved, other), axis=-1)
     x = robust(A, y)
     return complex(x[1] / x[0]), float(np.median(np.abs(y - A @ x)))

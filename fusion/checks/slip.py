@@ -1,10 +1,10 @@
 """Wheel slip: observed noise of turns and distances compared with `wheels.noise`; intervals of wheel spin.
 
-Slip of one wheel turns the robot: the wheels' turns are compared with those of other sensors. Slip of both wheels
-does not: the wheels' distances are compared with those of a path.
+Slip of one wheel turns the robot, so the wheels' turns are compared with those of other sensors. Slip of both
+wheels does not turn it, so the wheels' distances are compared with those of a path.
 
-The variance of a turn by slip grows with the distance, that by a sensor's noise is constant. So the growth of the
-variance from short to long windows is due to slip (Allan 1966 separates a clock's noises in the same way).
+The variance of a turn by slip grows with the distance; the variance by a sensor's noise is constant. So the growth
+of the variance from short to long windows is due to slip (Allan 1966 separates a clock's noises in the same way).
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from .finding import Finding
 from .lag import headings
 
 SHORT_S, LONG_S = 0.5, 2.0  # s: windows over which turns are compared
-MAX_STRETCH = 1.5  # of a window: readings further apart are across a gap
-MIN_WINDOWS = 15  # long ones without overlap: their variance is then known to a third
-MIN_EXPECTED_RAD = math.radians(0.05)  # smallest expected sigma in a long window: below it the robot stood
+MAX_STRETCH = 1.5  # largest time between two readings over the length of the window: with more there is a gap
+MIN_WINDOWS = 15  # least number of long windows without overlap: their variance is then known to a third
+MIN_EXPECTED_RAD = math.radians(0.05)  # least expected sigma of turns in a long window: below it the robot stood
 MIN_EXPECTED_M = 1e-4  # likewise, of distances
-MAX_FACTOR = 3.0  # on the variance, either way: smaller factors are no finding
-DOUBT_SIGMAS = 2.0  # sigmas by which the factor must exceed that
-# --- of both wheels that slip together
-WINDOW_S, STEP_S = 1.0, 0.25  # s over which distances are compared, and between two windows
-MIN_SPIN_M, MIN_SPIN_SHARE, SPIN_SIGMAS = 0.08, 0.15, 6.0  # m and share of the rolled distance; robust sigmas
-MAX_SPINNING_SHARE = 0.1  # of the windows with motion: more is another error
+MAX_FACTOR = 3.0  # the variance is unusual if it is larger or smaller than expected by more than this factor
+DOUBT_SIGMAS = 2.0  # sigmas by which the factor must exceed MAX_FACTOR
+# --- slip of both wheels together
+WINDOW_S, STEP_S = 1.0, 0.25  # s over which distances are compared, and between the starts of two windows
+MIN_SPIN_M, MIN_SPIN_SHARE, SPIN_SIGMAS = 0.08, 0.15, 6.0  # least slip: m, share of the rolled distance, sigmas
+MAX_SPINNING_SHARE = 0.1  # largest share of the windows with motion: with more the error has another cause
 SPIN = "spin"  # code of the finding
 
 
@@ -68,7 +68,7 @@ class WheelSlip(NamedTuple):
 class _Spread(NamedTuple):
     """Variances of turn differences [rad^2] or distance differences [m^2] over windows of one length."""
 
-    seen: tuple[float, float]  # robust (by the median), and of all
+    seen: tuple[float, float]  # observed: robust (by the median), and of all windows
     expected: float  # by slip
     number: int  # of windows, one for each reading
 
@@ -76,8 +76,9 @@ class _Spread(NamedTuple):
 def slip(drive: Drive) -> WheelSlip | None:
     """Return the smallest wheel slip that any sensor shows; None if no sensor shows slip.
 
-    Drift of a sensor counts as slip too, so the smallest value is that of the wheels. If all sensors show
-    clearly less than configured, the largest of their values is taken, since all of them agree on that.
+    A sensor's drift looks like slip, so the smallest value is nearest to that of the wheels. If all sensors show
+    clearly less than configured, the largest of their values is returned, since all sensors agree that the slip is
+    not larger.
     """
     if drive.wheels.matched is not None or drive.wheels.noise <= 0.0:
         return None
@@ -93,7 +94,7 @@ def slip(drive: Drive) -> WheelSlip | None:
 def beside_path(found: WheelSlip, drive: Drive, t: Array, pose: Array) -> WheelSlip:
     """Return the larger slip: `found`, or that of wheel distances against a path `pose` (n, 3) at t (n,) [s].
 
-    `wheels.noise` is for distances and turns. A driver that takes turns from a gyro has accurate turns, but its
+    `wheels.noise` is for distances and turns. If a driver computes turns by a gyro, turns are accurate, but
     distances contain slip.
     """
     begin = np.unique(np.floor(t / STEP_S)) * STEP_S
@@ -113,10 +114,10 @@ def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> WheelSlip | None
 
 
 def _growth(short: _Spread | None, long: _Spread | None, least: float) -> WheelSlip | None:
-    """Return the slip by the observed over the expected growth of variance from short to long windows.
+    """Return the slip by the ratio of observed to expected growth of the variance from short to long windows.
 
-    Its `seen` and `expected` are in the unit of the windows [m or rad]. None if the expected slip in a long window
-    is below `least`, or if nothing grows, since other noise then hides the slip.
+    Its `seen` and `expected` have the unit of the windows [m or rad]. None if the expected slip in a long window
+    is below `least`, or if the variance does not grow: then other noise hides the slip.
     """
     if short is None or long is None:
         return None
@@ -124,7 +125,7 @@ def _growth(short: _Spread | None, long: _Spread | None, least: float) -> WheelS
     if growth < least**2 * (1.0 - SHORT_S / LONG_S):
         return None
     usual, whole = (max(b - a, 0.0) / growth for a, b in zip(short.seen, long.seen, strict=True))
-    # rare slips count: a factor below 1 must hold for the robust and for the whole variance
+    # a factor below 1 must hold for both variances, so that rare slips are not overlooked
     factor = usual if usual > 1.0 else min(max(whole, usual), 1.0)
     if factor <= 0.0:
         return None
@@ -166,8 +167,8 @@ def _ahead(t: Array, pose: Array, begin: Array, window: float) -> Array:
 def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:
     """Return residual variances of a sensor's motions `own` (n,), and the mean of slip variances `slips` (n,).
 
-    Residuals of a linear fit by the wheels' motions `by_wheels` (n,): scale errors (track, radius, sensor) are no
-    noise.
+    They are residuals of a linear fit by the wheels' motions `by_wheels` (n,), so that scale errors (track,
+    radius, sensor) do not count as noise.
     """
     A = np.stack((by_wheels, np.ones_like(by_wheels)), axis=-1)
     x, *_ = np.linalg.lstsq(A, own, rcond=None)

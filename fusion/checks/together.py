@@ -2,8 +2,8 @@
 
 Each log gives estimates with standard deviations (`shown`). An estimate is common if all logs but a few agree on
 it; its standard deviation includes the scatter between logs (random effects: DerSimonian & Laird, Controlled
-Clinical Trials 1986). Clock differences are pooled, so that all logs give the same wrong clock. A common setting
-is a fix if it makes no log worse and improves most logs.
+Clinical Trials 1986). The wrong clocks are found from the pooled lags, so they are the same for all logs. A common
+setting is a fix if it makes no log worse and improves most logs.
 """
 
 from __future__ import annotations
@@ -41,24 +41,24 @@ from .turning import clock_offset, observed_track, turnings, turns_by_truth
 
 LASER, CLOCK = "lrf", "time_offset"
 AFFECT_ALL = {"wheels", "truth"}  # roles whose settings affect every configuration
-APART_SIGMAS = 4.0  # of their difference, beyond which two logs disagree
-MAX_APART_SHARE = 0.25  # of the logs (one of three) that may disagree about a common value
-# by the end of a key: format, unit, difference at which two logs always agree, smallest reported error
+APART_SIGMAS = 4.0  # sigmas of the difference beyond which two logs disagree
+MAX_APART_SHARE = 0.25  # largest share of the logs that may disagree about a common value (one of three may too)
+# by the end of a key: format, unit, difference up to which two logs always agree, smallest reported error
 SCALES = {
     CLOCK: ("z.3f", " s", 0.03, MIN_LAG_S),
     "x": ("z.3f", " m", 0.01, 0.004),
     "y": ("z.3f", " m", 0.01, 0.004),
     "yaw_deg": ("z.2f", "°", 0.5, 0.2),
 }
-RELATIVE = {  # the same, the last two relative to the configured value
+RELATIVE = {  # the same; the last two are relative to the configured value
     "track": (".4g", " m", 0.03, 0.01),
     "radius": (".4g", " m", 0.02, 0.01),
     "range_scale": (".4g", "", 0.01, 0.005),
 }
-# ends of keys; an error of an earlier class looks like one of a later class
+# classes of settings by the ends of their keys: an error of an earlier class looks like one of a later class
 CLASSES = ("radius range_scale", "track", "x y yaw_deg")
-MAX_MEAN_LOSS = 0.02  # ln, of the mean over the logs of any configuration with sensors
-MAX_STEPS = 6  # fixes of one robot
+MAX_MEAN_LOSS = 0.02  # largest growth of ln(error), mean over the logs, for any configuration with sensors
+MAX_STEPS = 6  # largest number of fixes for one robot
 
 
 class Number(msgspec.Struct, frozen=True):
@@ -116,11 +116,11 @@ class Common(msgspec.Struct, frozen=True):
 
 
 class Look(msgspec.Struct, frozen=True):
-    """One log, fused under given settings: estimates of settings, and error figures of each configuration."""
+    """Result of one log under one set of settings: estimates of settings, and errors of each configuration."""
 
     shown: LogEstimates
-    sensors: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of every configuration
-    marks: dict[str, Marks] = field(default_factory=dict)  # of those that could be fused
+    sensors: dict[str, tuple[str, ...]] = field(default_factory=dict)  # configuration -> its sensors
+    marks: dict[str, Marks] = field(default_factory=dict)  # configuration (if it could be fused) -> its errors
 
 
 class CommonTrial(msgspec.Struct, frozen=True):
@@ -128,7 +128,7 @@ class CommonTrial(msgspec.Struct, frozen=True):
 
     fixes: Fixes
     configuration: str = ""  # the one that gains most
-    pairs: dict[str, tuple[Marks, Marks]] = field(default_factory=dict)  # log -> its figures before and after
+    pairs: dict[str, tuple[Marks, Marks]] = field(default_factory=dict)  # log -> its errors before and after
     losers: tuple[str, ...] = ()  # logs in which something gets worse
     helps: bool = False
     worth: float = 0.0
@@ -178,7 +178,7 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> LogEsti
         f"{a} {b}.{CLOCK}": Number(float(lag.offset), float(lag.sigma), clocks[a] - clocks[b])
         for (a, b), lag in pairs.items()
         if lag.offset
-        or lag.sigma < SPEED_SIGMA_S  # without a lag of 0 by speeds, which only means that none was found
+        or lag.sigma < SPEED_SIGMA_S  # leave out a lag of 0 by speeds: it only means that no lag was found
     }
     known = {k: Number(*map(float, (n.value, n.sigma, n.now))) for k, n in found.items() if math.isfinite(n.sigma)}
     return LogEstimates(known, lags, clocks)
@@ -187,7 +187,8 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> LogEsti
 def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
     """Return the mount of a run's only sensor by the drive alone: the effect of the prior is removed.
 
-    The state's information is the sum of the drive's and the prior's, whose mean is the configured value.
+    The information of the state is the sum of the drive's and the prior's; the mean of the prior is the configured
+    value.
     """
     (sensor,), found = e.sensors, {}
     for part, (key, scale) in MOUNT_KEYS.items():
@@ -199,7 +200,7 @@ def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
             for block, i in ((e.blocks[name], -1), (e.block_sigmas[name], -1), (e.block_sigmas[name], 0))
         )
         if sigma < MAX_PRIOR_SHARE * prior:
-            share = 1.0 - (sigma / prior) ** 2  # of the information, by the drive
+            share = 1.0 - (sigma / prior) ** 2  # share of the drive in the information
             found[f"{sensor}.{key}"] = Number(now + (value - now) / share, sigma / math.sqrt(share), now)
     return found
 
@@ -300,7 +301,8 @@ def settings_of(logs: Mapping[str, LogEstimates]) -> list[Common]:
 def asked(first: Mapping[str, LogEstimates], look: Looks) -> Together:
     """Return the common estimates of several logs of one robot, and the settings that help in all of them.
 
-    The best setting of the first class with a helpful one is kept; then all logs are measured again.
+    In each round, the first class with a helpful setting is used, and its best setting is kept; then all logs are
+    measured again.
     """
     kept: Fixes = ()
     logs, seen, apart = first, dict[str, dict[Fixes, Look]](), set[str]()
@@ -333,9 +335,10 @@ def asked(first: Mapping[str, LogEstimates], look: Looks) -> Together:
 
 
 def _offers(logs: Mapping[str, LogEstimates]) -> list[dict[Fixes, set[str]]]:
-    """Return groups of settings to try, in order of evidence; settings -> logs that disagree about their values.
+    """Return groups of settings to try, in the order of their classes.
 
-    The last group is all of them together, since several faults may hide the effect of each fix.
+    A group maps settings to the logs that disagree about their values. The last group has all settings together,
+    since several faults may hide the effect of each fix.
     """
     off = [c for c in settings_of(logs) if c.off]
     classes = [[tuple(clocks) for clocks in clocks_of(logs) if all(c.off for c in clocks)]]

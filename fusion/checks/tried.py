@@ -1,7 +1,9 @@
 """Trial of fixes: each class of faults in turn, the best fix is kept, and the log is measured again.
 
 The order of the classes matters: a late laser makes the compass look wrong until the laser's clock is corrected. A
-fix is taken if it makes no configuration worse and one better.
+fix is kept if it makes no configuration worse, and at least one better.
+
+A configuration is a set of sensors that is fused. Its errors under some settings are called its figures (`Marks`).
 """
 
 from __future__ import annotations
@@ -18,19 +20,19 @@ from msgspec.structs import replace
 from .finding import Finding
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: largest growth of a position error
-MAX_CHANCE_LOSS = 0.15  # relative, for a configuration that no user would keep
+MAX_CHANCE_LOSS = 0.15  # the same, relative, for a configuration that no user would keep
 MAX_CONSISTENT_LOSS = 0.3  # the same, if its ANEES is not above its chance range
-MAX_SMOOTHED_LOSS = 1.0  # of a smoothed path whose ANEES is not above its chance range
-MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: more than chance explains
-MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may move away from its chance range at equal error
+MAX_SMOOTHED_LOSS = 1.0  # the same, for a smoothed path whose ANEES is not above its chance range
+MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: a larger loss is not due to chance
+MAX_LN_ANEES_LOSS = 0.1  # largest move of ln ANEES away from its chance range, at equal error
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_TURN_DEG = 0.1  # deg: smallest change of a heading error; allowed growth in addition to MAX_LOSS
-MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
-MAX_SETTLED_SHARE = 0.5  # of the error before: a fix with a smaller error after it is right
-MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that reduces it by more is right
+MIN_LN_ANEES_GAIN = 0.2  # least move of ln ANEES towards its chance range
+MAX_SETTLED_SHARE = 0.5  # a fix that reduces the error to less than this share is right
+MAX_TURNED_SHARE = 1.0 / 3.0  # a fix that reduces the heading error by more than this share is right
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error count as none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
-MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that no user would keep
+MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, for a configuration that no user would keep
 MAX_COMPARED_ANEES = 50.0  # larger values only show that the noise is wrong, and are not compared
 MAX_LOST_GROWTH = 0.005  # of the drive: largest growth of the lost share
 WEIGHT_OF_HEADING = 0.5  # of ln heading error, relative to ln position error
@@ -43,7 +45,7 @@ class Marks(NamedTuple):
     position: float | None = None  # m, position rmse against truth
     anees: float | None = None
     bounds: tuple[float, float] | None = None  # chance range of a consistent filter's ANEES on this drive
-    prediction: float | None = None  # nats per number of the sensors that only listened; without truth
+    prediction: float | None = None  # nats per number, likelihood of sensors that were not fused; without truth
     lost: float = 0.0  # share of the drive
     shape: float | None = None  # m, position rmse after rigid alignment with the truth
     aligned: bool = False  # whether `position` is after alignment
@@ -95,8 +97,9 @@ def turns_right(before: Marks, after: Marks) -> bool:
 def worsens_alone(before: Marks, after: Marks) -> bool:
     """Return whether a configuration that no user would keep gets worse by more than chance.
 
-    Small changes of weights change the error on one drive by many percent by chance, so such a configuration may
-    get worse within wider limits: the widest if no ANEES is above its chance range, or only that before the fix.
+    Small changes of weights change the error on one drive by many percent by chance. So the limits for such a
+    configuration are wider. They are widest if no ANEES is above its chance range, or only the ANEES before the
+    fix.
     """
     allowed = MAX_CONSISTENT_LOSS if within_claim(before, after) or was_chance(before, after) else MAX_CHANCE_LOSS
     return worsens(before, after, allowed, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
@@ -111,8 +114,9 @@ def within_claim(before: Marks, after: Marks) -> bool:
 def worsens_smoothed(before: Marks, after: Marks, settled: bool = False) -> bool:
     """Return whether the errors of a smoothed path get notably worse.
 
-    Its ANEES does not count, since no fix is about its covariance. If this is not above its chance range, the path
-    may get worse by chance. So it may, by less, if the fix has halved a filter's error (`settled`).
+    Its ANEES does not count as an error, since no fix is about the covariance of smoothed paths. If the ANEES is
+    not above its chance range, the path may get worse by MAX_SMOOTHED_LOSS; if the fix has halved a filter's error
+    (`settled`), by MAX_CHANCE_LOSS.
     """
     allowed = MAX_SMOOTHED_LOSS if within_claim(before, after) else MAX_CHANCE_LOSS if settled else MAX_LOSS
     return worsens(before._replace(anees=None), after._replace(anees=None), allowed)
@@ -150,7 +154,7 @@ def leaves(before: Marks, after: Marks) -> bool:
 
 
 def improves(before: Marks, after: Marks) -> bool:
-    """Return whether a figure gets notably better by a fix; an ANEES within its chance range cannot."""
+    """Return whether a figure gets notably better by a fix; an ANEES in its chance range cannot get better."""
     if before.lost - after.lost > MAX_LOST_GROWTH:
         return True
     if before.position is not None and after.position is not None:
@@ -160,7 +164,7 @@ def improves(before: Marks, after: Marks) -> bool:
         if turns_right(before, after) and less >= -MAX_CHANCE_LOSS * before.position:
             return True
         nearer = _off(before) - _off(after)
-        # a better ANEES must outweigh a larger error: 220 and 176 are both far off
+        # a better ANEES must outweigh a larger error: an ANEES of 176 is as useless as one of 220
         return nearer > MIN_LN_ANEES_GAIN and gain(before, after) > WEIGHT_OF_ANEES * MIN_LN_ANEES_GAIN - 1e-9
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction > MIN_GAIN_NATS
@@ -209,15 +213,15 @@ def _off(score: Marks) -> float:
     return max(0.0, math.log(score.anees / high), math.log(low / score.anees))
 
 
-MAX_FIXES = 6  # of one log
-MAX_MOVES = 2  # of a value by one finding; the next must be smaller than MAX_MOVED_SHARE
-MAX_MOVED_SHARE = 0.5  # of the largest move of a value
+MAX_FIXES = 6  # largest number of fixes for one log
+MAX_MOVES = 2  # number of times that a finding may change a value by any amount
+MAX_MOVED_SHARE = 0.5  # later changes must be smaller than this share of the largest change
 # findings that are measured again, more exactly, once others are fixed
 REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
-# findings whose first alternative was measured: others are tried only if it does not help
+# findings whose first alternative was measured: other alternatives are tried only if the first does not help
 FIRST_VALUE = ("lag",)
 CLEAR_GAIN = 1.0  # gain of a fix beyond which later classes are not tried
-CHANCE_GAIN = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # gain of two configurations that chance can give
+CHANCE_GAIN = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # largest gain of two configurations by chance
 
 Fixes = tuple[str, ...]  # "table.key=value"
 Scores = Mapping[str, Marks]  # by configuration
@@ -230,14 +234,14 @@ class Candidate(msgspec.Struct, frozen=True):
     finding: Finding
     alternatives: tuple[Fixes, ...]
     judges: tuple[str, ...]
-    minor: tuple[str, ...] = ()  # of these, which may get slightly worse
-    others: tuple[str, ...] = ()  # of these, which only must not get far worse: they also depend on the wheels
-    offer: bool = False  # a setting that may help, without an observation: not reported if it does not
+    minor: tuple[str, ...] = ()  # those judges that may get slightly worse
+    others: tuple[str, ...] = ()  # those judges that must not get far worse: they also depend on the wheels
+    offer: bool = False  # no observation suggests the setting: it is not reported if it does not help
     measured: bool = False  # value measured on the drive: without truth and by shape it need not improve a figure
     # other logs, sensors or states agree with the value: even with truth it need not improve a figure
     proven: bool = False
     guards: tuple[str, ...] = ()  # configurations whose ANEES must stay in its chance range
-    by_shape: bool = False  # may be judged after alignment, as the position of its map is not observed
+    by_shape: bool = False  # may be judged after alignment, since the position of its map is not observed
 
     @property
     def key(self) -> tuple[str, str]:
@@ -324,18 +328,18 @@ Look = Callable[[Fixes], Case | None]  # measures and fuses a log under settings
 def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Advice], Fixes]:
     """Find fixes that help by trial; return the advice, helpful fixes first, and all kept settings.
 
-    `now` returns the configured number of a key. A value that moves again and again when it is measured under its
-    own fix is not used.
+    `now` returns the configured number of a key. After a fix the log is measured again with it. A value that still
+    changes after several such rounds is not used.
     """
     helped: list[Advice] = []
     open_: dict[str, Advice] = {}
     kept: Fixes = ()
-    rests: set[tuple[str, str]] = set()  # findings that are measured again under their own fix, and no value helps
+    rests: set[tuple[str, str]] = set()  # findings measured again with their own fix; no value helps
     case = look(kept)
     while case is not None and len(helped) < MAX_FIXES:
         rests = set()
         if not case.suspicious():
-            open_ = {}  # the other findings are gone with the fixes
+            open_ = {}  # the fixes have removed the other findings
             break
         done = {_key(a) for a in helped}
         found = _first_that_helps(case, kept, trial, done)
@@ -365,9 +369,8 @@ def _key(advice: Advice) -> tuple[str, str]:
 def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
     """Return whether a fix would move a setting, after MAX_MOVES moves, far in the same direction again.
 
-    Far is more than half of the largest move before.
-
-    A second move may be large, as when a late clock made the filter reject half of the scans.
+    Far is more than half of the largest move before. The second move may be large: a late clock may have made the
+    filter reject half of the scans at first.
     """
     same = [by_key(a.fixes) for a in (*helped, advice) if _key(a) == _key(advice)]
     for key in by_key(advice.fixes):
@@ -400,8 +403,8 @@ def _without_fix(advice: Advice) -> Advice:
 def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tuple[str, str]]) -> list[Advice]:
     """Return the best fix of the first class with a fix that helps, after severe findings without a fix.
 
-    Without such a fix: one finding for each sensor, without fixes. A fix that gains little and that no observation
-    suggests (`Candidate.offer`) is compared with the fixes of later classes.
+    If there is no such fix, one finding for each sensor is returned, without fixes. If a fix gains little, and no
+    observation suggests it (`Candidate.offer`), it is compared with the fixes of later classes.
     """
     open_: list[Advice] = []
     best: Advice | None = None
@@ -431,7 +434,7 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
 def _weight(advice: Advice) -> float:
     """Return the gain of a fix, with a bonus for a measured value, for comparison with fixes of later classes.
 
-    The reason for the bonus: another fix (more noise, say) may gain more by chance.
+    The bonus is needed because another fix, such as more noise, may gain more by chance.
     """
     return worth(advice) + (CHANCE_GAIN if advice.measured else 0.0)
 
@@ -482,8 +485,8 @@ def worth(advice: Advice) -> float:
 def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
     """Return the gain by which a fix is ranked among `rivals`, fixes that compete with it.
 
-    Without truth, two sensors that disagree each predict better with a change of the other one. So only
-    configurations that judged all rivals count, if there are any.
+    If two sensors disagree and there is no truth, a change of either sensor improves the prediction of the other
+    one. So only configurations that judged all rivals count, if there are any.
     """
     if (
         advice.before is None
@@ -518,8 +521,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
             break
         pairs = judged_pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
-        # a measured value need not improve a figure, but no configuration may get worse (of a proven value: the
-        # minor ones by no more than chance)
+        # a measured value need not improve a figure, but no configuration may get worse (with a proven value, the
+        # minor ones may get worse within the limits of chance)
         by_prediction = all(one.position is None for one, _ in pairs.values())
         by_chance = candidate.minor if candidate.proven else ()
         worse = any((worsens_alone if n in by_chance else worsens)(*pair) for n, pair in pairs.items())

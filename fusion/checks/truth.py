@@ -24,15 +24,16 @@ from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right
 Plane = NDArray[np.complex128]  # points of the plane, m
 UNIT, AXES, JUMP, FEW = "unit", "axes", "jump", "few"  # codes of the findings on an unusable truth
 SIZE = "size"  # code of the finding on a truth with another distance scale than wheels and laser
-# by the ratio of its distances to those in m
+# ratio of the truth's distances to those in m -> unit
 UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}
-MAX_UNIT_RATIO = 1.5  # of that ratio, either way
-# of a truth without one of its axes: share of the drive's extent, m; share of the squared distances over WINDOW_S
+MAX_UNIT_RATIO = 1.5  # largest factor between the observed ratio and one of these
+# a truth without one of its axes: largest extent of this axis as share of the drive's; least extent of the drive,
+# m; largest share of the squared distances over WINDOW_S that the truth shows
 MAX_LEVEL_SHARE, MIN_EXTENT_M, MAX_SEEN_SHARE = 0.1, 0.5, 0.8
-# standard errors; share of the truth's scale error that wheels and laser may differ by
+# standard errors; largest difference of wheels and laser, as share of the truth's scale error
 MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
-MIN_SCALE_SHARE = 0.05  # of the squared steps of a path that no tracked point explains: with less it has no scale
-ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: 99th percentile of the speeds of a robot
+MIN_SCALE_SHARE = 0.05  # least share of a path's squared steps that no tracked point explains, to find its scale
+ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: plausible range of the 99th percentile of a robot's speeds
 STEP = "step"  # code of the finding on sideways steps
 POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on sideways motion
 MIN_CREEP, CREEP_SIGMAS = 0.008, 5.0  # m per m; standard errors
@@ -41,17 +42,17 @@ MIN_READINGS = 5  # of a truth that is used
 WINDOW_S = 1.0  # s over which distances are compared
 STRETCH_COUNT = 8  # of the drive, for the jackknife
 MIN_WAY_M = 0.1  # m per window, by the wheels
-MIN_SEEN_M = 1e-6  # m per window, by the truth: at rest it measures no wheels
+MIN_SEEN_M = 1e-6  # m per window, by the truth: a truth at rest does not show the wheels' scale
 MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' distances
 WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
 MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps it is unusable
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a jump is longer than this factor times the wheels' step plus this distance
 MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
-# m; times the median difference from the wheels; number of steps
+# sideways steps: least size in m, and in median differences from the wheels; largest number
 MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5
 MIN_STEPS, READINGS_AROUND = 100, 5  # steps for an estimate of the noise; readings before and after a step
-CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # steps are clipped at; standard errors of a significant noise
-MIN_NOISE_FACTOR = 2.0  # times the configured noise: more is reported
+CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # sigmas at which steps are clipped; standard errors of significant noise
+MIN_NOISE_FACTOR = 2.0  # noise above this multiple of the configured noise is reported
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # smaller noise is not reported
 MIN_TURN_RAD = math.radians(60.0)
 MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of laser distances and wheel distances
@@ -77,7 +78,7 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
 def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
     """Return the axle's path (n, 2) [m, map frame] from wheel distances and truth headings, at the truth's stamps.
 
-    The wheels' turns, with errors by slip, are not used. None for a truth without headings.
+    The wheels' turns are not used, since slip changes them. None for a truth without headings.
     """
     if truth.theta is None:
         return None
@@ -113,7 +114,7 @@ def _steps(truth: Truth, drive: Drive) -> list[Finding]:
         if stays > 0.7 * float(size[k]):
             found.append((float(truth.t[k + 1]), stays))
     if not found or len(found) > MAX_STEPS:
-        return []  # many steps have other causes: a carried robot, wheel slip
+        return []  # many steps have another cause: a carried robot, wheel slip
     where = ", ".join(f"{away:.2f} m at {t:.1f} s" for t, away in found)
     words = f"it steps aside by {where}, while the robot rolls on: errors after that are the truth's"
     return [Finding("truth", STEP, words, (), True)]
@@ -146,7 +147,8 @@ def _noise(truth: Truth, drive: Drive) -> list[Finding]:
 def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
     """Return the noise of truth poses by the negative correlation of neighbouring steps.
 
-    Only sideways, since along the path jitter of stamps looks the same. Zero if not significant.
+    Only sideways steps are used, since jitter of the stamps looks like noise along the path. The noise is zero if
+    it is not significant.
     """
     path, inside = axle_path(truth, wheels), _inside(truth, wheels)
     if path is None or truth.theta is None or inside.sum() < MIN_STEPS:
@@ -233,9 +235,10 @@ def of_few(drive: Drive) -> list[Finding]:
 
 
 def of_axes(drive: Drive) -> list[Finding]:
-    """Return a finding if x or y of the truth hardly changes while the drive extends both ways: it is the height.
+    """Return a finding if x or y of the truth hardly changes, but the drive extends in both: it may be the height.
 
-    In a straight corridor wrong turns of the wheels look the same, but there truth and wheels move equally far.
+    In a straight corridor, wrong turns of the wheels have the same effect, but there truth and wheels move equally
+    far.
     """
     truth, wheels = drive.truth, drive.wheels
     if truth is None:
@@ -263,8 +266,8 @@ def of_axes(drive: Drive) -> list[Finding]:
 def of_unit(drive: Drive) -> list[Finding]:
     """Return a finding if the truth is not in metres: its distances are a power of ten times the wheels'.
 
-    Wheels of a wrong radius show the same: the truth is wrong only if the wheels' speed is plausible for a robot,
-    and the truth's is not.
+    A wrong wheel radius has the same effect. So the truth is wrong only if the wheels' speed is plausible for a
+    robot, and the truth's speed is not.
     """
     factor, (slowest, fastest), speed = (wheels_metre(drive) or (1.0,))[0], ROBOT_SPEEDS_MPS, _fastest(drive)
     unit = next((u for f, u in UNITS.items() if 1.0 / MAX_UNIT_RATIO < factor / f < MAX_UNIT_RATIO), None)
@@ -280,12 +283,12 @@ def of_unit(drive: Drive) -> list[Finding]:
 def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     """Return a finding if wheels and laser agree on distances, and the truth differs from both.
 
-    `motion`: the laser beside the wheels, by walls. Two that agree are hardly wrong by the same factor.
+    `motion` compares laser and wheels by walls. If both agree, they are hardly wrong by the same factor.
     """
     truth = drive.truth
     if truth is None or motion is None or drive.wheels.matched is not None:
         return []
-    # chords do not do: noise makes them longer, and so does a tracked point off the axle
+    # distances between two positions are not enough: noise, or a tracked point off the axle, makes them longer
     found = swing(truth, drive)
     if found is None:
         return []
@@ -316,7 +319,8 @@ def unusable(drive: Drive) -> Finding | None:
 def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     """Return the ratio of truth distances to wheel distances, and its sigma; None for a short path.
 
-    Chords over WINDOW_S are compared: noise of the truth lengthens shorter ones, wrong turns longer ones.
+    Distances between positions WINDOW_S apart are compared. In shorter windows the truth's noise would increase
+    the distances; in longer windows wrong turns would change them.
     """
     truth, wheels = drive.truth, drive.wheels
     if truth is None:
@@ -378,9 +382,9 @@ class Swing(NamedTuple):
 def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None:
     """Fit tracked point, path scale and sideways motion to the truth; None if the robot hardly turns.
 
-    With p(t) = base + R(theta) l, a step of the point is that of the base's `path` (n, 2) [m] at the truth's
-    stamps, times a factor and turned by a small angle, plus (R(theta') - R(theta)) l. `path` is NaN where unknown;
-    by default it is that of the axle by the wheels.
+    The point is at p(t) = base + R(theta) l. So its step is the step of the base, times a factor and rotated by a
+    small angle (sideways motion), plus (R(theta') - R(theta)) l. `path` (n, 2) [m] are the base's positions at the
+    truth's stamps, NaN where unknown; by default those of the axle by the wheels.
     """
     path = axle_path(truth, drive.wheels) if path is None else path
     if path is None or truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
@@ -401,7 +405,7 @@ def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None
         return None
     alone = rolled - turned * (np.vdot(turned, rolled) / np.vdot(turned, turned))
     if np.vdot(alone, alone).real <= MIN_SCALE_SHARE * np.vdot(rolled, rolled).real:
-        return None  # on a circle a point beside the axle moves as a path of another scale
+        return None  # on a circle, a point beside the axle moves like a path of another scale
     A = np.stack((turned, rolled), axis=-1)
 
     def fitted(some: Ints) -> Array:
@@ -476,9 +480,9 @@ def robust(A: Plane, y: Plane) -> Plane:
 START = "start"  # code of the finding
 SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD = 0.1, math.radians(5.0)
 MIN_START_ERROR_M, MIN_START_ERROR_RAD = 0.02, math.radians(1.0)  # limits for a truth with headings
-DRIVES_S = 0.5  # s after the first reading, in which a robot that drives rolls more than STANDS_M
+DRIVES_S = 0.5  # s after the first reading: a robot that drives rolls more than STANDS_M in this time
 START_SIGMAS = 3.0  # of the combined sigma of configured and true start
-SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is found: by points, by poses
+SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive that are used to find the start pose: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
 
@@ -530,15 +534,15 @@ class TruthStart(NamedTuple):
     t: float  # s: start of the truth if the robot moved before it, else the first wheel reading
 
     def place_sigma(self, robot: Robot, truth: Truth) -> float:
-        """Return the sigma [m] of the place beside that of the robot's [start]."""
-        # the path is aligned about its middle: an error of the turn moves the start by half the path
+        """Return the sigma [m] of the start position, without the sigma of the robot's [start]."""
+        # the path is aligned about its middle: an error of the heading moves the start by half the path times it
         return math.hypot(robot.start.sigma_xy, 0.5 * self.way * self.sigma, self.spread, truth.sigma)
 
 
 def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> TruthStart | None:
     """Return the start pose by the truth; None if the first metres of the drive do not show it.
 
-    By the first poses of a truth with headings, else by the shape of its first metres.
+    It follows from the first poses of a truth with headings, else from the shape of its first metres.
     """
     wheels, headings = drive.wheels, None if by_shape else truth.theta
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])

@@ -1,7 +1,7 @@
 """Turning checks: wheels compared with sensors that measure turns; mirrored, swapped or dead wheels, track.
 
-Over windows of a second a sensor's turn is a R + b L, with L, R the distances of left and right wheel: a = 1/track
-and b = -1/track on a correctly configured robot. The signs of a and b show reversed wheels and sensors.
+Over windows of a second, a sensor's turn is a R + b L, with the distances L, R of the left and right wheel. If the
+robot is configured correctly, a = 1/track and b = -1/track. The signs of a and b show reversed wheels and sensors.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth,
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WINDOW_S = 1.0  # s
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
-MIN_RMS_TURN_RAD = math.radians(5.0)  # rms turn of a window
+MIN_RMS_TURN_RAD = math.radians(5.0)  # least rms turn of a window
 MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turns that the wheels must explain, with either sign
 MAX_WHEEL_CORRELATION = 0.98  # of both wheels, above which their effects cannot be separated
 MIN_TRACK_ERROR, MIN_SIGMAS = 0.04, 4.0  # smallest reported relative error of the track; standard errors
 SEVERE_TRACK_ERROR = 0.06
 WORTH_SAYING = Least(MIN_TRACK_ERROR, MIN_SIGMAS)
-MIN_ROLL_SPREAD_M = 1e-3  # m per window
+MIN_ROLL_SPREAD_M = 1e-3  # m per window, least standard deviation of a wheel's distance
 GYRO_SCALE_SIGMA = 0.01  # 1 sigma of a gyro's scale
-MAX_PAIRED_SHARE = 0.5  # of the largest turn between paired walls: a wrong track that uses more of it is biased
-CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of path for a direction of travel; rad of a piece
-MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per turn of the wheels: limits for a track
+MAX_PAIRED_SHARE = 0.5  # largest error of a turn, as share of the largest turn of paired walls, without a bias
+CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of path for a direction of travel; rad and number of pieces
+MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # limits of (truth's turns / wheels' turns) and its sigma, for a track
 BOTH_TURNED: Mapping[str, str] = {"none": "both", "both": "none", "left": "right", "right": "left"}
-MIN_PIECES_OF_SIGN, MAX_AGAINST_SIGMA = 3, 0.25  # pieces, sigma as a share of the slope: for its sign
+MIN_PIECES_OF_SIGN, MAX_AGAINST_SIGMA = 3, 0.25  # for the sign of this ratio: pieces; sigma as share of the ratio
 
 
 class Turning(msgspec.Struct, frozen=True):
@@ -60,7 +60,7 @@ def turnings(drive: Drive) -> dict[str, Turning]:
     """Return the fit of turns by wheel distances, for each sensor that measures turns."""
     found = {}
     for name, (t, own) in headings(drive.measurements).items():
-        # turns of exactly zero so far: scans without matching lines
+        # while no lines match, the turn is exactly zero
         unknown = np.cumsum(np.diff(own, prepend=np.nan) == 0.0) * float(REGISTRY[name].heading_holds)
         turning = explain(t, own, drive.wheels, unknown)
         if turning is not None:
@@ -102,7 +102,7 @@ def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
     turn = _regression(own, (right - left)[:, None], np.array([[1.0, -1.0]]), offset)
     if turn is not None and turn.explained > MIN_EXPLAINED_SHARE:
         return turn
-    # at constant speed the sum counts if one wheel counts backward
+    # at constant speed, the sum of both distances varies if one wheel counts backward
     return _regression(own, (right + left)[:, None], np.array([[1.0, 1.0]]), offset) or turn
 
 
@@ -279,17 +279,17 @@ def observed_track(
     for name, scale_sigma in (("compass", 0.0), ("gyro", GYRO_SCALE_SIGMA)):
         t = by_sensor.get(name)
         if t is not None and t.a - t.b > 0.0:
-            # an odometry's turns are those of a track in `drive` that nobody configured
+            # the turns of an odometry imply a track in `drive` that is not configured
             track = configured * 2.0 / (t.a - t.b) / drive.wheels.track
             return track, track * math.hypot(t.sigma / (t.a - t.b), scale_sigma), f"the {name}"
     return None
 
 
 def _far_by_scans(track: float, by_sensor: Mapping[str, Turning]) -> tuple[float, float] | None:
-    """Return the track by turns from scan to scan per `track` [m], and its sigma, if it is far from 1; or None.
+    """Return (track by turns from scan to scan) / `track` and its sigma if this ratio is far from 1; else None.
 
-    Walls of two scans are paired by the turn of the wheels. If this is too wrong, pairs of the largest errors
-    are missing, and the track by walls lies between the configured and the true one.
+    Walls of two scans are paired by the turn of the wheels. If the error of this turn is too large, the pairs with
+    the largest errors are missing, and the track by paired walls lies between the configured and the true track.
     """
     t = by_sensor.get("lrf")
     if t is None or t.a - t.b <= 0.0:
@@ -309,8 +309,8 @@ def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
 def _slope_by_truth(drive: Drive, fewest: int, by_path: bool) -> tuple[float, float] | None:
     """Return the signed ratio of the truth's turns to the wheels', and its sigma; None for short drives.
 
-    By headings, or by the direction of travel (`by_path`, or a truth without headings). Turns are summed over
-    pieces with independent slip.
+    The truth's turns are those of its headings, or of the direction of travel (if `by_path`, or without headings).
+    Turns are summed over pieces with independent slip.
     """
     truth, wheels = drive.truth, drive.wheels
     if truth is None:
@@ -356,7 +356,7 @@ def _against_the_truth(
 ) -> list[Finding]:
     """Return a finding if truth and wheels turn in opposite directions.
 
-    A third sensor shows which of them is right. A truth whose own path and headings disagree is wrong.
+    A third sensor shows which of them is right. If the truth's own path and headings disagree, the truth is wrong.
     """
     truth = drive.truth
     by_path = _sense_by_truth(drive, by_path=True)

@@ -1,4 +1,7 @@
-"""Arrays for the kernels, as memoryviews: interpreted code reads their elements ten times faster than NumPy's."""
+"""Arrays for the kernels, as memoryviews.
+
+Interpreted code reads an element of a memoryview ten times faster than an element of a NumPy array.
+"""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
 """State of the filter, with its inner loops: predict (paper eq. 5-7) and correct (eq. 10-12).
 
-The mean (n,) begins with the pose: x [m], y [m], theta [rad, not wrapped]. P (n, n) is its covariance; both
-halves are kept. The arrays may have room for more states than there are; `fusion.ekf.belief` owns and grows them.
+The mean (n,) begins with the pose: x [m], y [m], theta [rad, not wrapped]. P (n, n) is the covariance of all
+states, stored as a full symmetric matrix. The arrays may be larger than n; `fusion.ekf.belief` owns and grows
+them.
 
-Rows of an instant's equation y = H dx + noise of covariance R are written by `compare` (or by kernels.sight) into
-one table, sparse: row k depends on the states at[k, :count[k]] by H[k, :count[k]]. Those that pass the gate are
-queued, and `correct` takes all queued rows at once.
+The measurement equation of one update time is y = H dx + noise with covariance R. `compare` (or kernels.sight)
+writes its rows to one sparse table: row k has the derivatives H[k, :count[k]] by the states at[k, :count[k]]. Rows
+that pass the gate are queued, and `correct_queued` uses all queued rows at once.
 """
 
 from __future__ import annotations
@@ -26,15 +27,18 @@ if not cython.compiled:
 
 ACCEPTED, GATE = 0, 1  # verdicts, as in fusion.data.VERDICTS
 NAN, INFINITE = float("nan"), float("inf")
-MAX_NUMBERS = 8  # of one reading that is compared
-MIN_KEPT_SHARE = 1e-14  # a correction leaves at least this share of a variance: below is only rounding
+MAX_NUMBERS = 8  # components of one measurement
+MIN_KEPT_SHARE = 1e-14  # a correction leaves at least this share of a variance; a smaller rest is a rounding error
 
 
 class Steps:
-    """Wheel motions between update times: step k leads to update k."""
+    """Wheel motions between update times: step k is the motion that ends at update time k."""
 
     def __init__(self, u: Any, Q: Any, dt: Any, J: Any) -> None:
-        """Use arrays u (s, 3) [m, m, rad], Q (s, 9), dt (s,) [s], J (s, 3 p) = d u/d(wheel parameters) by rows."""
+        """Use arrays of s steps: motion u (s, 3) [m, m, rad], noise Q (s, 9), duration dt (s,) [s].
+
+        J (s, 3 p) is the derivative of u by the p wheel parameters, row by row.
+        """
         self.u, self.Q = memory(u), memory(Q)
         self.dt, self.J = memory(dt), memory(J)
 
@@ -55,7 +59,10 @@ class TrackColumns:
     """Record of the pose, its covariance and some states, one row per update."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
-        """Use arrays pose (n, 3), triangle (n, 6), values (n, 2 b): the `states` (b,), then their variances."""
+        """Use arrays of n updates: pose (n, 3), covariance triangle (n, 6), and values (n, 2 b).
+
+        `values` are the recorded states, then their variances; `states` (b,) are the columns of these states.
+        """
         self.pose, self.triangle, self.values = memory(pose), memory(triangle), memory(values)
         self.states = memory(states)
 
@@ -63,9 +70,10 @@ class TrackColumns:
 class Innovation:
     """One measurement compared with its prediction: y = z - h(x), NIS, and its rows in the state's table.
 
-    `row` in Measurements.z (-1: something known of states), `verdict` (index into VERDICTS), `landmark` (id of the
-    map feature, -1 for none), `nis` y' S^-1 y and `threshold` of the gate, y (d,) and sigma (d,), the square roots
-    of the diagonal of S; its `first` row of the table (-1: it was compared with nothing) and `numbers` d.
+    `row`: row of Measurements.z (-1: a constraint on states, not a measurement). `verdict`: index into VERDICTS.
+    `landmark`: id of the map feature, -1 for none. `nis` = y' S^-1 y; `threshold`: limit of the gate. y (d,), and
+    sigma (d,), the square roots of the diagonal of S. `first`: its first row in the table (-1: there was no
+    prediction); `numbers` = d.
     """
 
     def __init__(
@@ -76,7 +84,7 @@ class Innovation:
 
     @staticmethod
     def unpredicted(row: int, verdict: int, d: int, threshold: float) -> Innovation:
-        """Return the record of a measurement with d components but no prediction: all NaN."""
+        """Return the record of a measurement (d components) without a prediction: NIS, y and sigma are NaN."""
         none = (NAN,) * d
         return Innovation(row, verdict, -1, NAN, threshold, none, none)
 
@@ -84,9 +92,9 @@ class Innovation:
 class State:
     """Mean and covariance of the filter, and the rows of the measurement equations of one update.
 
-    There are `n` states. The map frame begins at column `frame`, the wheel parameters at column `wheels`, -1 where
-    there are none. So many rows are `written`, and of these `queued`, which will correct the state. `keeps`: some
-    states are kept.
+    There are `n` states. The map frame's states begin at column `frame`, the wheel parameters at column `wheels`;
+    -1 if they are not states. `written` is the number of rows in the table, `queued` the number of rows that will
+    correct the state. `keeps`: some states are considered (corrections do not change their values).
     """
 
     def __init__(self) -> None:
@@ -103,7 +111,7 @@ class State:
     def hold_rows(self, at: Any, H: Any, count: Any, y: Any, R: Any, queue: Any) -> None:
         """Use arrays for m rows: at and H (m, states per row); count, y and queue (m,); R (m, m).
 
-        Scratch is V (m + 4, size), S (m, m), e (m,), small (16, 16).
+        Also allocate the work arrays V (m + 4, size), S (m, m), e (m,), small (16, 16).
         """
         self.row_at, self.row_H, self.row_count = memory(at), memory(H), memory(count)
         self.row_y, self.row_R, self.queued_rows = memory(y), memory(R), memory(queue)
@@ -112,7 +120,7 @@ class State:
         self.small = floats(16, 16)
 
     def drift(self, columns: Any, variances: Any) -> None:
-        """Set the states `columns` (k,) that gain the `variances` (k,) per second."""
+        """Set process noise: the states in `columns` (k,) get the `variances` (k,) per second."""
         self.drifting = len(columns)
         self.drift_at, self.drift_by = memory(columns), memory(variances)
 
@@ -121,16 +129,16 @@ class State:
         raise NotImplementedError
 
     def not_positive(self, greatest: float) -> None:
-        """Raise an error: an innovation covariance with this largest variance is not positive definite."""
+        """Raise an error: an innovation covariance, with largest variance `greatest`, is not positive definite."""
         raise NotImplementedError
 
     # ---- predict ----
 
     def move(self, steps: Steps, k: int) -> None:
-        """Eq. 5-7: predict over step k; its noise Q is in the frame of its start.
+        """Eq. 5-7: predict the state over step k. Its noise Q is in the frame of the pose at its start.
 
-        Row x of A (eq. 7) is (1, 0, -dy), row y is (0, 1, dx): rows and columns of x and y take that much of
-        theta's. Wheel parameters z correct the motion: it is u + J z.
+        Row x of A (eq. 7) is (1, 0, -dy), row y is (0, 1, dx). So A P A' adds -dy times the row and column of
+        theta to those of x, and dx times them to those of y. With wheel parameters z the motion is u + J z.
         """
         n = self.n
         ux, uy, turn = steps.u[k, 0], steps.u[k, 1], steps.u[k, 2]
@@ -160,7 +168,7 @@ class State:
         self.P[0, 1] += cs * (qxx - qyy) + (cc - ss) * qxy
         self.P[0, 2] += c * qxt - s * qyt
         self.P[1, 2] += s * qxt + c * qyt
-        for i in range(states):  # A has a column W J for each of them
+        for i in range(states):  # A has a column W J for each wheel parameter
             at, by_x, by_y = self.wheels + i, steps.J[k, i], steps.J[k, states + i]
             by_turn = steps.J[k, 2 * states + i]
             dx, dy = c * by_x - s * by_y, s * by_x + c * by_y
@@ -184,7 +192,8 @@ class State:
     ) -> Innovation:  # fmt: skip
         """Write the rows of a measurement; compute S = H P H' + R and NIS = y' S^-1 y.
 
-        See fusion.sensor.Belief.compare; `in_map`: H (d, 3) is by the pose in the map, not by the local one.
+        See fusion.sensor.Belief.compare. `in_map`: H (d, 3) is the derivative by the pose in the map, else by the
+        local pose.
         """
         d, states, first = len(y), len(columns), self.written
         self.room_for(d, states)
@@ -206,7 +215,7 @@ class State:
         return found
 
     def write_row(self, k: int, H: Any, columns: Any, H_block: Any, in_map: bool) -> None:
-        """Write the derivatives H (3,) by the pose and H_block (c,) by the states `columns` to row k."""
+        """Write row k: the derivatives H (3,) by the pose, and H_block (c,) by the states in `columns` (c,)."""
         by_x, by_y, by_theta = H
         w = self.derive(k, by_x, by_y, by_theta, in_map)
         for j in range(len(columns)):
@@ -223,16 +232,16 @@ class State:
             self.more_rows(self.written + rows + 1)
 
     def put(self, k: int, w: int, column: int, h: float) -> int:
-        """Write a state's column and derivative h to entry w of row k if h is not 0; return the next free w."""
+        """Write the derivative h by the state in `column` to entry w of row k if h is not 0; return the next w."""
         if h == 0.0:
             return w
         self.row_at[k, w], self.row_H[k, w] = column, h
         return w + 1
 
     def derive(self, k: int, by_x: float, by_y: float, by_theta: float, in_map: bool) -> int:
-        """Write the derivative of row k by the local pose, from that by the pose in the map: H_q = H J_q.
+        """Write the derivative of row k by the local pose; return the number of entries of the row.
 
-        Returns how many states it depends on.
+        It is H_q = H J_q, with the derivative H = (`by_x`, `by_y`, `by_theta`) by the pose in the map.
         """
         if in_map and self.frame >= 0 and (by_x != 0.0 or by_y != 0.0):
             turn = self.mean[self.frame + 2]
@@ -241,9 +250,12 @@ class State:
         return self.put(k, self.put(k, self.put(k, 0, 0, by_x), 1, by_y), 2, by_theta)
 
     def derive_frame(self, k: int, w: int, by_x: float, by_y: float, by_theta: float) -> int:
-        """Write the derivative of row k by the map frame, from that by the pose in the map: H_G = H J_G."""
+        """Write the derivative of row k by the map frame, from entry w on; return the number of entries.
+
+        It is H_G = H J_G, with the derivative H = (`by_x`, `by_y`, `by_theta`) by the pose in the map.
+        """
         G = self.frame
-        if by_x != 0.0 or by_y != 0.0:  # a heading has no lever
+        if by_x != 0.0 or by_y != 0.0:  # else H is by the heading only, and the frame's position has no effect
             c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
             rx, ry = c * self.mean[0] - s * self.mean[1], s * self.mean[0] + c * self.mean[1]
             w = self.put(k, self.put(k, w, G, by_x), G + 1, by_y)
@@ -261,9 +273,9 @@ class State:
         return total
 
     def judge(self, first: int, d: int) -> float:
-        """Return the joint NIS of the d rows from `first` on, and write S = L D L' to `small`.
+        """Return the joint NIS of the d rows from `first` on, and write the factors of S = L D L' to `small`.
 
-        Row MAX_NUMBERS of `small` gets the variances in S. The NIS is NaN where S or its products are not finite.
+        The diagonal of S is written to row MAX_NUMBERS of `small`. The NIS is NaN if S is not finite.
         """
         total, nis = 0.0, 0.0
         greatest = 0.0
@@ -271,7 +283,7 @@ class State:
             for b in range(a + 1):
                 self.small[a, b] = self.covariance_of(first + a, first + b)
             if d == 1 and self.small[0, 0] < 0.0:
-                self.small[0, 0] = 0.0  # but for rounding
+                self.small[0, 0] = 0.0  # it is negative only by rounding
             for b in range(a + 1):
                 self.small[a, b] += self.row_R[first + a, first + b]
             self.small[MAX_NUMBERS, a] = self.small[a, a]
@@ -293,7 +305,7 @@ class State:
         return nis
 
     def variance(self, H: Any, columns: Any = (), H_block: Any = (), in_map: bool = False) -> float:
-        """Return H P H' of one derivative H (3,) by the pose and H_block (c,) by the states `columns` (c,)."""
+        """Return the variance H P H' of a scalar: H (3,) is by the pose, H_block (c,) by the states `columns`."""
         self.room_for(1, len(columns))
         self.write_row(self.written, H, columns, H_block, in_map)
         return max(self.covariance_of(self.written, self.written), 0.0)
@@ -317,8 +329,8 @@ class State:
     def whiten(self, begin: int, end: int) -> float:
         """Write V = L^-1 H P and e = L^-1 y of the queued rows begin:end, with S = H P H' + R = L L'.
 
-        The parts of e are independent and of unit variance, and V' L^-1 is the gain of eq. 10. Returns the
-        greatest variance in S, with a minus where S is not positive.
+        The elements of e are independent with unit variance, and V' L^-1 is the gain of eq. 10. Returns the
+        largest variance in S; it is negated if S is not positive definite.
         """
         n, m = self.n, end - begin
         greatest = self.project(begin, m)
@@ -372,9 +384,9 @@ class State:
         return True
 
     def correct_queued(self) -> None:
-        """Eq. 10-12 with all queued rows; the map frame's covariance is rotated with the frame.
+        """Correct the state with all queued rows (eq. 10-12), and adapt the covariance of the map frame.
 
-        `frame_x` and `frame_y` say afterwards by how much the frame's place moved [m].
+        Then (`frame_x`, `frame_y`) [m] is the correction of the map frame's position (`turn_frame`).
         """
         m, G = self.queued, self.frame
         greatest = self.whiten(0, m)
@@ -395,7 +407,7 @@ class State:
     def correct_all(self, m: int) -> None:
         """Eq. 11, mean <- mean + V' e, and eq. 12, P <- P - V' V, with m rows.
 
-        Four rows at a time, so that P is fetched from memory a quarter as often; those behind the last are zeros.
+        Four rows are used at a time, to load P from memory less often; V is padded with zero rows.
         """
         n = self.n
         for k in range(m, m + 3):
@@ -406,7 +418,7 @@ class State:
                 self.mean[j] += self.V[k, j] * self.e[k]
         for i in range(n):
             least = MIN_KEPT_SHARE * self.P[i, i]
-            for k in range(0, m, 4):  # a step that is no literal would be a range of Python
+            for k in range(0, m, 4):  # Cython makes a C loop only if the step is a literal
                 a, b, c, d = self.V[k, i], self.V[k + 1, i], self.V[k + 2, i], self.V[k + 3, i]
                 for j in range(i, n):
                     self.P[i, j] -= (
@@ -422,7 +434,7 @@ class State:
                 self.mean[j] += self.V[k, j] * self.e[k]
         for i in range(n):
             if self.kept[i]:
-                continue  # its part of the others' rows is written there
+                continue  # its covariances with the other states are written in their rows
             least = MIN_KEPT_SHARE * self.P[i, i]
             for k in range(m):
                 a = self.V[k, i]
@@ -439,7 +451,7 @@ class State:
             self.P[j, i] = self.P[i, j]
 
     def fit(self, rows: int) -> float:
-        """Return the joint NIS y' S^-1 y of the rows that were whitened last."""
+        """Return the joint NIS y' S^-1 y of the `rows` rows that `whiten` processed last."""
         nis = 0.0
         for k in range(rows):
             nis += self.e[k] * self.e[k]
@@ -448,8 +460,9 @@ class State:
     def turn_frame(self, dx: float, dy: float) -> None:
         """Rotate the covariance of the map frame after its correction by (dx, dy) [m].
 
-        A rotation of the map about one of its points is not observed yet. Its effect on the frame's position
-        changes with this position: rows x, y += (-dy, dx) row Th. So the rotation stays unobserved.
+        A rotation of the map and all poses about the map's origin is not observable. Its effect on the frame's
+        position is proportional to this position. So after the correction, rows x, y += (-dy, dx) row Th; else the
+        filter would seem to observe the rotation.
         """
         G, n = self.frame, self.n
         for j in range(n):
@@ -474,9 +487,12 @@ class State:
                 self.P[i, column + j] = self.P[i, j]
 
     def replace(self, columns: Any, values: Any, G: Any) -> None:
-        """Replace states (k,): x <- values, P <- T P T', T the identity with G (k, k) for these states."""
+        """Replace the states in `columns` (k,) by `values`, and P by T P T'.
+
+        T is the identity matrix, except that its block for these states is G (k, k).
+        """
         k, first = len(columns), self.written
-        self.room_for(k, k)  # behind the rows of the equation
+        self.room_for(k, k)  # T is written after the rows of the measurement equation
         for a in range(k):
             by = G[a]
             for b in range(k):
@@ -486,7 +502,7 @@ class State:
             self.mean[self.row_at[first, a]] = values[a]
 
     def turn_rows(self, first: int, k: int) -> None:
-        """Apply P <- T P T': T is the identity, but k of its rows are those of the table from row `first` on."""
+        """Apply P <- T P T': T is the identity matrix with k rows replaced by the table's rows from `first` on."""
         n = self.n
         for i in range(n):
             for a in range(k):
@@ -542,8 +558,9 @@ class State:
     def locate(self) -> None:
         """Compute pose and covariance triangle in the map.
 
-        p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + bent r r', where
-        C = cov(q, G), with the derivatives of fusion.ekf.map_frame.
+        p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + b r r', with
+        C = cov(q, G), the derivatives J of fusion.ekf.map_frame, the position r of q rotated into the map's axes,
+        and b = `bent`(variance of the frame's heading).
         """
         o, P, small = MAX_NUMBERS + 2, self.P, self.small
         qx, qy, qt = self.mean[0], self.mean[1], self.mean[2]
@@ -589,11 +606,11 @@ class State:
 
 
 def bent(tt: float) -> float:
-    """Return the second-order variance along a lever, per squared length, that heading variance tt [rad^2] causes.
+    """Return the variance along a lever of length 1, caused by the heading variance tt [rad^2] (second order).
 
-    To first order, a heading error moves the end of a lever only across the lever. With a Gaussian angle a, the
-    end is at cos(a) along it: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. This is 3/4 tt^2 for
-    small tt.
+    To first order, a heading error moves the end of the lever only sideways. With a Gaussian heading error a, the
+    end is at cos(a) along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. For small tt
+    this is 3/4 tt^2.
     """
     if tt > 1e-3:
         return 1.0 - 2.0 * exp(-0.5 * tt) + 0.5 * (1.0 + exp(-2.0 * tt))

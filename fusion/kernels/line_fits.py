@@ -1,15 +1,15 @@
 """Weighted line fit to the returns of a wall: (r, psi), covariance, and test for straightness.
 
-A line is n.P = r with n = (cos psi, sin psi), r >= 0. A beam starts at o (the laser's own place when the beam
-was fired: zero without deskewing), points along u and should return the range p = (r - n.o) / n.u. Its noise acts
-along and across the beam, so what is minimised is the sum of (d - p)^2 / v, v = s_d^2 + (s_phi p tan(alpha))^2,
-alpha the angle of incidence. Fits of perpendicular distances are a good start, but biased off-centre.
-Sums of squares are of residuals over their sigma, times s_d^2 [m^2].
+A line is n.P = r with n = (cos psi, sin psi), r >= 0. A beam starts at o, the position of the laser at its time
+(zero without deskewing), and has the direction u. Its predicted range is p = (r - n.o) / n.u. With the measured
+range d, the sum of (d - p)^2 / v is minimised. v = s_d^2 + (s_phi p tan(alpha))^2 is the variance by the noise of
+range and beam angle, with the angle of incidence alpha. The start values are from a fit of perpendicular
+distances, which alone would be biased. Weighted sums of squares are multiplied by s_d^2, so their unit is m^2.
 
-A round wall is cut into chords as long as the laser's noise allows. Each chord alone passes as straight, yet where
-it lies depends on where it was cut, and the cuts turn with the robot: no landmark. Its neighbours tell. On a curve
-the wall goes on in pieces that turn the same way, by as much as the bow of each piece says. Straight walls that
-meet in a blunt corner have no bow.
+A round wall is cut into chords, as long as the laser's noise allows. Each chord passes the test of straightness,
+but its position depends on the cuts, which change with the robot's pose. So a chord is no landmark. Its neighbours
+show that it is one: on a curve, neighbouring pieces turn in the same direction, and the bow of each piece (its
+height over the chord) fits these turns. Straight walls that meet in a blunt corner have no bow.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ if not cython.compiled:
     from .segments import Limits, Returns, ScanColumns, Segments, distance, find_walls, head_of, tail_of
     from .uncompiled import cos, sin, sqrt
 
-FAR_FOOT_M = 1e150  # where a beam that runs along the wall would meet it
-MAX_PSI_RAD = 1e3  # beyond it the steps of a fit went astray
-MIN_BEND_RAD = 0.08  # over the length of a piece, a bow of 1 % of it: what bends less is as good as straight
-MAX_JOINT_TURN_RAD = 0.7  # from one piece to the next: no curve is cut so coarsely
-MIN_CURVE_PIECES = 3  # two are a blunt corner
-MAX_SHADOW_M = 0.6  # between pieces of one curve: a piece in between may have been too short for a wall
-MIN_CURVE_GAIN_CHI2 = 4.0  # that a curve must save over all its pieces (2 sigma: 98 %)
-SPARED_PIECE_CHI2 = 3.0  # that each piece more is worth: a curve needs no line of its own for it
-MIN_PIECE_GAIN_CHI2 = -25.0  # that a curve saves in a piece which is straight by itself (5 sigma)
+FAR_FOOT_M = 1e150  # position on the wall assumed for a beam parallel to it
+MAX_PSI_RAD = 1e3  # a fit with a larger psi has diverged
+MIN_BEND_RAD = 0.08  # least turn of a curve over the length of one piece: a bow of 1 % of the length
+MAX_JOINT_TURN_RAD = 0.7  # largest turn of a curve between two pieces
+MIN_CURVE_PIECES = 3  # two pieces may be a blunt corner
+MAX_SHADOW_M = 0.6  # largest gap between two pieces of a curve: a piece in it may have been too short for a wall
+MIN_CURVE_GAIN_CHI2 = 4.0  # least chi2 that a curve saves over all its pieces (2 sigma: 98 %)
+SPARED_PIECE_CHI2 = 3.0  # bonus for each further piece: a curve needs no line of its own for it
+MIN_PIECE_GAIN_CHI2 = -25.0  # where a curve saves less, the piece is straight (5 sigma)
 
 
 class Fit:
-    """Returns of one wall (`count` of them) and the sums of the fit of a line (r, psi).
+    """Least-squares fit of a line (r, psi) to the `count` returns of one wall, with its weighted sums.
 
-    Return row[k] lies `error[k]` [m] off the line, whose foot is foot[k] [m], and counts with weight[k]. With e, q
-    and w for these: `sum_wqe` is the sum of w q e.
+    The k-th return has index row[k], distance e = error[k] [m] from the line, position q = foot[k] [m] along it,
+    and weight w = weight[k]. `sum_wqe` is the sum of w q e over all returns, and so on.
     """
 
     def __init__(self, beams: int) -> None:
@@ -54,17 +54,18 @@ class Fit:
 
 
 class Curves:
-    """Arrays for curved walls: curvature [1/m] at each joint, chi2 gain and result of each wall."""
+    """Work arrays to find curved walls: curvature [1/m] between neighbours, chi2 gain and result for each wall."""
 
     def __init__(self, beams: int) -> None:
         self.joint, self.gains, self.curved = floats(beams), floats(beams), wholes(beams)
-        self.saved, self.pieces = 0.0, 0.0  # chi2 and pieces of one curve
+        self.saved, self.pieces = 0.0, 0.0  # chi2 that one curve saves, and number of its pieces
 
 
 class Sweep:
-    """Motion of the base during a scan; `share` (pieces, beams) is the effect of each piece on each beam.
+    """Motion of the base during a scan, in pieces of time.
 
-    The lever [m] from the base to the laser and the base's forward direction are in the laser's axes.
+    `share` (pieces, beams) is the share of a piece's motion that moves each beam. The lever [m] from the base to
+    the laser and the base's forward direction are in the laser's axes.
     """
 
     def __init__(self, share: Array, lever: tuple[float, float], ahead: tuple[float, float]) -> None:
@@ -76,7 +77,8 @@ class Sweep:
 class FoundLines:
     """Lines of n scans, as columns of `lines.extract.Lines`: `count` lines so far, at most `most`.
 
-    R is over sigma_range^2, as rr, rp, pp; sweep (most, 4, pieces) is what r owes to a turn and a move, then psi.
+    R has the columns rr, rp, pp of the covariance / sigma_range^2. `sweep` (most, 4, pieces) has the derivatives
+    dr/dturn, dr/dmove, dpsi/dturn, dpsi/dmove.
     """
 
     def __init__(self, scans: int, most: int, pieces: int) -> None:
@@ -107,11 +109,11 @@ def find_lines(scans: ScanColumns, limits: Limits, sweep: Sweep) -> FoundLines:
 
 
 def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, found: FoundLines) -> bool:
-    """Fit a line to the returns of a wall and write the line; return whether it is valid.
+    """Fit a line to the returns of a wall in two Gauss-Newton steps, and write it; return whether it is valid.
 
-    Two Gauss-Newton steps. What lies outside the wall's own feet, or is seen too flat, leaves before the first,
-    strays before the second. What stays is decided by the predicted point, never by the measured one: choosing by
-    the noise would bias the line.
+    Before the first step, returns outside the wall's limits and at grazing incidence are left out; before the
+    second step, stray returns. The limits apply to the predicted point of a beam, not to the measured one: a
+    choice that depends on the noise would bias the line.
     """
     least = max(limits.min_points, 3.0)
     stray = limits.stray_sigmas * limits.stray_sigmas * limits.sigma_range * limits.sigma_range
@@ -140,9 +142,9 @@ def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fi
 def finish(returns: Returns, limits: Limits, fit: Fit, found: FoundLines) -> bool:
     """Take the last Gauss-Newton step and write the line; return False for a bent wall or an uncertain line.
 
-    A wall is bent where a parabola, as high as that share of its chord, explains much of the misfit. A line is too
-    vague to be linear where turning about its middle by sigma(psi) moves its foot by more than a share of sigma(r)
-    where psi is known, or where that sigma(psi) itself is too large.
+    A wall is bent if a parabola explains much of the misfit, and its height over the chord is above `max_bow`. A
+    line is uncertain if sigma(psi) is above `max_sigma_psi`, or if the second-order error of r by a turn of
+    sigma(psi) is above `max_swing` times the sigma(r) at exact psi.
     """
     if singular(fit):
         return False
@@ -169,9 +171,10 @@ def finish(returns: Returns, limits: Limits, fit: Fit, found: FoundLines) -> boo
 
 
 def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: FoundLines) -> None:
-    """Write the derivatives of a line's (r, psi) by turn [rad] and move [m] in each piece of the sweep.
+    """Write the derivatives of a line's (r, psi) by the base's turn [rad] and move [m] in each piece of the sweep.
 
-    A beam's end moves across its line by lever - q per radian and by n.ahead per metre; the fit passes that on.
+    Perpendicular to the line, a beam's end moves by lever - q per radian and by n.ahead per metre. The fitted line
+    moves by the weighted least-squares mean of that.
     """
     line = found.count
     nx, ny = cos(found.z[line, 1]), sin(found.z[line, 1])
@@ -211,9 +214,9 @@ def rows_of(segments: Segments, wall: int, fit: Fit) -> None:
 def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
     """Compute distances e [m] of the returns from the line (r, psi), positions q [m] along it, weights w.
 
-    Times n.u, the range residual d - p is the distance e = (d - p) n.u, and its derivative by (r, psi) is (-1, q),
-    q the foot of the *predicted* point: taking the measured one instead is the bias of perpendicular fits.
-    w = s_d^2 / var(e), with the ratio s_phi / s_d > 0 [1/m].
+    e = (d - p) n.u is the range residual times n.u; its derivative by (r, psi) is (-1, q). q is the position of
+    the *predicted* point: that of the measured point would bias the fit, as in fits of perpendicular distances. w
+    = s_d^2 / var(e) follows from the ratio s_phi / s_d > 0 [1/m].
     """
     nx, ny, r, ratio = cos(fit.psi), sin(fit.psi), fit.r, limits.ratio
     for k in range(fit.count):
@@ -230,16 +233,16 @@ def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
 
 
 def keep(fit: Fit, k: int, kept: int) -> None:
-    """Copy return k of the fit to index `kept`, behind the returns that were kept before."""
+    """Copy return k of the fit to index `kept` (the number of returns that were kept before)."""
     fit.row[kept], fit.error[kept] = fit.row[k], fit.error[k]
     fit.foot[kept], fit.weight[kept] = fit.foot[k], fit.weight[k]
 
 
 def leave_strays(fit: Fit, limit: float, least: float) -> None:
-    """Leave out stray returns, with squared weighted distance e^2 w > `limit` [m^2], such as those of a pole.
+    """Leave out stray returns, such as those of a pole: e^2 w > `limit` [m^2].
 
-    A few such beams are too few for a piece of their own, and would bias the line. If fewer than `least` returns
-    would remain, all are kept.
+    They are too few for a line of their own, and would bias this line. If fewer than `least` returns would remain,
+    all are kept.
     """
     strays = kept = 0
     for k in range(fit.count):
@@ -255,7 +258,7 @@ def leave_strays(fit: Fit, limit: float, least: float) -> None:
 
 
 def normal_equations(fit: Fit) -> None:
-    """Compute the weighted sums of a line fit: weights w, places q along the line, residuals e."""
+    """Compute the weighted sums of a line fit, with weights w, positions q along the line, residuals e."""
     a = b = c = f = g = ee = 0.0
     for k in range(fit.count):
         e, q, w = fit.error[k], fit.foot[k], fit.weight[k]
@@ -322,7 +325,7 @@ def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
 
 
 def stiffness(fit: Fit) -> float:
-    """Return the information of the curvature: of q^2 without its fit by 1 and q (q: place along the line)."""
+    """Return the information of the parabola's coefficient: weighted sum of squares of q^2 minus its line fit."""
     a, b, c, cubic = fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_wqqq
     return fit.sum_wqqqq - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / determinant(fit)
 
@@ -346,8 +349,8 @@ def bend(fit: Fit) -> float:
 def find_curves(returns: Returns, limits: Limits, segments: Segments, fit: Fit, curves: Curves) -> None:
     """Mark the walls that are pieces of a curve.
 
-    Where most walls of a scan are, another one is straight only if its own returns say so: it may be a piece of
-    the same curve whose neighbours are hidden.
+    If most walls of a scan are such pieces, every other wall is marked too, unless its own returns show that it is
+    straight: it may be a piece of the same curve with hidden neighbours.
     """
     walls, closed = segments.walls, returns.closed
     for i in range(walls):
@@ -371,9 +374,9 @@ def find_curves(returns: Returns, limits: Limits, segments: Segments, fit: Fit, 
 
 
 def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
-    """Compute the curvature [1/m] between neighbouring walls, 0 without contact; return the number of joints.
+    """Compute the curvature [1/m] between neighbouring walls; return the number of joints.
 
-    Positive where psi grows along the tangent (-sin psi, cos psi).
+    The curvature is positive if psi grows along the tangent (-sin psi, cos psi), and 0 if the walls do not join.
     """
     found, psi = 0, segments.psi
     for i in range(segments.walls):
@@ -385,7 +388,7 @@ def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
         head, end = head_of(segments, j), tail_of(segments, j)
         shadow = distance(returns, tail, head)
         turn = wrapped(psi[j] - psi[i])
-        if not (shadow <= MAX_SHADOW_M and abs(turn) <= MAX_JOINT_TURN_RAD):  # NaN: points at no real place
+        if not (shadow <= MAX_SHADOW_M and abs(turn) <= MAX_JOINT_TURN_RAD):  # also if the points are NaN
             continue
         way = shadow + 0.5 * (distance(returns, begin, tail) + distance(returns, head, end))
         ahead = cos(psi[i]) * (returns.y[tail] - returns.y[begin])
@@ -406,7 +409,7 @@ def curvature_of(curves: Curves, walls: int, closed: bool, i: int) -> float:
 
 
 def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, bent: float) -> float:
-    """Return the reduction of a wall's chi2 by the curvature `bent` [1/m] instead of 0."""
+    """Return the decrease of a wall's chi2 if its curvature is `bent` [1/m] instead of 0."""
     if bent == 0.0:
         return 0.0
     rows_of(segments, wall, fit)
@@ -416,12 +419,12 @@ def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: F
     if singular(fit):
         return 0.0
     parabola(fit)
-    height = -0.5 * bent  # of the parabola [1/m]: where psi grows, a wall comes nearer beside its middle
+    height = -0.5 * bent  # coefficient of the parabola [1/m]; with positive curvature the ends are nearer
     return stiffness(fit) * height * (2.0 * curvature(fit) - height) / limits.variance
 
 
 def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None:
-    """Follow a curve from wall i in direction `step` (1 or -1); add up chi2 gains and number of its pieces."""
+    """Follow a curve from wall i in direction `step` (1 or -1); sum the chi2 gains, and count its pieces."""
     sign = 0.0
     for _ in range(walls - 1):
         at = i if step > 0 else i - 1 if i > 0 else walls - 1

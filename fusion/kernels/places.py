@@ -1,9 +1,8 @@
 """Line transformations between frames, and scoring of poses by the lines that match.
 
-From the laser to the base, or from one mount to another, exact:
-r_b = r + l.n(psi_b), psi_b = psi + yaw for a laser at l = (x, y), Jacobian [[1, u], [0, 1]] with
-u = l.t(psi_b), t the tangent (-sin, cos). Where r_b < 0 the base stands beyond the line: (r, psi), the ends, and
-the sign of the r-psi covariance turn over.
+A line (r, psi) in the frame of a laser at l = (x, y), yaw is r_b = r + l.n(psi_b), psi_b = psi + yaw in the base
+frame. The Jacobian is [[1, u], [0, 1]] with u = l.t(psi_b) and the tangent t = (-sin, cos). If r_b < 0, the base
+is beyond the line: then the line becomes (-r_b, psi_b + pi), and its ends and the r-psi covariance change sign.
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ if not cython.compiled:
 
     from .uncompiled import cos, floor, sin, sqrt
 
-SAME_ANGLE_RAD, SAME_OFFSET_M = 5.0 * (pi / 180.0), 0.25  # a seen wall is a known one within these
-MIN_OVERLAP_SHARE = 0.6  # of a seen wall's length, by which it overlaps the known one that it is
-SIGHT_LINES = 5  # to points along a seen wall
-MIN_BEHIND_M = 0.3  # by which a point must lie behind a known wall
-MIN_FROM_END_M = 0.2  # of a known wall that is not trusted to block the sight nearer to its ends
-MIN_GRAZING_SINE = 0.1  # of the angle at which a sight line meets a wall: flatter ones are not trusted
+SAME_ANGLE_RAD, SAME_OFFSET_M = 5.0 * (pi / 180.0), 0.25  # largest differences of a seen wall and its map wall
+MIN_OVERLAP_SHARE = 0.6  # least share of a seen wall's length that overlaps its map wall
+SIGHT_LINES = 5  # number of sight lines to points of a seen wall
+MIN_BEHIND_M = 0.3  # least distance of a hidden point behind a map wall
+MIN_FROM_END_M = 0.2  # a map wall does not count as blocking nearer to its ends
+MIN_GRAZING_SINE = 0.1  # sine of the least angle between a sight line and a map wall that blocks it
 
 
 if not cython.compiled:
-    # columns of a line: r [m], psi [rad], both ends along its tangent [m]; between stands its covariance
+    # columns of a line: r [m], psi [rad], covariance (columns 2 to 4), both ends along its tangent [m]
     R, PSI, BEGIN, END = 0, 1, 5, 6
-    # columns of a map line: rho [m] and beta [rad] about its anchor x, y [m], both ends, and which way it faces
+    # columns of a map line: rho [m], beta [rad], anchor x, y [m], both ends [m], normal vector
     RHO, BETA, X, Y, LOW, HIGH, NX, NY = range(8)
-LINE_COLUMNS = 8  # of a map line; the last two are written here
+LINE_COLUMNS = 8  # of a map line; `face` writes the last two
 
 
 def wrapped(angle: float) -> float:
@@ -46,11 +45,11 @@ def wrapped(angle: float) -> float:
 def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Array) -> None:
     """Convert lines `rows` (lines, 7) from the frame of a laser at x, y [m], yaw [rad] to the base frame.
 
-    A row is r, psi, R as 00, 01, 11, and both ends.
+    A row has r, psi, R00, R01, R11, and both ends.
     """
     for i in range(lines):
         psi = rows[i, PSI] + yaw
-        if psi - psi != 0.0:  # Inf or NaN: there is no such line
+        if psi - psi != 0.0:  # psi is Inf or NaN
             for j in range(7):
                 out[i, j] = psi - psi
             continue
@@ -76,7 +75,7 @@ def moved(place: Array, configured: Array, out: Array) -> None:
 
 
 def shares_into_base(rows: Array, lines: int, x: float, y: float, yaw: float, shared: Array, out: Array) -> None:
-    """Convert shared errors (lines, 2, parts) of (r, psi) from the laser frame to the base frame."""
+    """Convert the errors of (r, psi) that all lines of a scan share, (lines, 2, parts), to the base frame."""
     for i in range(lines):
         psi = rows[i, PSI] + yaw
         c, s = cos(psi), sin(psi)
@@ -87,11 +86,11 @@ def shares_into_base(rows: Array, lines: int, x: float, y: float, yaw: float, sh
             out[i, 0, k], out[i, 1, k] = -move if r < 0.0 else move, turn
 
 
-# ---- where a scan may have been taken from ----
+# ---- scores of poses from which a scan may have been taken ----
 
 
 def face(walls: Array) -> None:
-    """Compute the normal directions of map lines."""
+    """Write the normal vectors of map lines to their last two columns."""
     for j in range(walls.shape[0]):
         walls[j, NX], walls[j, NY] = cos(walls[j, BETA]), sin(walls[j, BETA])
 
@@ -99,13 +98,13 @@ def face(walls: Array) -> None:
 def behind(rows: Array, walls: Array, x: float, y: float, theta: float, both: bool, out: Array) -> None:
     """Compute the share of each line (k, 7) that is hidden behind map lines `walls` (m, 8), seen from a pose.
 
-    A point of a line lies behind where its sight line meets a wall clearly before it, away from the wall's ends
-    and not too flat, on the face that was seen or on `both`.
+    A point of a line is hidden if its sight line meets a wall clearly before the point, away from the wall's ends
+    and not at grazing incidence. A wall hides points on the seen side only, or with `both` on both sides.
     """
     face(walls)
     ahead_x, ahead_y = cos(theta), sin(theta)
     for i in range(rows.shape[0]):
-        c, s, hidden = cos(rows[i, PSI]), sin(rows[i, PSI]), 0.0  # a float: C divides whole numbers without rest
+        c, s, hidden = cos(rows[i, PSI]), sin(rows[i, PSI]), 0.0  # float, since C rounds the ratio of integers
         for k in range(SIGHT_LINES):
             along = rows[i, BEGIN] + (k + 0.5) / SIGHT_LINES * (rows[i, END] - rows[i, BEGIN])
             px, py = rows[i, R] * c - along * s, rows[i, R] * s + along * c
@@ -118,7 +117,7 @@ def behind(rows: Array, walls: Array, x: float, y: float, theta: float, both: bo
 
 
 def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float, both: bool) -> bool:
-    """Return whether a wall is within `reach` [m] of (x, y) in the direction (dx, dy)."""
+    """Return whether a wall blocks the sight from (x, y) in the direction (dx, dy) within `reach` [m]."""
     for j in range(walls.shape[0]):
         c, s = walls[j, NX], walls[j, NY]
         facing = dx * c + dy * s
@@ -132,10 +131,10 @@ def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float
 
 
 def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array) -> None:
-    """Compute for poses (h, 3) how much of a scan's lines (k, 7) matches map lines (m, 8); write out (h, 3).
+    """Write to `out` (h, 3) how well a scan's lines (k, 7) match map lines (m, 8), for each of the poses (h, 3).
 
-    Columns of `out`: share of the length matched, that share if map lines were longer than known, number of lines.
-    A line is explained by a map line that is the same, within `slack` times the usual limits, where both overlap.
+    Columns of `out`: matched share of the scan's line length, the same if map lines were longer than known, number
+    of matched lines. A line matches a map line if both overlap and differ by less than `slack` times the limits.
     """
     face(walls)
     total = 0.0
@@ -172,8 +171,8 @@ def likeness(rows: Array, walls: Array, i: int, x: float, y: float, theta: float
 def hypotheses(rows: Array, a: int, b: int, walls: Array, found: int, poses: Array) -> int:
     """Append poses that align lines a and b with two map lines at the same angle; return the number of poses.
 
-    The pair's angle may differ from theirs by less than what is the same angle, and half of what it differs by is
-    the pose's. Poses (found + m m, 3) hold those that were found before.
+    The angle between the lines may differ from that between the map lines by SAME_ANGLE_RAD; half of this
+    difference is added to the heading. `poses` has room for m^2 poses of m map lines after the first `found` ones.
     """
     face(walls)
     between = wrapped(rows[b, PSI] - rows[a, PSI])

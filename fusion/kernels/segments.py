@@ -1,7 +1,7 @@
 """Segmentation of scans into walls: cut at gaps, split into straight pieces, merge, leave out corners.
 
 V. Nguyen, A. Martinelli, N. Tomatis, R. Siegwart: "A comparison of line extraction algorithms using 2D laser
-rangefinder for indoor mobile robotics", IROS 2005. What counts as a wall: `lines.extract.LineSettings`.
+rangefinder for indoor mobile robotics", IROS 2005. `lines.extract.LineSettings` has the limits of a wall.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if not cython.compiled:
 
     from .uncompiled import cos, sin, sqrt
 
-JOINS_NEVER_CHI2 = 1e300  # the cost of joining what must not be joined
-GAP_SCORE_M = 1e9  # above every range: beams behind a gap come before beams without one
-MAX_STRAY_BEAMS = 2  # beams that hit something else and do not end a line: strays
-MAX_CORNER_BEAMS = 4  # walls whose facing ends are this many beams apart meet in a corner
-MAX_CORNER_SHARE = 0.2  # of a wall's length may be left out at either end
-MIN_CORNER_SINE = 0.1  # of the least angle that is a corner
+JOINS_NEVER_CHI2 = 1e300  # cost of merging pieces that must not be merged
+GAP_SCORE_M = 1e9  # above every range: a full circle begins after a gap if there is one
+MAX_STRAY_BEAMS = 2  # this many beams between two parts may hit another object
+MAX_CORNER_BEAMS = 4  # walls meet in a corner if at most this many beams lie between their ends
+MAX_CORNER_SHARE = 0.2  # largest share of a wall's length that is left out at a corner
+MIN_CORNER_SINE = 0.1  # sine of the least angle of a corner
 FAR_M = 1e300
 MIN_DIVISOR = 1e-100
 
@@ -36,9 +36,9 @@ MIN_DIVISOR = 1e-100
 class ScanColumns:
     """Scans of one laser: `ranges` (n, b) [m]; ranges within [low, high) are returns.
 
-    `rays`: every beam's direction cos, sin and origin x, y [m], (n, b) each, or (b,) where all scans agree.
-    growth (n,): how far apart neighbours on a wall may be [m per m of range]; ring (n,): whether the scan goes all
-    the way round.
+    `rays`: direction cos, sin and origin x, y [m] of every beam, (n, b) each, or (b,) if equal in all scans.
+    growth (n,): largest distance of neighbouring returns on a wall, per range; ring (n,): whether the scan is a
+    full circle.
     """
 
     def __init__(
@@ -72,8 +72,8 @@ class Limits:
 class Returns:
     """Laser echoes of one scan, `count` of them in beam order.
 
-    Each has a range [m], started at the origin o [m] along the direction u, ended at (x, y) [m] and may lie off a
-    straight piece by its tolerance [m]. `closed`: no gap cuts the circle of them.
+    Each has a range [m], the beam's origin o [m] and direction u, the end point (x, y) [m], and a tolerance [m]:
+    its largest distance from a straight piece. `closed`: the scan is a full circle without a gap.
     """
 
     def __init__(self, beams: int) -> None:
@@ -86,12 +86,12 @@ class Returns:
 
 
 class Segments:
-    """Straight pieces of a scan, which are merged to parts of walls, and these to walls.
+    """Straight pieces of a scan, which are merged to parts of walls; the parts are merged to walls.
 
-    Piece i owns the returns first[i]:first[i + 1], group i the pieces bounds[i]:bounds[i + 1]. Part j owns the
-    returns start[j]:stop[j], wall i the parts bounds[i]:bounds[i + 1]. Moments of a piece, part or wall are the
-    weighted sums of 1, x, y, xx, xy, yy. linked[i]: i and i + 1 may be joined. The line of wall i is r [m], psi
-    [rad], and its returns are its own between the feet low and high [m] along its tangent.
+    Piece i has the returns first[i]:first[i + 1], group i the pieces bounds[i]:bounds[i + 1]. Part j has the
+    returns start[j]:stop[j], wall i the parts bounds[i]:bounds[i + 1]. The moments of a piece, part or wall are
+    the weighted sums of 1, x, y, xx, xy, yy. linked[i]: i and i + 1 may be merged. Wall i has the line r [m], psi
+    [rad]; its line fit uses returns between low and high [m] along the tangent.
     """
 
     def __init__(self, beams: int) -> None:
@@ -154,8 +154,8 @@ def gather(scans: ScanColumns, scan: int, begin: int, returns: Returns) -> None:
 def gap(returns: Returns, before: int, i: int, growth: float, max_gap: float) -> float:
     """Return (distance / limit)^2 of two neighbouring returns; a value above 1 is a gap between walls.
 
-    The limit is `max_gap` [m] > 0, or `growth` times the larger range if that is more: beam spacings grow with the
-    range and, on a wall seen flat, with the angle of incidence.
+    The limit is `max_gap` [m] > 0 or `growth` times the larger range, whichever is larger: the distance of
+    neighbouring returns grows with the range and with the angle of incidence.
     """
     dx, dy = returns.x[i] - returns.x[before], returns.y[i] - returns.y[before]
     limit = growth * max(returns.ranges[before], returns.ranges[i])
@@ -164,9 +164,9 @@ def gap(returns: Returns, before: int, i: int, growth: float, max_gap: float) ->
 
 
 def ring_start(returns: Returns, growth: float, max_gap: float) -> int:
-    """Return the index of the return at which a full-circle scan begins: after the widest gap.
+    """Return the index of the return at which a full-circle scan is cut: the first one after the widest gap.
 
-    Without a gap the circle is closed: return -1 - i, where i is the index of the farthest return.
+    Without a gap the circle is closed, and -1 - i is returned, with the index i of the farthest return.
     """
     best, start = 0.0, 0
     for i in range(returns.count):
@@ -198,9 +198,9 @@ def allow(returns: Returns, limits: Limits) -> None:
 
 
 def farthest(returns: Returns, begin: int, end: int) -> int:
-    """Return the point of [begin, end) with the largest distance from the chord, relative to its tolerance.
+    """Return the index in [begin, end) of the point farthest from the chord, relative to its tolerance.
 
-    -1 where every point lies within its tolerance. The earliest of equals.
+    It is -1 if all points lie within their tolerances. Of equally far points it is the first one.
     """
     if end - begin < 3:
         return -1
@@ -219,11 +219,12 @@ def farthest(returns: Returns, begin: int, end: int) -> int:
 
 
 def split(returns: Returns, segments: Segments) -> None:
-    """Split runs of points into straight pieces; pieces of one run are linked.
+    """Split runs (returns between two gaps) into straight pieces; pieces of one run are linked.
 
-    A piece with a point off its chord is cut there; that point starts the second half.
+    A piece is cut at the point farthest from its chord, if that is beyond its tolerance. The second half begins
+    with this point.
     """
-    pieces, todo = 0, segments.todo  # halves that are still to be looked at
+    pieces, todo = 0, segments.todo  # halves that are not yet tested
     for run in range(segments.runs):
         todo[0, 0], todo[0, 1] = segments.run_first[run], segments.run_first[run + 1]
         depth = 1
@@ -281,7 +282,7 @@ def misfit(w: float, sx: float, sy: float, sxx: float, sxy: float, syy: float) -
 
 
 def joint_misfit(segments: Segments, i: int, j: int) -> float:
-    """Return the misfit of pieces i and j as one line."""
+    """Return the misfit of one line fitted to pieces i and j together."""
     m = segments.moments
     w, sx, sy = m[i, 0] + m[j, 0], m[i, 1] + m[j, 1], m[i, 2] + m[j, 2]
     return misfit(w, sx, sy, m[i, 3] + m[j, 3], m[i, 4] + m[j, 4], m[i, 5] + m[j, 5])
@@ -302,9 +303,9 @@ def join(segments: Segments, i: int, j: int) -> None:
 def merge(segments: Segments, count: int, limit: float) -> int:
     """Merge neighbouring pieces that are statistically one line; return the number of groups.
 
-    Two are one line if fitting them as one raises the misfit by less than `limit`: a likelihood ratio, chi-square
-    with 2 degrees of freedom. Pairs that cost less than both neighbouring pairs go first, all of them at a time.
-    The groups' moments stand in front then. Row `count` is no piece.
+    Two pieces are one line if a common fit increases the misfit by less than `limit` (likelihood ratio, chi-square
+    with 2 degrees of freedom). In each round, all pairs that cost less than both neighbouring pairs are merged.
+    Afterwards, the first rows of `moments` are those of the groups. Row `count` of the work arrays is a dummy.
     """
     own, cost = segments.own, segments.cost
     after, before = segments.after, segments.before
@@ -326,9 +327,9 @@ def merge(segments: Segments, count: int, limit: float) -> int:
 
 
 def cheapest(segments: Segments, count: int, limit: float) -> int:
-    """Choose the pairs to merge now, cheaper than `limit` and both neighbouring pairs; return their number.
+    """Write to `segments.best` the first pieces of the pairs to merge in this round; return their number.
 
-    The first piece of each pair is written to `segments.best`.
+    These pairs cost less than `limit` and less than both neighbouring pairs.
     """
     chosen, cost = 0, segments.cost
     for i in range(count):
@@ -351,7 +352,7 @@ def join_pairs(segments: Segments, chosen: int) -> None:
 
 
 def renew_cost(segments: Segments, i: int) -> None:
-    """Update the cost of merging piece i with the next one, unless they must not be merged."""
+    """Update the cost of merging piece i with the next one, if these may be merged."""
     if segments.cost[i] < JOINS_NEVER_CHI2:
         j = segments.after[i]
         segments.cost[i] = joint_misfit(segments, i, j) - segments.own[i] - segments.own[j]
@@ -393,7 +394,7 @@ def tail_of(segments: Segments, wall: int) -> int:
 
 
 def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Keep parts with enough points and length; link those that may be one wall behind an object."""
+    """Keep parts with enough points and length; link neighbours that may be one partly hidden wall."""
     parts, start, stop = 0, segments.start, segments.stop
     for g in range(segments.groups):
         begin, end = segments.first[segments.bounds[g]], segments.first[segments.bounds[g + 1]]
@@ -413,7 +414,8 @@ def near(
 ) -> bool:
     """Return whether the gap between two parts is small enough for one line.
 
-    It may if next to no beams are `between` them, or if they are closer than the bridge [m] and than both lengths.
+    The gap must be shorter than `limits.bridge` [m] and than both parts. If at most MAX_STRAY_BEAMS beams are
+    `between` the parts, a gap shorter than `limits.max_gap` [m] is small enough too.
     """
     open_way = distance(returns, tail, next_head)
     shorter = min(distance(returns, head, tail), distance(returns, next_head, next_tail))
@@ -437,7 +439,7 @@ def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
         for q in range(6):
             m[i, q] = m[i + 1, q]
     parts, moved = bounds[segments.walls], bounds[1]
-    rotate(segments.start, parts, moved, segments.best)  # the parts of the first wall go behind those of the last
+    rotate(segments.start, parts, moved, segments.best)  # move the parts of the first wall after those of the last
     rotate(segments.stop, parts, moved, segments.best)
     for i in range(1, segments.walls):
         bounds[i - 1] = bounds[i] - moved
@@ -446,7 +448,7 @@ def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
 
 
 def rotate(values: Ints, count: int, by: int, room: Ints) -> None:
-    """Move the first `by` of `count` values behind the others, in place; `room` (count,) is room to work in."""
+    """Rotate the first `count` values by `by` places to the left, in place; `room` (count,) is a work array."""
     for i in range(count):
         room[i] = values[i]
     for i in range(count):
@@ -454,7 +456,7 @@ def rotate(values: Ints, count: int, by: int, room: Ints) -> None:
 
 
 def perpendicular_fit(segments: Segments) -> None:
-    """Compute the line with the least squared distances of each wall, r [m] >= 0 and psi [rad].
+    """Fit a line to each wall by least squares of perpendicular distances: r [m] >= 0 and psi [rad].
 
     S. Pfister, S. Roumeliotis, J. Burdick: "Weighted line fitting algorithms for mobile robot map building and
     efficient data representation", ICRA 2003: psi from the scatter about the weighted mean, in closed form.
@@ -469,11 +471,11 @@ def perpendicular_fit(segments: Segments) -> None:
 
 
 def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Compute the limits [m] along each wall within which its returns are used, away from corners.
+    """Compute limits [m] along each wall: returns near a corner are not used.
 
-    Near a corner the noise decides which wall a beam is counted to, so those beams are biased, and at the end of a
-    wall they turn it most. A corner is where the next wall begins within a few beams and `max_gap` [m]; behind the
-    last wall of a closed ring comes the first.
+    Near a corner, the noise decides to which wall a beam is assigned. These beams bias the line, mostly its
+    direction, since they are at its end. A corner is where the next wall begins within MAX_CORNER_BEAMS and
+    `max_gap` [m]. On a closed circle, the first wall follows the last one.
     """
     walls, r, psi = segments.walls, segments.r, segments.psi
     for i in range(walls):
@@ -491,7 +493,7 @@ def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
         across = limits.sigma_angle * returns.ranges[tail]
         sigma = sqrt(across * across + limits.sigma_range * limits.sigma_range)
         margin = limits.corner_sigmas * sigma / abs(sine)
-        corner, own = (r[j] - r[i] * cosine) / sine, (r[j] * cosine - r[i]) / sine  # on either wall
+        corner, own = (r[j] - r[i] * cosine) / sine, (r[j] * cosine - r[i]) / sine  # positions on walls i and j
         limit_by_corner(returns, segments, i, tail, head_of(segments, i), corner, margin)
         limit_by_corner(returns, segments, j, head, tail_of(segments, j), own, margin)
 
@@ -499,9 +501,9 @@ def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
 def limit_by_corner(
     returns: Returns, segments: Segments, wall: int, end: int, other: int, corner: float, margin: float
 ) -> None:
-    """Leave out the end of a wall near a corner at `corner` [m], at most a limited share of the wall.
+    """Limit a wall to `margin` [m] before a corner at position `corner` [m]; at most MAX_CORNER_SHARE is left out.
 
-    By the wall's last returns at this `end` and at the `other`.
+    `end` is the index of the wall's last return at the corner, `other` that at the other end.
     """
     here, there = along(returns, end, segments.psi[wall]), along(returns, other, segments.psi[wall])
     share = MAX_CORNER_SHARE * abs(there - here)

@@ -1,14 +1,14 @@
 """Data association of a scan with the line map: candidate pairs, matches, verdicts, rows, map updates.
 
-The robot at p = (x, y), theta should see the map line (rho, beta) about the anchor a as (r, psi): psi = beta -
-theta, r = rho - n.(p - a), n = (cos beta, sin beta) (paper eq. 17, 18); or as (-r, psi + pi), whichever is nearer.
-Derivatives (eq. 13) are
+The predicted measurement of the map line (rho, beta) about the anchor a, from p = (x, y), theta, is (r, psi):
+psi = beta - theta, r = rho - n.(p - a), n = (cos beta, sin beta) (paper eq. 17, 18); or the same line as
+(-r, psi + pi), whichever is nearer to the measured one. Its derivatives (eq. 13) are
 
     by the pose [[-cos beta, -sin beta, 0], [0, 0, -1]], by the line [[1, u], [0, 1]], u = dr/dbeta,
-    by the laser's mount (x_m, y_m, yaw) [[-cos psi, -sin psi, x_m sin psi - y_m cos psi], [0, 0, -1]],
+    by the laser's mount (x_m, y_m, yaw) [[-cos psi, -sin psi, x_m sin psi - y_m cos psi], [0, 0, -1]].
 
-the last at the measured psi, in which it is exact: at the predicted one the wheels' error in heading would enter,
-which goes with their error in distance. Pose, line and mount are correlated where they are states.
+The last one is evaluated at the measured psi, where it is exact. The predicted psi has the wheels' heading error,
+which is correlated with their distance error (fusion.map.line_map). Pose, line and mount may be correlated states.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ if not cython.compiled:
     from .uncompiled import cos, sin, sqrt
 
 if not cython.compiled:  # compiled, these are constants of the .pxd
-    # columns of a measured line: r, psi, R as 00, 01, 11, and both ends along the tangent
+    # columns of a measured line: r, psi, R00, R01, R11, and both ends along the tangent
     R_LINE, PSI_LINE, R00_LINE, R01_LINE, R11_LINE, BEGIN_LINE, END_LINE = range(7)
-    # columns of a map line: rho, beta, anchor, its covariance, its covariances with x, y, theta of the pose;
-    # behind them those of rho, then of beta, with the mount's free states
+    # columns of a map line: rho, beta, anchor, covariance of (rho, beta), covariances of rho and of beta with the
+    # pose's x, y, theta; from WALL on: covariances of rho, then of beta, with the mount's free states
     RHO, BETA, ANCHOR_X, ANCHOR_Y, P_RR, P_RB, P_BB, X_RHO, X_BETA, Y_RHO, Y_BETA, T_RHO, T_BETA, WALL = range(14)
-    # columns of a pair: measured line, map line, innovation of r and psi, R, S, squared distance, score (that and
-    # the logarithm of det S), the measured ends along the map line, their overlap, cos and sin of beta, u, and the
-    # measured psi as it is predicted: not wrapped
+    # columns of a pair: measured line, map line, innovation of r and psi, R, S, squared Mahalanobis distance,
+    # score (this distance + ln det S), ends of the measured line along the map line, length of their overlap, cos
+    # and sin of beta, u, and the measured psi (predicted psi + innovation, not wrapped)
     LINE_OF, WALL_OF, OFFSET, TURN, R00, R01, R11, S00, S01, S11 = range(10)
     D2, SCORE, BEGIN, END, OVERLAP, COS, SIN, LEVER, PSI, PAIR = range(10, 20)
 WALL_COLUMNS = 13  # of a map line without a mount
 RESERVE_FACTOR = 1.5  # arrays are allocated for this multiple of the present number of lines
 
-MAX_PAIR_ANGLE_RAD = 25.0 * (pi / 180.0)  # pairs further apart are not looked at
-MAX_PAIR_OFFSET_M = 1.0
-PAIR_SIGMAS = 6.0  # of the pose, added to both
-FACE_SIGMAS = 3.0  # by which the robot may stand behind the face that it sees
-MAX_ANGLE_RAD = 1e9  # beyond it no angle is one
+MAX_PAIR_ANGLE_RAD = 25.0 * (pi / 180.0)  # largest difference in psi of a pair
+MAX_PAIR_OFFSET_M = 1.0  # largest difference in r of a pair
+PAIR_SIGMAS = 6.0  # sigmas of the pose, added to both limits
+FACE_SIGMAS = 3.0  # the robot must be on the seen side of a wall, up to this many sigmas
+MAX_ANGLE_RAD = 1e9  # a larger angle is not valid
 NOWHERE_M = 1e300
-RIVAL_SCORE = 6.0  # a second candidate within this of the best score (chi-square, 2 dof: 95 %) is a rival
-NEAR_D2 = 60.0  # squared distance up to which a near line forbids calling a segment new
-MIN_OVERLAP_SHARE, MAX_LENGTH_M = 0.3, 0.5  # share of a segment's length, of so many m at most, that overlaps
-COMMON_M = 0.05  # of one map line that two measured lines may both claim
-# a scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly
+RIVAL_SCORE = 6.0  # difference from the best score up to which a candidate is a rival (chi-square, 2 dof: 95 %)
+NEAR_D2 = 60.0  # a measured line within this squared distance of a map line is not a new line
+MIN_OVERLAP_SHARE, MAX_LENGTH_M = 0.3, 0.5  # least overlap, as share of the measured length or of 0.5 m if shorter
+COMMON_M = 0.05  # part of a map line that two measured lines may both match
+# if only one line of a scan matches, no other line confirms the match: these limits are narrower
 LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M = 5.0, 3.0 * (pi / 180.0), 0.15
 
 
@@ -60,22 +60,25 @@ class WallColumns:
     """Line map as arrays (J,), shared with fusion.map.LineMap."""
 
     def __init__(self, columns: Any, anchors: Any, low: Any, high: Any, fixed: Any, states: bool) -> None:
-        """State columns (J,), anchors (J, 2), ends on tangents (J,); `fixed` (J, WALL): lines if not `states`."""
+        """Use arrays: first state columns (J,), anchors (J, 2) [m], ends along the tangents (J,) [m].
+
+        `fixed` (J, WALL) are the columns of lines that are not states; `states`: whether lines are states.
+        """
         self.columns, self.anchors = memory(columns), memory(anchors)
         self.low, self.high, self.fixed = memory(low), memory(high), memory(fixed)
         self.states, self.places = states, len(columns)
 
     def count(self, hits: Any, seen: Any, born: Any, ids: Any) -> None:
-        """Set arrays (J,): number of hits, last scan, first scan, and id of every line."""
+        """Use arrays (J,) for every line: number of matched scans, last and first matched scan, id."""
         self.hits, self.seen = memory(hits), memory(seen)
         self.born, self.ids = memory(born), memory(ids)
 
 
 class Seat:
-    """Configured mount of the laser, and the state columns of those parts (x, y, yaw) that are estimated."""
+    """Configured mount of the laser, and the state columns of its estimated parts (of x, y, yaw)."""
 
     def __init__(self, configured: Any, which: Any, columns: Any) -> None:
-        """`configured` (3,) m, m, rad; `which` (f,) of x, y, yaw are estimated, in state `columns` (f,)."""
+        """Use the `configured` mount (3,) [m, m, rad]; its parts `which` (f,) are states in `columns` (f,)."""
         self.configured, self.which, self.columns = memory(configured), memory(which), memory(columns)
         self.free = len(which)
 
@@ -112,7 +115,7 @@ class SightLines:
         self.mount, self.place, self.offset = floats(6, 3), floats(3), floats(3)
 
     def make_room(self, lines: int, places: int, parts: int) -> None:
-        """Allocate arrays for so many measured lines, map lines and shared errors, with a reserve."""
+        """Allocate arrays for at least this number of measured lines, map lines and shared errors."""
         n = self.room_lines = max(self.room_lines, int(RESERVE_FACTOR * lines) + 1)
         walls = self.room_walls = max(self.room_walls, int(RESERVE_FACTOR * places) + 1)
         self.rows, self.order = floats(n, 7), wholes(n)
@@ -124,9 +127,10 @@ class SightLines:
     # ---- a scan ----
 
     def look(self, state: State, walls: WallColumns, rows: Any, shared: Any) -> float:
-        """Associate measured lines (n, 7), in the base frame by the configured mount, with the map.
+        """Associate measured lines `rows` (n, 7) with the map; return the matched share of their length.
 
-        shared (n, 2, parts) are unit errors that they share. Returns the share of their length that matches.
+        The lines are in the base frame by the configured mount. `shared` (n, 2, parts) is the effect on (r, psi)
+        of errors that all lines share, per sigma.
         """
         self.walls, self.lines = walls, rows.shape[0]
         self.parts = shared.shape[2]
@@ -277,14 +281,14 @@ class SightLines:
         offset, turn = pairs[p, OFFSET], pairs[p, TURN]
         s00, s01, s11 = pairs[p, S00], pairs[p, S01], pairs[p, S11]
         det = s00 * s11 - s01 * s01
-        if not (det > 0.0 and s00 > 0.0):  # no float holds it
+        if not (det > 0.0 and s00 > 0.0):  # det is too small for a float, or NaN
             return False
         d2 = (s11 * offset * offset - 2.0 * s01 * offset * turn + s00 * turn * turn) / det
         self.pairs[p, D2], self.pairs[p, SCORE] = d2, d2 + log(det)
         return d2 <= limit and distance > -FACE_SIGMAS * sqrt(s00)
 
     def extent(self, p: int, i: int, j: int, side: float, x: float, y: float) -> None:
-        """Compute the position of the measured segment along the map line [m], and their overlap."""
+        """Compute the ends of the measured line along the map line [m], and the length of their overlap [m]."""
         pairs, row = self.pairs, self.wall_rows
         begin, end = self.rows[i, BEGIN_LINE], self.rows[i, END_LINE]
         along = (y - row[j, ANCHOR_Y]) * pairs[p, COS] - (x - row[j, ANCHOR_X]) * pairs[p, SIN]
@@ -296,10 +300,11 @@ class SightLines:
     # ---- association ----
 
     def associate(self) -> None:
-        """Find for every line its match and best pair (-1: none); mark ambiguous lines, lines near a map line.
+        """Find the match and the best other pair of every line (-1: none); mark ambiguous lines and near lines.
 
-        A pair matches within the gate where it overlaps enough; another such pair that is worse by less than
-        RIVAL_SCORE makes it ambiguous. A line is near a map line that it overlaps within NEAR_D2.
+        A pair may be a match if it is within the gate and overlaps enough; the match is the one with the best
+        score. A line is ambiguous if a second such pair is worse by less than RIVAL_SCORE. A line is near if it
+        overlaps a map line within the squared distance NEAR_D2.
         """
         for i in range(self.lines):
             self.match[i], self.best[i], self.rival[i], self.near[i] = -1, -1, 0, 0
@@ -317,7 +322,7 @@ class SightLines:
                 self.match[i] = -1
 
     def try_pair(self, p: int, i: int) -> None:
-        """Keep pair p if it scores best so far for line i, among matches or among pairs that do not fit."""
+        """Store pair p if its score is the best so far for line i: as match if possible, else as best pair."""
         if self.pairs[p, OVERLAP] > 0.0 and self.pairs[p, D2] <= NEAR_D2:
             self.near[i] = 1
         if self.fits_well(p, i):
@@ -327,9 +332,9 @@ class SightLines:
             self.best[i] = p
 
     def claim(self) -> None:
-        """Accept matches so that each part of a map line is matched once, by the best measured line.
+        """Accept matches so that only the measured line with the best score matches each part of a map line.
 
-        By their scores, lines claim the stretch of the map line that they match; who comes second is ambiguous.
+        Other measured lines that match the same part are marked as ambiguous.
         """
         claims = 0
         for i in range(self.lines):
@@ -404,7 +409,7 @@ class SightLines:
         """Return whether line i is unmatched and near no map line."""
         return self.match[i] < 0 and not self.near[i]
 
-    # ---- what it says ----
+    # ---- rows of the measurement equation, and the audit ----
 
     def state_rows(self, state: State) -> int:
         """Write the rows of all matched lines to the state's table (eq. 13); return the number of these lines."""
@@ -446,9 +451,9 @@ class SightLines:
         state.written = b + 1
 
     def share_noise(self, state: State, i: int, p: int, a: int) -> None:
-        """Add the covariance of shared errors between line i (rows a, a + 1) and earlier lines to R.
+        """Add to R the covariance of shared errors between line i (rows a, a + 1) and earlier lines.
 
-        A line that is read as (-r, psi + pi) shares the r of the other sign.
+        For a line that is compared as (-r, psi + pi), the shared error of r changes its sign.
         """
         first = self.first
         side = 1.0 if cos(self.pairs[p, PSI] - self.rows[i, PSI_LINE]) > 0.0 else -1.0
@@ -460,7 +465,10 @@ class SightLines:
                     state.row_R[first + m, first + j] += self.G[m, k] * self.G[j, k]
 
     def write(self, out: AuditColumns, at: int, instant: int, row: int) -> None:
-        """Write the verdicts on all lines to the audit from row `at` on; `row`: row of the first line in z."""
+        """Write the verdicts on all lines to the audit, from its row `at` on.
+
+        `row` is the row of the first line in Measurements.z, `instant` the index of the update time.
+        """
         rules, nan = self.rules, float("nan")
         for i in range(self.lines):
             k, p = at + i, self.best[i]
@@ -476,7 +484,7 @@ class SightLines:
             out.nis[k], out.y[k, 0], out.y[k, 1] = self.pairs[p, D2], self.pairs[p, OFFSET], self.pairs[p, TURN]
             out.sigma[k, 0], out.sigma[k, 1] = sqrt(self.pairs[p, S00]), sqrt(self.pairs[p, S11])
 
-    # ---- what the map learns ----
+    # ---- map update ----
 
     def extend(self, scan: int) -> None:
         """Extend matched map lines to the ends of the measured lines, and count this scan as a hit."""

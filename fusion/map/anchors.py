@@ -62,7 +62,7 @@ class Anchors:
     def loosen(self, of: int, to: int, factor: float) -> None:
         """Multiply the covariances of the edges between consecutive anchors from `of` to `to` by `factor`.
 
-        The factor is the estimated variance factor: chi-square over degrees of freedom.
+        It is chi-square over degrees of freedom, an estimate of the ratio of actual to claimed covariance.
         """
         first, last = min(of, to), max(of, to)
         self.edges = [

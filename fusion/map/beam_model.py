@@ -18,7 +18,7 @@ from locfuse.fusion.data import Array, MapLine
 MAX_STEPS = 200  # of expectation maximisation
 MIN_STEP_M = 1e-6  # m
 BEGIN_SIGMA_M, BEGIN_HIT = 0.1, 0.8
-MIN_SIGMA_M, MIN_RANDOM = 1e-3, 0.01  # with z_rand = 0 a single beam could give a particle the weight 0
+MIN_SIGMA_M, MIN_RANDOM = 1e-3, 0.01  # least values: with z_rand = 0 one beam could give a particle the weight 0
 SHORT_SIGMAS = 3.0  # a short beam ends at least this far before its wall
 POINTS_AT_ONCE = 4096
 MIN_BEAMS = 200
@@ -31,7 +31,7 @@ class BeamModel(NamedTuple):
     spread: float  # m, standard deviation of `sigma`
     hit: float  # shares of all beams; the four shares add up to 1
     short: float
-    none: float  # without a return
+    none: float  # share of beams without a return
     random: float
     decay: float | None  # 1/m: exponential decay of short beams (table 6.2: lambda_short)
     beams: int

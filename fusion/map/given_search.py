@@ -22,10 +22,10 @@ from locfuse.fusion.wheels.motion import Wheels
 from .given_walls import Grid
 
 SPACING_M, HEADING_COUNT = 0.3, 72  # grid of the poses tried with the first scan
-MAX_TRIED = 10_000_000  # positions times headings: a free floor of 100 m x 100 m in cells of 5 cm has 8 million
+MAX_TRIED = 10_000_000  # poses (positions times headings): a free floor of 100 m x 100 m has 8 million
 MAX_BEAMS, FIRST_BEAMS = 60, 30  # evenly spaced beams of a scan; the same for the first scan
 NEAR_M, FAR_M = 0.15, 0.5  # distance from the nearest wall at which a beam counts fully, and not at all
-# poses kept after the first scan, and at least: each scan removes half of them
+# poses kept after the first scan, and least number kept: each further scan removes half of them
 FIRST_PLACES, MIN_PLACES = 2000, 200
 STRIDE_M, TURN_RAD = 0.4, math.radians(20.0)  # between two used scans
 DRIVING_S = 30.0  # s of driving that are used
@@ -33,7 +33,7 @@ CLEAR_AT = (0.35, 0.75)  # at these shares of its length a beam must be in a fre
 MIN_SCANS = 5
 # least mean share of the beams that end at walls: other beams hit people and furniture
 MIN_SHARE = 0.85
-# least lead of the best pose over all others: sum over all scans, and mean
+# least difference of the best pose's share to all others: sum over all scans, and mean
 MIN_LEAD_SCANS, MIN_LEAD_SHARE = 0.35, 0.02
 APART_M, APART_RAD = 0.5, math.radians(20.0)  # poses further apart are different
 SAME_M, SAME_RAD = 0.15, math.radians(4.0)  # poses closer together are equal

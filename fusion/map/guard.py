@@ -1,12 +1,14 @@
 """Monitor of scan-to-map agreement: corrects wheel slips, detects kidnapping, relocalises a lost robot.
 
-The guard checks which share of each scan's line length matches the map. Unmatched new lines alone are normal: an
-exploring robot sees new walls. A scan disagrees with the map if it shows objects *behind* known walls, or if all
-walls jump from one scan to the next. A wheel slip gives a wrong heading: a few headings near the predicted one are
-tried, and the next scans must confirm the slip before the pose is corrected (`slips`). If no slip explains the
-disagreement, the robot is lost (kidnapped): scans correct neither pose nor map, the covariance grows, and the pose
-is searched in the whole map until exactly one pose agrees with all scans since then. If this takes too long while
-the map is being built (`gives_up`), a new submap is begun, whose pose is unknown until a place is recognised.
+The class `Guard` computes which share of each scan's line length matches the map. New lines that do not match are
+normal: an exploring robot sees new walls. A scan disagrees with the map if it shows objects *behind* known walls,
+or if all walls jump from one scan to the next. A wheel slip gives a wrong heading: a few headings near the
+predicted one are tried, and the next scans must confirm the slip before the pose is corrected (`slips`).
+
+If no slip explains the disagreement, the robot is lost (kidnapped). Then scans correct neither pose nor map, the
+covariance grows, and the whole map is searched until exactly one pose agrees with all scans since then. If this
+takes too long while the map is being built (`gives_up`), a new submap begins. Its pose is unknown until a place is
+recognised.
 """
 
 from __future__ import annotations
@@ -44,14 +46,14 @@ from .slips import (
 
 # --- shares of a scan's line length
 MIN_MATCHED_SHARE = 0.5  # least matched share of an ordinary scan
-MIN_THROUGH_SHARE = 0.3  # share behind known walls from which scan and map disagree
-# matched share of a good scan; s by which the begin of being lost is dated back
+MIN_THROUGH_SHARE = 0.3  # least share behind known walls with which a scan disagrees with the map
+# least matched share of a good scan; s: a robot counts as lost since the last good scan, at most this long ago
 GOOD_SHARE, MAX_BACKDATE_S = 0.9, 3.0
-AGREEING_SHARE = 0.25  # matched share from which scan and map do not disagree: doors are open in known walls
+AGREEING_SHARE = 0.25  # least matched share of an agreeing scan, even if it sees through open doors
 SLIP_MAX_SHARE = 0.2  # a heading slip moves all lines: no slip if a larger share still matches
 # --- disagreement
 MIN_DISAGREEMENT_S, MIN_DISAGREEMENT_SCANS = 0.5, 4  # s and scans of disagreement before the robot counts as lost
-# motion since the last scan that counts: at rest nothing slips
+# least motion since the last scan: at rest no wheel slips
 MIN_MOVED_M, MIN_TURNED_RAD = 0.01, math.radians(0.5)
 MAX_GAP_S = 1.0  # after a longer gap between scans, the walls of both may differ
 MIN_WALLS_BEHIND = 3  # least number of seen walls behind known walls: fewer are seen through a door
@@ -76,7 +78,7 @@ MAX_LOST_SCANS = 60  # scans (along 12 m) without relocalisation, after which a 
 
 
 class Guard:
-    """Checks the agreement of scans and map during one run."""
+    """Monitor of the agreement of scans and map during one run."""
 
     def __init__(self, jumps: list[Jump]) -> None:
         """Begin; corrections of the pose will be appended to `jumps`."""
@@ -85,7 +87,7 @@ class Guard:
         self._lost_from: float | None = None  # s
         self._intervals: list[tuple[float, float]] = []
         self._jumps = jumps
-        # predicted pose and found pose of the first of several agreeing scans, and their number
+        # for the first of several agreeing scans: predicted pose, found pose; then the number of these scans
         self._place: tuple[Array, Pose, int] | None = None
         self._suspicion: Suspicion | None = None
         self._series = Series()
@@ -106,7 +108,7 @@ class Guard:
         self._corrected = pose
 
     def _fits(self, present: PresentScan, share: float) -> bool:
-        """Return whether enough of a scan matches to use the scan; store it in this case."""
+        """Return whether enough of a scan matches the map to use the scan, and store the scan if so."""
         if self._lost_from is not None or self._suspicion is not None or not share >= MIN_MATCHED_SHARE:
             return False
         self._now = present.t
@@ -161,8 +163,8 @@ class Guard:
     def _correct_slide(self, present: PresentScan, share: float) -> bool:
         """Correct a forward slip of both wheels once consecutive scans show it; return whether it was done.
 
-        At an obstacle or on a smooth floor, walls parallel to the motion still match. Walls across the motion
-        match after the correction by scan matching. Several consecutive scans must show the slip.
+        If both wheels slip (at an obstacle, on a smooth floor), walls parallel to the motion still match; walls
+        perpendicular to it match only after the correction. Several consecutive scans must show the slip.
         """
         slide, belief = self._slide, present.belief
         if self._lost_from is not None or self._suspicion is not None:
@@ -266,8 +268,8 @@ class Guard:
     def _by_wheels(self, here: Pose) -> Pose:
         """Return the robot's pose by wheel odometry alone, without the corrections by scans.
 
-        `here` is the pose predicted by the filter: its motion since the last corrected pose is the one by the
-        wheels.
+        `here` is the pose predicted by the filter. The motion from the last corrected pose to `here` is that of
+        the wheels.
         """
         self._wheels = se2.carried(self._wheels, self._corrected or here, here)
         self._corrected = here
@@ -295,7 +297,7 @@ class Guard:
         self._unplaced_from = None
 
     def begin_anew(self, t: float, belief: JointBelief) -> None:
-        """Reset at the begin of a new submap; a lost robot counts as found, since its pose there is known."""
+        """Reset at the begin of a new submap. A lost robot counts as found: its pose in the submap is known."""
         self._before.clear()
         self._since = self._place = self._suspicion = None
         self._slide.reset()

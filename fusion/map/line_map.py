@@ -11,15 +11,15 @@ candidates is ambiguous and not used. fusion.kernels.sight computes this, with p
 Maintenance of a growing map: lines that were seen too rarely are removed, duplicates are merged. A merge also
 closes loops: the equality of two lines is a measurement with noise, which corrects all correlated states.
 
-A laser with an uncertain mount: a line (r, psi) in the base frame follows from the line (r_L, psi_L) in the laser
-frame and the mount (x, y, yaw) by psi = psi_L + yaw, r = r_L + x cos(psi) + y sin(psi). So the derivative of the
-predicted reading by the mount is
+If the laser's mount (x, y, yaw) is uncertain, a line (r_L, psi_L) in the laser frame is the line psi = psi_L +
+yaw, r = r_L + x cos(psi) + y sin(psi) in the base frame. So the derivative of the predicted measurement by the
+mount is
 
     d(r, psi)/d(x, y, yaw) = [[-cos(psi), -sin(psi), x sin(psi) - y cos(psi)], [0, 0, -1]]
 
-at the measured psi, where this is exact. (At the predicted psi, the heading error of the wheels would enter, which
-is correlated with their distance error: y was wrong by k / (2 dtheta), 8 mm.) The derivatives by pose and line
-are unchanged.
+at the measured psi, where this is exact. (The predicted psi contains the heading error of the wheels, which is
+correlated with their distance error: with it, the estimated y was wrong by k / (2 dtheta), 8 mm.) The derivatives
+by pose and line do not depend on the mount.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from locfuse.fusion.sensor import Reading
 
 COLUMN_NAMES = ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born")
 NO_SHARES = np.zeros((0, 2, 0))
-RHO_BETA = np.arange(2)  # state columns of a line, after its first
+RHO_BETA = np.arange(2)  # state columns of a line, relative to its first one
 TIDY_EVERY_SCANS = 10  # scans
 MIN_HITS = 4
 TRIAL_SCANS = 15  # scans within which a new line must be seen MIN_HITS times
@@ -57,8 +57,8 @@ FLAT_SIGMAS = np.array([0.005, math.radians(0.2)])  # m, rad: how well two piece
 class LineMap(msgspec.Struct):
     """Map of J lines, one array per property.
 
-    The (rho, beta) of a line that is a state is in the belief from column `column` on, that of a frozen line in
-    `value`.
+    If a line is a state, its (rho, beta) is in the belief, from column `column` on. If it is frozen, its
+    (rho, beta) is in `value`.
     """
 
     ids: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -132,7 +132,7 @@ class LineMap(msgspec.Struct):
         most: Array | None = None,
         which: Ints | slice = np.s_[:],
     ) -> None:
-        """Raise the variances [m^2, rad^2] of lines `which` to at least `least` (2,), by at most `most` (2,)."""
+        """Raise the variances [m^2, rad^2] of the lines `which` to `least` (2,), but by at most `most` (2,)."""
         at = self.states(which)
         added = least - belief.covariance.diagonal()[at].reshape(-1, 2)
         added = (added if most is None else np.minimum(added, most)).ravel()
@@ -165,7 +165,7 @@ class LineMap(msgspec.Struct):
         ]
 
     def placed_at(self, frame: Array, P: Array) -> list[MapLine]:
-        """Return frozen lines in the map frame; their local frame has pose `frame` (3,), covariance P (3, 3)."""
+        """Return the frozen lines in the map frame; their local frame has the pose `frame` (3,), covariance P."""
         x, y, theta = map(float, frame)
         joint = np.zeros((5, 5))
         joint[2:, 2:] = P
@@ -186,9 +186,10 @@ class LineMap(msgspec.Struct):
         return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
 
     def _framed(self, j: int, placed: Placed, P: Array, joint: Array) -> MapLine:
-        """Return line j in the map frame; P is for an exact local frame, P_free for its uncertain pose.
+        """Return line j in the map frame, with the covariance P (2, 2) for an exact pose of the local frame.
 
-        `joint` (5, 5) is the joint covariance of (rho, beta) and the local frame's pose.
+        Its `P_free` is the covariance for the uncertain pose of the local frame; `joint` (5, 5) is the covariance
+        of (rho, beta) and this pose.
         """
         line = self._line(j, placed.value, P, placed.anchor)
         J = line_by_frame(line, placed.anchor, placed.frame)
@@ -221,9 +222,9 @@ def _placed(value: Array, anchor: Array, frame: Pose) -> Placed:
 def line_by_frame(line: MapLine, anchor: Array, frame: Pose) -> Array:
     """Return the derivative (2, 5) of (rho, beta) in the map frame by (rho, beta, X, Y, Th).
 
-    rho is about the anchor point a, beta in the local frame with pose (X, Y, Th). In the map frame, rho + n.a: the
-    anchor point moves with the local frame and turns with Th about its origin, and the normal n turns with beta
-    and Th: dn.a = a_y c - a_x s.
+    The arguments are rho about the anchor point a, beta in the local frame, and the pose (X, Y, Th) of this frame.
+    About the map's origin, rho becomes rho + n.a. The anchor point moves with X, Y and turns with Th about (X, Y);
+    the normal n = (c, s) turns with beta and Th: dn.a = a_y c - a_x s.
     """
     c, s = math.cos(line.beta), math.sin(line.beta)
     along = float(anchor[1] * c - anchor[0] * s)
@@ -242,7 +243,7 @@ def about_middle(line: MapLine) -> tuple[Array, float, Array]:
 class Association(sight.SightLines, Reading):
     """Data association of one scan with the map: the map line of each measured line, or why there is none.
 
-    As a `Reading` of the filter, it has all accepted lines of the scan, as rows of the state's table.
+    It is also a `Reading` of the filter: the accepted lines of the scan, as rows of the state's table.
     """
 
     def __init__(self, rules: sight.Rules, seat: sight.Seat) -> None:
@@ -293,8 +294,8 @@ def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
 def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array) -> None:
     """Merge recently seen lines with lines that are the same wall, within their covariances.
 
-    `uneven` (2,) is the variance [m^2, rad^2] of a piece of an uneven wall; the difference of two pieces has twice
-    it.
+    `uneven` (2,) is the variance [m^2, rad^2] of one piece of an uneven wall. The difference of two pieces has
+    twice this variance.
     """
     R = np.diag(np.maximum(FLAT_SIGMAS**2, 2.0 * uneven))
     recent = np.flatnonzero(scan - lines.seen <= TRIAL_SCANS)[::-1]

@@ -44,19 +44,18 @@ APART_M = 0.5  # poses further apart are different
 HEADING_SIGMAS, HEADING_SLACK_RAD = 4.0, math.radians(10.0)  # window around the predicted heading
 MAX_THROUGH_SHARE = 0.15  # largest share of the seen length behind map walls
 TRAIL_SLACK = 2.0  # factor on tolerances for earlier scans, since wheel odometry drifts
-# number of contradicting scans that exclude a pose; share of seen length behind map walls at which a scan
-# contradicts
+# number of contradicting scans that exclude a pose; least share of length behind map walls of such a scan
 MAX_AGAINST, AGAINST_SHARE = 3, 0.35
 # --- search for a submap
 MAP_LONGEST_WALLS, MAP_MIN_WALLS = 10, 5  # walls from which pairs are made; least number of walls of each submap
 MAX_CHI2, SAME_CHI2 = 16.3, 11.3  # with 3 degrees of freedom at 99.9 % and at 99 %
 EXPECTED_P_FACTOR = 4.0  # factor on the covariance of the expected pose, which may be overconfident
 SLACK_P = np.diag(np.square((0.3, 0.3, math.radians(4.0))))  # m, rad: error of a pose from one pair of walls
-# least number and total length [m] of matched walls: many walls, or long ones
+# for a closure: least number and total length [m] of matched walls (many short walls, or a few long ones)
 MIN_WALLS_M, MIN_LONG_WALLS_M = (5, 6.0), (3, 15.0)
 MIN_UNEXPECTED_WALLS_M = (8, 20.0)  # the same for a pose outside the covariance of the expected one
 NEAR_SIGMA_M = 0.75  # largest standard deviation of the expected position at which few long walls are enough
-# rivals: least share of the best score; difference from which their position, heading is another one
+# rivals: least share of the best score; least differences of position and heading from the best pose
 MAP_RIVAL_SHARE, MAP_APART_M, MAP_APART_RAD = 0.75, 0.6, math.radians(15.0)
 MAX_TURNED_RIVALS = 4  # rivals with other headings, up to which free space is tested
 # largest share of walls behind walls of the other submap, minus that in the own submap
@@ -136,11 +135,10 @@ def distinct(poses: Array) -> Array:
 
 
 def explained(poses: Array, scan: Scan, walls: Array, slack: float = 1.0) -> tuple[Array, Array, Ints]:
-    """Return for each pose (h,) the matched share of the scan's wall length, the possible share, and a count.
+    """Return for each pose (h,): matched share of the scan's wall length, possible share, number of matched walls.
 
-    The possible share would match if map walls were longer; the count is that of the matched walls. Map walls may
-    be longer than seen so far, so a rival pose may see an unknown part of a wall. `slack` is a factor on the
-    tolerances.
+    The possible share is the share that would match if map walls were longer. A map wall may be longer than seen
+    so far, so a rival pose may see an unknown part of it. `slack` is a factor on the tolerances.
     """
     out = np.empty((len(poses), 3))
     if len(poses):
@@ -226,10 +224,10 @@ def _occluded_share(poses: Array, scan: Scan, walls: Array) -> Array:
 
 
 def _consistent(poses: Array, before: Iterable[tuple[Array, Scan]], walls: Array, all_walls: Array) -> Array:
-    """Return those of the poses (h, 3) of the present scan with which earlier scans match the map too.
+    """Return the poses (of h candidate poses (h, 3) for the present scan) that earlier scans do not contradict.
 
-    `before` yields the earlier scans, each with its pose (3,) relative to the present one. A pose is dropped once
-    MAX_AGAINST scans contradict it.
+    `before` yields the earlier scans, each with its pose (3,) relative to the present scan. A candidate is dropped
+    once MAX_AGAINST scans contradict it.
     """
     against = np.zeros(len(poses), dtype=np.int64)
     for step, scan in before:
@@ -294,11 +292,10 @@ def _has_enough_walls(found: Closure, expected: Array, P: Array) -> bool:
 
 
 def rival_spread(rivals: Array) -> Array:
-    """Return the covariance (3, 3) that equally good poses add to the position x, y [m^2] of the best pose.
+    """Return the covariance (3, 3) of the best pose's position [m^2] caused by other, equally good poses.
 
-    `rivals` (n, 3) are the offsets of these poses from the best one.
-
-    In a corridor, rivals differ in the position along it only.
+    `rivals` (n, 3) are the offsets of these poses from the best one. In a corridor they differ only in the
+    position along it.
     """
     apart = rivals[np.hypot(*rivals[:, :2].T) > MAP_APART_M, :2]
     P = np.zeros((3, 3))
@@ -308,9 +305,10 @@ def rival_spread(rivals: Array) -> Array:
 
 
 def contradicted(there: FrozenMap, here: FrozenMap, pose: Array) -> bool:
-    """Return whether scans of one submap see through walls of the other, more than through walls of their own.
+    """Return whether scans of one submap see through walls of the other submap.
 
-    Map walls extend over their doors, so scans see through all walls a little.
+    They must see through these walls more than through walls of their own submap: map walls extend over their
+    doors, so scans see through all walls a little.
     """
     ours, theirs = walls_of(here.lines, here.lines.value), walls_of(there.lines, there.lines.value)
     across = _mean_occluded(here.way, pose, theirs) + _mean_occluded(there.way, se2.inverse(pose), ours)
@@ -387,7 +385,7 @@ def _same_walls(
 class CandidateRuns:
     """Latest loop-closure candidate in each frozen submap, and how many consecutive candidates there agree.
 
-    A candidate is the last pose of the present submap in the frozen one.
+    A candidate is the pose of the present submap in the frozen one; the latest one is stored.
     """
 
     def __init__(self) -> None:
@@ -413,9 +411,9 @@ class CandidateRuns:
         return self.count(anchor) >= UNKNOWN_LOOKS and not self._has_rival(anchor, anchors)
 
     def _has_rival(self, anchor: int, anchors: Anchors) -> bool:
-        """Return whether the candidate in any other submap puts the present submap more than ELSEWHERE_M away.
+        """Return whether a candidate in another submap contradicts the candidate in the submap of `anchor`.
 
-        The distance is that from the position by the candidate in the submap of `anchor`.
+        It does if the two positions of the present submap in the map differ by more than ELSEWHERE_M.
         """
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()

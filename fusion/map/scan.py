@@ -50,7 +50,7 @@ class Scan(msgspec.Struct, frozen=True, eq=False):
 
 
 class LineReader:
-    """Reader of lines from laser measurements, for scans in order of time: converts many lines at a time."""
+    """Reader of the lines in laser measurements, for scans in order of time; it converts many lines at once."""
 
     def __init__(self) -> None:
         self._of: Measurements | None = None
@@ -96,7 +96,7 @@ class Standing:
         self._first = None
 
     def take(self, rows: Array) -> Array | None:
-        """Return the scan itself if the robot moves, a mean of scans at rest, or None for an unused scan."""
+        """Return the lines to use: the scan itself if the robot moves, else the mean of scans at rest, or None."""
         x, y, theta = self._rolled
         drives = x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD
         if drives or self._first is None:
@@ -109,7 +109,7 @@ class Standing:
         same = self._same(rows)
         length = rows[:, 6] - rows[:, 5]
         if float(length[same >= 0].sum()) < SAME_SHARE * float(length.sum()):
-            return rows  # a person stands before the laser, or the robot was carried
+            return rows  # something moved: a person stands in front of the laser, or the robot was carried
         self._add(rows, same)
         if self._scans & (self._scans - 1):  # only the 1st, 2nd, 4th, 8th ... is used
             return None
@@ -119,7 +119,7 @@ class Standing:
         return mean
 
     def _add(self, rows: Array, same: Ints) -> None:
-        """Add each line of a scan to the sum of the earlier line `same[k]` that equals it; -1 starts a new sum."""
+        """Add line k of a scan to the sum of the equal earlier line `same[k]`; for -1, begin a new sum."""
         new = np.flatnonzero(same < 0)
         if len(new):
             same[new] = len(self._lines) + np.arange(len(new))

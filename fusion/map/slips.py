@@ -2,9 +2,10 @@
 
 A slip changes the heading. The scan is matched with the map at several headings near the predicted one. In clutter
 a few short lines match at some heading, and during a turn a clock offset looks like a slip. Therefore the decision
-waits for the next scans. Then the current scan is matched with the last used scan: a slip is accepted if the robot
-turned more than the wheels report and the map fits better. If the two scans cannot be matched, all scans since
-then must fit the map much better. Until the decision no scan corrects pose or map.
+waits for the next scans. Then the current scan is matched with the last used scan. A slip is accepted if this
+match shows a turn that the wheels did not measure, and the scan fits the map better with it. If the two scans
+cannot be matched, all scans since the suspicion must fit the map much better. Until the decision no scan corrects
+pose or map.
 
 A candidate pose of a lost robot must agree with all of its `RecentScans`. In a symmetric room a single scan fits
 at two poses; later scans contradict one of them.
@@ -45,7 +46,7 @@ RECENT_SCANS = 60  # scans
 DECIDING_SCANS = 3  # scans until a slip is decided
 # least increase of the matched share by a slip: if scan matching measured the turn, and by the map alone
 MIN_GAIN, SURE_GAIN = 0.2, 0.5
-SMALL_RAD = math.radians(5.0)  # a smaller slip is decided at once: headings may be off so much without one
+SMALL_RAD = math.radians(5.0)  # a smaller slip is decided at once, since it is within usual heading errors
 AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by scan matching
 CARRIED_SCANS = 6  # consecutive scans that suggest a slip: the robot is being carried
 CONTINUING_SHARE = 0.4  # share of line length at the position predicted by earlier scans: no jump
@@ -89,9 +90,9 @@ class RecentScans:
 
 
 def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> float:
-    """Return the share of a scan's line length that lies where an earlier scan and a motion (3,) predict it.
+    """Return the share of a scan's line length that agrees with an earlier scan, moved by the motion `step` (3,).
 
-    A heading change of at most `slip` [rad] is allowed: the best one counts.
+    Headings may differ from the motion by at most `slip` [rad]: the share with the best heading is returned.
     """
     r, psi = before.z.T
     near = np.abs(scan.z[:, 0, None] - (r - step[0] * np.cos(psi) - step[1] * np.sin(psi))) < SAME_OFFSET_M
@@ -121,7 +122,7 @@ Seen = tuple[float, Pose, Scan]  # time [s], pose by wheel odometry alone, scan
 
 
 class PresentScan(NamedTuple):
-    """A scan that is compared with the map, and what can be tried with it."""
+    """Present scan, with the map and the functions that compare it with the map and with an earlier scan."""
 
     t: float  # s
     scan: Scan  # in the base frame
@@ -243,7 +244,7 @@ def continues(
 
 
 def slip_turn(present: PresentScan) -> float | None:
-    """Return the heading change [rad] with which most of the scan matches the map; None without one.
+    """Return the heading change [rad] with which most of the scan matches the map; None if there is none.
 
     Each heading is tried with the full data association, on the shifted belief.
     """

@@ -1,8 +1,8 @@
 """Submaps: frozen lines of the submaps that the robot left, and the walls shared by one submap and the next.
 
-In the robot's frame, the errors of all walls are correlated by the pose error. The joint covariance keeps this:
-the position of the walls relative to each other is known much better than relative to the robot. The next submap
-begins with these walls and their joint covariance.
+In the robot's frame, the errors of all walls are correlated, since they share the error of the pose. So the walls'
+positions relative to each other are known much better than relative to the robot. The next submap begins with
+these walls and their joint covariance, which contains these correlations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .line_map import COLUMN_NAMES, MIN_HITS, LineMap
 from .scan import Scan
 from .way import Way
 
-# m^2, rad^2; share of a variance: both keep covariances invertible
+# added variances [m^2, rad^2], and added share of a variance: both keep covariances invertible
 MIN_VARIANCE, MIN_VARIANCE_SHARE = 1e-18, 1e-9
 
 
@@ -41,7 +41,7 @@ def shared_walls(lines: LineMap, at: Ints, belief: JointBelief) -> SharedWalls:
     r, along = rho - dx * c - dy * s, dy * c - dx * s
     ends = np.stack((lines.lo[at] - along, lines.hi[at] - along), axis=-1)
     k = np.arange(len(at))
-    by = np.zeros((len(at), 2, 3 + 2 * len(at)))  # the pose, then the walls, as in kernels.sight
+    by = np.zeros((len(at), 2, 3 + 2 * len(at)))  # derivatives by the pose, then by the walls (kernels.sight)
     by[:, 0, 0], by[:, 0, 1], by[:, 1, 2] = -c, -s, -1.0
     by[k, 0, 3 + 2 * k], by[k, 0, 4 + 2 * k], by[k, 1, 4 + 2 * k] = 1.0, -along, 1.0
     H = by.reshape(2 * len(at), -1)

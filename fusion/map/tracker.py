@@ -73,8 +73,8 @@ UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
 )
 REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next submap begins
-# the next submap begins if the heading relative to the seen walls is this certain (1 sigma), or beyond this factor
-# times REACH_M: an error of its frame at the begin stays
+# the next submap begins where the heading relative to the seen walls is this certain (1 sigma), or beyond this
+# factor times REACH_M. A heading error at the begin would be a permanent error of the new submap's frame.
 MAX_HEADING_SIGMA_RAD, MAX_REACH_FACTOR = math.radians(0.5), 1.5
 # m of path in a submap before the first search for the submap in earlier ones, and between two searches
 FIRST_LOOK_M, LOOK_AGAIN_M = 3.0, 1.5
@@ -83,7 +83,7 @@ BACK_SIGMA_M, BACK_SIGMA_RAD = 0.3, math.radians(3.0)  # m, rad: largest standar
 MAX_WORSE_CHI2 = 30.0  # largest increase of the graph's chi-square by a closure
 RECENT_SCANS = 3  # walls seen in this many last scans are shared with the next submap
 # increase of the pose variances at the end of a submap: errors of neighbouring beams and scans are correlated, and
-# clutter is extracted as walls. In one real building (aces) headings were wrong by 2 degrees at 0.4 claimed
+# clutter is extracted as walls. In a real building (aces), the heading error was 2 degrees with a sigma of 0.4
 ADDED_P_SHARE, MIN_ADDED_VARIANCES = 8.0, np.square((0.02, 0.02, math.radians(0.3)))
 MIN_GAIN_SHARE = 1e-3  # share by which a variance must have decreased to count as measured by another sensor
 
@@ -100,7 +100,7 @@ class LineTracker(Model):
         self.map = LineMap()
         self.joint = mode != "first-scan"
         self.maps = mode != "given"
-        # other modes have no lines of newly seen walls, so their scans cannot contradict the map
+        # in other modes new walls are not added to the map, so scans cannot be checked against it
         self._jumps: list[Jump] = []
         self.guard = Guard(self._jumps) if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
@@ -117,7 +117,7 @@ class LineTracker(Model):
         self._usable = True  # whether the present scan may change the map
         self._fitted = -1  # last used reading
         self._asked = -1  # last reading for `innovations`
-        self._of: Measurements | None = None  # the measurements of the next two:
+        self._of: Measurements | None = None  # the measurements of which `_first` and `_t` are columns
         self._first: list[int] = []
         self._t: list[float] = []
         self._walls = (np.zeros(2),) * 3  # variances [m^2, rad^2]: of uneven walls, least, largest increase
@@ -201,7 +201,7 @@ class LineTracker(Model):
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
-        """Return by how much s error sources that all lines of a scan share move lines first:last, (k, 2, s)."""
+        """Return the effects (k, 2, s) of s errors that all lines of a scan share, on the lines first:last."""
         if not self.joint or "shared" not in m.extra:
             return NO_SHARES
         return np.ascontiguousarray(m.extra["shared"][first:last], np.float64)
@@ -254,9 +254,9 @@ class LineTracker(Model):
     def wall_noise(self, m: Measurements) -> tuple[Array, Array]:
         """Return the process noise of seen lines and the least variance of all lines, (2,) each [m^2, rad^2].
 
-        The next scan sees another part of an uneven wall, so seen lines get process noise. Without a measured
-        unevenness, all lines have a least variance instead, since no wall is an exact plane. Considered lines have
-        neither.
+        The next scan sees another part of an uneven wall, so seen lines get process noise. If the unevenness was
+        not measured, all lines have a least variance instead, since no wall is an exact plane. In mode `consider`,
+        both are zero.
         """
         if self.mode == "consider":
             return np.zeros(2), np.zeros(2)
@@ -300,7 +300,7 @@ class LineTracker(Model):
         columns: tuple[int, ...] = ()
         if (
             self.mount is not None
-        ):  # the predicted reading has the opposite derivative of the line in the base frame
+        ):  # by the mount, the derivative of the predicted measurement is minus that of the line in the base frame
             columns = self.mount.columns(belief)
             G = np.hstack((G, -G_z @ by_mount(self.mount, belief, psi)))
         column, P = -1, np.zeros((2, 2))
@@ -373,7 +373,7 @@ class AtlasTracker(LineTracker):
             return
         recent = np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
         if not len(recent) or not self._may_begin_next(recent, belief):
-            return  # no wall connects both submaps yet, or the heading is too uncertain
+            return  # no wall would connect both submaps, or the heading is too uncertain
         shared = shared_walls(self.map, recent, belief)
         self._leave(belief, connected=True)
         belief.begin_frame()
@@ -397,10 +397,10 @@ class AtlasTracker(LineTracker):
         belief.remove(self.map.drop(np.arange(len(self.map))))
 
     def _may_begin_next(self, recent: Ints, belief: JointBelief) -> bool:
-        """Return whether the robot may begin a submap here: its heading relative to recent walls is certain.
+        """Return whether the robot may begin a submap here.
 
-        Also if it is further than MAX_REACH_FACTOR * REACH_M from where the present submap began. `recent` (k,)
-        are the indices of the walls.
+        Its heading relative to the recent walls, with indices `recent` (k,), must be certain. Further than
+        MAX_REACH_FACTOR * REACH_M from the begin of the present submap, this is not required.
         """
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
         return (
@@ -441,7 +441,7 @@ class AtlasTracker(LineTracker):
         belief.transform(np.arange(3), se2.compose(R, q), se2.rotation(R[2]))
         J = by_frame(R[None], q[None])[0]
         spread = J @ P @ J.T
-        belief.loosen(np.arange(3), np.abs(spread).sum(axis=1))  # no less than `spread`, and independent
+        belief.loosen(np.arange(3), np.abs(spread).sum(axis=1))  # a diagonal covariance that is at least `spread`
         n = len(old.lines)
         first = belief.augment(old.lines.value.reshape(-1), np.zeros((2 * n, 3)), old.joint)
         thaw(old.lines, self.map, first)
@@ -473,9 +473,10 @@ class AtlasTracker(LineTracker):
         self._search_again_at = {}
 
     def _add_absolute_edge(self, belief: JointBelief) -> None:
-        """Add an edge from NOWHERE to the present anchor, for what absolute sensors measured in this submap.
+        """Add an edge from NOWHERE to the present anchor, with the absolute measurements during this submap.
 
-        Its information is what the covariance of the map frame gained since the submap began; none if too little.
+        Its information is the increase of the map frame's information since the submap began. If that is too
+        small, no edge is added.
         """
         frame = belief.frame_pose()
         if frame is None:

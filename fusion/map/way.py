@@ -1,9 +1,9 @@
 """Path through one submap: its scans, and the pose by scan matching when the robot leaves the submap.
 
-If few walls are long, or clutter is extracted as walls, submap and pose drift together. A chain of matched scans,
-which uses all points, is more accurate. It corrects the pose when the robot leaves the submap, before the next one
-begins. Lines and matches come from the same scans, so the variances of the pose are increased first
-(tracker.ADDED_P_SHARE).
+If few walls are long, or clutter is extracted as walls, submap and pose drift together. A chain of matched scans
+is more accurate, since it uses all points. It corrects the pose when the robot leaves the submap, before the next
+submap begins. Lines and matches come from the same scans, so their errors are correlated: the variances of the
+pose are increased first (tracker.ADDED_P_SHARE).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .scan import Scan
 
 STRIDE_M, TURN_RAD = 0.75, math.radians(45.0)  # m, rad between two scans that are kept
 MAX_SIGHTS = 60  # kept scans of one submap: more do not help
-# key scans of a path: fewer are inexact; over more, the submap is more accurate than the chain of matches
+# limits of the number of key scans: a shorter chain is inexact, a longer one less accurate than the submap
 MIN_KEYS, MAX_KEYS = 4, 100
 FILTER_P = np.square(
     np.diag((0.02, 0.02, np.radians(0.3)))
@@ -153,10 +153,9 @@ def _end_with_drift(x: Array) -> Array:
 def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None, belief: JointBelief) -> Equation:
     """Return the measurement equation of a scan-matched motion z (3,) with covariance R (3, 3).
 
-    It corrects the robot's pose and the laser mount.
-
-    The motion leads from the pose `begin` (3,) in the submap to a pose `back` (3,) relative to the present one.
-    The scans are in the base frame by the configured laser mount; the mount in the belief may differ.
+    It corrects the robot's pose and the laser mount. The motion begins at the pose `begin` (3,) in the submap, and
+    ends at the pose `back` (3,) in the frame of the robot's present pose. The scans are in the base frame by the
+    configured laser mount; the belief's mount may differ.
     """
     free, columns = ([], ()) if mount is None else (list(mount.free), mount.columns(belief))
     place, mounted = np.array(belief.pose()), np.zeros(3) if mount is None else np.array(mount.now(belief))

@@ -26,7 +26,7 @@ Point = tuple[float, float]
 MIN_DISTANCE_M = 0.05  # m: nearer than this the camera is inside the landmark
 H_ORIENTATION = ((0.0, 0.0, 1.0),)  # the camera's row of eq. 13, as printed
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
-MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
+MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # size of a panorama, so that its tables need below 250 MB
 MIN_CANDIDATE_MARGIN = 9.0  # squared sigmas by which the second-best candidate must fit worse: odds of 90 to 1
 
 
@@ -38,14 +38,14 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
     inner: float | None = None  # px, radius below which the robot sees itself; not set: outer / 4
     outer: float | None = None  # px, radius of the mirror's rim; not set: to the picture's nearest edge
     width: int = 720  # columns of the panorama
-    zero_deg: float = 0.0  # bearing that column 0 (straight down in the picture) looks at
+    zero_deg: float = 0.0  # bearing of column 0 (straight down in the picture)
     clockwise: bool = False  # columns turn clockwise in the world, seen from above
-    sigma_deg: float = 0.3  # of a bearing, beyond what its pixels explain
+    sigma_deg: float = 0.3  # of a bearing, in addition to the error by the pixel size
     chain: Literal["fast", "paper", "printed"] = "fast"  # printed: eq. (1) with its misprints
     bearing: Literal["relative", "absolute"] = "relative"  # absolute: the paper's orientation
     red_ratio: float = 0.4  # red is R - max(G, B) >= red_ratio R
     red_min: float = 30.0  # and >= red_min grey levels
-    swapped: bool = False  # red and blue are exchanged: the driver says rgb and means bgr
+    swapped: bool = False  # red and blue are exchanged: the driver names the encoding rgb, but writes bgr
     min_length: float = 12.0  # px along the radius
     min_slender: float = 1.5  # length over width
 
@@ -120,8 +120,8 @@ class Camera(Sensor):
     ) -> Measurements:
         """Measure bearings z (m, 1) [rad, camera frame] of the red candidates in each picture, largest first.
 
-        Pictures of another size than most are not used: their calibration would be another one.
-        Raises LocfuseError where no landmark is set.
+        Only pictures of the most frequent size are used, since the calibration is for one size. Raises
+        LocfuseError if no landmark is set.
         """
         missing = self.missing(settings)
         if missing:
@@ -131,7 +131,7 @@ class Camera(Sensor):
     def again(self, before: Measurements, settings: CameraSettings, epoch_ns: int) -> Measurements | None:
         """Return the result of `measure` from stored detections; None if the detector's settings changed.
 
-        Without a new detection only clock, direction and sigma may change.
+        Stored detections remain valid if only the clock, the direction of column 0 or sigma changes.
         """
         seen = before.seen
         if (
@@ -173,10 +173,10 @@ def detector(settings: CameraSettings) -> Any:
 class SeenLandmarks(NamedTuple):
     """Landmark candidates in the pictures of a log, before time offset and mount are applied."""
 
-    by: Any  # the Detector that looked
+    by: Any  # the Detector that was used
     shape: tuple[int, int]  # px, height and width of the n pictures
     t_ns: Ints  # (n,)
-    first: Ints  # (n + 1,) candidate of every picture
+    first: Ints  # (n + 1,) picture i has the candidates first[i]:first[i + 1]
     candidates: Array  # (m, 6), columns as in `fusion.camera.panorama.Candidate`
     dropped: dict[str, int]
 
@@ -222,7 +222,7 @@ def _collect(seen: SeenLandmarks, settings: CameraSettings, epoch_ns: int) -> Me
         scale=sigma,
         floor=np.zeros((1, 1)),
         extra={
-            "rest": rest,  # rad^2, variance by pixel size, on top of sigma^2
+            "rest": rest,  # rad^2, variance by the pixel size, added to sigma^2
             "pixels": pixels,
             "length": length,  # px
             "width": width,  # rad
@@ -274,7 +274,8 @@ class BearingModel(Model):
 class OrientationModel(Model):
     """The paper's camera model: z is the robot's heading theta, H = [0 0 1].
 
-    The start is the belief at the first picture. The largest candidate is the landmark.
+    The landmark's direction is computed once, from the belief at the first picture. The largest candidate counts
+    as the landmark.
     """
 
     def __init__(self, settings: CameraSettings, landmark: Point) -> None:

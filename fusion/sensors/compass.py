@@ -52,23 +52,23 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
 
     sigma_deg: float = 3.0  # white noise of one reading
     offset_deg: float | None = None  # measured heading minus theta; not set: estimated from the drive
-    sigma_offset_deg: float = 0.0  # 1 sigma of a given offset_deg: above 0 it is estimated from there, 0 is exact
+    sigma_offset_deg: float = 0.0  # 1 sigma of offset_deg as prior of the estimated offset; 0: exact
     offset_drift_deg: float = 0.0  # random walk of an estimated offset, degrees per sqrt(s)
-    field: str | None = None  # of a message of any type: the number that is the heading, "status.yaw"
-    unit: Literal["rad", "deg"] | None = None  # of heading messages; not set: as the convention says
+    field: str | None = None  # field with the heading in a message of any type, such as "status.yaw"
+    unit: Literal["rad", "deg"] | None = None  # of heading messages; not set: that of the convention
     convention: Convention = "enu_rad"  # of headings: 0 = east, ccw; or 0 = north, clockwise (an IMU in NED)
     roll_deg: float = 0.0  # mount on the base, of a magnetometer or an IMU
     pitch_deg: float = 0.0  # degrees, likewise
     yaw_deg: float = 0.0  # degrees, likewise
     hard_iron: tuple[float, float] = (0.0, 0.0)  # centre of the field's circle in the base's plane, message's unit
     soft_iron: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 1.0)  # row by row, applied after hard_iron
-    level: bool = True  # a magnetometer's field is levelled by an IMU of the log where the robot tilts
-    field_tolerance: float = 0.25  # share by which the field's strength may leave its median
+    level: bool = True  # if the robot tilts, an IMU of the log rotates the field into the horizontal plane
+    field_tolerance: float = 0.25  # largest relative difference of the field's strength from its median
 
     only_fused: ClassVar[frozenset[str]] = SensorSettings.only_fused | {"sigma_offset_deg"}
 
     def __post_init__(self) -> None:
-        """Raise ValueError where the offset's standard deviation is negative or not a number."""
+        """Raise ValueError if the offset's standard deviation is negative or not a number."""
         super().__post_init__()
         if not 0.0 <= self.sigma_offset_deg < math.inf:
             raise ValueError(f"sigma_offset_deg = {self.sigma_offset_deg} must be 0 (known exactly) or above")
@@ -120,7 +120,7 @@ class Compass(Sensor):
         up = stream.up if isinstance(stream, LevelledField) else None
         is_field = stream.msgtype.endswith("MagneticField")
         if is_field and not settings.roll_deg and not settings.pitch_deg and up is None:
-            fields = fields[:2]  # a level sensor needs no third axis
+            fields = fields[:2]  # a horizontal sensor needs no third axis
         columns = cast("dict[str, Array]", stream.columns(*fields))
         if is_field:
             heading, strength = from_field(columns, settings, up)
@@ -134,12 +134,12 @@ class Compass(Sensor):
         count_dropped(dropped, not_finite=~good)
         n, sigma = int(good.sum()), math.radians(settings.sigma_deg)
         strength = strength[good]
-        usual = float(np.median(strength)) if n else 0.0  # steel and motors change it, the earth does not
+        usual = float(np.median(strength)) if n else 0.0  # other strengths are disturbed by steel and motors
         strength = strength / usual if usual > 0 else np.ones_like(strength)
         steps = np.abs(np.diff(strength))
         white = (
             float(np.median(steps)) / (MAD_OF_NORMAL * math.sqrt(2.0)) if len(steps) else 0.0
-        )  # without the slow part
+        )  # white noise of the strength, without slow changes
         explained = FIELD_SIGMAS * max(sigma, white)
         rest = np.square(np.maximum(np.abs(strength - 1.0) - explained, 0.0))
         return Measurements(

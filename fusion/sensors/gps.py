@@ -4,9 +4,9 @@ With R = [[cos e, sin e], [-sin e, cos e]], e the direction of east in the map, 
 
     (east, north) = R (p - p_ref) + (c, d) + noise
 
-The direction e is unknown at the start, and a filter must not be linearised about a direction that may be
-anything. So while e is unknown the state holds a = cos e and b = sin e, in which the fix is linear: any direction
-is found without a guess. Once e is known to ten degrees it takes their place, and a^2 + b^2 = 1 is used once.
+At the start the direction e is unknown, so a linearisation about a guess of e would be wrong. Therefore the states
+are a = cos e and b = sin e at first: the fix is linear in them, and any direction is found without a guess. Once
+the sigma of e is below ten degrees, e replaces them, and the constraint a^2 + b^2 = 1 is used once.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from locfuse.fusion.streams import count_dropped
 from .points import detector_at
 
 FRAME = "_gps_frame"
-FIRST_FIX_SIGMA_M = 100.0  # m: how far the first fix may be from where the robot was
+FIRST_FIX_SIGMA_M = 100.0  # m, 1 sigma of the error of the first fix
 MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # 1 sigma, below which the direction of east becomes one angle
 UNIT_LENGTH_SIGMA = 1e-4  # standard deviation of the constraint |(a, b)| = 1
-OF_GPSD = ("gps_common/msg/GPSFix", "gps_msgs/msg/GPSFix")  # drivers publish the same fixes as NavSatFix
+OF_GPSD = ("gps_common/msg/GPSFix", "gps_msgs/msg/GPSFix")  # drivers also publish these fixes as NavSatFix
 MIN_SIGMA_M = 1e-3  # m, of a standard deviation
 
 Tie = tuple[float, float, float, float]
@@ -58,7 +58,7 @@ class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_on
     east_deg: float | None = None  # where east lies in the map, ccw from its x axis; not set: estimated
     x: float = 0.0  # m, antenna on the base
     y: float = 0.0  # m, likewise
-    sigma: float = 1.5  # m per axis, where the receiver does not say
+    sigma: float = 1.5  # m per axis, if the receiver reports no covariance
 
 
 class Gps(Sensor):
@@ -157,10 +157,11 @@ def _flat_covariances(column: Array | Ragged) -> Array:
 def fix(
     pose: se2.Plain, lever: tuple[float, float], reference: tuple[float, float], tie: Tie, known: bool
 ) -> tuple[tuple[float, float], PoseRows, Matrix]:
-    """Return the antenna's (east, north) [m], and derivatives by pose (2, 3) and by the four tie states (2, 4).
+    """Return the antenna's (east, north) [m], and derivatives by the pose (2, 3) and by the states `tie` (2, 4).
 
     (east, north) = R (p - p_ref) + (c, d), with p = (x, y) + R(theta) lever and `reference` p_ref, both [m, map].
-    The tie is (cos e, sin e, c, d), in which the fix is linear, or (e, 1, c, d) where the direction e is `known`.
+    `tie` has the four states of the transform from map to earth: (cos e, sin e, c, d), in which the fix is linear,
+    or (e, 1, c, d) if the direction e is `known`.
     """
     (x, y, theta), (a, b, east, north) = pose, tie
     if known:
@@ -177,9 +178,9 @@ def fix(
 
 
 class GpsModel(Model):
-    """(east, north) = R(e) (p - p_ref) + (c, d) + noise: antenna p, direction e of east in the map.
+    """(east, north) = R(e) (p - p_ref) + (c, d) + noise, with antenna p and direction e of east in the map.
 
-    Four states: a, b, c, d; once the direction is known e, |(a, b)|, c, d.
+    There are four states: (a, b, c, d) until the direction is known, then (e, |(a, b)|, c, d).
     """
 
     def __init__(self, settings: GpsSettings) -> None:
@@ -187,7 +188,7 @@ class GpsModel(Model):
         self.threshold = chi_square(settings.gate, 2)
         self.lever = (settings.x, settings.y)
         self.known = settings.east_deg is not None  # whether the first state is the angle e, not cos e
-        self.tie = (math.radians(settings.east_deg or 0.0), 1.0, 0.0, 0.0)  # at the start
+        self.tie = (math.radians(settings.east_deg or 0.0), 1.0, 0.0, 0.0)  # initial states if e is known
         self.fixed = self.known and settings.origin is not None
         self.reference: tuple[float, float] | None = (0.0, 0.0) if settings.origin is not None else None
 
@@ -197,7 +198,7 @@ class GpsModel(Model):
             return []
         place = 0.0 if self.settings.origin is not None else FIRST_FIX_SIGMA_M**2
         x = np.array(self.tie) if self.known else np.zeros(4)
-        # a and b of a direction that may be anything have mean 0 and variance 1/2
+        # for an unknown direction, a and b have mean 0 and variance 1/2
         direction = 0.0 if self.known else 0.5
         return [Block(FRAME, x, np.diag([direction, direction, place, place]), np.zeros(4))]
 

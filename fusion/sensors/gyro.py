@@ -9,10 +9,10 @@ The copy is correlated with all other states, so corrections by other sensors in
 The gain depends on the wheels' noise in this interval, var(theta - theta_before) = Q_theta: without other sensors
 it is K = Q_theta / (Q_theta + r).
 
-The bias is measured in the longest standstill, bias = turn / time with variance sigma^2 / time, and used from the
-start of the drive. Estimated only when the robot stops, it would correct the heading of the whole drive before in
-one step (tens of degrees after a minute at 1 deg/s), where the linearisation fails. The gyro's readings in that
-standstill are not used again.
+The bias is measured in the standstill that shows it best, bias = turn / time with variance sigma^2 / time, and
+used from the start of the drive. If the filter estimated it only when the robot stops, the accumulated heading
+error would be corrected in one step. This may be tens of degrees (a minute at 1 deg/s), and the linearisation
+would fail. The gyro's readings in that standstill are not used again.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import count_dropped, last_of_periods, summed
 
-MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # over a whole rest: encoders tremble by a tick
-MAX_BIAS_SIGMAS = 4.0  # prior sigmas of a bias at rest; a larger one is a robot turned by hand
+MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # in a standstill: encoders flicker by a tick
+MAX_BIAS_SIGMAS = 4.0  # prior sigmas: with a larger bias at rest, the robot was turned by hand
 REPEATED = VERDICTS.index("repeated")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 H_BEFORE: Matrix = ((-1.0,),)
-MIN_TURN_RAD = math.radians(20.0)  # rms of the wheels' turns about their mean, needed to judge the gyro
-MIN_TURN_CORRELATION = 0.8  # of gyro and wheels: below it, the ratio of their turns is not judged
+MIN_TURN_RAD = math.radians(20.0)  # least rms of the wheels' turns about their mean, to test the gyro
+MIN_TURN_CORRELATION = 0.8  # least correlation of gyro and wheels for a test of the ratio of their turns
 RATE_TOPICS = ("gyro", "yaw_rate", "yawrate", "turn_rate", "angular_velocity")  # topics of bare turning rates
 WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
 
@@ -46,9 +46,9 @@ WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
 class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of [gyro] in robot.toml."""
 
-    # a turn that the wheels did not see is a slip: the gyro is the one to believe
+    # no reading is rejected: if gyro and wheels measure different turns, a wheel slipped
     gate: float = 1.0
-    field: str | None = None  # of a message of any type: the number that is the turning rate, "state.yaw_rate"
+    field: str | None = None  # field with the turning rate in a message of any type, such as "state.yaw_rate"
     unit: Literal["rad", "deg"] = "rad"  # of the angular velocity, per second
     roll_deg: float = 0.0  # mount of the IMU on the base
     pitch_deg: float = 0.0  # degrees, likewise
@@ -56,8 +56,8 @@ class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     sigma_deg: float = 0.05  # angle random walk, degrees per sqrt(s)
     sigma_scale: float = 0.005  # relative error of the gyro's scale, taken as noise of every turn
     bias_deg: float | None = None  # degrees per s; not set: estimated from the drive
-    sigma_bias_deg: float = 1.0  # what an estimated bias may be at the start
-    bias_drift_deg: float = 0.002  # its random walk, degrees per s per sqrt(s)
+    sigma_bias_deg: float = 1.0  # 1 sigma of an estimated bias at the start, degrees per s
+    bias_drift_deg: float = 0.002  # random walk of the bias, degrees per s per sqrt(s)
 
 
 class Gyro(Sensor):
@@ -73,7 +73,7 @@ class Gyro(Sensor):
     noise_keys = ("sigma_deg",)
     unlikely = (*NOT_ON_BODY, "raw")
     second_best = BARE_NUMBERS
-    extra = True  # most bags have an IMU: one that is of no use must not stop the others
+    extra = True  # most bags have an IMU: an unusable one must not stop the other sensors
     guesses: ClassVar[Mapping[str, str]] = {"unit": "guess: radians per second, as REP 103 wants"}
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/Imu": (*(f"angular_velocity.{axis}" for axis in "xyz"), "angular_velocity_covariance"),
@@ -130,7 +130,7 @@ class Gyro(Sensor):
 
 
 class Rest(NamedTuple):
-    """Standstill: an interval without wheel motion, in which the gyro's turn divided by the time is its bias."""
+    """Standstill: interval without wheel motion. The gyro's turn in it, divided by the time, is the bias."""
 
     begin: float  # s
     end: float
@@ -140,7 +140,7 @@ class Rest(NamedTuple):
 class GyroModel(Model):
     """Turn since the reading before: z_i - z_before = theta - theta_before + bias dt + noise."""
 
-    local = True  # both headings are of one frame
+    local = True  # both headings are in the local frame
 
     def __init__(self, settings: GyroSettings) -> None:
         self.settings = settings
@@ -208,7 +208,7 @@ class GyroModel(Model):
 
 
 def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Array:
-    """Return the turning rates (n,) [rad/s] about the robot's vertical axis, by the mount's row for up."""
+    """Return the turning rates (n,) [rad/s] about the robot's vertical axis."""
     if "data" in columns:  # a bare number is the rate itself
         bare = np.asarray(columns["data"], dtype=np.float64)
         return np.radians(bare) if settings.unit == "deg" else bare

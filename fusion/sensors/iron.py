@@ -1,8 +1,8 @@
 """Hard and soft iron of a magnetometer: an ellipse fit to the field readings of one full turn of the robot.
 
 In a uniform field the two axes trace a circle about zero. Magnets on the robot move its centre (hard iron), steel
-makes it an ellipse (soft iron). The fit finds the centre c and the symmetric matrix A for which |A (m - c)| = 1;
-a rotation of the axes is not observable; it is part of the compass offset.
+makes it an ellipse (soft iron). The fit finds the centre c and the symmetric matrix A with |A (m - c)| = 1. A
+rotation of the axes is not observable; it is part of the compass offset.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from locfuse.fusion.se2 import wrap_all
 MIN_READINGS = 50  # readings
 MAX_MISSING_ARC_RAD = math.radians(60.0)  # largest part of the circle that may be missing
 MAX_FIT_ROUNDS = 100
-MAX_STRENGTH_RATIO = 10.0  # times the usual strength: no field of iron or earth
+MAX_STRENGTH_RATIO = 10.0  # times the median strength: neither iron nor the earth causes a stronger field
 NO_ELLIPSE = "the field readings lie on no ellipse: turn the robot once on the spot while recording"
 TUKEY_SIGMAS = 4.685  # of the scatter: readings further off do not count (95 % efficient for Gaussian noise)
 MAX_ELLIPSE_SCATTER = 0.2  # relative scatter above which the readings lie on no ellipse
@@ -34,7 +34,7 @@ class Iron(msgspec.Struct, frozen=True):
     soft_sigma: Array  # (2, 2)
     strength: float  # of the field, in the unit of the message
     scatter: float  # relative, of the strength: robust
-    error_before_deg: float  # rms of the heading error that the iron makes over a full turn, its mean left out
+    error_before_deg: float  # rms heading error over a full turn without calibration, minus its mean
     gap_deg: float  # largest part of the circle without a reading
     readings: int
 
@@ -72,7 +72,7 @@ def plausible(field: Array) -> Array:
 def _start(m: Array) -> tuple[Array, Array]:
     """Return a first guess of centre (2,) and shape (2, 2) of the ellipse, by linear least squares.
 
-    The algebraic fit a x^2 + b x y + d y^2 + e x + f y = 1, about the mean.
+    The fitted equation is a x^2 + b x y + d y^2 + e x + f y = 1, with x, y relative to the mean.
     """
     mean = m.mean(axis=0)
     x, y = (m - mean).T
@@ -137,10 +137,10 @@ def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, sprea
 
 
 def _shape_sigma(A: Array, spread: Array) -> Array:
-    """Return the standard deviations (2, 2) of the shape A / sqrt(det A), times sqrt(det A).
+    """Return `size` times the standard deviations (2, 2) of the shape A / size, with size = sqrt(det A).
 
-    `spread` (3, 3) is the covariance of (A_xx, A_xy, A_yy). With size = sqrt(det A), d(A / size) = (dA - A tr(A^-1
-    dA) / 2) / size.
+    `spread` (3, 3) is the covariance of (A_xx, A_xy, A_yy). The derivative is
+    d(A / size) = (dA - A tr(A^-1 dA) / 2) / size.
     """
     B = np.linalg.inv(A)
     shape = np.array([A[0, 0], A[0, 1], A[1, 1]])

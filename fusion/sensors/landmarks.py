@@ -4,16 +4,17 @@ With the detector at s = p + R(theta) m on the robot and the landmark l, d = l -
 
     range = |d| + offset + noise,    bearing = atan2(d_y, d_x) - theta - yaw + noise
 
-(Thrun, Burgard and Fox 2005, 6.6.2). A detector's range is often off by a constant (the tag's face, the lens): the
-offset is a state unless it is given. By a tag's size a camera measures the depth along its axis, |d| cos(b) with b
-the bearing from that axis. A file may hold depths or distances: a share k is a state,
+(Thrun, Burgard and Fox 2005, 6.6.2). The ranges often have a constant error (the tag's face, the lens): the offset
+is a state unless it is configured. From the size of a tag, a camera measures the depth |d| cos(b) along its axis,
+with the bearing b from this axis. A file may have depths or distances, so the depth share k is a state:
 
-    range = |d| (1 - k (1 - cos b)) + offset + noise,    k = 0 of a distance, 1 of a depth
+    range = |d| (1 - k (1 - cos b)) + offset + noise,    k = 0 for a distance, 1 for a depth
 
-with b as measured. Some detectors measure bearings only. A detection with a range implies a landmark position: ids
-whose implied positions differ from the map are reported, and two ids in each other's position are called swapped.
+b is the measured bearing. Some detectors measure bearings only. A detection with a range implies a landmark
+position. If the implied positions of an id differ from the map, the id is reported; if two ids are at each other's
+position, they are reported as swapped.
 
-Where no map is known (`map = "grow"`, or none is set) the landmarks' places are states in the local frame, each
+Without a map (`map = "grow"`, or none is set) the landmarks' positions are states in the local frame. Each is
 appended at the position of its first detection (Thrun, Burgard and Fox 2005, 10.3: EKF SLAM with known
 correspondences).
 """
@@ -64,15 +65,15 @@ from .points import (
 
 # ---- messages of detectors as one table: message, id, range, bearing ----
 #
-# Detectors that look through a camera give positions in its optical frame (REP 103: x right, y down, z ahead), or
-# only where a tag's centre is in the picture. A camera that looks down by the angle p sees a point (x, y, z) ahead
-# by z cos p - y sin p, and left by -x. Tags as frames of /tf come along these axes too.
+# Detectors with a camera give positions in its optical frame (REP 103: x right, y down, z ahead), or only the
+# pixel of a tag's centre. For a camera tilted down by the angle p, the point (x, y, z) is z cos p - y sin p ahead
+# of the camera and -x to its left. Tags that are published as frames of /tf have the same axes.
 
 DETECTIONS = "locfuse/msg/Detections"  # a file beside the log
 TAGS = "locfuse/msg/TagFrames"  # frames of /tf: a row for each tag, in the camera's optical axes
 LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 NO_ID = -1
-BUNDLE_ID = -(2**62)  # of several tags that are one detection: left out
+BUNDLE_ID = -(2**62)  # id of a detection that consists of several tags: it is not used
 
 
 class Fields(NamedTuple):
@@ -80,10 +81,10 @@ class Fields(NamedTuple):
 
     ids: str
     x: str
-    y: str = ""  # "": in pixels, x only
+    y: str = ""  # "": only x is given, in pixels
     z: str = ""
-    bundled: str = ""  # how many ids each detection has, where it holds a list of them
-    classes: str = ""  # where the ids are, if `ids` holds no number at all
+    bundled: str = ""  # number of ids of each detection, if it has a list of ids
+    classes: str = ""  # field with the ids if `ids` holds no number in any message
 
 
 def _at(ids: str, position: str, bundled: str = "") -> Fields:
@@ -91,8 +92,8 @@ def _at(ids: str, position: str, bundled: str = "") -> Fields:
     return Fields(ids, x, y, z, bundled)
 
 
-# vision_msgs: a detection's id is empty unless a tracker gave it one, and the tag's is then that of its first
-# hypothesis; what either is called differs between its releases ("|": the first that a message has).
+# vision_msgs: `detections.id` is empty unless a tracker set it; then the tag's id is the class of the first
+# hypothesis. The field names depend on the release ("|": the first name that a message has).
 CLASS = "detections.results.hypothesis.class_id|detections.results.id"
 OF_VISION = f"detections.id|{CLASS}"
 BUNDLES = _at("detections.id", "detections.pose.pose.pose.position", "detections.id.length")
@@ -135,8 +136,8 @@ class Sighted(NamedTuple):
     """Detections of landmarks, m of them; the detections of one message are consecutive."""
 
     t_ns: Ints  # (m,)
-    ids: Ints  # (m,) NO_ID: none that is a number
-    ranges: Array | None  # (m,) m; None: the detector says bearings only
+    ids: Ints  # (m,) NO_ID: the id is missing or not a number
+    ranges: Array | None  # (m,) m; None: the detector measures bearings only
     bearings: Array  # (m,) rad, counter-clockwise
 
 
@@ -155,7 +156,7 @@ def sighted(stream: Stream, looks: CameraView) -> Sighted:
     raw = stream.columns(*READS[stream.msgtype])
     row, ids = _first_ids(raw[fields.ids], raw[fields.bundled]) if fields.bundled else _ids(raw[fields.ids])
     if fields.classes and len(ids) and (ids == NO_ID).all():
-        with suppress(LocfuseError):  # of releases without hypotheses: the ids are none
+        with suppress(LocfuseError):  # messages of a release without hypotheses have no ids
             row, ids = _ids(stream.columns(fields.classes)[fields.classes])
     alone = ids != BUNDLE_ID
     t_ns = stream.t_ns[row[alone]]
@@ -212,16 +213,16 @@ def _values(column: Any, row: Ints, topic: str) -> Array:
     return values
 
 
-LEVER = ("x", "y", "yaw")  # of a detection, where several cameras look
+LEVER = ("x", "y", "yaw")  # columns with the mount of each detection's camera, if there are several cameras
 OFFSET, DEPTH = "range_offset", "range_depth"
-SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
+SIGMA_DEPTH = 0.5  # prior sigma of k, whose true value is 0 or 1
 MAX_DEPTH_SIGMA, MIN_DEPTH = 0.2, 0.5  # 1 sigma and value of k: limits for the note that ranges are depths
-MAX_PLACE_NOTES = 20  # on landmarks that are elsewhere than in the map
-WRONG_SIGMAS = 3.0  # of one detection's position; the median of many is much more exact
-MIN_FIT = 50  # detections needed to judge poses
+MAX_PLACE_NOTES = 20  # notes on landmarks with a wrong position in the map
+WRONG_SIGMAS = 3.0  # sigmas of one detection's position; the median of many detections is much more exact
+MIN_FIT = 50  # detections needed to evaluate poses
 
-MIN_SHARE = 0.1  # smallest factor from distance to range: a detector looks ahead
-ZEROS = 0.0, 0.0  # derivatives of a bearing by offset and depth
+MIN_SHARE = 0.1  # least ratio range / distance: landmarks lie in front of a detector
+ZEROS = 0.0, 0.0  # derivatives of a bearing by range offset and depth share
 MAX_SIGMA_M = 0.3  # m, of the robot's position: above it, landmark positions are not stored
 
 
@@ -232,19 +233,19 @@ class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True,
     what: ClassVar[str] = "landmarks"
     they: ClassVar[str] = "they"
 
-    topics: tuple[str, ...] = ()  # several cameras: each its topic
+    topics: tuple[str, ...] = ()  # for several cameras: the topic of each
     # topic -> x, y [m], yaw, down [deg]
     mounts: dict[str, tuple[float, ...]] = msgspec.field(default_factory=dict)
     optics: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)  # topic -> fx, cx [px]
     yaw_deg: float = 0.0  # degrees, of its mount
-    pitch_deg: float = 0.0  # degrees that a camera looks down
-    fx: float | None = None  # px, focal length where tags come in pixels; not set: of the log's CameraInfo
-    cx: float | None = None  # px, middle of its picture
+    pitch_deg: float = 0.0  # degrees by which the camera is tilted down
+    fx: float | None = None  # px, focal length for tags given in pixels; not set: from the log's CameraInfo
+    cx: float | None = None  # px, column of the picture's centre
     sigma_range: float = 0.1  # m
     sigma_bearing_deg: float = 1.5
-    range_offset: float | None = None  # m that ranges are too long; not set: estimated
-    sigma_range_offset: float = 0.05  # m: what an estimated offset may be at the start
-    range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; not set: found
+    range_offset: float | None = None  # m by which ranges are too long; not set: estimated
+    sigma_range_offset: float = 0.05  # m, 1 sigma of an estimated offset at the start
+    range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; not set: estimated
 
     positive: ClassVar[tuple[str, ...]] = (*PointsSettings.positive, "sigma_bearing_deg", "sigma_range_offset")
 
@@ -266,7 +267,7 @@ class Landmarks(Sensor):
     extra = True
     several_frames = True
     sees = "landmark"
-    # a detector that says where a tag is in the picture often says where it stands, too
+    # detectors that publish tags in pixels often publish their positions in another message, which is preferred
     second_best = tuple(PIXELS)
     asks: ClassVar[Mapping[str, Ask]] = {
         "map": Ask(
@@ -334,7 +335,7 @@ class Landmarks(Sensor):
         ahead, left = mounts_of(m, self.mount(settings))[:, :2].T
         seen_from = np.stack((x + c * ahead - s * left, y + s * ahead + c * left), axis=-1)
         at = np.array([places[int(i)] for i in m.extra["id"]]).reshape(-1, 2) - seen_from
-        turned = theta + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # of one camera: a constant, which counts for nothing
+        turned = theta + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # one camera: its yaw does not change the spread
         off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + turned)
         off = wrap_all(off - np.median(off))
         return float(np.median(np.abs(off))) / MAD_OF_NORMAL if len(off) >= MIN_FIT else None
@@ -409,7 +410,7 @@ class LandmarksModel(PointsModel):
         self.thresholds = [0.0, *(chi_square(settings.gate, d) for d in (1, 2))]  # by size of z
         self.given = settings.range_offset
         self.prior = settings.sigma_range_offset
-        given = settings.file is None or settings.range_depth is not None  # only a file leaves k open
+        given = settings.file is None or settings.range_depth is not None  # k is unknown only for a file
         self.depth = (settings.range_depth or 0.0) if given else None
         self.sigmas = math.radians(settings.sigma_bearing_deg), settings.sigma_range
         self._seen_at: dict[int, list[tuple[float, float, float]]] = defaultdict(list)  # id -> x, y, sigma [m]
@@ -546,10 +547,11 @@ class GrowingModel(GrowingPoints, LandmarksModel):
 
 
 def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> list[str]:
-    """Return notes on landmarks that the detections (n, 3) place elsewhere than the map does.
+    """Return notes on landmarks whose positions in the map contradict their detections (n, 3).
 
-    A row is x, y and its standard deviation [m]. A landmark is wrong where the median lies further from its entry
-    than WRONG_SIGMAS of one detection, and two such are swapped where each lies that near the other's entry.
+    A detection has x, y and their standard deviation [m]. A landmark is wrong if the median of its detections
+    differs from the map by more than WRONG_SIGMAS of one detection. Two wrong landmarks are swapped if the median
+    of each agrees with the map position of the other one.
     """
     median = {key: np.median(rows, axis=0) for key, rows in seen_at.items() if len(rows) >= MIN_JUDGED}
     reach = {key: WRONG_SIGMAS * max(float(v[2]), _scatter(seen_at[key])) for key, v in median.items()}

@@ -1,13 +1,13 @@
 """Roll and pitch of the robot from an IMU, to project a magnetic field onto the horizontal plane.
 
-The earth's field dips by 60 degrees and more in most places, so that a degree of roll turns a heading by two.
-The vertical direction comes from the IMU's orientation if it has one, else from gravity and turning rates by a
-complementary filter (Mahony, Hamel and Pflimlin 2008, without its integral term):
+In most places the earth's field is inclined by 60 degrees and more: a degree of roll turns a heading by two
+degrees. The vertical direction comes from the IMU's orientation if it has one, else from gravity and turning rates
+by a complementary filter (Mahony, Hamel and Pflimlin 2008, without its integral term):
 
     u' = -w x u + (a / |a| - u) / T,    T = 5 s
 
-with u up in the IMU's axes, w the rates less their median, a the accelerations. Nothing is levelled unless up
-moves by more than 3 degrees.
+with the up direction u in the IMU's axes, the rates w minus their median, and the accelerations a. If u changes by
+less than 3 degrees, the field is not rotated.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ ORIENTATION = tuple(f"orientation.{a}" for a in "xyzw")
 RATES = tuple(f"angular_velocity.{a}" for a in AXES)
 ACCELERATIONS = tuple(f"linear_acceleration.{a}" for a in AXES)
 READS = (*ORIENTATION, "orientation_covariance", *RATES, "angular_velocity_covariance", *ACCELERATIONS)
-MIN_TILT_RAD = math.radians(3.0)  # by which up moves in a drive that tilts: 5 % of the readings lie beyond it
-MAX_APART_RAD = math.radians(25.0)  # between measured and configured up; above it the mount is wrong
-SETTLING_S = 5.0  # T above: accelerations of the robot that last a second count for a fifth
-STEP_S = 0.02  # readings are averaged over it
-MAX_GRAVITY_DEVIATION = 0.1  # share by which an acceleration may differ from the usual one and count as gravity
-MIN_UP_CHANGE = 1e-9  # an orientation whose up moves by less is constant
-MAX_STEP_S = 0.5  # of rates that are integrated: a longer gap begins anew
+MIN_TILT_RAD = math.radians(3.0)  # a robot tilts if 5 % of the readings are tilted by more than this
+MAX_APART_RAD = math.radians(25.0)  # between measured and configured up: with more the mount is wrong
+SETTLING_S = 5.0  # T above: an acceleration of the robot that lasts a second has a fifth of its full effect
+STEP_S = 0.02  # readings are averaged over this time
+MAX_GRAVITY_DEVIATION = 0.1  # largest relative difference of gravity from the usual acceleration
+MIN_UP_CHANGE = 1e-9  # an orientation is constant if its up direction changes by less
+MAX_STEP_S = 0.5  # longest step over which rates are integrated: after a longer gap the filter restarts
 
 
 class Tilt(NamedTuple):
@@ -42,7 +42,7 @@ class Tilt(NamedTuple):
 
     t_ns: Ints  # (n,)
     up: Array  # (n, 3) unit vectors in the base's axes
-    words: str  # source: orientation or gravity, and the topic
+    words: str  # how it was measured (orientation or gravity), and the topic
 
 
 class LevelledField:
@@ -71,8 +71,8 @@ class LevelledField:
 def tilt_of(stream: Stream, R: Array) -> Tilt | None:
     """Return the vertical direction in the base frame over time, by an IMU; None if the robot hardly tilts.
 
-    R (3, 3) is the rotation from IMU axes to base axes. None too if the IMU has neither orientation nor gravity
-    and rates, and if up contradicts the configured mount (reported by `locfuse info`).
+    R (3, 3) is the rotation from IMU axes to base axes. Also None if the IMU has neither an orientation nor
+    accelerations and rates, or if up contradicts the configured mount (`locfuse info` reports that).
     """
     columns = cast("dict[str, Array]", stream.columns(*READS))
     up, words = by_orientation(columns), "the orientation"
@@ -85,7 +85,7 @@ def tilt_of(stream: Stream, R: Array) -> Tilt | None:
     if not len(t_ns):
         return None
     middle = np.median(up, axis=0)
-    if middle[2] < 0.0:  # north, east, down, or gravity of the other sign
+    if middle[2] < 0.0:  # the axes are north, east, down, or gravity has the opposite sign
         up, middle = -up, -middle
     vertical = np.array([0.0, 0.0, 1.0])
     size = float(np.linalg.norm(middle))
@@ -98,7 +98,8 @@ def tilt_of(stream: Stream, R: Array) -> Tilt | None:
 def levelled(m: Array, up: Array) -> tuple[Array, Array]:
     """Return the horizontal components (n,), forward and left, of fields (n, 3) given in the base frame.
 
-    Ahead is the base's x axis seen from above: heading is then yaw, whatever roll and pitch are.
+    Forward is the base's x axis, projected onto the horizontal plane. So the heading is the yaw, for any roll and
+    pitch.
     """
     ahead = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -107,7 +108,7 @@ def levelled(m: Array, up: Array) -> tuple[Array, Array]:
 
 
 def by_orientation(columns: dict[str, Array]) -> Array | None:
-    """Return up directions (n, 3) in the IMU frame by its orientation; None if all missing, or constant."""
+    """Return up directions (n, 3) in the IMU frame by its orientation; None if it is missing or constant."""
     q = np.stack([columns[name] for name in ORIENTATION], axis=-1).astype(np.float64)
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ~((q**2).sum(axis=1) >= 0.25)
     if none.all():
@@ -140,7 +141,7 @@ def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
 
 
 def _bias(a: Array, w: Array) -> Array:
-    """Return the bias (3,) [rad/s] of the turning rates about horizontal axes, as a robot keeps its mean tilt."""
+    """Return the bias (3,) [rad/s] of the rates about horizontal axes: their median."""
     up = np.median(a, axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     bias = np.median(w, axis=0)

@@ -1,8 +1,8 @@
 """Laser range finder: lines (r, psi) of its scans in the base frame, which are matched with a line map.
 
-The paper freezes the map of its first scan (eq. 14). Here that is one mode of four: `first-scan` (frozen),
-`consider` (its covariance counts, Schmidt-Kalman), `refine` (its lines are states), `grow` (new lines join).
-A fifth, `given`, localises in the map of an earlier run, whose covariance counts.
+The setting `map` has five modes. `first-scan`: the map of the first scan is frozen, as in the paper (eq. 14).
+`consider`: the same, but its covariance is used (Schmidt-Kalman). `refine`: its lines are states. `grow`: new
+lines are added too. `given`: localisation in the map of an earlier run, whose covariance is used.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
     sweep: Literal["forward", "backward"] = "forward"  # backward: the last beam of a scan is taken first
     min_points: int = 6  # beams of a line
     min_length: float = 0.3  # m
-    floor_range: float = 0.002  # m: walls are not planes to less than this
-    floor_angle_deg: float = 0.05  # degrees, likewise
-    walls: Literal["found", "flat"] = "found"  # found: the floors rise to what the walls of the log show
+    floor_range: float = 0.002  # m, least sigma of r, since walls are not exact planes
+    floor_angle_deg: float = 0.05  # degrees, least sigma of psi
+    walls: Literal["found", "flat"] = "found"  # found: both are raised to the observed unevenness of the walls
     map: MapMode = "grow"  # how its line map is made (docs/maps.md)
     map_topic: str | None = None  # nav_msgs/OccupancyGrid of the log, in which it localises (map = given)
-    recover: bool = True  # from slips and being carried away
+    recover: bool = True  # whether to correct wheel slips, and to relocalise a robot that was carried away
 
     only_fused: ClassVar[frozenset[str]] = MountedSettings.only_fused | {"recover"}
 
@@ -128,7 +128,7 @@ class Lrf(Sensor):
     ) -> tuple[Array, Gathered, NDArray[np.bool_]]:
         """Return scan times (n,) [s], the lines of the scans, and which scans are copies of the scan before (n,).
 
-        `longest` receives all scans.
+        `longest` collects the ranges of all scans.
         """
         t, found, same, before = stamps.copy(), Gathered(), np.zeros(len(stamps), bool), b""
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):

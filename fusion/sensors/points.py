@@ -32,10 +32,10 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
 
     table: ClassVar[str]  # its table in robot.toml
     what: ClassVar[str]  # what the points are, as a plural
-    they: ClassVar[str]  # what measures them, in a note
+    they: ClassVar[str]  # subject of sentences in notes, such as "the ranges"
 
-    file: str | None = None  # .csv beside the log, whose first line names t, id and what is measured
-    map: str | dict[str, Point] | None = None  # .csv of id, x, y [m], or {"6" = [x, y]}; not set, "grow": made
+    file: str | None = None  # .csv beside the log; its first line names the columns t, id and the measured values
+    map: str | dict[str, Point] | None = None  # .csv of id, x, y [m], or {"6" = [x, y]}; None, "grow": estimated
     ignore: tuple[int, ...] = ()  # ids that are not in the map, such as other robots
     x: float = 0.0  # m, detector on the base
     y: float = 0.0  # m, likewise
@@ -67,7 +67,7 @@ class IdReadings(NamedTuple):
     topic: str
     t_ns: Ints
     ids: Ints
-    detector: Ints  # index of the detector, where there are several
+    detector: Ints  # index of the detector, if there are several
     valid: NDArray[np.bool_]  # whether the numbers of a reading can be measurements
 
 
@@ -76,7 +76,7 @@ def used(
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Return which readings (n,) are used, and notes on the map; count the others in `dropped` by reason.
 
-    Used are valid readings of ids in the map, or of ids that are often seen where the map is estimated. Raises
+    Valid readings of ids in the map are used; if the map is estimated, those of ids that are often seen. Raises
     LocfuseError if there are none.
     """
     keep = _usable(seen, settings, dropped)

@@ -6,15 +6,15 @@ The frame of the poses (setting `frame`) determines the measurement:
 - "own": a frame of the source that is fixed in the map. The first pose determines its transform.
 - "drift": a frame that drifts (REP 105, "odom"). Only the motion between two poses counts.
 
-For the last two the state keeps a pose of an earlier instant (a "clone", Roumeliotis and Burdick 2002): B, where
-the robot was at the source's pose z_B. The source's motion u = (-)z_B (+) z equals the robot's motion,
+For the last two frames, an earlier pose B of the robot is a state (a "clone", Roumeliotis and Burdick 2002). At B,
+the source's pose was z_B. The source's motion u = (-)z_B (+) z equals the robot's motion,
 
     u = (-)B (+) p + noise
 
-relative to B. (Compared in the map frame as B (+) u = p, the derivatives by the headings differ by the innovation,
-which makes the filter overconfident: ANEES 2.7 instead of 1.3.) In a drifting frame B is cloned again at every
-reading, as the gyro does with the heading; in an own frame it is the first pose, moved on by u, so that its error
-stays that of the first reading.
+relative to B. (If both were compared in the map frame, B (+) u = p, the derivatives by the headings would differ
+by the innovation, and the filter would be overconfident: ANEES 2.7 instead of 1.3.) In a drifting frame, B is
+cloned again at every reading, as the gyro does with the heading. In an own frame, B is the first pose, which is
+moved by u at every reading, so that its error remains that of the first reading.
 """
 
 from __future__ import annotations
@@ -78,13 +78,13 @@ class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     # not set: "drift" of an Odometry and of /tf, else "own"
     frame: Literal["map", "own", "drift"] | None = None
     covariance: Literal["message", "sigma"] = "message"  # "sigma": the keys below, whatever the messages claim
-    sigma: float = 0.05  # m per axis, where the messages say nothing
+    sigma: float = 0.05  # m per axis, if the messages have no covariance
     sigma_theta_deg: float = 2.0  # degrees, likewise
-    heading: bool = True  # false: only x and y count
-    correlated: float = 0.0  # s over which its errors stay the same: the readings inside count as one
+    heading: bool = True  # false: only x and y are used
+    correlated: float = 0.0  # s over which the error is constant: the readings in this time count as one reading
     sigma_drift: float = 0.02  # m per sqrt(m) of way, in a drifting frame
     sigma_drift_deg: float = 1.0  # degrees per sqrt(m) of way, in a drifting frame
-    x: float = 0.0  # m, the body whose pose it is, on the base
+    x: float = 0.0  # m, position of the tracked body on the base
     y: float = 0.0  # m, likewise
     yaw_deg: float = 0.0  # degrees, likewise
 
@@ -98,7 +98,7 @@ class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class PoseSensor(Sensor):
-    """Another pose estimator: reads poses from Odometry, PoseStamped, /tf and similar messages."""
+    """Sensor of poses by another estimator: reads Odometry, PoseStamped, /tf and similar messages."""
 
     name = "pose"
     locates = True
@@ -127,7 +127,7 @@ class PoseSensor(Sensor):
     def measure(self, stream: Stream, settings: PoseSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Measure poses z (n, 3) of the base: x, y [m], heading [rad], in the frame of the other estimator.
 
-        Raises LocfuseError where no message holds a pose, or all hold the same while the robot drives.
+        Raises LocfuseError if no message has a pose, or if the pose does not change while the robot drives.
         """
         fields = POSE[stream.msgtype]
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
@@ -135,7 +135,7 @@ class PoseSensor(Sensor):
         dropped = dict(stream.dropped)
         keep = _usable(values, stream, settings, dropped)
         values, t = values[keep], (stream.t_ns[keep] - epoch_ns) * np.float64(1e-9) + settings.time_offset
-        # readings that share one error: with this factor on their variance they count as one
+        # several readings have the same error: with this factor on their variances they count as one reading
         shared = max(1.0, settings.correlated / float(np.median(np.diff(t)))) if len(t) > 1 else 1.0
         theta = se2.yaw(*values[:, 2:].T) if settings.heading else np.zeros(len(values))
         z = np.column_stack((values[:, :2], theta))
@@ -192,13 +192,14 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
 def plane_covariance(
     column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE_ROWS
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return planar covariances (n, d, d), and whether each is that of its message (n,).
+    """Return planar covariances (n, d, d), and which of them are from the messages (n,).
 
-    Otherwise it is diagonal, with the variances `own` (n, d).
+    The other ones are diagonal, with the variances `own` (n, d). `column` has 6 x 6 matrices of x, y, z, roll,
+    pitch, yaw; their rows and columns `axes` (d,) are returned.
 
-    `column` holds 6 x 6 matrices of x, y, z, roll, pitch, yaw, of which `axes` (d,) are wanted. A covariance of
-    zeros, NaN, and one that is not positive definite are not used. Variances above MAX_SIGMA^2 were not measured:
-    they are reduced to it, and their correlations kept, so that rounding cannot make the matrix indefinite.
+    Covariances with zeros or NaN, or that are not positive definite, are not used. Variances above MAX_SIGMA^2
+    were not measured: they are reduced to this value with the same correlations, so that rounding errors cannot
+    make the matrix indefinite.
     """
     n, d = own.shape
     P = own[:, :, None] * np.eye(d)
@@ -213,7 +214,7 @@ def plane_covariance(
     scaled = 0.5 * (scaled + scaled.transpose(0, 2, 1))
     has_covariance = has_covariance & (np.linalg.eigvalsh(scaled)[:, 0] > 0.0)
     P[has_covariance] = scaled[has_covariance]
-    unused = own[:, -1] >= MAX_SIGMA[1] ** 2  # its heading does not count
+    unused = own[:, -1] >= MAX_SIGMA[1] ** 2  # the heading is not used
     P[unused, -1, :], P[unused, :, -1], P[unused, -1, -1] = 0.0, 0.0, own[unused, -1]
     return P, has_covariance
 

@@ -5,9 +5,9 @@ With the antenna at s = p + R(theta) m on the robot and an anchor a,
     range = |s - a| + offset + noise
 
 (Thrun, Burgard and Fox 2005, 6.6.2, without its bearing). Radios measure some centimetres too far: the offset is
-a state unless it is given. A range is not linear in the position: with the variance v of the bearing under which
-the anchor is seen, it is |s - a| v / 2 longer than that of the mean position, and half the square of that is more
-variance (second-order filter: Bar-Shalom, Li and Kirubarajan 2001, 10.3.2).
+a state unless it is configured. A range is not linear in the position. Let v be the variance of the bearing to the
+anchor. Then the mean range is b = |s - a| v / 2 longer than the range from the mean position, and b^2 / 2 is added
+to the variance (second-order filter: Bar-Shalom, Li and Kirubarajan 2001, 10.3.2).
 
 With a known map the ranges also give the start of the drive, where [start] is not set. Without a map the anchors'
 positions are states, initialised by the ranges from the first part of the drive.
@@ -42,21 +42,21 @@ from .points import (
     used,
 )
 
-STRETCHES_S = (5.0, 10.0, 20.0, 40.0, 80.0)  # initial parts of the drive, the shortest unambiguous one is used
+STRETCHES_S = (5.0, 10.0, 20.0, 40.0, 80.0)  # initial parts of the drive: the shortest unambiguous one is used
 MIN_ROWS = 8
 MAX_FIT_ROUNDS = 60  # of the refinement, at most
 SAME_DIGITS = 3  # decimals of m and rad in which two equal solutions agree
 CAUCHY_SIGMAS = 2.0  # residuals from which a range counts for less
-CLEARLY_BETTER = 8.0  # cost (half a chi-square) of another solution above the best one's
+CLEARLY_BETTER = 8.0  # least difference in cost (half a chi-square) of other solutions to the best one
 APART_M, APART_RAD = 0.3, math.radians(20.0)  # solutions further apart are different ones
 MAX_SIGMA_M, MAX_SIGMA_RAD = 0.5, math.radians(15.0)  # largest sigmas of an accepted solution
-GRID_PLACES, GRID_DIRECTIONS = 5, 12  # places along each side of the anchors' box; directions of the first guess
-HEADING_ENTRY = slice(2, -1)  # of a guess: the heading between position and offset, or nothing
+GRID_PLACES, GRID_DIRECTIONS = 5, 12  # first guesses: positions along each side of the anchors' box, headings
+HEADING_ENTRY = slice(2, -1)  # the heading in a guess, between position and offset; empty if there is none
 Predict = Callable[[Array], tuple[Array, Array]]  # guesses (s, k) -> ranges (s, n), derivatives (s, n, k)
 RANGES = "locfuse/msg/Ranges"  # a file beside the log, or two fields of a topic
 OFFSET = "range_offset_of_anchors"
 AHEAD, LEFT, SPREAD = "anchor_ahead", "anchor_left", "anchor_sigma"
-REUSED_SIGMA_FACTOR = 3.0  # on the sigma of a place or start by ranges that the filter uses again
+REUSED_SIGMA_FACTOR = 3.0  # on the sigma of a start or anchor by ranges: the filter uses these ranges too
 MIN_SPREAD_M = 0.1
 EXACT_M = 1e-6  # sigma of a given offset
 
@@ -73,8 +73,9 @@ def start_among(
 ) -> RangeFit | None:
     """Return the robot's pose (x, y, theta) at the first range and the range offset; None if ambiguous.
 
-    anchors (n, 2) [m, map frame] of each range, `seen` (n, 2) [m] the places of the detector by the wheels, in the
-    frame of the robot at the first range, t (n,) [s], ranges (n,) [m]; `sigmas` of a range and of the offset [m].
+    For each of n ranges: the anchor's position `anchors` (n, 2) [m, map frame], the antenna's position `seen` (n,
+    2) [m] by the wheels, in the frame of the robot at the first range, the time t (n,) [s] and the range (n,) [m].
+    `sigmas` [m] are those of a range and of the offset.
     """
     low, high = anchors.min(axis=0), anchors.max(axis=0)
     margin = 0.25 * float(np.hypot(*(high - low)))
@@ -204,10 +205,10 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
     what: ClassVar[str] = "anchors"
     they: ClassVar[str] = "the ranges"
 
-    fields: tuple[str, str] | None = None  # of the topic's messages: which hold id and range [m]
+    fields: tuple[str, str] | None = None  # fields with id and range [m] in the topic's messages
     sigma: float = 0.1  # m
-    offset: float | None = None  # m that ranges are too long; not set: estimated
-    sigma_offset: float = 0.2  # m: what an estimated offset may be at the start
+    offset: float | None = None  # m by which ranges are too long; not set: estimated
+    sigma_offset: float = 0.2  # m, 1 sigma of an estimated offset at the start
 
     positive: ClassVar[tuple[str, ...]] = (*PointsSettings.positive, "sigma_offset")
 

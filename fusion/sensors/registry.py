@@ -1,6 +1,7 @@
 """List of all sensors. To add a sensor to locfuse, add one file to this folder and one line to this module.
 
-A sensor of another package needs no change here: its package names it by an entry point, group `locfuse.sensors`.
+A sensor of another package needs no change here: the package declares an entry point in the group
+`locfuse.sensors`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ REGISTRY: dict[str, Sensor] = {kind.name: kind() for kind in KINDS}
 GROUP = "locfuse.sensors"
 SOURCES: dict[str, str] = {}
 """Sensor of another package -> that package and its version."""
-SENSOR_NAME = re.compile(r"[a-z][a-z0-9_]*")  # a table of robot.toml, a word between commas
+SENSOR_NAME = re.compile(r"[a-z][a-z0-9_]*")  # it names a table of robot.toml, and stands in lists with commas
 REQUIRED = ("name", "Settings", "reads", "noise_keys", "components", "colour")
 RESERVED_NAMES = {*BASES, "all", "order", "preset", "start", "truth", "wheels"}
 
@@ -39,11 +40,11 @@ def register(sensor: Sensor | type[Sensor]) -> None:
     """Add a sensor class or object to the list of sensors in this process: `locfuse.register(Beacon())`.
 
     Args:
-        sensor: a `Sensor`, or its class. A package that is installed names it by an entry point instead, which the
-            commands and their worker processes see too.
+        sensor: a `Sensor`, or its class. An installed package declares it by an entry point instead: then the
+            commands and their worker processes use it too.
 
     Raises:
-        LocfuseError: it lacks something, or another sensor has its name; in one line.
+        LocfuseError: the sensor is incomplete, or another sensor has its name; the message is one line.
     """
     kind = sensor if isinstance(sensor, type) else type(sensor)
     _add(lambda: sensor, f"{kind.__module__}.{kind.__name__}", "")
@@ -52,13 +53,13 @@ def register(sensor: Sensor | type[Sensor]) -> None:
 def _add(load: Callable[[], Any], source: str, hint: str) -> None:
     """Call `load` and add the sensor that it returns. Raises LocfuseError if the sensor is invalid.
 
-    `source` is where the sensor comes from, which begins the message; `hint` is the hint of the error.
+    The error message begins with `source`, the origin of the sensor; `hint` is the hint of the error.
     """
     try:
         found = load()
         sensor = found() if isinstance(found, type) else found
         problem = _unfit(sensor)
-    except Exception as error:  # whatever the code of another package raises
+    except Exception as error:  # code of another package may raise anything
         problem = f"{type(error).__name__}: {error}"
     if problem is None and sensor.name in REGISTRY:
         problem = (

@@ -1,11 +1,12 @@
 """Sonar: compares the measured distance with that of the nearest mapped wall (laser's line map) in its cone.
 
-A smooth wall sends sound back only where it stands square to a ray of the cone. So an echo is the distance to a
-wall whose foot point lies within the cone and on the wall; no other mapped wall may be nearer. Objects that are
-not in the map return echoes too, from anywhere before the wall: an echo is assigned to the wall only if that is
-more likely.
+A smooth wall reflects sound back only where it is perpendicular to a ray of the cone. So an echo measures the
+distance to a wall whose foot point (of the perpendicular from the sonar) lies within the cone and on the wall; no
+other mapped wall may be nearer. Objects that are not in the map return echoes too, anywhere before the wall. An
+echo is assigned to the wall only if that is more likely.
 
-With the sonar at p and the wall n.(q - a) = rho it is C = rho - n.(p - a) (paper eq. 17 without its sign).
+With the sonar at p and the wall n.(q - a) = rho, the distance is C = rho - n.(p - a) (paper eq. 17 without its
+sign).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from locfuse.fusion.sensor import GATE, Ask, Model, Sensor, SensorSettings, Whee
 from locfuse.fusion.streams import MergedStream, count_dropped, parts_of
 
 UNMATCHED = VERDICTS.index("unmatched")
-CLUTTER_SHARE = 0.25  # of the echoes: from unmapped objects, anywhere before the wall
+CLUTTER_SHARE = 0.25  # share of echoes from unmapped objects, anywhere before the wall
 Mount = tuple[float, float, float]
 MAX_OVERHANG_M = 0.05  # m that a wall may extend beyond its seen part
 CLEAR_SIGMAS = 3.0  # standard deviations: no prediction if another wall is nearer than the echo by more
@@ -41,7 +42,7 @@ class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_
     topics: tuple[str, ...] = ()  # none: all topics of the type
     mounts: dict[str, Mount] = msgspec.field(default_factory=dict)  # topic -> x [m], y [m], yaw [deg] on the base
     sigma: float = 0.03  # m
-    widen_deg: float = 3.0  # walls count that stand square this far outside the cone: no heading is exact
+    widen_deg: float = 3.0  # degrees by which the cone is widened on each side, since the heading is not exact
 
 
 class Sonar(Sensor):
@@ -73,7 +74,7 @@ class Sonar(Sensor):
         known = ~np.isnan(distance)
         dropped = dict(stream.dropped)
         count_dropped(dropped, not_finite=~known)
-        # at either end of the range nothing was measured (REP 117 says inf, old drivers say max_range)
+        # a value at the end of the range means that there was no echo (inf by REP 117, max_range from old drivers)
         echo = (distance > columns["min_range"]) & (distance < columns["max_range"]) & np.isfinite(distance)
         rows = np.flatnonzero(known & echo)
         places = np.array([settings.mounts.get(part.topic, (0.0, 0.0, 0.0)) for part in parts_of(stream)])
@@ -137,7 +138,8 @@ class SonarModel(Model):
 def likelier(distance: float, sigma: float) -> float:
     """Return the NIS below which an echo is more likely from the wall than from clutter; 0 if it never is.
 
-    `distance` [m] is that of the wall, with clutter anywhere before it; `sigma` [m] that of the echo.
+    `distance` [m] is the predicted distance of the wall, `sigma` [m] the standard deviation of the echo. Clutter
+    is anywhere before the wall.
     """
     odds = (1.0 - CLUTTER_SHARE) / CLUTTER_SHARE * distance / (math.sqrt(math.tau) * sigma)
     return 2.0 * math.log(odds) if odds > 1.0 else 0.0
@@ -168,13 +170,13 @@ class Echo(NamedTuple):
 
 
 def nearest_echo(lines: LineMap, belief: JointBelief, cone: Cone, sigma: float) -> Echo | None:
-    """Predict the echo of the nearest wall perpendicular to a ray; None without one, or if it is occluded."""
+    """Predict the echo of the nearest wall perpendicular to a ray; None if there is none, or it is occluded."""
     px, py, theta = belief.pose()
     if not math.isfinite(theta):
         return None
     c, s = math.cos(theta), math.sin(theta)
     lever_x, lever_y = c * cone.x - s * cone.y, s * cone.x + c * cone.y
-    half = max(min(cone.half, math.pi), 0.0)  # a message may hold any value
+    half = max(min(cone.half, math.pi), 0.0)  # the value of a message may be invalid
     axis, widest = theta + cone.yaw, half + cone.widen
     rho, beta = lines.values(belief).T
     with np.errstate(invalid="ignore"):  # an infinite beta gives NaN, which returns no echo
@@ -205,13 +207,12 @@ def nearest_echo(lines: LineMap, belief: JointBelief, cone: Cone, sigma: float) 
 
 
 def _oblique_range(distance: float, foot: float, off: float, half: float, ends: tuple[float, float]) -> float:
-    """Return the least distance [m] of the wall on the edges of the cone, and of wall ends inside the cone.
+    """Return the distance [m] of the nearest point of a wall among edge points and ends; inf if there are none.
 
-    It is inf if an edge does not meet the wall and no end is inside. `half` [rad] is half the opening angle;
-    `ends` [m] are along the wall.
-
-    The perpendicular on the wall has the length `distance`, meets the wall at `foot` [m along it], and its
-    direction differs from the cone's axis by `off` [rad].
+    Edge points are the intersections of the wall with both edges of the cone; ends count if they are in the cone.
+    The perpendicular from the sonar has the length `distance` [m], meets the wall at `foot` [m along it], and its
+    direction differs from the cone's axis by `off` [rad]. `half` [rad] is half the opening angle; `ends` [m] are
+    the wall's ends along it.
     """
     nearest = math.inf
     for edge, end in ((-half, ends[0]), (half, ends[1])):

@@ -28,26 +28,26 @@ from locfuse.fusion.wheels.odometry import SPEED
 from .pose import plane_covariance, seen_from
 
 CLONE = "_twist_before"
-VARIANCES = ("forward_variance", "turn_variance")  # of way [m^2] and turn [rad^2] since the first reading
+VARIANCES = ("forward_variance", "turn_variance")  # of distance [m^2] and turn [rad^2] since the first reading
 MIN_SIGMAS = (0.001, math.radians(0.02))  # m, rad: smallest standard deviations of one interval
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/TwistWithCovarianceStamped")
-FORWARD_TURN = (0, 5)  # where linear x and angular z stand in a covariance of ROS
+FORWARD_TURN = (0, 5)  # indices of linear x and angular z in a covariance of ROS
 
 
 class TwistSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of [twist] in robot.toml."""
 
     covariance: Literal["message", "sigma"] = "message"  # "sigma": the keys below, whatever the messages claim
-    sigma: float = 0.05  # m/s of one reading, where the messages say nothing
+    sigma: float = 0.05  # m/s of one reading, if the messages have no covariance
     sigma_turn_deg: float = 2.0  # degrees per s, likewise
-    sigma_scale: float = 0.02  # relative error of its scale, taken as noise of every way and turn
-    period: float = 0.1  # s: readings are summed up to this, so that their rate costs nothing in the filter
+    sigma_scale: float = 0.02  # relative error of the scale, used as noise of each distance and turn
+    period: float = 0.1  # s: readings are summed over this time, so a high rate does not slow down the filter
 
     positive: ClassVar[tuple[str, ...]] = (*SensorSettings.positive, "sigma_turn_deg")
 
 
 class Twist(Sensor):
-    """Another speed estimator: reads forward speeds and turning rates."""
+    """Sensor of speeds by another estimator: reads forward speeds and turning rates."""
 
     name = "twist"
     Settings = TwistSettings
@@ -69,7 +69,7 @@ class Twist(Sensor):
     def measure(self, stream: Stream, settings: TwistSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Integrate speeds to z (n, 2): distance [m] and turn [rad] since the first reading, one row per `period`.
 
-        Raises LocfuseError where no message holds a speed.
+        Raises LocfuseError if no message has a speed.
         """
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
         speeds = np.stack([np.asarray(columns[name], np.float64) for name in SPEED[stream.msgtype]], axis=-1)
@@ -80,7 +80,7 @@ class Twist(Sensor):
         own = np.broadcast_to(sigmas**2, (len(t), 2))
         P, known = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
         way, piece = summed(t, speeds[keep])
-        # the errors of two readings are independent: 0.5 (v + v') dt^2 between them, but across a gap
+        # the errors of two readings are independent: their step has the variance 0.5 (v + v') dt^2; gaps have none
         held = np.where(np.diff(piece) > 0, 0.0, np.diff(t))[:, None]
         variances, variance = np.diagonal(P, axis1=1, axis2=2), np.zeros_like(way)
         np.cumsum(0.5 * (variances[1:] + variances[:-1]) * held**2, axis=0, out=variance[1:])

@@ -1,9 +1,9 @@
 """Record a filter run and replay it with other noise; acceptance, matches and linearisation stay as recorded.
 
-With other noise, the recorded events are a linear Kalman filter for the deviations from the run, and its
-innovations have a likelihood (Schweppe 1965). New map lines start with a large variance, so that their first
-measurements are treated like later ones. Many sets of noise are replayed together along a leading axis, since
-NumPy's call overhead is most of the cost (27 filters take three times as long as one).
+With other noise, the deviations from the recorded run follow a linear Kalman filter, whose innovations have a
+likelihood (Schweppe 1965). New map lines start with a large variance, so that their first measurements are treated
+like later ones. Many sets of noise are replayed together along a leading axis, since NumPy's call overhead is most
+of the cost (27 filters take three times as long as one).
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _of_sigma(R: Array, m: Measurements, row: int) -> Array:
     if rest is not None:
         part = part - rest[row] * np.eye(len(part))
     if not (np.diagonal(R) >= 0.999 * np.diagonal(part)).all():
-        return R  # a model with a smaller R: all of it is proportional to sigma^2
+        return R  # the model uses a smaller R, which is proportional to sigma^2
     if len(R) == 2 and R[0, 1] * m.covariances(slice(row, row + 1))[0, 0, 1] < 0.0:
         part = part * np.array(((1.0, -1.0), (-1.0, 1.0)))  # the line is compared as (-r, psi + pi)
     return part
@@ -233,9 +233,9 @@ def turning(op: Moved) -> bool:
 # ---- the likelihood of recorded runs, its maximum and its curvature ----
 
 WHEELS = "wheels.noise"
-DRIFT = ":drift"  # of a sensor's estimated offset
+DRIFT = ":drift"  # suffix of the name of a search variable: drift of a sensor's estimated offset
 DRIFT_START = 0.1  # degrees per sqrt(s)
-SEARCH_BOUND_LOG = math.log(1e3)  # of one search
+SEARCH_BOUND_LOG = math.log(1e3)  # largest change of a logarithm in one search
 STEP_LOG, HESSIAN_STEP_LOG = 0.02, 0.1
 MAX_SIGMA_LOG = 0.5  # largest standard error of an identifiable logarithm
 MIN_CURVATURE_PER_M = 0.5  # 1/m: a path with a larger curvature turns
@@ -252,9 +252,9 @@ NO_STRAIGHTS = (
 
 
 class Figures(msgspec.Struct):
-    """Noise settings during tuning: the configured ones, and for each search variable the change since then.
+    """Noise settings during tuning: the configured ones, and the change of each search variable.
 
-    `factors` are ln(present / configured): of the wheels' variance, the sensors' sigmas, and the drift.
+    `factors` are ln(present / configured) for the wheels' variance, the sensors' sigmas, and the drift.
     """
 
     configured: Robot
@@ -389,11 +389,11 @@ def best(problem: Likelihood, starts: Sequence[float], least: Sequence[float] | 
 def identify(problem: Likelihood) -> tuple[Array, list[str]]:
     """Return standard errors (p,) of the log noise at the maximum, and notes on unidentifiable wheel noise.
 
-    By the likelihood's curvature with separate wheel noise for straight motions and for turns.
+    They follow from the likelihood's curvature, with separate wheel noise for straight motions and for turns.
     """
     p = len(problem.names)
     H = -hessian(lambda v: problem(v[:, :p], v[:, p]), p + 1)
-    whole = np.vstack((np.eye(p), np.eye(p)[:1]))  # one noise sets both
+    whole = np.vstack((np.eye(p), np.eye(p)[:1]))  # equal wheel noise for straight motions and turns
     split = standard_errors(H)
     flags = []
     if split[p] > MAX_SIGMA_LOG:
@@ -404,11 +404,11 @@ def identify(problem: Likelihood) -> tuple[Array, list[str]]:
 
 
 def at_most(problem: Likelihood, which: int, upper: float) -> float:
-    """Return the largest log noise that is nearly as likely as the maximum at 0; inf if all searched ones are.
+    """Return the largest log noise that is nearly as likely as the maximum at 0; inf if all searched values are.
 
-    `which` is the index of the search variable; the other ones stay at 0. Searched up to `upper`, or to
-    PROFILE_REACH_LOG if that is larger. If the likelihood is flat towards small noise, this is the end of the flat
-    part.
+    `which` is the index of the search variable; the other ones stay at 0. The search ends at `upper` or
+    PROFILE_REACH_LOG, whichever is larger. If the likelihood is flat towards small noise, the result is the end of
+    the flat part.
     """
     grid = np.linspace(0.0, max(upper, PROFILE_REACH_LOG), PROFILE_POINTS)
     theta = np.zeros((PROFILE_POINTS, len(problem.names)))

@@ -1,9 +1,9 @@
 """Noise tuning from logs without truth: maximum likelihood of the innovations.
 
-A mean NIS of 1 is not enough, since too much noise of one sensor compensates too little of another; the likelihood
-of the innovations shows both (Schweppe 1965). Acceptance and matches are decided once for each round and fixed
-during the search (tape), from several starts, in logarithms. Noise that the likelihood does not determine is
-reported as not identifiable and not changed.
+A mean NIS of 1 is not enough: too much noise of one sensor compensates too little noise of another one. The
+likelihood of the innovations shows both errors (Schweppe 1965). In each round the filter runs once, which fixes
+acceptance and matches; then the logarithms of the noise are searched from several starts (tape). Noise that the
+likelihood does not determine is reported as not identifiable, and not changed.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from .tape import (
     record,
 )
 
-MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # a smaller change of a logarithm ends the rounds
+MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # the rounds end if all logarithms change by less
 START_LOG_FACTORS = (0.0, math.log(6.0), -math.log(6.0))
 PREVIEW_S = 30.0  # s of motion, for the first choice between the starts
 MAX_TRIES = 8  # of scaling the noise until measurements are accepted
 MAX_REFUSED_SHARE = 0.3
 MAX_NIS_RATIO, MIN_NIS_RATIO = 2.25, 0.2  # limits of the NIS ratio that needs no scaling
-MIN_OWN_SHARE = 0.3  # share of R in the innovations' variance, for a smaller sigma
+MIN_OWN_SHARE = 0.3  # least share of R in the innovations' variance, to reduce a sigma
 WIDENING_FACTOR = 3.0  # factor on the sigma of a sensor with many rejections
-REMEASURE_FACTOR = 1.1  # change of a sigma from which its lines are extracted again
-OPTIMAL = {"first-scan": "refine", "consider": "refine"}  # frozen maps are not optimal
+REMEASURE_FACTOR = 1.1  # change of a sigma from which the laser's lines are extracted again
+OPTIMAL = {"first-scan": "refine", "consider": "refine"}  # with a frozen map the gain is not optimal
 
 Remeasure = Callable[[int, str, Robot], Measurements]
 Progress = Callable[[str], None]
@@ -216,7 +216,7 @@ class Bench:
             for name in (figures.name_of(key),)
         ]
         again = list(dict.fromkeys(self._again))
-        # with the tuned figures and all other settings as given, as other commands use them
+        # with the tuned noise; all other settings as configured, as other commands use them
         given = zip(self.now(), self._given, strict=True)
         as_used = [t._replace(robot=figures.robot(robot)) for t, robot in given]
         return Tuned(rows, train, held_out, numbers, flags, again, as_used)

@@ -2,10 +2,10 @@
 
 This generalises the paper's experiment for delta. Drives are cut into straight runs and turns on the spot, and
 these into pieces. For each piece, the motion by the truth is compared with the motion by the wheels. Wheel noise
-is white along the path, so the errors of pieces are independent, with the covariance k Q of wheels/motion.py.
-Closed forms: straight D: var(along) = k D/2, var(yaw) = 2 k D/L^2, var(across) = 2 k D^3/(3 L^2); turn phi:
-var(yaw) = k |phi|/L. Wheel scales and track enter linearly and are fitted jointly, so that a systematic error does
-not count as noise.
+is white along the path, so the errors of pieces are independent, with the covariance k Q of wheels/motion.py. In
+closed form, with track L: for a straight piece of length D, var(along) = k D/2, var(yaw) = 2 k D/L^2, var(across)
+= 2 k D^3/(3 L^2); for a turn phi, var(yaw) = k |phi|/L. Wheel scales and track are fitted jointly (the error is
+linear in them), so that a systematic error does not count as noise.
 """
 
 from __future__ import annotations
@@ -120,9 +120,9 @@ FROM_PARAMETERS = np.array([[1.0, -0.5, 0.0], [1.0, 0.5, 0.0], [0.0, 0.0, 1.0]])
 OUTLIER_CONFIDENCE = 0.99999  # a piece beyond this quantile is a slip or a jump of the truth
 CHI_SQUARE_MEDIANS = {1: 0.4549, 3: 2.3660}  # of chi-square, by degrees of freedom
 MIN_PIECES = 4
-MIN_STANDSTILL_S = 0.5  # s of standstill from which the truth's noise is estimated
-MOVES_SIGMAS = 3.0  # of white noise: more than this and STANDS_M, and the truth moves at such a standstill
-MAX_MOVING_FACTOR = 2.0  # of all scatter and that without such standstills: with more, most is motion
+MIN_STANDSTILL_S = 0.5  # least standstill from which the truth's noise is estimated
+MOVES_SIGMAS = 3.0  # sigmas of white noise: beyond this and STANDS_M, the truth moves during a standstill
+MAX_MOVING_FACTOR = 2.0  # scatter in all standstills / in those where the truth is at rest: above, most is motion
 USUAL_NOISE = 4e-4  # m: variance per metre that a wheel rolls
 
 
@@ -180,7 +180,7 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
     Raises LocfuseError if a drive has no truth or there are too few pieces.
     """
     moved = np.zeros(3)  # left, right, track, relative
-    # poses of an odometry: no wheels to correct
+    # an odometry with sideways motion has no wheels to correct
     sideways = any(drive.wheels.twist[:, 1].any() for drive in drives)
     for _ in range(1 if sideways else 3):  # Gauss-Newton: a track error of 10 % is not linear in the turn
         found = Pieces.joined(*(find_pieces(drive, moved) for drive in drives))
@@ -223,7 +223,7 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
     stamps, pose = truth.t[inside], body[inside]
     sigma = truth_sigma(truth, wheels)
     kind, a, b = cut_runs(find_runs(wheels), wheels, stamps, piece_length(sigma, wheels))
-    if truth.theta is None:  # turns are not measured
+    if truth.theta is None:  # the truth does not measure turns
         kind, a, b = (column[kind == STRAIGHT] for column in (kind, a, b))
     motions = replace(wheels, noise=1.0).between(stamps[a], stamps[b], parameters=True)
     seen = se2.between(pose[a], pose[b])
@@ -272,7 +272,7 @@ def adjusted(wheels: Wheels, moved: Array) -> Wheels:
 def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
     """Return the noise of the truth: the configured value, else its scatter while the robot is at rest.
 
-    A late truth, or one that jumps, moves while the wheels stand: such scatter is no noise.
+    A truth that is late or jumps moves while the wheels are at rest: this scatter is not noise.
     """
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
     still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL_MPS * np.diff(wheels.t)

@@ -9,10 +9,10 @@ gyro's bias. Non-overlapping windows are fitted by least squares. The mean wheel
 measures no lengths. The residuals of windows of 0.1 to 10 s give the noise of the wheels at these time scales:
 encoder noise in short windows, slip in long ones.
 
-On a skid-steered robot the effective track is wider than the distance between the wheels. The wheels slide by half
-the difference of both tracks times the turn. A gyro measures the difference of the slides of both sides, not their
-mean. So the slide of a wheel in a window is modelled as uniform between zero and twice the mean, with variance
-slide^2 / 3.
+On a skid-steered robot the effective track is wider than the distance between the wheels. Each side slides, on
+average by half the difference of both tracks times the turn. A gyro measures only the difference of both slides,
+not each of them. So the slide of a wheel in a window is modelled as uniform between zero and twice the average,
+with variance slide^2 / 3.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .calibrate import Figure
 from .motion import Wheels
 
 WINDOW_S = 2.0  # s: longer than clock delays, shorter than a drive
-LAGS_S = np.arange(-1.2, 1.21, 0.02)  # of the gyro's clock
+LAGS_S = np.arange(-1.2, 1.21, 0.02)  # tried delays of the gyro's clock
 NOISE_WINDOWS_S = (0.1, 0.3, 1.0, 3.0, 10.0)
 MIN_WINDOWS, MIN_MOVED_M, MIN_TURNED_RAD = 20, 0.02, math.radians(180.0)  # number, m per window, rad in total
 MIN_EXPLAINED = 0.9  # least share of the turns that the wheels explain

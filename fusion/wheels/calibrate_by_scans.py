@@ -31,10 +31,10 @@ from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE, 
 from .motion import Wheels
 
 NAMES = ("scale", "difference", "track", "x", "y", "yaw", "delay")
-# of numerical derivatives; large for the delay, so that wheel noise does not matter
+# steps of numerical derivatives; large for the delay, so that wheel noise does not matter
 STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 0.15])
 PRIOR = np.array([0.1, 0.1, 0.3, 0.5, 0.5, 1.0, 0.5])  # weak prior, 1 sigma: relative (3), m (2), rad, s
-# parameters that only translations determine: scale and mount; that only turns determine: track, x, y
+# parameters that only translations determine (scale and mount), and that only turns determine (track, x, y)
 BY_WAY, BY_TURN = [0, 3, 4, 5], [2, 3, 4]
 UNOBSERVED_SHARE = 0.3  # share of the prior's sigma from which a parameter counts as not determined
 # motion of the laser, or time, after which an interval ends
@@ -49,7 +49,7 @@ MATCH_SCALES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors tried on the covarian
 CORRELATED_SIGMAS = np.array([0.004, 0.002, 0.004, 0.015, 0.015, 0.005, 0.005])
 FLOOR_COVARIANCE = np.diag([0.001**2, 0.001**2, np.radians(0.02) ** 2])  # m^2, rad^2: least covariance of a match
 MAX_STEPS, MIN_STEP_SIGMAS = 10, 1e-2  # Gauss-Newton: largest number of steps; it stops after a smaller step
-MAX_SCALE = 0.6  # largest relative change of a wheel's scale: a larger one is another unit
+MAX_SCALE = 0.6  # largest relative change of a wheel's scale: with a larger one the unit is wrong
 
 
 class ScanMotions(NamedTuple):
@@ -291,7 +291,7 @@ def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, 
 
 
 def _inliers(one: Intervals, p: Array) -> NDArray[np.bool_]:
-    """Return which intervals (n,) are no outliers by their residuals (slips, wrong matches)."""
+    """Return a mask (n,) of the intervals without outliers: slips and wrong matches have large residuals."""
     residuals = _residuals([one], p)
     match, noise = _noise(residuals)
     squares = _scaled(residuals, match).squares(noise, np.zeros(7))

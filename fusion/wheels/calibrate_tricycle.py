@@ -41,7 +41,7 @@ OUTLIER_M = 0.05  # m, rad: larger residuals are down-weighted (jumps of a track
 MIN_ROWS, MAX_ROWS = 50, 3000  # readings of the reference; number of windows
 MIN_TURN_RAD = math.radians(180.0)  # least total turn
 ASSUMED_TICKS = 1000.0  # per revolution, if not configured: only radius over ticks is observable
-MAX_SPEED_RATIO = 3.0  # of a wheel and of the tracked point
+MAX_SPEED_RATIO = 3.0  # largest ratio of the speeds of the wheel and of the tracked point
 
 
 class ReferenceMotion(NamedTuple):
@@ -120,8 +120,8 @@ def calibrate_tricycle(
         return put(solved.x), solved
 
     fits = [fit(of_windows, start, FREE[by], 40) for start in _starts(settings)]
-    # the same path fits a tricycle that drives backwards with the wheel turned by 180 degrees: prefer a forward
-    # mount
+    # a tricycle that drives backwards with the wheel turned by 180 degrees has the same path: prefer a mount that
+    # points forward
     best, solved = min(fits, key=lambda one: (np.cos(one[0][POINT][2]) < 0.0, float(one[1].cost)))
     free, rest = FREE[by], of_windows(best).reshape(len(first), -1)
     if by == "truth":

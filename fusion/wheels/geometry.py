@@ -25,7 +25,7 @@ MIN_TURN_RAD = 0.5  # rad, root of the sum of squared turns, from which the trac
 class Geometry(NamedTuple):
     """Wheel radius and track with which the robot's odometry was computed."""
 
-    radius: float  # m; of ticks: metres per tick times ticks_per_revolution / 2 pi, one tick taken as a radian
+    radius: float  # m; if ticks_per_revolution is not configured, a tick counts as 1 rad: metres per tick
     track: float | None  # m; None if the robot hardly turned
     mirrored: Mirrored = "none"  # wheels that count backwards while the robot drives forward
     sigmas: tuple[float, float] = (0.0, 0.0)  # standard deviations of radius and track, by the residuals
@@ -51,12 +51,12 @@ def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -
     t, left, right = _angles(both, known)
     offset = (theirs.epoch_ns - both.zero_ns) * 1e-9
     begin, end = max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1])
-    windows = np.unique(np.floor((t - begin) / WINDOW_S))  # only with readings: clocks may be years apart
+    windows = np.unique(np.floor((t - begin) / WINDOW_S))  # only windows with readings: clocks may differ by years
     start = begin + WINDOW_S * windows
     start = start[(windows >= 0.0) & (start < end - WINDOW_S)]
     if len(start) < MIN_WINDOWS:
         return None
-    # as twists: the wheels roll along the arc, not along the chord
+    # as twists, since the wheels roll along the arc, not along its chord
     moved = se2.log(theirs.wheels.relative(start - offset, start - offset + WINDOW_S))
     rolled = [np.interp(start + WINDOW_S, t, side) - np.interp(start, t, side) for side in (left, right)]
     return _best(rolled[0], rolled[1], moved)

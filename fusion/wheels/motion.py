@@ -1,8 +1,8 @@
 """Wheel motion model (paper eq. 1-3, 7, 8): exact arcs, pre-integrated between any two times.
 
-All wheel readings are converted at once to body twists. For each interval between two updates of the filter,
-motion, covariance and derivative by the wheel parameters are summed, so the encoder rate does not matter for its
-speed.
+All wheel readings are converted at once to body twists. For each interval between two updates of the filter, the
+motion, its covariance and its derivative by the wheel parameters are summed. So the filter's speed does not depend
+on the encoder rate.
 """
 
 from __future__ import annotations
@@ -50,9 +50,10 @@ class Wheels(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
-        """Build from body twists (n-1, 3) between times t (n,); gaps add no extra noise, as the twist holds there.
+        """Build from body twists (n-1, 3) between times t (n,). Gaps add no noise: the twist is valid in gaps too.
 
-        A base that drives sideways (mecanum, legs) gets the noise of wheels that point in the direction of motion.
+        For a base that drives sideways (mecanum, legs), the noise is that of wheels that point in the direction of
+        motion.
         """
         half = 0.5 * track * twist[:, 2]
         way = np.copysign(np.hypot(twist[:, 0], twist[:, 1]), twist[:, 0])
@@ -86,7 +87,7 @@ class Wheels(msgspec.Struct, frozen=True):
         )
 
     def at(self, t: Array) -> tuple[Ints, Array, Array]:
-        """Return for each time the index of the wheel interval, the elapsed share of it, and the pose by odometry.
+        """Return for each time the wheel interval's index, its elapsed share, and the pose by odometry.
 
         Times up to one interval beyond either end are extrapolated, for the last beams of a scan.
         """
@@ -111,7 +112,7 @@ class Wheels(msgspec.Struct, frozen=True):
         """Return the variances (..., k - 1, 2) [m^2] of each wheel's distance between times t (..., k) [s]."""
         if self.matched is None:
             steps = self.noise * np.abs(self.rolled)
-        else:  # of wheels with the same variance of the turn
+        else:  # the variance of wheels that would cause the same variance of the turn
             steps = np.repeat(0.5 * self.track**2 * self.matched[:, 2, 2, None], 2, axis=1)
         way = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
         return np.diff(np.stack([np.interp(t, self.t, column) for column in way.T], axis=-1), axis=-2)
@@ -153,10 +154,10 @@ class Wheels(msgspec.Struct, frozen=True):
         return np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), -1.0, 2.0)
 
     def _pieces(self, k: Ints, begin: Array, share: Array, end: Array, parameters: bool) -> tuple[Array, Array]:
-        """Return the noise and derivative (m, 3, 3) of the poses `end` (m, 3) that m pieces of intervals k cause.
+        """Return noise (m, 3, 3) of the poses `end` (m, 3) from m pieces of wheel intervals, and derivatives.
 
-        A piece is the part of wheel interval k from share `begin` to `begin` + `share`. The derivative is by the
-        wheel parameters.
+        A piece is the part of wheel interval k from share `begin` to `begin` + `share`. The derivatives (m, 3, 3)
+        of `end` are by the wheel parameters.
         """
         twist = share[:, None] * self.twist[k]
         (ahead, left, turned), rolled = twist.T, share[:, None] * self.rolled[k]
@@ -204,12 +205,12 @@ def _sums(pieces: Array, count: Ints) -> Array:
 
 
 def silences(t: Array, rolled: Array, turn: Array) -> Array:
-    """Return (n-1, 2) for n-1 wheel intervals: position variance [m^2] and turning rate [rad/s] of gaps, else 0.
+    """Return (n-1, 2) for n-1 wheel intervals: in gaps position variance [m^2] and turning rate [rad/s], else 0.
 
-    Both are 0 elsewhere. Over a gap, the counters give the distance of each wheel but not the path: a straight
-    line, an arc or two corners. With the fastest usual turning rate w, the heading deviates from the constant turn
-    by up to w T / 2 and returns, on average by w T / 4 (uniform), and the position by this share of the path; at
-    most it lies anywhere in a disc about the start.
+    Over a gap of length T, the counters give the distance of each wheel but not the path: a straight line, an arc
+    or two corners. With the fastest usual turning rate w, the heading deviates from a constant turn by up to w T /
+    2 and comes back. Its mean deviation of w T / 4 (uniform) moves the position by this share of the path; at
+    most, the position lies anywhere in a disc about the start.
     """
     span, way = np.diff(t), 0.5 * np.abs(rolled).sum(axis=1)
     silent = span > gap_limit(t)

@@ -35,14 +35,14 @@ from locfuse.fusion.sensor import WheelMotion
 from .motion import Wheels
 from .read import WheelReading
 
-MAX_POINTS = 240  # of a scan: neighbouring beams add no information
-# motion assumed in the first pass, before scans are matched: none
+MAX_POINTS = 240  # points of a scan that are used: more neighbouring beams add no information
+# the first pass, before scans are matched, assumes a robot at rest
 STANDING = Wheels.from_twists(np.array([0.0, 1.0]), np.zeros((1, 3)), 1.0, 0.0)
 SCANS_AT_ONCE = 400
 MIN_PAIR_S = 0.15  # least time between two scans for a velocity: the motion in less is below the error of a match
 # share of the prior's information used while matching; afterwards match and full prior are combined
 PAIRING_PRIOR_SHARE = 0.1
-# a key is kept while the overlap of a scan with it is this share of its first scan's: fewer keys give less drift
+# a key is used while its overlap with a scan is at least this share of its overlap with the first scan after it
 MIN_SHARED_RATIO, MAX_KEY_SCANS = 0.8, 100
 FLOOR = np.diag([1e-6, 1e-6, 1e-8])  # m^2, rad^2: least covariance, for two scans with one stamp
 # initial turns tried after a bad match
@@ -282,9 +282,9 @@ def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
 
 
 def _spread_evenly(C: Array, key: Ints, start: Array) -> Array:
-    """Return the covariance of each step from scan to scan: that of the key's last match over the key's steps.
+    """Return the covariance of each step: that of the key's last match, divided by the key's number of steps.
 
-    Scans are matched with their key, not with the scan before, so the errors of steps are not those of matches.
+    Scans are matched with their key, not with the scan before, so the covariance of a match is not that of a step.
     """
     _, at, counts = np.unique(key, return_inverse=True, return_counts=True)
     last = np.cumsum(counts) - 1
@@ -337,7 +337,7 @@ class Velocity(NamedTuple):
 
 
 def initial_velocity() -> Velocity:
-    """Return the velocity before the first scan: at rest, since most recordings start before the robot."""
+    """Return the velocity before the first scan: at rest, since most recordings start before the robot moves."""
     return Velocity(np.zeros(3), 0.25 * np.diag(USUAL_VARIANCES))
 
 

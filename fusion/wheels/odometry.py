@@ -86,7 +86,7 @@ MAX_FRAME_SHARE = 0.5
 MIN_BODY_MISFIT = 0.3  # least misfit to the body's axes, as share of the distance, for speeds in the poses' frame
 MAX_SIDEWAYS_MPS = 3.0  # m/s, limit of the 95th percentile of the sideways speed
 MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and largest share of jumps among the steps
-MAX_REVERSE_SHARE = 0.1  # largest share of reverse steps in the pose, relative to missing ones
+MAX_REVERSE_SHARE = 0.1  # largest ratio of steps that are reverse in pose and speed to those reverse in speed only
 
 
 class OdometryMotion(NamedTuple):
@@ -194,7 +194,7 @@ def travelled(
     never changes, the speeds are integrated. `posed` is whether the messages have a pose.
     """
     placed = posed and not (np.ptp(values[:, :2], axis=0).max() <= 0.0 and values[:, 3:].any())
-    if posed and not placed and np.ptp(values[:, 2]) > 0.0:  # heading and speed are known
+    if posed and not placed and np.ptp(values[:, 2]) > 0.0:  # the position is constant: use heading and speed
         values = np.column_stack((_poses_by_heading(t, values[:, 3], values[:, 2]), values[:, 3:]))
     elif not placed:
         notes = ("its pose never changes: its twist is used",) if posed else ()
@@ -252,8 +252,8 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
 def backing_up(steps: Array, by_speed: Array) -> Mask:
     """Mark steps (n-1, 3) that go forward by the poses but backward by the speeds: `by_speed` (n-1,) [m] < 0.
 
-    Marks no step if the speeds disagree with most steps, or if the poses have reverse motion, so that the reason
-    of the disagreement is another one.
+    Marks no step if the speeds disagree with most steps, or if the poses have reverse motion too: then the
+    disagreement has another reason.
     """
     ahead = steps[:, 0]
     moving = (np.abs(ahead) > MIN_STEP_M) & (np.abs(by_speed) > MIN_STEP_M)

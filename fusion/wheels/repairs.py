@@ -14,7 +14,7 @@ from locfuse.fusion.data import Array, Ints
 WINDOW_STEPS = 11  # steps whose median speed is the present speed
 # a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
 JUMP_FACTOR, JUMP_SLACK_MPS, MIN_JUMP_M = 8.0, 0.5, 0.02
-MAX_HELD_FACTOR = 4.0  # of the speeds before, during and after a time in which a counter stood still
+MAX_HELD_FACTOR = 4.0  # largest ratio of the speeds before, during and after a time with a constant counter
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
 COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # known widths of counters
@@ -69,10 +69,10 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
 
 
 def _held(t: Array, rolled: Array, max_speed: float | None) -> Mask:
-    """Return which readings (n,) repeat an old value: the wheel rolled on, and the counter caught up in one jump.
+    """Return which readings (n,) repeat an old value while the wheel rolled on; then the counter jumps.
 
-    The jump then is the way of the whole time, at a speed like those before and after it. (A counter that starts
-    anew while the robot stands jumps too, but the robot does not drive before and after.)
+    Such a jump is the distance of the whole time, at a speed similar to those before and after it. (A counter that
+    restarts while the robot stands jumps too, but then the robot does not drive before and after.)
     """
     out, steps = np.zeros(len(t), bool), np.diff(rolled)
     rate = steps / np.diff(t)
@@ -250,9 +250,9 @@ def _return_of(t: Array, values: Array, limit: Array, jumps: Ints, at: int) -> i
 
 
 def without_restarts(t: Array, steps: Array, jumps: Mask) -> Array:
-    """Replace steps (n-1, k) at restarts by the mean speed of the neighbouring steps.
+    """Replace steps (n-1, k) at restarts by a motion with the mean speed of the neighbouring steps.
 
-    The motion between the last value before a restart and the first one after it is not measured.
+    At a restart, the step between two counter values does not measure the motion.
     """
     out = steps.copy()
     dt = np.diff(t)

@@ -184,7 +184,7 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
     rows, at = np.unique(np.concatenate((both, np.maximum(both - 1, 0))), return_inverse=True)
     found = _points(stream, laser, rows, SURFACE_POINTS)
     surface, points, *before = ([found[k] for k in part.tolist()] for part in np.split(at, 4))
-    # a scan equal to the one before is older than its stamp, or the robot is at rest: not used
+    # scans equal to the one before are not used: the scan is older than its stamp, or the robot is at rest
     seen = zip(both.tolist(), (*surface, *points), chain(*before), strict=True)
     new = np.array([row == 0 or not np.array_equal(scan, last) for row, scan, last in seen])
     used = np.flatnonzero(new.reshape(2, -1).all(axis=0)).tolist()

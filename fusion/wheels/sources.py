@@ -50,7 +50,7 @@ USUAL_TICKS = {
 }
 SIDE_LETTERS = {"left": {"l", "fl", "rl", "bl"}, "right": {"r", "fr", "rr", "br"}}  # in names of wheel joints
 REAR_WORDS, REAR_LETTERS = ("rear", "back"), {"rl", "rr", "bl", "br"}
-NO_DRIVE = ("caster", "steer", "drop", "suspension")  # in names of wheel joints other than the rolling one
+NO_DRIVE = ("caster", "steer", "drop", "suspension")  # words in names of joints of a wheel that do not roll it
 LIMBS = (
     *("hip", "knee", "thigh", "calf", "ankle", "leg", "foot"),
     *("arm", "shoulder", "elbow", "wrist", "finger", "gripper"),
@@ -107,8 +107,8 @@ def _two(stream: Stream, fields: tuple[str, str]) -> Array:
 def _of_array(stream: Stream, settings: WheelSettings) -> Array:
     """Return the numbers (n, 2) of left and right wheel from arrays; NaN for arrays of unusual length.
 
-    Arrays of two numbers are left and right. For longer arrays, `[wheels] left` and `right` are the indices ("0"
-    is the first).
+    An array of two numbers has left and right. For longer arrays, the settings `[wheels] left` and `right` are the
+    indices ("0" is the first).
     """
     rows = cast("Ragged", stream.columns("data")["data"])
     long = int(np.median(rows.lengths)) if len(rows) else 0

@@ -55,14 +55,14 @@ def wheel_words(
 ) -> list[str]:
     """Return notes for the user on the estimated wheel states x (3,) with covariance P (3, 3).
 
-    `metric`: the sensors that measure distances, with the setting for their distance scale if there is one.
+    `metric` maps each sensor that measures distances to the setting of its distance scale, or None.
     """
     found, G = geometry(x), derivative(x)
     sigma = np.sqrt(np.maximum(np.diagonal(G @ P @ G.T), 0.0))
     prior = settings.sigma_scale / math.sqrt(2.0)  # of the radius, the mean of both
     words = [_estimate_words(settings, found, sigma)]
     if sigma[0] > MAX_PRIOR_SHARE * prior:
-        quotient = G[2] / (1.0 + found[2]) - G[0] / (1.0 + found[0])  # of the logarithm of track over radius
+        quotient = G[2] / (1.0 + found[2]) - G[0] / (1.0 + found[0])  # derivative of ln(track / radius)
         seen = math.sqrt(float(quotient @ P @ quotient)) < MAX_PRIOR_SHARE * settings.sigma_track
         tail = ": only track over radius is" if seen else ""
         words.append(f"radius and track are not identifiable from {' and '.join(sensors) or 'wheels alone'}{tail}")
@@ -78,8 +78,9 @@ def _scale_words(
 ) -> list[str]:
     """Return notes for the user on the distance scale of wheels relative to sensors; [] if `metric` is empty.
 
-    Only the ratio is observed, so a note cannot name the wrong one. `found` (3,) are the relative corrections of
-    radius, ratio and track, `metric` the sensors that measure distances, with the settings of their scales.
+    Only the ratio is observed, so a note cannot name which of the two is wrong. `found` (3,) are the relative
+    corrections of radius, ratio and track. `metric` maps each sensor that measures distances to the setting of its
+    distance scale, or None.
     """
     if not metric:
         return []

@@ -109,11 +109,11 @@ class Fixes(Columns, frozen=True):
 def bridged(
     odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints, x: Array, P: Array, after: Array, fixes: Fixes
 ) -> tuple[Array, Array]:
-    """Interpolate poses (n, 3) and covariances (n, 3, 3) between key poses, at times with odometry `stamps`.
+    """Interpolate poses (n, 3) and covariances (n, 3, 3) between key poses, at times with odometry `stamps` (n).
 
-    `k` (n,) are the last update times before. `keys` (m,) are the update times of the key poses x (m, 3), with
-    covariances P (m, 3, 3) and cross covariances `after` (m - 1, 3, 3) with the next key pose. The first key is
-    not after any stamp. After the last key, only odometry is used.
+    `k` (n,) are the last update times before these times. `keys` (m,) are the update times of the key poses x (m,
+    3), with covariances P (m, 3, 3) and cross covariances `after` (m - 1, 3, 3) with the next key pose. No time is
+    before the first key; after the last key, only odometry is used.
     """
     spans = Spans.of(odometry, stamps, k, keys)
     xi, rest = fixes.at(odometry, k, spans)

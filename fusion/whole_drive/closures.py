@@ -44,8 +44,8 @@ MAX_VISITS = 6  # candidates of one submap in a round
 MAX_SEARCHES = 100  # correlative searches in a round, smallest windows first
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.65, 0.4, 0.05
 MAX_THROUGH = 0.05  # largest share of points in space that the other scans saw as free
-# free space: directions of a view; margin in m and as share of the range by which a point lies in free space;
-# least number of points for the test
+# free space: number of directions of a view; margin by which a point in free space is nearer than the free range
+# (in m, and as share of the range); least number of points for the test
 BIN_COUNT, MARGIN_M, MARGIN_SHARE, MIN_POINTS = 360, 0.3, 0.03, 20
 PAIRS_AT_ONCE = 2000  # pairs of keys: the points of more take hundreds of MB
 MAX_CONDITION = 1e4
@@ -84,10 +84,10 @@ class Views(msgspec.Struct, frozen=True):
         return cls(origin, np.where(np.isfinite(nearest), nearest, np.nan))
 
     def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
-        """Count the points of scan j that lie in free space of scan i, which contradicts it, for each pair (p,).
+        """Count for each pair (p,) the points of scan j in the free space of scan i: these contradict the pose.
 
-        Returns this count and the count of all points in the view of scan i, (p,) each. `pose` (p, 3) is that of
-        key j in the frame of key i.
+        Returns this count, and the number of all points of scan j in the view of scan i, (p,) each. `pose` (p, 3)
+        is the pose of key j in the frame of key i.
         """
         pieces = np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1)
         counts = [self._counted(clouds, i[some], j[some], pose[some]) for some in pieces]
@@ -394,7 +394,7 @@ def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
 
 
 def _nearest(keys: Ints, at: Ints) -> Ints:
-    """Return the index of the nearest of the increasing keys (m,) to each update time `at` (k, 2)."""
+    """Return the index of the nearest key for each update time `at` (k, 2); `keys` (m,) are increasing."""
     after = np.clip(np.searchsorted(keys, at), 1, len(keys) - 1)
     nearest: Ints = np.where(at - keys[after - 1] <= keys[after] - at, after - 1, after)
     return nearest

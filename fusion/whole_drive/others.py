@@ -21,7 +21,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from .odometry import Odometry, by_lever
 
-READINGS_PER_KEY = 4  # of one sensor; omitted readings are not replaced by a larger weight of the others
+READINGS_PER_KEY = 4  # used readings of one sensor per key; their weight does not replace the unused readings
 WIDTH_SIGMAS = 3.0  # sigmas at which a reading loses weight (Cauchy)
 DISTURBED = VERDICTS.index("disturbed")
 

@@ -86,7 +86,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
-        """Return the key poses with the start pose put before them, unless the first key is at the start.
+        """Return the key poses, after the start pose unless the first key is at the start.
 
         Returns update times, poses, covariances, covariances with the next key pose, and odometry errors.
         """
@@ -176,7 +176,7 @@ def whole_drive(
     if m is None or m.points is None or not room_for_loops(drive, robot, sensors):
         return None
     lag, configured = clock_lag(drive), m.points.mount
-    # without a clock offset as state, the filter estimates a late clock as a mount further ahead (speed times lag)
+    # the clock offset is not a state: with a late clock the filter estimates a mount further ahead (speed * lag)
     mount = configured if filtered is None or lag else found_mount(LASER, configured, filtered.blocks)
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
     wheels = None if estimated is None else estimated[-1]
@@ -266,7 +266,7 @@ def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
 
 
 def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
-    """Return a factor on the variance of the wheels' turns between keys: actual (by scan poses x) over claimed.
+    """Return the ratio of actual (by scan poses x) to claimed variance of the wheels' turns between keys.
 
     With an assumed track width the claimed error is 5 degrees per metre; the actual one is below 1 degree. Between
     keys, scans correct the heading. Before the first key only wheel odometry is available, and its heading error
@@ -322,9 +322,9 @@ class GraphStart(msgspec.Struct, frozen=True):
         return Edges.known(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return the start pose smoothed by the first key pose, its covariance, and that with the key pose.
+        """Return the start pose smoothed by the first key pose, its covariance, and that of both poses.
 
-        `key` (3,) is the first key pose as the graph estimates it, P (3, 3) its covariance.
+        `key` (3,) is the graph's estimate of the first key pose, P (3, 3) its covariance.
         """
         G = self.cross @ np.linalg.inv(self.P_at_key)
         step = key - self.at_key

@@ -115,11 +115,10 @@ class References(msgspec.Struct, frozen=True):
         return self.solved.get(frozenset(_without(sensor, self.present)))
 
     def contradiction(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
-        """Return two sensors that contradict each other, among those of a reference and an estimate; else None.
+        """Return two sensors of a reference and an estimate that contradict each other; None if there are none.
 
-        `judged` are the sensors of the estimate.
-
-        A sensor that contradicts all others may be evaluated by a reference of the others.
+        `judged` are the sensors of the estimate. A sensor that contradicts all others may be evaluated by a
+        reference of these others.
         """
         known = {*reference.sensors, *(s for s in judged if s != self.outlier)}
         return next((pair for pair in self.contradict if set(pair) <= known), None)

@@ -239,10 +239,10 @@ def between_instants(
 ) -> tuple[Array, Array]:
     """Return smoothed poses (q, 3) and covariances (q, 3, 3) after motions (q) from the update times k (q,).
 
-    Between two update times the odometry error is interpolated (a Brownian bridge): the motion up to the stamp
-    gets the share of the error of the whole interval that its noise has. All is linearised in the local frame
-    about the filter's poses: sideways the noise is micrometres, less than the error of another linearisation. Then
-    the result is converted to the map frame.
+    Between two update times the odometry error is interpolated (a Brownian bridge): the motion up to the stamp has
+    the same share of the interval's error as of its noise. Everything is linearised in the local frame about the
+    filter's poses: the sideways noise is micrometres, and another linearisation would have larger errors. The
+    result is converted to the map frame.
     """
     after = np.minimum(k + 1, len(drive.t) - 1)
     states = back.blocks.get(WHEELS)

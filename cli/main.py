@@ -108,7 +108,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     settle_streams()
     signal.signal(signal.SIGTERM, _stop)
     on_interrupt = signal.getsignal(signal.SIGINT)
-    if on_interrupt is signal.default_int_handler:  # not if `nohup` or `&` ignores it
+    if on_interrupt is signal.default_int_handler:  # else `nohup` or `&` ignores SIGINT
         signal.signal(signal.SIGINT, _stop)  # click would print an empty line first
     if arguments is None and not sys.warnoptions:
         silence_overflows()
@@ -123,7 +123,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 
 def _exit_code(problem: BaseException) -> int:
-    """Print the reason why a command ended in one line, and return its exit code; raise bugs again."""
+    """Print in one line why a command ended, and return its exit code; raise a bug again."""
     # Python 3.11 raises a RuntimeError if a signal arrives while a class is created, as in an import
     for stopped in (problem, problem.__cause__):
         if isinstance(stopped, _Stopped) and stopped.number == signal.SIGTERM:

@@ -17,10 +17,10 @@ class Opening(ScenarioTable, frozen=True, kw_only=True):
     """Opening in one wall of a space: a door, a niche, or glass."""
 
     side: Side
-    at: float  # m, of its middle: x in a south or north wall, y in an east or west wall
+    at: float  # m, middle of the opening: x in a south or north wall, y in an east or west wall
     width: Positive = 1.0  # m
-    kind: Literal["door", "closed", "glass"] = "door"  # closed: a niche that is seen from outside the space
-    leaf_deg: float = 0.0  # how far the door's leaf stands open, into the space; 0: there is no leaf
+    kind: Literal["door", "closed", "glass"] = "door"  # closed: a niche in the outer half of the wall
+    leaf_deg: float = 0.0  # opening angle of the door leaf, into the space; 0: no leaf
 
 
 class Box(ScenarioTable, frozen=True, tag_field="kind", tag="box"):
@@ -65,9 +65,9 @@ class Space(ScenarioTable, frozen=True, kw_only=True):
 class Glass(ScenarioTable, frozen=True, kw_only=True):
     """Reflection of laser beams by panes: only near normal incidence, else the beam passes through."""
 
-    within_deg: float = 8.0  # from the normal
-    returns: Share = 0.8  # probability of an echo there
-    post_every: Positive = 1.5  # m, at most, between the posts that hold the panes
+    within_deg: float = 8.0  # largest angle to the normal with an echo
+    returns: Share = 0.8  # probability of an echo within this angle
+    post_every: Positive = 1.5  # m, largest distance of the posts that hold the panes
     post: Positive = 0.06  # m, thickness of a post
 
 
@@ -88,8 +88,8 @@ class Building(ScenarioTable, frozen=True, kw_only=True):
 
     spaces: tuple[Space, ...]
     wall: Positive = 0.15  # m, thickness of every wall
-    bow: float = 0.02  # m: walls deviate from straight lines by up to this
+    bow: float = 0.02  # m, largest deviation of a wall from its straight line
     screens: tuple[Segment, ...] = ()  # thin straight walls, in any direction
     glass: Glass = Glass()
     people: tuple[Walker, ...] = ()
-    seed: int | None = None  # of the walls' shapes and of the walks; None: the seed of the drive
+    seed: int | None = None  # seed of the wall shapes and the walks; None: the seed of the drive

@@ -20,11 +20,11 @@ from .building import Box, Building, Furniture, Glass, LeggedTable, Opening, Spa
 from .messages import Streams
 from .table import Point, Segment
 
-SAME_PLACE_M = 1e-6  # m: coordinates closer than this are the same
+SAME_PLACE_M = 1e-6  # m, largest difference of equal coordinates
 Mask = NDArray[np.bool_]
 MAX_PIECE_M = 0.6  # m, longest segment of a bent face
 WAVELENGTHS_M = np.geomspace(4.0, 40.0, 7)  # m, wavelengths of a deviation
-BOW_LENGTH_M = 100.0  # m: length of a wall over which a deviation is limited to the bow
+BOW_LENGTH_M = 100.0  # m, length of wall on which a deviation is at most the bow
 CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
 
 Deviation = Callable[[Array], Array]
@@ -36,7 +36,7 @@ def straight_walls(building: Building, size: Point) -> Array:
     A face ends at corners and openings; its direction is that of increasing x or y.
 
     Args:
-        building: its spaces and openings.
+        building: spaces and openings.
         size: m, between the centre lines of the outer walls, along x and y.
     """
     half = building.wall / 2
@@ -84,7 +84,7 @@ def _hole(space: Space, opening: Opening, half: float) -> Segment:
 
 
 def _inside(rectangles: Array, x: Array, y: Array) -> Mask:
-    """Return which cells of a grid lie in a rectangle, as a mask (len(x) + 1, len(y) + 1).
+    """Return the mask (len(x) + 1, len(y) + 1) of grid cells that lie in a rectangle.
 
     The grid lines are at the sorted coordinates x and y; the outer cells of the mask are outside the grid.
     """
@@ -241,8 +241,8 @@ def returned(distance: Array, pane: Array, direction: Array, glass: Glass, chanc
         distance: (n, g) m, of every ray to every pane, inf for a miss.
         pane: (g, 4) m, map frame.
         direction: (n, 2) of the rays, unit length.
-        glass: how near to the normal, and how often, a pane returns a beam.
-        chance: (n, g) uniform in [0, 1).
+        glass: largest angle to the normal, and probability of an echo.
+        chance: (n, g) random numbers, uniform in [0, 1).
     """
     along = pane[:, 2:] - pane[:, :2]
     normal = np.stack((-along[:, 1], along[:, 0]), axis=-1) / np.hypot(along[:, 0], along[:, 1])[:, None]

@@ -16,8 +16,8 @@ from .robot import SimulatedRobot
 from .scenario import CameraSpec
 from .world import World
 
-DECK = (38.0, 38.0, 40.0)  # the robot itself, in the middle of the mirror
-BLACK = (6.0, 6.0, 6.0)  # around the mirror
+DECK = (38.0, 38.0, 40.0)  # colour of the robot in the middle of the mirror
+BLACK = (6.0, 6.0, 6.0)  # colour around the mirror
 FLICKER_SHARE = 0.02  # relative standard deviation of the exposure from image to image
 
 

@@ -79,7 +79,7 @@ def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
 
 
 def stated_start(scenario: Scenario, true: Pose, streams: Streams) -> Pose:
-    """Return the start pose for robot.toml: the true pose plus the user's error and a random error."""
+    """Return the start pose for robot.toml: true pose, plus the error of the user, plus a random error."""
     s = scenario.start
     sigma = np.array([s.sigma_xy, s.sigma_xy, math.radians(s.sigma_theta_deg)])
     wrong = np.array([*s.error[:2], math.radians(s.error[2])])

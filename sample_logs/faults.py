@@ -77,8 +77,8 @@ class Latency(MessageFault, frozen=True, kw_only=True, tag="latency"):
 class ClockOffset(MessageFault, frozen=True, kw_only=True, tag="clock_offset"):
     """Fault: the sensor's clock has an offset, a drift, or jitter; messages arrive in time."""
 
-    seconds: float = 0.0  # at `start`; stamps are later than the readings
-    drift_ppm: float = 0.0  # microseconds per second by which the offset grows
+    seconds: float = 0.0  # s by which stamps are too late at `start`
+    drift_ppm: float = 0.0  # growth of the offset, microseconds per second
     jitter: NotNegative = 0.0  # s, 1 sigma of each stamp; stamps keep their order
 
     def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
@@ -97,7 +97,7 @@ class Displaced(Interval, frozen=True, kw_only=True, tag="displaced"):
     x: float = 0.0  # m, forward, left and counter-clockwise, in the base frame
     y: float = 0.0
     yaw_deg: float = 0.0
-    yaw_deg_per_s: float = 0.0  # the turn goes on from `start`
+    yaw_deg_per_s: float = 0.0  # the turn continues from `start` on
 
     def shift(self, t: Array) -> Array:
         """Return the changes of the sensor's mount at times t (n,) [s], (n, 3): forward, left [m], turn [rad]."""
@@ -120,7 +120,7 @@ class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
 
     x: float
     y: float
-    strength: float  # T at 1 m, across its axis; twice that along it
+    strength: float  # T at 1 m across the axis of the dipole; along the axis it is twice this
     axis_deg: float = 0.0  # of the dipole, map frame
 
     def field(self, at: Array) -> Array:
@@ -139,7 +139,7 @@ class GroundFault(Interval, frozen=True, kw_only=True):
         """Return the distances (3, k) [m]: left wheel, right wheel, and sideways to the left.
 
         Args:
-            ways: (3, k) m, the same without this fault.
+            ways: (3, k) m, these distances without the fault.
             heading: rad, of the robot in the map.
         """
         raise NotImplementedError
@@ -149,7 +149,7 @@ class Slip(GroundFault, frozen=True, kw_only=True, tag="slip"):
     """Fault: one or both wheels move the robot less than they roll."""
 
     wheel: Side | Literal["both"]
-    ratio: Share  # share of the way that is lost; 1 spins on the spot
+    ratio: Share  # lost share of the rolled distance; 1: the wheel spins on the spot
 
     def moved(self, ways: Array, heading: float) -> Array:
         """Return the distances (3, k) [m], with those of slipping wheels reduced."""
@@ -161,7 +161,7 @@ class Creep(GroundFault, frozen=True, kw_only=True, tag="creep"):
     """Fault: the robot moves sideways as it drives, by its tyres or on a slope."""
 
     ratio: float  # m to the left per metre forward
-    downhill_deg: float | None = None  # a slope: where it falls to, map frame, and m per metre driven
+    downhill_deg: float | None = None  # downhill direction of a slope, map frame: then `ratio` acts downhill
 
     def moved(self, ways: Array, heading: float) -> Array:
         """Return the distances (3, k) [m] with sideways motion added; a slope also changes wheel distances."""
@@ -223,7 +223,7 @@ class RedObject(Interval, frozen=True, kw_only=True, tag="red_object"):
 
 
 class Kidnap(Interval, frozen=True, kw_only=True, tag="kidnap"):
-    """Fault: someone carries the robot by (x, y) [m] and theta_deg in the map frame."""
+    """Fault: a person carries the robot by (x, y) [m] and theta_deg in the map frame."""
 
     x: float
     y: float

@@ -17,7 +17,7 @@ from .scenario import Control, Leg, Scenario
 LATERAL_GAIN = 2.0  # 1/m^2, feedback of the distance from the path
 HEADING_GAIN = 2.5  # 1/m, feedback of the heading error
 BRAKING_M_S2 = 0.5  # m/s^2 at the rim, towards the end of a leg
-RESOLUTION_RAD_S = 1e-3  # rad/s, of the set points, which are integers for a motor controller
+RESOLUTION_RAD_S = 1e-3  # rad/s, resolution of the set points, which motor controllers take as integers
 
 
 class Command(NamedTuple):
@@ -40,13 +40,13 @@ class Follower(Protocol):
 class PathFollower:
     """Follower of a sampled path: feed-forward of curvature, feedback of lateral and heading error."""
 
-    AHEAD = 100  # points that are searched for the nearest one, as the path may cross itself
+    AHEAD = 100  # number of points searched for the nearest one; few, since the path may cross itself
     SLOWING = 30  # points before a curve at which the robot begins to slow down
 
     def __init__(self, path: Sampled, speed: float, turning: float = math.inf) -> None:
         self.path = path
         self.speed = speed  # m/s
-        self.turning = turning  # rad/s, at most: in narrow curves the robot is slower
+        self.turning = turning  # rad/s, largest turning rate: in narrow curves the robot is slower
         self.at = 0
 
     def command(self, now: float, pose: Pose) -> Command | None:

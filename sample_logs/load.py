@@ -28,7 +28,7 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
     """Return the scenario of a TOML file or of a name, with `table.key=value` settings applied.
 
     Raises:
-        LocfuseError: the file is not a scenario; the message names the key and the nearest one.
+        LocfuseError: the file is not a scenario; the message has the wrong key and the most similar one.
         UsageError: no such scenario, or a setting that does not fit.
     """
     tables = _tables(name)
@@ -56,7 +56,7 @@ def merge(tables: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]
 
 
 def parse_setting(setting: str) -> dict[str, Any]:
-    """Return a setting `table.key=value` as nested tables; a value that is no TOML is text."""
+    """Return a setting `table.key=value` as nested tables; a value that is not valid TOML is text."""
     path, equals, text = setting.partition("=")
     if not equals or not path.strip():
         raise UsageError(f"--set {setting}: expected table.key=value, such as control.speed=0.2")
@@ -120,7 +120,7 @@ def _explain(error: str) -> str:
 
 
 def _tables_at(path: str) -> list[type[ScenarioTable]]:
-    """Return the Table types that may be at a path of a msgspec error, such as `.faults[0]`."""
+    """Return the types of table possible at a path of a msgspec error, such as `.faults[0]`."""
     found: list[type[ScenarioTable]] = [Scenario]
     for step in filter(None, path.replace("[...]", "").split(".")):
         name = re.sub(r"\[\d+\]", "", step)

@@ -14,8 +14,8 @@ class RawMessage(NamedTuple):
 
     topic: str
     msgtype: str
-    log_ns: int  # when it arrived
-    stamp_ns: int  # when the reading was taken, by the sensor's own clock (header.stamp)
+    log_ns: int  # time of arrival
+    stamp_ns: int  # time of the reading by the sensor's own clock (header.stamp)
     frame_id: str
     fields: dict[str, Any]
 

@@ -29,7 +29,7 @@ class Fan(NamedTuple):
     middle: Array  # (2,) m: every origin lies within `spread` of it
     spread: float  # m
     order: Indices  # (n,) the rays by increasing bearing
-    bearing: Array  # (2 n,) rad, of the rays in that order, twice around
+    bearing: Array  # (2 n,) rad, bearings in this order, then again + 2 pi
 
 
 def cast_near(plan: Plan, origin: Array, angle: Array, reach: float) -> Array:
@@ -106,10 +106,10 @@ def _pairs(rays: Fan, centre: Array, width: Array, gap: Array) -> tuple[Indices,
     """Return pairs (p,) of ray and object where the ray may hit the object.
 
     Args:
-        rays: n of them.
-        centre: (m,) rad, bearing of each thing from the middle of the fan.
-        width: (m,) rad, half the angle under which it appears.
-        gap: (m,) m, its distance: the nearer it is, the more its bearing depends on the ray's origin.
+        rays: n rays.
+        centre: (m,) rad, bearing of each object from the middle of the fan.
+        width: (m,) rad, half the angle that the object covers.
+        gap: (m,) m, distance of the object; the bearing of a near object depends on the origin of the ray.
     """
     n = len(rays.order)
     parallax = np.where(

@@ -1,6 +1,6 @@
 """Ray tracing of a room from one point: nearest floor, ceiling, wall, plate or cylinder, with lighting.
 
-Rays are sorted by azimuth, so that an object concerns one slice of them, in which every ray is intersected
+Rays are sorted by azimuth, so that only one slice of rays can hit an object. Each ray of the slice is intersected
 exactly.
 """
 
@@ -23,7 +23,7 @@ Floats = NDArray[np.float32]
 
 AMBIENT_LIGHT = 0.6  # light without direction
 LAMP_LIGHT_M2 = 4.0  # m^2: brightness of one lamp, times cosine over squared distance
-MIN_DISTANCE_M = 0.01  # m: nearer objects are the camera itself
+MIN_DISTANCE_M = 0.01  # m: a nearer hit is the camera itself
 NO_RINGS = np.zeros((0, 3))
 SLICE_MARGIN_RAD = 1e-3  # rad, by which a slice is wider than its object
 
@@ -53,10 +53,10 @@ class Hits:
     dx: Floats  # (n,) direction in plan, unit length, map frame
     dy: Floats
     slope: Floats  # (n,) height gained per metre in plan
-    way: Floats  # (n,) m in plan, to the nearest thing
+    way: Floats  # (n,) m in plan, distance of the hit
     surface: NDArray[np.int8]  # (n,) kind of surface
     along: Floats  # (n,) m, position on a wall
-    nx: Floats  # (n,) horizontal part of its normal, 0 for floor, ceiling and lids
+    nx: Floats  # (n,) horizontal part of the surface normal, 0 for floor, ceiling and lids
     ny: Floats
     colours: dict[int, Colour]  # of the painted surfaces
 
@@ -80,7 +80,7 @@ class Hits:
 
 def shade(hits: Hits, eye: Array, lamps: Array) -> Floats:
     """Return the colour of each ray, (n, 3) red, green, blue in 0..255."""
-    way = np.minimum(hits.way, np.float32(100))  # limit for rays through an open door
+    way = np.minimum(hits.way, np.float32(100))  # 100 m: limit for rays that leave through an open door
     x, y = np.float32(eye[0]) + way * hits.dx, np.float32(eye[1]) + way * hits.dy
     z = np.float32(eye[2]) + way * hits.slope
     light = _light(hits, x, y, z, lamps)

@@ -42,7 +42,7 @@ class Counted(NamedTuple):
     """Counts of a quadrature decoder."""
 
     counts: Ints  # (..., n - 1) count change from sample to sample
-    missed: NDArray[np.bool_]  # (..., n - 1) both phases changed: at least two counts are lost
+    missed: NDArray[np.bool_]  # (..., n - 1) both phases changed at once: two counts are lost, or more
 
 
 def phases(angle: Array, slots: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -55,7 +55,7 @@ def decode(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> Counted:
     """Return the counts for phase samples (..., n) of a quadrature encoder with x4 decoding (paper fig. 2).
 
     A and B are two square waves a quarter slot apart. A rises first when the wheel turns forward, so the four
-    states have the Gray-code order 00, 10, 11, 01. Each edge is one count, with a direction by the state before.
+    states have the Gray-code order 00, 10, 11, 01. Each edge is one count; the last state gives the direction.
     If the sampling is too slow, both phases change at once: the direction is unknown and the transition is missed.
     """
     state = 2 * a.astype(np.int64) + b
@@ -121,8 +121,8 @@ class Tick(NamedTuple):
 
     t: float  # s
     counts: tuple[int, int]  # left, right
-    speed: tuple[float, float]  # rad/s, from the counts since the tick before
-    set_point: tuple[float, float]  # rad/s, mean since the tick before
+    speed: tuple[float, float]  # rad/s, from the counts since the last tick
+    set_point: tuple[float, float]  # rad/s, mean since the last tick
 
 
 class Wheel:
@@ -141,7 +141,7 @@ class Wheel:
         self.rng = rng
         self.angle = rng.uniform(0, self.rad_per_count)  # rad, true; the disc starts at a random angle
         self.speed = 0.0  # rad/s, true
-        self.load = 0.0  # share of the voltage that the load takes
+        self.load = 0.0  # share of the voltage lost to the load
         self.counts = 0
         self.measured = 0.0  # rad/s, from the counts of the last tick
         self.missed = 0

@@ -16,13 +16,13 @@ class Room(ScenarioTable, frozen=True, kw_only=True):
     """Room with flat outer walls, from the map's origin to `size`, lower wooden plates and pillars."""
 
     size: Point = (8.0, 6.0)  # m, along x and y
-    walls: tuple[Segment, ...] | None = None  # None: the four sides; give them to leave a door open
+    walls: tuple[Segment, ...] | None = None  # None: the four sides; other walls leave, for example, a door open
     radius: Positive | None = None  # m, of one round wall about the middle of `size`, instead of the four sides
     plates: tuple[Segment, ...] = ((3, 0, 3, 1), (5, 6, 5, 5.4), (8, 3, 7, 3), (0, 5.2, 0.8, 5.2))
     height: Positive = 2.6  # m, of walls and ceiling
     plate_height: Positive = 1.2
     pillars: tuple[Pillar, ...] = ()  # red ones are distractors
-    north_deg: float = 65.0  # where magnetic north lies, counter-clockwise from the map's x axis
+    north_deg: float = 65.0  # direction of magnetic north, counter-clockwise from the map's x axis
 
 
 class Landmark(Pillar, frozen=True, kw_only=True):
@@ -36,14 +36,14 @@ class Landmark(Pillar, frozen=True, kw_only=True):
 class WheelsSpec(ScenarioTable, frozen=True, kw_only=True):
     """Two driven wheels: geometry, encoders, and noise on the ground."""
 
-    radius: Positive = 0.05  # m, what the user knows
+    radius: Positive = 0.05  # m, nominal: as known to the user
     track: Positive = 0.60
     radius_error: Point = (0.0, 0.0)  # left, right: true radius / radius - 1
     track_error: float = 0.0
-    noise: float = 4e-4  # m: variance of the way over ground per metre rolled, of each wheel
-    slots: Count = 500  # of the encoder disc; x4 decoding gives four counts each
-    rate: Positive = 50.0  # Hz, counters read, speed controlled, /joint_states published
-    sampling: Positive = 10_000.0  # Hz, at which the decoder looks at the phases A and B
+    noise: float = 4e-4  # m: variance of each wheel's distance over ground, per metre rolled
+    slots: Count = 500  # of the encoder disc; x4 decoding gives four counts per slot
+    rate: Positive = 50.0  # Hz of reading counters, speed control, and /joint_states
+    sampling: Positive = 10_000.0  # Hz at which the decoder samples the phases A and B
 
 
 class Motor(ScenarioTable, frozen=True, kw_only=True):
@@ -51,13 +51,13 @@ class Motor(ScenarioTable, frozen=True, kw_only=True):
 
     no_load: Positive = 16.0  # rad/s of the wheel at full voltage
     time_constant: Positive = 0.12  # s
-    gain_error: Point = (0.03, -0.02)  # left, right: what the controller does not know
-    load: float = 0.025  # relative standard deviation of what the load takes from the speed
+    gain_error: Point = (0.03, -0.02)  # left, right: relative errors, unknown to the controller
+    load: float = 0.025  # relative standard deviation of the speed lost to the load
     load_time: Positive = 0.3  # s, how long a load lasts
     kp: float = 0.04  # full voltages per rad/s
     ki: float = 0.4
     kd: float = 0.001
-    acceleration: Positive = 1.0  # m/s^2 at the rim: how fast the set point may change
+    acceleration: Positive = 1.0  # m/s^2 at the rim, largest change of the set point
 
 
 class Control(ScenarioTable, frozen=True, kw_only=True):
@@ -66,8 +66,8 @@ class Control(ScenarioTable, frozen=True, kw_only=True):
     estimator: str = "odometry"  # "truth", "odometry", "all", or sensors: "compass+lrf"
     period: Positive = 0.1  # s
     speed: Positive = 0.3  # m/s
-    wait: float = 1.0  # s of standing still before and after
-    clearance: float = 0.35  # m: half the robot's width; a wall nearer to the axle's middle is a collision
+    wait: float = 1.0  # s at rest before and after the path
+    clearance: float = 0.35  # m: a wall nearer to the middle of the axle is a collision (half the robot's width)
     time_limit: Positive = 900.0  # s
 
 
@@ -85,7 +85,7 @@ class Leg(ScenarioTable, frozen=True, kw_only=True):
     forward: float = 0.0  # m, negative backward
     turn_deg: float = 0.0  # counter-clockwise
     speed: Positive = 0.3  # m/s of the wheels
-    pause: float = 0.5  # s of standing still afterwards
+    pause: float = 0.5  # s at rest afterwards
 
 
 class Legs(ScenarioTable, frozen=True, tag_field="kind", tag="legs"):
@@ -102,8 +102,8 @@ class Tour(ScenarioTable, frozen=True, tag_field="kind", tag="tour"):
 
     length: Positive = 20.0  # m
     radius: Positive = 0.4  # m, of the corners
-    legs: Point = (1.2, 4.0)  # m, shortest and longest distance of two corners
-    clearance: float = 0.7  # m, from the corners and the straights between them to any obstacle
+    legs: Point = (1.2, 4.0)  # m, least and largest distance of successive corners
+    clearance: float = 0.7  # m, least distance of corners and straights from obstacles
 
 
 class Waypoints(ScenarioTable, frozen=True, tag_field="kind", tag="waypoints"):
@@ -111,7 +111,7 @@ class Waypoints(ScenarioTable, frozen=True, tag_field="kind", tag="waypoints"):
 
     points: tuple[Point, ...]
     radius: Positive = 0.5  # m, of the corners
-    turning: Positive = 0.9  # rad/s, at most: the robot slows down for its corners
+    turning: Positive = 0.9  # rad/s, largest turning rate: the robot slows down for corners
 
 
 class CompassSpec(ScenarioTable, frozen=True, kw_only=True):
@@ -124,8 +124,8 @@ class CompassSpec(ScenarioTable, frozen=True, kw_only=True):
     noise_deg: float = 0.5  # white, as an angle
     resolution_deg: float = 0.1
     hard_iron: Point = (0.3e-6, -0.2e-6)  # T, of magnets on the robot
-    soft_iron: tuple[float, float, float] = (1.01, 0.99, 0.005)  # gain of x, of y, and from one to the other
-    sigma_deg: float = 3.0  # what the data sheet says, for robot.toml
+    soft_iron: tuple[float, float, float] = (1.01, 0.99, 0.005)  # gains of x and of y, and cross gain
+    sigma_deg: float = 3.0  # accuracy by the data sheet, for robot.toml
 
 
 class LrfSpec(ScenarioTable, frozen=True, kw_only=True):
@@ -145,9 +145,9 @@ class LrfSpec(ScenarioTable, frozen=True, kw_only=True):
     range_max: Positive = 80.0
     sigma_range: float = 0.03
     sigma_angle_deg: float = 0.25
-    scale: Positive = 1.0  # what it reads per true metre; robot.toml does not say it
+    scale: Positive = 1.0  # measured range / true range; not in robot.toml
     lost: Share = 0.002  # share of rays that never return
-    pattern: NotNegative = 0.0  # m, 1 sigma of an error of each beam that stays the same in the whole drive
+    pattern: NotNegative = 0.0  # m, 1 sigma of an error of each beam that is constant during the drive
 
 
 class CameraSpec(ScenarioTable, frozen=True, kw_only=True):
@@ -156,7 +156,7 @@ class CameraSpec(ScenarioTable, frozen=True, kw_only=True):
     enabled: bool = True
     rate: Positive = 2.0
     phase: float = 0.171
-    latency: float = 0.03  # s, until the image is there
+    latency: float = 0.03  # s from exposure to arrival of the image
     x: float = 0.10  # m, on the robot
     y: float = 0.0
     z: float = 0.9  # of the mirror's focus
@@ -166,16 +166,16 @@ class CameraSpec(ScenarioTable, frozen=True, kw_only=True):
     focal: Positive = 320.0  # px
     mirror_a: Positive = 28.095  # mm
     mirror_b: Positive = 23.4125
-    inner: Positive = 62.0  # px: nearer to the centre the robot sees itself
-    outer: Positive = 232.0  # px: the mirror's rim
-    zero_deg: float = 0.0  # where "down" in the image (column 0 of the panorama) looks, from forward
-    clockwise: bool = False  # whether "right" in the image is the robot's right, as in an unmirrored image
+    inner: Positive = 62.0  # px: the image inside this radius shows the robot itself
+    outer: Positive = 232.0  # px, radius of the mirror's rim
+    zero_deg: float = 0.0  # viewing direction of "down" in the image (column 0 of the panorama), from forward
+    clockwise: bool = False  # True: "right" in the image is right of the robot, as in an unmirrored image
     brightness: float = 1.0
     noise: float = 4.0  # grey levels
     blur: float = 0.7  # px
     quality: Percent = 75  # of the JPEG
-    sigma_deg: float = 0.5  # what its user would expect, for robot.toml
-    calibrated: bool = True  # whether robot.toml says centre, inner, outer, zero_deg and clockwise
+    sigma_deg: float = 0.5  # accuracy that a user expects, for robot.toml
+    calibrated: bool = True  # robot.toml has centre, inner, outer, zero_deg and clockwise
 
 
 class SonarSpec(ScenarioTable, frozen=True, kw_only=True):
@@ -203,7 +203,7 @@ class GpsSpec(ScenarioTable, frozen=True, kw_only=True):
     latitude: float = 21.0380  # of the map's origin
     longitude: float = 105.7820
     altitude: float = 12.0  # m
-    east_deg: float = 0.0  # where east lies, counter-clockwise from the map's x axis
+    east_deg: float = 0.0  # direction of east, counter-clockwise from the map's x axis
     sigma: float = 1.5  # m, of each horizontal axis
 
 
@@ -212,7 +212,7 @@ class StartSpec(ScenarioTable, frozen=True, kw_only=True):
 
     sigma_xy: NotNegative = 0.0  # m, of x and of y
     sigma_theta_deg: NotNegative = 0.0
-    error: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, degrees by which the user is wrong, unknown to him
+    error: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, deg: error of the user, not known to the filter
 
 
 class TruthSpec(ScenarioTable, frozen=True, kw_only=True):
@@ -243,7 +243,7 @@ class Scenario(ScenarioTable, frozen=True, kw_only=True):
     truth: TruthSpec = TruthSpec()
     start: StartSpec = StartSpec()
     faults: tuple[Fault, ...] = ()
-    building: Building | None = None  # instead of the walls and plates of `room`, whose `size` it fills
+    building: Building | None = None  # replaces walls and plates of `room`, and has its `size`
 
     def __post_init__(self) -> None:
         if self.building is not None and self.camera.enabled:

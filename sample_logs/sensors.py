@@ -1,4 +1,4 @@
-"""Physical models of the sensors: each measures the true world at its own times as message fields."""
+"""Physical models of the sensors: each returns the message fields that it measures at its own times."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class SimulatedSensor(Protocol):
     msgtype: str
     frame_id: str
     period: float  # s
-    phase: float  # s, instant of the first reading
+    phase: float  # s, time of the first reading
     duration: float  # s, from the first sample of a reading to the last
-    latency: float  # s, from the last sample to the recorder
+    latency: float  # s, from the last sample of a reading to its recording
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the message fields of the reading that starts at t [s]; the trail must cover its duration."""

@@ -24,7 +24,7 @@ from .world import World, clearance
 
 EPOCH_NS = 1_700_000_000_000_000_000  # start of every simulated drive, so that logs do not depend on the date
 OBSTACLE_HEIGHT = 0.25  # m: height of the plan for collisions
-MIN_WHEEL_RATE = 1.2  # rad/s (0.06 m/s): for slower wheels one count in a window is more than 2.5 %
+MIN_WHEEL_RATE = 1.2  # rad/s (0.06 m/s): of a slower wheel, one count is more than 2.5 % of a window
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Outcome:
 
     truth_t: Array  # (n,) s since EPOCH_NS
     truth: Array  # (n, 3) pose at every physics step
-    ticks_t: Array  # (k,) s, instants of the motor controllers
+    ticks_t: Array  # (k,) s, times of the motor controllers
     counts: Array  # (k, 2) encoder counters, left and right
-    set_points: Array  # (k, 2) rad/s, set points during the tick before
+    set_points: Array  # (k, 2) rad/s, set points between the last tick and this one
     rad_per_count: float
     radius: float  # m, nominal
     missed: int  # encoder transitions with unknown direction
@@ -71,11 +71,11 @@ class Simulation:
         """Simulate the drive and call `emit` with each message in order of arrival.
 
         Args:
-            estimator: the robot's localisation; None lets it steer on the truth.
+            estimator: the robot's localisation; None: the robot steers by its true pose.
             emit: receives the messages.
 
         Raises:
-            LocfuseError: the robot drives into something, or takes longer than it may.
+            LocfuseError: the robot collides, or exceeds the time limit.
         """
         robot = SimulatedRobot(self.scenario, self.start, self.streams)
         carried = equipment.sensors(self.scenario, self.scene, robot, self.streams)

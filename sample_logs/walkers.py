@@ -28,7 +28,7 @@ class Walk:
         self.ahead = step / length[:, None]
         self.speed = walker.speed * rng.uniform(0.8, 1.2)
         self.pause = walker.pause * rng.uniform(0.5, 1.5)
-        self.once = float(self.gone[-1]) / self.speed  # s for one way
+        self.once = float(self.gone[-1]) / self.speed  # s to walk the path once
         self.start = rng.uniform(0, 2 * (self.once + self.pause))
 
     def way(self, t: Array) -> Array:
@@ -63,7 +63,7 @@ class Walk:
 
 
 def stepped_aside(middle: Array, robot: Array) -> Array:
-    """Return a person's positions (n, 2) [m], moved away from the robot to a distance of at least AWAY."""
+    """Return a person's positions (n, 2) [m], at least MIN_PERSON_RANGE_M away from the robot."""
     gap = middle - robot
     distance = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-9)[:, None]
     return np.where(distance < MIN_PERSON_RANGE_M, robot + MIN_PERSON_RANGE_M * gap / distance, middle)

@@ -18,8 +18,8 @@ class Plan(NamedTuple):
     """Objects that horizontal rays at one height can hit."""
 
     segments: Array  # (m, 4) x1, y1, x2, y2 [m], map frame
-    circles: Array  # (k, 3) x, y, radius [m], or (n, k, 3) if they move between rays
-    rings: Array = np.zeros((0, 3))  # (l, 3) x, y, radius [m] of round walls, seen from inside
+    circles: Array  # (k, 3) x, y, radius [m, map frame], or (n, k, 3) if they move between the n rays
+    rings: Array = np.zeros((0, 3))  # (l, 3) x, y, radius [m, map frame] of round walls, seen from inside
 
 
 def walls(room: Room) -> Array:
@@ -102,7 +102,7 @@ class World:
         return tuple(f.pillar() for f in self.faults if isinstance(f, RedObject) and f.active(t))
 
     def _people(self, present: float, t: float) -> tuple[Pillar, ...]:
-        """Return the people's legs and bodies at t [s]; only of faults that are active at time `present` [s]."""
+        """Return legs and bodies of people at t [s], for faults that are active at time `present` [s]."""
         found = [f for f in self.faults if isinstance(f, People) and f.active(present)]
         return tuple(solid for person in found for solid in person.solids(t))
 

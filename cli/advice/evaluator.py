@@ -1,8 +1,8 @@
-"""The evaluation: findings on one log, each with its tried fix and the effect of this fix.
+"""The evaluation of one log: findings, the fix tried for each, and the effect of this fix.
 
-`run`, `compare`, `info --check`, the report and Rerun show exactly these findings. The loop is in
-`fusion.checks.tried`. On long drives fixes are tried on the beginning; those that help are then judged on the
-whole drive.
+`run`, `compare`, `info --check`, the report and Rerun show exactly these findings. `fusion.checks.tried` has the
+loop over findings and fixes. In a long drive, fixes are tried on its beginning; fixes that help are then tried on
+the whole drive.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from .judged import SHARED_ROLES
 from .report import Advised, data_advice
 from .trial import SMOOTHED, WHOLE, Trial, marks_of
 
-MAX_AGREEMENT_LOSS = 0.1  # of the revisit agreement: two equally good paths differ by less
-MAX_WHOLE = 2  # severe findings without effect on the beginning that are also tried on the whole drive
+MAX_AGREEMENT_LOSS = 0.1  # largest accepted loss of agreement at revisited places; equally good paths differ less
+MAX_WHOLE = 2  # severe findings whose fix had no effect on the beginning: so many are tried on the whole drive
 
 
 def standard(loaded: Loaded) -> list[Configuration]:
@@ -52,8 +52,8 @@ def standard(loaded: Loaded) -> list[Configuration]:
 
 
 def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | None = None) -> Advised:
-    """Return all findings on a log with their tried fixes; runs of a finished comparison are not fused again."""
-    loaded, broken = unbroken(loaded)  # fixes are tried beside a hole
+    """Return all findings on a log with their tried fixes; runs of a finished comparison are used again."""
+    loaded, broken = unbroken(loaded)  # fixes are tried on the longest part without a hole
     of_holes, unusable = [Advice(hole) for hole in broken], data_advice(loaded)
     if not may_judge(loaded) or any(a.finding.code in MIXED for a in unusable):
         return Advised((*unusable, *of_holes))
@@ -82,7 +82,7 @@ def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | 
 
 
 def advise_on_run(one: Compared, progress: Progress, align: str) -> Advised:
-    """Return the advice on a log of which one configuration was run; all of it only if the run looks wrong."""
+    """Return the advice after a run of one configuration; fixes are tried only if this run looks wrong."""
     if looks_wrong(one):
         return advise(one.loaded, progress, align)
     return Advised(data_advice(unbroken(one.loaded)[0]))
@@ -91,7 +91,7 @@ def advise_on_run(one: Compared, progress: Progress, align: str) -> Advised:
 def _known(compared: Compared, trial: Trial) -> Compared | None:
     """Store the figures of a finished comparison, and return it with only the standard configurations.
 
-    Return None if it lacks one of them, or if fixes are tried on part of the drive.
+    Returns None if the comparison lacks a standard configuration, or if fixes are tried on part of the drive.
     """
     drive = compared.loaded.drive
     known = trial.configurations
@@ -122,10 +122,10 @@ def _known(compared: Compared, trial: Trial) -> Compared | None:
 def _harm_to_path_or_map(
     found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
 ) -> str:
-    """Return how fixes that help the filter harm the smoothed path or the map, in words; "" if they do not.
+    """Return in words how fixes that help the filter harm the smoothed path or the map; "" if they do not.
 
-    Judged by the smoothed path's error; without truth by the revisit agreement, since a fix that improves the
-    laser's predictions of other sensors may still damage the map.
+    With truth the smoothed path's error is compared. Without truth it is the agreement of scans at revisited
+    places: a fix may improve predictions of other sensors by the laser, and still damage the map.
     """
     if lost := smoothed_worse(found, before, after, names, trial):
         return f"makes the smoothed path worse ({change(*lost)})"
@@ -195,7 +195,7 @@ def on_the_whole_drive(
 
 
 def _judged_by_all(advice: Advice, names: Sequence[str]) -> Candidate:
-    """Return the advice as a candidate that all `names` judge; those that did not judge it before are `minor`."""
+    """Return the advice as a candidate judged by the configurations `names`; new judges become `minor` ones."""
     one = advice.candidate or Candidate(advice.finding, (advice.fixes,), tuple(names))
     kept = [n for n in one.judges if n not in one.minor]
     minor = tuple(n for n in names if n not in kept)
@@ -203,7 +203,10 @@ def _judged_by_all(advice: Advice, names: Sequence[str]) -> Candidate:
 
 
 def may_judge(loaded: Loaded) -> bool:
-    """Return whether a log can be evaluated: default filter, no given map, long enough, a sensor or a truth."""
+    """Return whether a log can be evaluated.
+
+    This needs the default filter without a given map, a drive of sufficient length, and a sensor or a truth.
+    """
     if loaded.robot.lines or loaded.robot.preset != "default":
         return False
     if not loaded.drive.measurements and loaded.drive.truth is None:

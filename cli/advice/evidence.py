@@ -71,7 +71,7 @@ from locfuse.fusion.truth import body_poses
 from .judged import LASER, UNREMARKABLE, NoiseFindings, as_fixes
 
 TRIED_SIGMAS = 2.5  # standard deviations of a time lag: a larger lag is tried
-MIN_AGAIN_S = 0.005  # least change of a time offset that a fix has set before
+MIN_AGAIN_S = 0.005  # smallest lag to fix, after an earlier fix has set a time offset
 MIN_SPREAD_S = 0.003  # sigma of a lag above which neighbouring values are tried too
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)
 SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious without other findings
@@ -109,7 +109,10 @@ class Evidence(NoiseFindings):
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return lists of functions that find faults; a list waits while an earlier one has an open severe one."""
+        """Return lists of functions that find faults, in order of use.
+
+        A list is used only if the earlier lists have no open severe finding.
+        """
         return (
             (self.truth,),
             (self.start, self.clocks, self.other_clocks, self.geometry),
@@ -152,11 +155,11 @@ class Evidence(NoiseFindings):
         return wrong_clocks(found, TRIED_SIGMAS, MIN_AGAIN_S if again else MIN_LAG_S)
 
     def clocks(self) -> list[Candidate]:
-        """Return candidate time offsets that best explain the lags between sensors, and for late pictures."""
+        """Return candidate time offsets that best explain lags between sensors, and guesses for the camera."""
         return [*self._late(self.wrong[:1]), *self._late_pictures()]
 
     def other_clocks(self) -> list[Candidate]:
-        """Return candidate fixes of wrong clocks, by other explanations of the same time lags."""
+        """Return candidate time offsets by the other explanations of the lags, for clocks not in the best one."""
         first = {clock.name for clocks in self.wrong[:1] for clock in clocks}
         return [one for one in self._late(self.wrong[1:]) if one.finding.role not in first]
 
@@ -171,11 +174,11 @@ class Evidence(NoiseFindings):
             words = f"{clock_words(clock)}{rival}"
             finding = Finding(clock.name, CLOCK, words, (), sure and abs(clock.offset) > SEVERE_LAG_S)
             if self._bumped and not by_truth and not finding.severe:
-                continue  # small lags are those against the laser, whose headings step
+                continue  # a bumped laser has steps in its headings, which look like small lags
             steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
             drive, robot = self.loaded.drive, self.loaded.robot
             ways = tuple(self._with_start((offset_of(clock, robot, 3, n),)) for n in steps)
-            measured = ways[0][1:]  # the start by the truth
+            measured = ways[0][1:]  # the start pose, if `_with_start` added it
             if clock.name == "wheels" and not measured and (start := start_kept(clock.offset, drive, robot)):
                 ways = ((*ways[0], *start), *ways)
             one = self._candidate(finding, ways, not finding.severe)
@@ -185,7 +188,7 @@ class Evidence(NoiseFindings):
         return [*found.values()]
 
     def _with_start(self, fixes: Fixes) -> Fixes:
-        """Add the start by the truth to a time offset, if a kept fix has set it by the clock before."""
+        """Add the start pose by truth under a new time offset, if an earlier fix has set the start pose."""
         if not any(fix.startswith("start.") for fix in self.fixes):
             return fixes
         loaded = self.trial.under(together(self.fixes, fixes))
@@ -209,7 +212,7 @@ class Evidence(NoiseFindings):
             yield self._candidate(Finding("camera", verdict.verdict, verdict.words), constant, True)
 
     def geometry(self) -> list[Candidate]:
-        """Return candidate fixes of mounts, scales and directions, by comparing sensors or as filter states."""
+        """Return candidate fixes of mounts, scales and directions, from compared sensors or from filter states."""
         # distances that differ look like a wrong mount; a laser that was bumped has no single mount
         no_mount = self._open_scale or self._distances or self._bumped
         probed = [] if no_mount else [*self._probed(), *self._scaled()]
@@ -219,7 +222,7 @@ class Evidence(NoiseFindings):
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
         # The sigma of a state is valid only in a consistent or underconfident run. Without truth, a mount state
         # also absorbs errors of the wheels. Sideways motion looks like yaw, another centre of turns like x, and
-        # wrong scales look like y. A probe has the scales as states, so its y is the laser's own.
+        # wrong scales look like y. The runs of `_probed` also estimate the scales, so their y is the mount's own.
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*UNREMARKABLE, "overstated"}}
         confirmed = [] if by_truth else [f for f in probed if f.role in fine and keys(f.fixes) == {f"{f.role}.y"}]
@@ -237,13 +240,13 @@ class Evidence(NoiseFindings):
         ]
         scales = [] if self._open_scale else [self._unless_open(f) for f in self._distances]
         if any(f.code == OPEN_SCALE and not f.fixes for f in scales):
-            scales = scales[:1]  # no fix of the wheels either: prediction gets better if both are equally wrong
+            scales = scales[:1]  # no fix of wheels: equal scales improve predictions even if both are wrong
         open_ = [self._candidate(f, ()) for f in found if not f.fixes]
         ways = [self._candidate(f, (f.fixes,) if f.fixes else ()) for f in scales]
         return [*known, *self._antenna(), *sharper, *open_, *ways]
 
     def _seen(self, finding: Finding) -> Candidate:
-        """Return the candidate fixes of a finding by comparison of the sensors."""
+        """Return the candidate for a finding of `doctor`, with variants of its fix."""
         measured = finding.code in MEASURED
         ways = [finding.fixes] if finding.fixes else []
         if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
@@ -259,7 +262,7 @@ class Evidence(NoiseFindings):
 
     @cached_property
     def _distances(self) -> list[Finding]:
-        """Findings that laser and wheels measure different path lengths, in a log without truth."""
+        """Findings on different path lengths by laser and wheels, in a log without truth."""
         drive, robot = self.loaded.drive, self.loaded.robot
         if drive.truth is not None or drive.wheels.matched is not None:
             return []
@@ -268,9 +271,8 @@ class Evidence(NoiseFindings):
     def _with_camera_offset(self, finding: Finding) -> tuple[Fixes, ...]:
         """Combine the fix of a mirrored picture or displaced picture circle with the camera's new zero direction.
 
-        Returns () if the new direction cannot be measured.
-
-        The zero direction is measured against a run of another sensor, since wheels with a wrong track turn wrong.
+        The zero direction is measured against a run of another sensor, since wheels with a wrong track give wrong
+        headings. Returns () if it cannot be measured.
         """
         run = self._reference("camera") if finding.code in {"mirrored", RIMS} else None
         loaded = None if run is None else self.trial.under(together(self.fixes, finding.fixes))
@@ -293,9 +295,9 @@ class Evidence(NoiseFindings):
         return any(f.severe and not self._unless_open(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
 
     def _unless_open(self, finding: Finding) -> Finding:
-        """Return a finding on laser and wheel scales, without its fix if no other sensor can decide.
+        """Return a finding; on the scales of laser and wheels, without its fix if no other sensor can decide.
 
-        Prediction cannot decide: it prefers equal scales of laser and wheels, right or wrong.
+        Predictions cannot decide: they are best with equal scales of laser and wheels, even if both are wrong.
         """
         known = self.loaded.drive.measurements
         few = np.arange(2)  # readings: enough to see whether a sensor measures heading
@@ -304,14 +306,14 @@ class Evidence(NoiseFindings):
         return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
 
     def _points(self) -> Iterator[Finding]:
-        """Yield a finding if, by the run with all sensors, the truth tracks another point than configured."""
+        """Yield a finding if the run with all sensors shows another tracked point of the truth than configured."""
         truth = self.loaded.drive.truth
         for e in self.compared.estimates:
             if truth is not None and e.name == self._all() and e.truth_pose is not None and not e.lost:
                 yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
 
     def _antenna(self) -> list[Candidate]:
-        """Return candidates for the antenna of a GPS receiver or for its clock, by the runs without it."""
+        """Return the candidate for position or clock of a GPS antenna, measured by the runs without GPS."""
         if not self._using(GPS):
             return []
         runs = [e for e in self.compared.estimates if GPS not in e.sensors and not e.lost]
@@ -338,7 +340,7 @@ class Evidence(NoiseFindings):
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
-        """Findings on mounts that the run of one sensor alone estimated differently than configured."""
+        """Findings on mounts that the run with this sensor alone estimates differently than configured."""
         return [
             finding
             for e in self.runs_alone()
@@ -347,14 +349,14 @@ class Evidence(NoiseFindings):
 
     @cached_property
     def _other_mounts(self) -> set[str]:
-        """Sensors whose mount a run without truth estimated differently, even beyond its prior sigma."""
+        """Sensors whose estimated mount differs from the configured one; always empty with truth."""
         if self.loaded.drive.truth is not None:
             return set()  # errors to the truth judge the mount instead
         far = {e.sensors[0] for e in self.runs_alone() if beyond_prior(self.loaded.robot, e.sensors[0], e)}
         return far | {f.role for f in self._mounts_found if f.code == MOUNT}
 
     def _scaled(self) -> Iterator[Finding]:
-        """Yield the finding on the laser's range scale, by the length of the path with the laser alone."""
+        """Yield the finding on the laser's range scale, by the path length of the run with the laser alone."""
         for e in self.runs_alone(LASER):
             if self._looks_wrong(LASER):
                 yield from of_scale(self.loaded.robot, e, self.loaded.drive)
@@ -388,14 +390,14 @@ class Evidence(NoiseFindings):
 
     @property
     def _may_be_mirrored(self) -> bool:
-        """Whether the camera's bearings do not turn against the robot for sure."""
+        """Whether the picture may be mirrored: turns do not show clearly that it is not."""
         share, _ = turning_along(self.loaded.drive, self.loaded.robot)
         return share is None or share > 1.0 - MIRRORED_SHARE
 
     def _start_heading(self) -> list[Candidate]:
         """Return a finding if configured start heading and configured compass offset disagree.
 
-        A fix needs a sensor that locates the robot in the map; without one either may be wrong.
+        The finding has a fix only if a sensor locates the robot in the map; else start or compass may be wrong.
         """
         verdict, robot = self.consistency.get("compass"), self.loaded.robot
         offset = robot.settings("compass").offset_deg
@@ -416,7 +418,7 @@ class Evidence(NoiseFindings):
 
     @cached_property
     def _biases_again(self) -> dict[str, Consistency]:
-        """Verdicts on offsets that an earlier fix has set; they may change after a later fix."""
+        """Verdicts "biased" on offsets set by an earlier fix: a later fix may have changed them."""
         keys = [fix.partition("=")[0] for fix in self.fixes]
         fixed = [
             s for s in self.consistency if (b := REGISTRY[s].bias) is not None and f"{s}.{b.key}" in keys[:-1]
@@ -438,7 +440,7 @@ class Evidence(NoiseFindings):
 
     @cached_property
     def _spins(self) -> list[Finding]:
-        """Findings on times at which both wheels slipped, by truth or else by the laser's path."""
+        """Findings on times when both wheels slipped, shown by truth, or without it by the laser's path."""
         drive = self.loaded.drive
         if drive.truth is not None and drive.truth.theta is not None:
             return of_spins(drive, drive.truth.t, body_poses(drive.truth, drive.truth.t), "truth")

@@ -76,7 +76,7 @@ class Judged:
         return "unclear" if verdict is None else verdict.verdict
 
     def _doubtful(self, name: str) -> bool:
-        """Return whether a run is lost, or its covariance does not fit the truth or was not checked by it."""
+        """Return whether a run is lost, or its covariance does not fit the truth or is not checked by truth."""
         check = self.covariance_checks.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return check is None or lost or not check.consistent
@@ -93,7 +93,7 @@ class Judged:
         return Candidate(finding, alternatives, judges, minor, others, offer)
 
     def kept(self, role: str) -> set[str]:
-        """Return the two configurations with a sensor that a user would keep: all sensors, and the best one."""
+        """Return the configurations that a user would keep: all sensors, and the best one that uses this role."""
         return {self._all(), self._best(self._using(role))}
 
     def _using(self, role: str) -> list[str]:
@@ -104,21 +104,21 @@ class Judged:
     def judges(self, role: str) -> tuple[str, ...]:
         """Return the configurations that judge a fix of this role.
 
-        A sensor's fix is judged by the best configuration with it, by all sensors, and by the best smaller one,
-        where its effect is largest. A fix of wheels, start or truth is judged by all configurations: a track that
-        fits one drive's slip may improve odometry and harm a camera.
+        A sensor's fix is judged by three configurations with this sensor: the best one, all sensors, and the best
+        one with fewer sensors, in which the fix has the largest effect. All configurations judge a fix of wheels,
+        start or truth: a track that fits one drive's slip may improve odometry and harm a camera.
         """
         if role in SHARED_ROLES:
             known = self.trial.configurations
             kept = (self._best(known), self._all())
-            others = (n for n in known if n not in kept and n not in BASES)  # decisive ones first
-            # odometry is one random walk, whose predictions are chance without truth
+            others = (n for n in known if n not in kept and n not in BASES)  # judged before the kept ones
+            # without truth, errors of odometry (one random walk) are chance: it judges only if it is alone
             walk = (
                 tuple(n for n in BASES if n in known)
                 if self.loaded.drive.truth is not None or len(known) == 1
                 else ()
             )
-            # a fix that halves it settles a fault of the wheels: others may then lose by chance
+            # for wheels odometry is first: if its error halves, later judges may get worse by chance
             order = (*walk, *others, *kept) if role == "wheels" else (*others, *kept, *walk)
             return tuple(n for n in dict.fromkeys(order) if n not in BASES or walk)
         using = self._using(role)
@@ -136,7 +136,7 @@ class Judged:
         return min(using, key=lambda n: len(using[n].sensors))
 
     def _best(self, names: Iterable[str]) -> str:
-        """Return the configuration with the smallest position error; without truth, that with the most sensors."""
+        """Return the configuration with the smallest position error; without truth, the one with most sensors."""
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
         known = {n: e for n in names if (e := errors.get(n)) is not None}
         if known:
@@ -150,15 +150,15 @@ class Judged:
         return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)
 
     def runs_alone(self, *sensors: str) -> list[Estimates]:
-        """Return the filtered runs with one sensor that were never lost, of all sensors or only of `sensors`."""
+        """Return the filtered runs with a single sensor that were never lost; `sensors`: only of these sensors."""
         runs = (e for e in self.compared.estimates if len(e.sensors) == 1 and not e.lost)
         return [e for e in runs if not sensors or e.sensors[0] in sensors]
 
 
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
-TOO_LOW = 2.0  # on the observed sigma, tried too: the gate of a low sigma hides large residuals
-MAX_OFFERED_FACTOR = 8.0  # on a sigma: a larger one would disable the sensor
-MAX_NOISE_FACTOR = 4.0  # on a sigma, by ANEES
+TOO_LOW = 2.0  # times the observed sigma is tried too: the gate has rejected the largest residuals
+MAX_OFFERED_FACTOR = 8.0  # largest proposed increase of a sigma: more would disable the sensor
+MAX_NOISE_FACTOR = 4.0  # largest change of a sigma by ANEES, up or down
 FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
 NOISE_VERDICTS = {"understated", "overstated", "correlated"}
 
@@ -238,7 +238,7 @@ class NoiseFindings(Judged):
         return scatter_more(self._ranges_sigma, self.loaded.robot.settings(LASER).sigma_range)
 
     def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
-        """Return the laser's noise settings scaled to its raw ranges' sigma; () if its lines show another noise.
+        """Return the laser's noise settings scaled to the sigma of its raw ranges; () if its lines contradict it.
 
         A sigma that is far too high merges two walls into one line, whose residuals are too large.
         """
@@ -250,16 +250,16 @@ class NoiseFindings(Judged):
         return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
 
     def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
-        """Return whether raw ranges scatter more than the reduced range sigma that the lines suggest.
+        """Return whether raw ranges scatter more than the smaller range sigma that the lines suggest.
 
-        If so, the smaller sigma is not proposed.
+        If so, this sigma is not proposed.
         """
         smaller = _smaller_range_noise(sensor, verdict)
         return smaller is not None and scatter_more(self._ranges_sigma, smaller)
 
     @cached_property
     def _slip(self) -> WheelSlip | None:
-        """Wheel slip in turns, or in distances along the laser's path if these show more; None if unknown."""
+        """Wheel slip in turns, or in distances against the laser's path if it is larger there; None if unknown."""
         drive, found = self.loaded.drive, slip(self.loaded.drive)
         for e in self.runs_alone(LASER):
             if found is not None and found.factor < 1.0:
@@ -271,21 +271,21 @@ class NoiseFindings(Judged):
         """Whether the wheels slip more than wheels.noise allows, or clearly less.
 
         Less slip is accepted only if truth can judge it or several sensors agree: wheels may slip rarely but far,
-        and a laser's turns are not independent of a run with the same scans.
+        and turns by laser scans are not independent of a run that uses these scans.
         """
         found, truth = self._slip, self.loaded.drive.truth
         return found is not None and found.unusual and (found.factor > 1.0 or truth is not None or found.agreed)
 
     def _overconfident(self, sensor: str, verdict: Consistency) -> bool:
-        """Return whether a sensor's sigma seems too large, but truth shows its run to be overconfident."""
+        """Return whether residuals call a sensor's sigma too large, but by truth its run is overconfident."""
         check = self.covariance_checks.get(self._alone(sensor))
         return verdict.verdict == "overstated" and check is not None and check.overconfident
 
     def _with_wheel_noise(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
-        """Return fixes with smaller sensor noise that do not make the gate reject too much, and words.
+        """Return fixes with smaller sensor noise that do not make the gate reject too much, and the message.
 
-        If there are none, the first fix is combined with more wheel noise, and the words add the reason. Sensor
-        noise set too high can hide wheel noise set too low. Not needed with truth (`_overconfident`).
+        If there are none, the first fix is combined with more wheel noise, and the message gives the reason:
+        sensor noise set too high can hide wheel noise set too low. Not needed with truth (`_overconfident`).
         """
         if self.loaded.drive.truth is not None:
             return seen, words
@@ -328,7 +328,7 @@ class NoiseFindings(Judged):
     def _by_anees(self, sensor: str) -> list[Fixes]:
         """Return the sensor's noise settings multiplied by the square root of its run's ANEES.
 
-        [] if the residuals are consistent, except for the laser, whose map contains errors of its readings.
+        [] if the residuals are consistent. The laser's residuals are ignored: its map shares errors of its scans.
         """
         if sensor != LASER and self._verdict(sensor) == "consistent":
             return []

@@ -38,7 +38,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 
 class Advised(msgspec.Struct, frozen=True):
-    """The findings of a log's evaluation, and its cost."""
+    """The findings of a log's evaluation, and the number of filter runs that it took."""
 
     advice: tuple[Advice, ...] = ()  # advice that helps comes first, in the order of trying
     fusions: int = 0  # runs of the filter
@@ -89,10 +89,10 @@ def forget_fixes(written: Collection[Path]) -> None:
 def _joined(found: Sequence[Advice]) -> Advice:
     """Return all findings on one sensor as one finding with all their fixes."""
     first, *later = found
-    earlier = first.finding.brief  # the message before the first repetition of a code
+    earlier = first.finding.brief  # the message so far, without repeated findings of one code
     for advice in later:
         if advice.finding.code == first.finding.code:
-            moved = _differ(first.fixes, advice.fixes)  # else a refinement of the same value
+            moved = _differ(first.fixes, advice.fixes)  # else only a refinement
             message = f"{earlier}, then {advice.finding.brief}" if moved else first.finding.brief
         else:
             earlier = first.finding.brief
@@ -107,7 +107,7 @@ def _joined(found: Sequence[Advice]) -> Advice:
 
 
 def _differ(before: Iterable[str], after: Iterable[str]) -> bool:
-    """Return whether a value differs between two sets of fixes by more than repeated measurements of it do."""
+    """Return whether any setting has clearly different values in two sets of fixes (not a refinement)."""
     first, last = by_key(before), by_key(after)
     return any(_values_differ(value, last[key]) for key, value in first.items() if key in last)
 
@@ -140,7 +140,7 @@ def _finding(advice: Advice) -> dict[str, Any]:
 
 
 def score(score: Marks) -> dict[str, float | None]:
-    """Return a configuration's figures as plain values for the report."""
+    """Return the figures of one configuration as plain values for the report."""
     return {
         "position_rmse_m": score.position,
         "aligned": score.aligned,
@@ -317,7 +317,7 @@ def _as_configured(
 
 
 def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return a warning if the covariance of all sensors is too small after the fixes, else ""."""
+    """Return a warning if, after the fixes, the run with all sensors has a too small covariance; else ""."""
     name = max(sets, key=lambda n: len(sets[n]), default="")
     anees = report["configurations"][name].get("anees") if name else None
     found = report.get("findings") or ()
@@ -365,7 +365,7 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
-    """Return a sentence on errors against a reference: of odometry, and the sensors that help or hurt."""
+    """Return a sentence on odometry's error against a reference, and on sensors that help or hurt."""
     verdicts, good, bad = report.get("verdicts", {}), _judged(report, HELPS), _judged(report, HURTS)
     parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]
     parts += [*_all_do(good, "helps", "help"), *_all_do(bad, "hurts", "hurt")]
@@ -429,7 +429,7 @@ def _names(sensors: Sequence[str]) -> str:
 def complete(report: dict[str, Any], compared: Compared, advised: Advised | None) -> None:
     """Add findings, validity and headline to a finished report.
 
-    `advised` is None if the log was not evaluated: then only data that no estimate can use withdraw a verdict.
+    `advised` is None if the log was not evaluated: then verdicts are withdrawn only because of unusable data.
     """
     loaded, drive, sets = compared.loaded, compared.loaded.drive, compared.sets
     broken = of_holes(drive, holes(drive)) if advised is None else ()
@@ -448,7 +448,7 @@ def complete(report: dict[str, Any], compared: Compared, advised: Advised | None
 
 
 def data_advice(loaded: Loaded) -> tuple[Advice, ...]:
-    """Return findings on data that no estimate can use; their fixes change how a log is read and are not tried."""
+    """Return findings on unusable data; their fixes change how the log is read, and are not tried."""
     return tuple(Advice(f, f.fixes) for f in of_data(loaded.drive, loaded.robot, loaded.stream))
 
 

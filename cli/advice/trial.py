@@ -1,7 +1,7 @@
 """Trials of fixes: one log fused again under other settings, with a limit on the number of runs.
 
-Only sensors whose settings change are measured again. A drive of more than MAX_INSTANTS update times is tried by
-its beginning.
+Only sensors whose settings change are measured again. In a drive of more than MAX_INSTANTS update times, fixes are
+tried on the beginning.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Trial:
         return self._of(TRIED if self.loaded is self.whole else WHOLE, fixes, names)
 
     def smoothed(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return the errors of those `names` whose smoothed path is shown by default; {} without truth."""
+        """Return the errors of the smoothed paths of `names` that are shown by default; {} without truth."""
         if self.whole.drive.truth is None:
             return {}
         shown = [n for n in names if self.configurations[n].is_smoothed(Asked(), self.whole.robot)]
@@ -121,7 +121,7 @@ class Trial:
         self._marks[kind, fixes, name] = marks
 
     def seed(self, fixes: Fixes, compared: Compared) -> None:
-        """Store a comparison's figures, and with truth its runs."""
+        """Store the figures of a comparison, and if the log has a truth also the runs."""
         for name, density in compared.densities.items():
             self.know(TRIED, fixes, name, Marks(prediction=density))
         if compared.loaded.drive.truth is None:
@@ -177,7 +177,7 @@ class Trial:
             return None
         flags = listeners(drive, c.sensors)
         e = fuser(loaded.robot.preset)(drive, loaded.robot, c.sensors, c.name, flags)
-        # without the share of time lost: part of its readings may be held back to be predicted
+        # no share of time lost: some of its own readings may be left out here, to be predicted
         return Marks(prediction=mean_density(drive, e, flags))
 
 

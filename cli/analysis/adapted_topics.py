@@ -45,7 +45,7 @@ VESC = (
 RECEIVER_WORDS = "words of the receiver; record the NavSatFix that its driver makes of them (/fix)"
 STEERING_ANGLE = "an angle alone; beside it a speed is needed (VelocityReport)"
 LEG_STATE = "the state of the legs; record the odometry that the robot makes of it"
-# role -> message type -> what it holds, and what to record instead
+# role -> message type -> content of its messages, and a topic to record instead
 NOT_READ: dict[str, dict[str, str]] = {
     "lrf": {
         "livox_ros_driver/msg/CustomMsg": LIVOX,
@@ -68,9 +68,9 @@ NOT_READ: dict[str, dict[str, str]] = {
     },
 }
 LASER_NAME = re.compile("velodyne|lidar|ouster|hesai|rslidar|laser|points_raw|livox|scan")  # in topic names
-SLAM_FRAME = "camera_init"  # a fixed frame too; a cloud in one is a map, no sensor reading
+SLAM_FRAME = "camera_init"  # fixed in the world, like map; a cloud in such a frame is a map, not a sensor reading
 MIN_CLOUDS = 5  # messages of a cloud topic: fewer are a map
-MIN_TAGS = 2  # frames named like tags below one camera: a single one may be no tag
+MIN_TAGS = 2  # least number of tag frames below a camera: one alone may be another object
 CAMERA_NAME = re.compile("camera|cam_|_cam|optical|webcam|realsense|kinect|oak|zed|rgb")  # in frame names
 
 
@@ -114,7 +114,7 @@ def _clouds(log: Log) -> list[str]:
 
 
 def offer_tags(log: Log, robot: Robot) -> None:
-    """Add for each camera of the robot a topic with the tags that it sees by /tf: "/tf:camera_optical:tags".
+    """Add a topic with tags for each camera of the robot that sees tags by /tf: "/tf:camera_optical:tags".
 
     A frame is a tag if its name has a word for tags and ends in a number, and if it moves in the frame of a camera
     on the robot, beside other tags. Nothing is added if the log has a topic of poses, or the settings name one.
@@ -147,7 +147,7 @@ def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
 
 
 def _is_camera(log: Log, frame: str) -> bool:
-    """Return whether a frame is named like a camera, or is the frame of a topic with pictures."""
+    """Return whether a frame has a name like a camera, or is the frame of a topic with pictures."""
     if CAMERA_NAME.search(frame.lower()):
         return True
     pictures = filled(log, *REGISTRY["camera"].reads, CAMERA_INFO)

@@ -35,10 +35,10 @@ NAMES_MORE_SENSORS = re.compile(
     "filter|ekf|ukf|fused|visual|vio|camera|icp|slam|map|amcl|lidar|zed|vins|loam|lio|rtabmap|realsense|t265"
     "|combined|global|rf2o|kiss|laser|scan|mavros"
 )
-NAMES_FILTER = re.compile("filter|ekf|ukf|fused|combined|global")  # of these: an IMU and GPS are fused
+NAMES_FILTER = re.compile("filter|ekf|ukf|fused|combined|global")  # odometries with a fused IMU or GPS
 NAMES_RECEIVER = re.compile("fix_vel|gps|gnss|navsat|ublox|novatel|septentrio")  # speeds east and north
 NAMES_GPS = re.compile("gps|gnss|navsat")  # the odometry of navsat_transform has no heading
-ONLY_CORRECT = (FIX, IMU)  # message types that can only correct a motion
+ONLY_CORRECT = (FIX, IMU)  # message types that cannot give the motion, only correct it
 NAMES_RAW = re.compile("unfiltered|raw|wheel|encoder|_enc")
 ADAPTED_SUFFIX = ":odometry"  # of topics converted to Odometry
 NOTHING_ELSE = "nothing else says how the robot moved"
@@ -106,7 +106,7 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
 
 
 def _best_agreeing(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequence[Body]]) -> Body | None:
-    """Return the first motion, best kind first, that no other sensor contradicts; None without one."""
+    """Return the first motion, best kind first, that agrees with the other sensors; None if none agrees."""
     sensors = MotionSensors(log, robot, [body.topics for same in kinds for body in same], choice.read)
     for same in kinds:
         if (body := _only_motion(log, same, sensors)) is not None:
@@ -130,7 +130,7 @@ def _with_notes(body: Body, evidence: MotionEvidence | MotionSensors) -> Body:
 
 
 def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | MotionSensors | None) -> Body | None:
-    """Return the only motion of a kind that agrees with the other sensors; None without one."""
+    """Return the only motion of a kind that agrees with the other sensors; None if none agrees."""
     if evidence is not None:
         same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
     topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
@@ -164,7 +164,7 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
 
 
 def _odometry_body(topic: str, why: str, others: Sequence[str]) -> Body:
-    """Return an odometry as the motion; its note names unused odometries, or an IMU or GPS fused in it."""
+    """Return an odometry as the motion, with a note on unused odometries or on an IMU or GPS fused in it."""
     if not others:
         return Body(topic, why, HOLDS_MORE.format(topic=topic) if _holds_more(topic) else "")
     looks = "looks" if len(others) == 1 else "look"
@@ -193,7 +193,7 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
         words = [ONLY_COMMANDED.format(topic=topic) + beside, motor_words(log, robot), obeyed.note]
         fixes = (f"wheels.topic={topic}",)
         return Body(topic, NOTHING_ELSE, ". ".join(filter(None, words)), fixes, is_fault=_is_twist(log, topic))
-    steered = _free_topics(log, robot, choice, tuple(STEERED))  # its reader asks for the missing wheelbase
+    steered = _free_topics(log, robot, choice, tuple(STEERED))  # without a wheelbase its reader asks for it
     if (angle := one(log, "wheels", None, steered, WHEEL_READS)) is not None:
         return Body(angle, NOTHING_ELSE, motor_words(log, robot))
     for topic in poses:
@@ -225,7 +225,7 @@ def _free_topics(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -
         t
         for t in filled(log, *kinds)
         if t not in taken
-        and (":" not in t or t.endswith(ADAPTED_SUFFIX))  # not frames of /tf, nor a field
+        and (":" not in t or t.endswith(ADAPTED_SUFFIX))  # left out: frames of /tf, and single fields of a message
         and not looks_like_truth(t)
     ]
     asked = {robot.settings(name).topic for name, sensor in REGISTRY.items() if sensor.asked_only}
@@ -270,7 +270,7 @@ def of_camera(log: Log, topic: str) -> bool:
 
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
-    """Return /tf pairs (fixed frame, moving frame) as topics; if base frames move, only their pairs."""
+    """Return /tf pairs (fixed frame, moving frame) as topics; if base frames move, only pairs with these."""
     found: dict[str, bool] = {}
     for topic in log.transform_topics:
         for (parent, child), edge in log.frames(topic).items():
@@ -306,7 +306,10 @@ def nothing_moves(log: Log) -> NoWheelsError:
 
 
 def steering_of(log: Log, robot: Robot) -> str | None:
-    """Return the topic of a car's steering: the configured one, else an Ackermann command, else a servo."""
+    """Return the topic of a car's steering; None without one.
+
+    Order: the configured topic, a servo if `servo_gain` is set, an Ackermann command, any servo.
+    """
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, (*STEERED, SERVO))

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
     """Choose topics. Raises LocfuseError if several fit, none gives the motion, or a named one does not fit.
 
-    A robot.toml serves many logs, so a sensor or truth topic that it names may be missing; one named by --set
-    (`insisted`) may not.
+    A robot.toml serves many logs, so the log may lack topics of sensors or truth that robot.toml names, but not
+    topics that --set names. `insisted`: tables with a topic from --set.
     """
     choice = Choice()
     offer_presented(log)
@@ -72,9 +72,9 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         other = not_read(log, name)
         if other:
             choice.absent[name] = other
-        elif not sensor.extra:  # sensors beyond the paper's are not expected
+        elif not sensor.extra:  # only the paper's sensors are expected in a log
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        if not other and not hasattr(settings, "file"):  # of a sensor that reads a file, no topic is expected
+        if not other and not hasattr(settings, "file"):  # a sensor that reads a file needs no topic
             choice.foreign.add(name)
         return
     else:
@@ -89,7 +89,7 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
 
 
 def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> None:
-    """Record why a sensor that is used only if configured has no topic, with a setting for the first that fits."""
+    """Record that a sensor is used only if configured, with the setting for its first candidate topic."""
     others = (lambda t: commanded(t, log.topics[t].msgtype), looks_like_truth, by_fixes)
     candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:
@@ -117,7 +117,7 @@ def _names(settings: Any) -> tuple[str, ...]:
 
 
 def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
-    """Return topics of a sensor's message types, except those of wheels and truth; with messages if possible."""
+    """Return topics of a sensor's message types that wheels and truth do not use; with messages if possible."""
     sensor = REGISTRY[name]
     wheels = [
         t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS
@@ -134,16 +134,16 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
 
 
 def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
-    """Return a sensor's topics except those of its second-best message types; all if no others remain."""
+    """Return the topics without those of the sensor's second-best message types; all if none would remain."""
     return [t for t in topics if log.topics[t].msgtype not in sensor.second_best] or topics
 
 
 def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:
     """Choose a sensor's topics among `candidates` of its message types.
 
-    It is the only candidate; else for an extra sensor one that another sensor reads; else all, if the sensor may
-    have several; else the likeliest, if unlikely names are known. Otherwise an extra sensor gets no topic, and
-    LocfuseError is raised for any other sensor.
+    Rules, the first that applies: the only candidate; for an extra sensor, a topic that another sensor reads; all,
+    if the sensor may have several; the likeliest, if the sensor has a list of unlikely names. Otherwise an extra
+    sensor gets no topic, and LocfuseError is raised for any other sensor.
     """
     sensor = REGISTRY[name]
     if len(candidates) == 1:
@@ -160,7 +160,7 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
         choice.notes.append(Note(name, words, (f"{name}.topic={best}",)))
     elif not sensor.extra:
         raise several_fit(log, name, candidates)
-    else:  # a sensor beyond the paper's: no guess, and no error that would stop the others
+    else:  # an extra sensor: no guess, and no error that would stop the other sensors
         why = several_fit(log, name, candidates)
         choice.leave(name, why.sentence, why.fixes)
 

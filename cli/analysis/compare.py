@@ -47,13 +47,13 @@ from .verdicts import (
 if TYPE_CHECKING:
     from locfuse.fusion.whole_drive.reference import References
 
-OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # between first poses: more is another frame
+OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # difference of first poses from which on frames differ
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
 JudgedRun = tuple[Estimates, Evaluation]
 
 
 class Drawn:
-    """Parts of the audits that figures need, collected as each run is judged."""
+    """The parts of the audits that figures show, collected after each run."""
 
     def __init__(self) -> None:
         self.nis: dict[tuple[str, str], RunningNis] = {}  # (configuration, sensor)
@@ -78,7 +78,7 @@ class Compared(msgspec.Struct, frozen=True):
     scores: Sequence[Score] = ()  # without truth
     densities: Mapping[str, float | None] = {}  # without truth: `mean_density` by configuration
     reference: Referenced | None = None  # without truth, if asked for
-    # by the name of the filtered estimates, also if only a reference uses them
+    # smoothed estimates by the name of the filtered ones; also those computed only for a reference
     smoothed: Mapping[str, Estimates] = {}
     drawn: Drawn = field(default_factory=Drawn)
 
@@ -94,7 +94,7 @@ class Compared(msgspec.Struct, frozen=True):
 
     @property
     def plain(self) -> dict[frozenset[str], JudgedRun]:
-        """The filtered runs with all sensors at the log's rates, by sensors."""
+        """The filtered runs in which no sensor has a lower rate, by set of sensors."""
         pairs = zip(self.estimates, self.evaluations, strict=True)
         return {frozenset(e.sensors): (e, judged) for e, judged in pairs if e.name in self.sets}
 
@@ -108,7 +108,7 @@ class Referenced(msgspec.Struct, frozen=True):
 
 
 def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
-    """Run and judge one configuration: the filtered estimates, then the smoothed ones if it is smoothed."""
+    """Run and judge one configuration: filtered estimates, then smoothed ones if these are shown."""
     judged, runs = _judged(c, loaded, asked)
     estimates, evaluations = zip(*judged, strict=True)
     smoothed = dict(zip([estimates[0].name], estimates[1:], strict=False))
@@ -122,7 +122,7 @@ def compare_log(
     progress: Progress,
     draws: bool = False,
 ) -> Compared:
-    """Run every configuration, judged by the truth or by its predictions; results are filtered, then smoothed.
+    """Run and judge every configuration, by truth or by its predictions; first filtered, then smoothed results.
 
     Audits take most of a run's memory. Unless `asked.audits`, they are freed as soon as the run is judged; with
     `draws` the parts that figures need are kept.
@@ -213,7 +213,7 @@ def _effect(
     runs = {s: plain[s] for s in (before, after)}
     judged = {s: reference.judge(own, e, align) for s, (e, own) in runs.items()}
     errors = [e.figures["position_rmse_m"] or 0.0 for e in judged.values()]
-    some = min(errors) > 0.0  # a ratio of errors needs both above 0
+    some = min(errors) > 0.0  # else there is no ratio of errors
     found = credit(judged, [sensor]) if some and reference.can_judge(max(errors)) else None
     alone = None if found is None else found.sensors[sensor].alone
     effect = None if alone is None else reference.widened(alone, errors[0], errors[1])
@@ -223,9 +223,10 @@ def _effect(
 def _judged(
     c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, drawn: Drawn | None = None
 ) -> tuple[list[JudgedRun], list[RunInnovations]]:
-    """Fuse and judge one configuration; also smooth it if that path is shown, or with `solve` (for references).
+    """Fuse and judge one configuration; also smooth it if the smoothed path is shown, or with `solve`.
 
-    Returns the filtered and the smoothed run, and the residuals that show the noise of the sensors.
+    Returns the filtered and the smoothed run, and the residuals that show the noise of the sensors. `solve` is for
+    references.
     """
     drive, robot = c.drive(loaded.drive), loaded.robot
     judged, runs = list[JudgedRun](), list[RunInnovations]()
@@ -241,9 +242,9 @@ def _judged(
 
 
 def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
-    """Return the distance [m] from a foreign estimate to the truth at its first pose with truth.
+    """Return the distance [m] between a foreign estimate and the truth at the first common time.
 
-    None if the two are near in position and heading, or without truth.
+    None if both are near in position and heading, or without truth.
     """
     if drive.truth is None or estimates.truth_pose is None:
         return None
@@ -263,7 +264,7 @@ def _in_frame_of(
 ) -> tuple[Estimates, Align]:
     """Return a foreign estimate, and how to align it: "origin", with a note, if it starts in another frame.
 
-    Its start is compared with the truth, or with the reference that replaces the truth; only for align "none".
+    With align "none", its start is compared with the truth, or with the reference that replaces the truth.
     """
     whole = None if references is None else references.whole
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
@@ -277,7 +278,7 @@ def _in_frame_of(
 def predict(
     drive: Drive, robot: Robot, configurations: Sequence[Configuration], progress: Progress
 ) -> tuple[list[Score], dict[str, float | None]]:
-    """Return scores and mean density of each configuration's predictions of the sensors that it does not use."""
+    """Return how well each configuration predicts the sensors that it does not use: scores and mean density."""
     densities: dict[str, float | None] = {}
     if not drive.measurements:
         return [], densities
@@ -299,7 +300,7 @@ def predict(
 
 
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
-    """Return report.json as plain values; without `asked`, its key and its command to repeat it are None."""
+    """Return report.json as plain values; without `asked`, its values "key" and "repeat" are None."""
     report = results.build(compared.loaded, compared.evaluations)
     tables = compared.loaded.given
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None

@@ -43,8 +43,8 @@ class Configuration(msgspec.Struct, frozen=True):
     def is_smoothed(self, asked: Asked, robot: Robot) -> bool:
         """Return whether the smoothed path is shown.
 
-        As in `asked.smooth` (but never for odometry alone); if that is None, only with a laser, all sensors at the
-        rates of the log, no jitter, and if smoothing is possible.
+        `asked.smooth` decides; odometry alone is never smoothed. If `asked.smooth` is None, the path is shown with
+        a laser, with all sensors at the rates of the log, without jitter, and if smoothing is possible.
         """
         if asked.smooth is not None:
             return asked.smooth and bool(self.sensors)
@@ -57,7 +57,7 @@ class Configuration(msgspec.Struct, frozen=True):
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
         """Run the filter, and with `smooth` the smoother. Returns (filtered,) or (filtered, smoothed).
 
-        Raises UsageError if the filter to smooth does not use the optimal gain.
+        Raises UsageError if the filter to be smoothed does not use the optimal gain.
         """
         found: tuple[Estimates, ...]
         if smooth:

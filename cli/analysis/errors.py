@@ -1,4 +1,4 @@
-"""Converts expected errors (locfuse's, the system's) to a line and an exit code; silences overflow warnings."""
+"""Converts errors of locfuse and of the system to a line and an exit code; silences overflow warnings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OUT_OF_MEMORY_WORDS = ("failed to map segment", "annot allocate memory")  # in m
 
 
 def has_scipy() -> bool:
-    """Return whether SciPy is installed; without it, features used by default are skipped if they need it."""
+    """Return whether SciPy is installed; if not, default features that need SciPy are skipped."""
     try:
         import scipy  # noqa: F401
     except ImportError:
@@ -58,6 +58,6 @@ def silence_overflows() -> None:
     """Ignore RuntimeWarning in this process from now on. Only the command line calls this.
 
     Absurd readings (1e300 m, NaN) overflow before a gate counts and reports them. NumPy's warning names a line of
-    source code and no reading, so it does not help the user.
+    source code, not the reading, so it does not help the user.
     """
     warnings.simplefilter("ignore", RuntimeWarning)

@@ -1,4 +1,4 @@
-"""Gates for CI: `--fail-if` and `--baseline`. A gate that fails, or whose figure is missing, gives exit code 4.
+"""Gates for CI: `--fail-if` and `--baseline`. A gate fails also if its figure is missing. Exit code: 4.
 
 A gate on one log is `<configuration>.<key> <op> <number>` with a key of report.json; a dot leads into a table:
 all.sensors.lrf.nis. A gate on many logs is `fleet.<configuration>.<key>.<statistic> > 0.05`, with the statistic
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 EXIT_GATE_FAILED = 4
-OF_REFERENCE = "reference."  # prefix of figures against a reference, of a log without truth
+OF_REFERENCE = "reference."  # prefix of errors against a reference, in a log without truth
 OF_FLEET = "fleet."  # prefix of figures over all logs
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,
@@ -67,7 +67,7 @@ class Gate(msgspec.Struct, frozen=True):
 
 
 class Tolerance(msgspec.Struct, frozen=True):
-    """Allowed growth of an error over the baseline: the larger of a share of it and a length or angle."""
+    """Allowed growth of an error: the larger of a share of the baseline's error and a length or angle."""
 
     text: str
     share: float = 0.0
@@ -75,7 +75,7 @@ class Tolerance(msgspec.Struct, frozen=True):
     degrees: float = 0.0
 
     def limit(self, key: str, old: float) -> float:
-        """Return the largest error that passes if the baseline has `old`; `key` ends in their unit (_m, _deg)."""
+        """Return the largest error that passes; `old`: error of the baseline, `key`: name of both, with unit."""
         floor = self.metres if key.endswith("_m") else self.degrees if key.endswith("_deg") else 0.0
         return old + max(self.share * old, floor)
 
@@ -92,7 +92,7 @@ class Baseline(msgspec.Struct, frozen=True):
     def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
         """Return a line for each error that grew beyond the tolerance.
 
-        One line, that the baseline has no `what`, if it has no error in common with `later`.
+        If baseline and `later` have no error in common, one line: the baseline has no `what`.
         """
         old, new = self.figures, _error_figures(later["configurations"], self.of_fleet)
         common = [at for at in old if at in new]
@@ -164,7 +164,7 @@ def known_figure(gate: Gate) -> Gate:
 
 
 def parse_tolerance(text: str) -> Tolerance:
-    """Return the tolerance of "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError, also for 5 (500 %)."""
+    """Return the tolerance of "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError, as for 5 (500 %)."""
     found: dict[str, float] = {}
     for part in text.split(","):
         read = TOLERANCE_PATTERN.fullmatch(part.strip())
@@ -213,7 +213,7 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
-    """Return why gate and report differ in what errors are against (truth or a reference); None if they agree."""
+    """Return why gate and report do not fit: one means errors to truth, the other to a reference; else None."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
@@ -252,7 +252,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
-    """Return lines on error figures that grew beyond the tolerance, or one on why they cannot be compared."""
+    """Return a line for each error that grew beyond the tolerance, or one line why errors cannot be compared."""
     from locfuse.formats.report.changes import judged_by
 
     then, now = judged_by(baseline.values), judged_by(report)

@@ -29,7 +29,7 @@ MAX_LIST_BYTES = 64 * 1024 * 1024  # of a list of logs: half a million paths
 
 
 def expanded(words: Sequence[str], each: Sequence[str] = ()) -> list[str]:
-    """Return one path for each log or part of a log that the words name.
+    """Return the paths of all logs, or parts of logs, that the words name.
 
     @FILE stands for its lines, a pattern for its matches; all logs below the folders in `each` are added.
     A rosbag2 folder is one log. Raises UsageError for a pattern without a match and a folder without logs,
@@ -51,7 +51,7 @@ def _expanded(word: str) -> list[str]:
         return _fitting(Url(word)) if glob.has_magic(word) else [word]
     if not glob.has_magic(word) or Path(word).exists():
         return [word]
-    fitting = sorted(glob.glob(word, recursive=True))  # noqa: PTH207 - of an absolute pattern too
+    fitting = sorted(glob.glob(word, recursive=True))  # noqa: PTH207 - Path.glob refuses absolute patterns
     if not fitting:
         raise UsageError(f"{word}: nothing fits this pattern")
     return fitting
@@ -78,7 +78,7 @@ def _regex(pattern: str) -> str:
 
 
 def _objects(folder: Url) -> Iterator[str]:
-    """Yield every log below a remote folder in the order of keys; each part of a recording is one."""
+    """Yield every log file below a remote folder, sorted by key; each part of a recording by itself."""
     from locfuse.formats.container.remote_objects import below
 
     for found in below(folder):
@@ -101,10 +101,10 @@ def _lines(file: Path) -> list[str]:
 
 
 def _below(folder: Path) -> Iterator[str]:
-    """Yield every log below a folder in the order of paths; folders with results of locfuse are skipped."""
+    """Yield every log below a folder, sorted by path; folders with results of locfuse are skipped."""
     for here, folders, names in os.walk(folder):
         folders.sort()
-        if set(RESULTS) & set(names):  # exported logs of a result, or results of a fleet
+        if set(RESULTS) & set(names):  # a folder of results: its logs are exports
             folders.clear()
             continue
         if METADATA_FILE in names:
@@ -117,7 +117,7 @@ def _below(folder: Path) -> Iterator[str]:
 
 
 def result_file(word: str) -> Path | None:
-    """Return the report of a finished result (its folder or the report itself), None if the path is not one."""
+    """Return the report of a finished result, named by its folder or its report; None for any other path."""
     if is_url(word):
         return None
     path = Path(word)

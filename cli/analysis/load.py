@@ -60,7 +60,7 @@ SAME_SCANS = (
     "too small where the scans share an error"
 )
 MAX_LISTED = 1000  # entries of a folder compared with a mistyped name
-Parts = Sequence[str | Place]  # the parts of one log, as typed or as places
+Parts = Sequence[str | Place]  # parts of one log: words of the user, or places
 
 
 class Loaded(msgspec.Struct, frozen=True, dict=True):
@@ -72,7 +72,7 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
     drive: Drive
     tables: Mapping[str, Any] = field(default_factory=dict)  # merged settings, without mounts from /tf_static
     sources: Mapping[str, str] = field(default_factory=dict)  # key -> its source: "lrf.x" -> "--set"
-    given: Mapping[str, Any] | None = None  # settings from the user; None: the result has no key
+    given: Mapping[str, Any] | None = None  # settings from the user; None: no key can be computed for the result
     how: LogOptions = LogOptions()
     reading: WheelReading | None = None  # the motion of the whole log; None: read it again
     motion_faults: tuple[Note, ...] = ()  # why the motion is not the robot's; with any, all figures are void
@@ -131,7 +131,7 @@ def load(
     """
     places = find_log(log)
     progress("opening")
-    given = given_tables(how)  # before any file is read: a later change of a file changes the key
+    given = given_tables(how)  # first: a file that changes during the run then gets another key next time
     opened = open_log(places)
     tables, sources = merged_tables(opened, how)
     choice = choose(opened, make_robot(tables), named_by_hand(how.sets))
@@ -148,7 +148,7 @@ def _in_window(loaded: Loaded) -> Loaded:
 
 
 def unbroken(loaded: Loaded) -> tuple[Loaded, list[Finding]]:
-    """Return the log cut to its longest part without a hole, and the finding on its holes; whole without one."""
+    """Return the log cut to its longest part without a hole, and a finding on holes; [] if it has no hole."""
     found = holes(loaded.drive)
     if not found:
         return loaded, []
@@ -170,8 +170,8 @@ def measured(
 ) -> Loaded:
     """Measure the chosen topics of a log with the settings `tables`, except the roles in `aside`.
 
-    `known` measurements are kept: settings of these sensors and of the wheels must be equal. `before` is the same
-    log under other settings, whose readings and matched scans are used again if possible.
+    `known` measurements are used again: settings of their sensors and of the wheels must be unchanged. `before` is
+    the same log under other settings; its readings and matched scans are used again if possible.
     """
     for sensor in REGISTRY:
         if only is not None and sensor not in only:
@@ -233,10 +233,7 @@ def measured(
 
 
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:
-    """Return the time [s] of the laser's first scan in the drive if the start pose is for this scan, else None.
-
-    The start pose is for the first scan if [start] has at = "scan".
-    """
+    """Return the time [s] of the drive's first scan if [start] has at = "scan" (pose at this scan), else None."""
     roles = [role for role in ("lrf", "wheels") if role in streams and streams[role].msgtype == SCANS]
     if robot.start.at != "scan" or not roles:
         return None
@@ -256,7 +253,7 @@ def _refuse_other_clock(log: Log, drive: Drive) -> None:
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
-    """Raise LocfuseError if damage of the file leaves no message of the wheels."""
+    """Raise LocfuseError if no message of the wheels can be read because the file is damaged."""
     promised = sum(log.topics[topic].count for topic in choice.of("wheels"))
     if "wheels" not in streams or not promised or len(streams["wheels"].t_ns):
         return
@@ -283,7 +280,7 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     moving = ("wheels", "lrf") if by_scans else ("wheels",)  # tables that the motion depends on
     wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
-    if make_robot(tables).wheels.noise != loaded.robot.wheels.noise:  # deskewed scans share this noise
+    if make_robot(tables).wheels.noise != loaded.robot.wheels.noise:  # deskewed scans depend on this noise
         unchanged = {s: m for s, m in unchanged.items() if "shared" not in m.extra}
     if "gyro" in tables and "gyro" not in same:
         unchanged.pop("compass", None)  # the IMU's mount levels the magnetic field
@@ -297,7 +294,7 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
 
 
 def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
-    """Return those keys of a settings table that measuring depends on (not gates, states, wheel noise)."""
+    """Return the keys of a settings table that affect measurements (not gates, states, wheel noise)."""
     keys = tables.get(table, {})
     if not isinstance(keys, Mapping):
         return keys
@@ -317,7 +314,7 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
 
 
 def _common_fields(role: str, msgtype: str) -> tuple[str, ...]:
-    """Return the message fields that a role needs, for one pass over all topics; () for a role read in blocks."""
+    """Return the message fields of a role, to be read with all other topics; () for a role read in blocks."""
     from locfuse.fusion.truth import TRUTH_READS
     from locfuse.fusion.wheels.read import WHEEL_READS
 
@@ -341,7 +338,7 @@ def start_error(robot: Robot, drive: Drive) -> float | None:
     """Return the distance [m] between truth and wheels at the truth's start; None if that is unknown.
 
     The wheels' position is taken at the truth's first stamp, which may be later than the start. If [start] is set,
-    the distance is unknown within START_SIGMAS, or if the robot moved before that stamp.
+    None is also returned for a distance within START_SIGMAS, and if the robot moved before that stamp.
     """
     truth = drive.truth
     if truth is not None and robot.start_given:

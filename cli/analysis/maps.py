@@ -1,6 +1,6 @@
-"""Maps of walls given to a run: by --map (lines, or an occupancy grid), or by a topic of the log.
+"""Given maps of walls for localisation: from --map (lines, or an occupancy grid), or from a topic of the log.
 
-The walls of an occupancy grid become the lines of the map. The start pose in it is searched for, unless [start] is
+The walls of an occupancy grid are converted to lines. The start pose in a grid is searched for, unless [start] is
 set.
 """
 
@@ -20,14 +20,14 @@ from locfuse.fusion.robot import Robot
 
 from .load import Loaded, start_notes
 
-UNKNOWN_START_M = 1.0  # standard deviation from which on a configured start counts as unknown
+UNKNOWN_START_M = 1.0  # a configured start with a larger standard deviation is searched for
 FOUND_XY, FOUND_THETA_RAD = 0.15, math.radians(3.0)  # m, rad: standard deviations of a start found in the map
 GRID = "nav_msgs/msg/OccupancyGrid"
 ORIGIN = tuple(f"info.origin.{part}" for part in ("position.x", "position.y", "orientation.z", "orientation.w"))
 
 
 def give(loaded: Loaded, file: Path) -> Loaded:
-    """Return the log with the map of a file for localisation: lines in JSON, or the .yaml of an occupancy grid.
+    """Return the log with a map file for localisation: lines as JSON, or the .yaml of an occupancy grid.
 
     Raises LocfuseError for a bad file and a map of another building, UsageError for the paper's filter, whose map
     is the first scan.

@@ -39,19 +39,19 @@ if TYPE_CHECKING:
 MAX_SPEEDS = 2  # topics of commanded or measured speeds that are scored beside scan matching
 MOUNT_KEYS = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
 # shares of scan points that agree
-SURE_SHARE = 0.9  # of a motion: more is accepted without scan matching
+SURE_SHARE = 0.9  # a motion with a larger share is accepted without scan matching
 WORSE_SHARE = 0.10  # largest loss of a motion against scan matching
 BELOW_STILL_SHARE = 0.05  # largest loss of a motion against standing still
 BETTER_SHARE = 0.015  # least gain of scan matching over wheels of known size for a note ...
 MAX_MISFIT_SIGMAS = 2.0  # ... that also needs turns of the wheels that differ by more than their noise
-TELLING_SHARE = 0.03  # least gain of scan matching over standing still: else the scans cannot judge
-ALIKE_SHARE = 0.10  # least difference of two motions of one kind: else neither is preferred
+TELLING_SHARE = 0.03  # least gain of scan matching over standing still; with less the scans judge no motion
+ALIKE_SHARE = 0.10  # least difference between two motions of one kind; with less none is preferred
 
 # --- without a laser
 HEADING_TYPES = {"gyro": (IMU,), "compass": (IMU, FIELD)}
-MIN_EXPLAINED_SHARE = 0.5  # of a sensor's measured motion, by the best topic: else the sensor judges none
+MIN_EXPLAINED_SHARE = 0.5  # least share that the best topic explains of a sensor; with less the sensor is not used
 LESS_EXPLAINED_SHARE = 0.3  # largest loss of a motion against the best one
-MIN_OTHER_WAY_M = 1.0  # distance by another motion: a shorter one is not compared
+MIN_OTHER_WAY_M = 1.0  # least distance travelled by another motion, to be compared
 
 Topics = tuple[str, ...]
 Read = dict[Topics, WheelReading]  # motions read during the choice, by their topics
@@ -179,7 +179,7 @@ class MotionEvidence:
         return self._pairs.still
 
     def _judging(self, motions: Sequence[WheelReading]) -> ScanPairs | None:
-        """Return the pairs of scans, read for the first `motions` asked for; None if they judge no motion."""
+        """Return the scan pairs, chosen by the first `motions` and then kept; None if they cannot judge."""
         from locfuse.fusion.wheels.scan_agreement import scan_pairs  # imports SciPy
 
         if self._pairs is None:
@@ -199,14 +199,14 @@ class MotionEvidence:
 
 
 class MotionSensor(NamedTuple):
-    """A sensor that measures motion, and for each motion topic the share of the measurements that it explains."""
+    """A sensor that measures motion, and the share of its measurements that each motion topic explains."""
 
     name: str  # "the turning of /imu"
     shares: dict[Topics, float]  # by the topics of a motion
 
 
 class MotionSensors:
-    """Judges motion topics by one sensor: the first one that at least one motion explains sufficiently."""
+    """Judges motion topics by the first sensor whose measurements at least one of the topics explains."""
 
     agrees = "it agrees best with the other sensors"
 
@@ -218,7 +218,7 @@ class MotionSensors:
     def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
         """Return for each motion whether it is kept: it explains the sensor about as well as the best one.
 
-        All are kept without a sensor, and those that cannot be read.
+        All motions are kept if no sensor can judge; motions that cannot be read are always kept.
         """
         if self._sensor is None:
             return [True] * len(candidates)
@@ -235,7 +235,7 @@ class MotionSensors:
 
     @property
     def note(self) -> str:
-        """Return a sentence on the rejected motions, which explain too little of the sensor; "" without any."""
+        """Return a sentence on the rejected motions: the shares that they explain; "" if none is rejected."""
         if self._sensor is None or not self._rejected:
             return ""
         parts = [f"{' and '.join(topics)} explains {self._sensor.shares[topics]:.0%}" for topics in self._rejected]
@@ -268,7 +268,7 @@ class MotionSensors:
 
     @cached_property
     def _sensor(self) -> MotionSensor | None:
-        """The first sensor that at least one motion explains sufficiently; None without one."""
+        """The first sensor of which a motion explains at least MIN_EXPLAINED_SHARE; None without one."""
         for name, explained in self._sensors() if len(self._readable) > 1 else ():
             found = {topics: explained(motion) for topics, motion in self._readable.items()}
             shares = {topics: share for topics, share in found.items() if share is not None}
@@ -302,11 +302,11 @@ def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) ->
     return None
 
 
-# --- The chosen motion is not the robot's: commands, poses of other bodies, jumps, a constant pose. Such a log is
-# fused, so that the files can be inspected, but every figure is void (exit code 3).
+# --- The chosen motion may not be the robot's: commands, poses of other bodies, jumps, a constant pose. Such a log
+# is fused, so that the files can be inspected, but every figure is void (not valid; exit code 3).
 
 STANDS = "the robot does not move in this log, so no sensor can be judged"
-MAX_PERIOD_S = 5.0  # of the motion's readings: in more a robot may turn round
+MAX_PERIOD_S = 5.0  # longest time between readings of the motion: in more a robot may turn unseen
 MIN_WAY_M = 1.0  # path length by another topic that counts as motion
 MIN_FIX_SPREAD_M = 15.0  # fixes of a standing receiver drift by some metres
 

@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 TILT_KEYS = ("roll_deg", "pitch_deg")
-MAX_VERTICAL = 0.7  # vertical part of the z axis (unit vector): more is not an optical frame
+MAX_VERTICAL = 0.7  # largest vertical part of an optical frame's z axis (unit vector)
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 ODOMETRY_WORD = "odom"
-ROOM_FRAMES = ("map", "world", "earth", "utm")  # last word of frames that are fixed in the room
+ROOM_FRAMES = ("map", "world", "earth", "utm")  # last words of the names of map frames
 
 
 def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
     """Return the transforms of /tf_static; if a frame is missing, also those of /tf that are constant.
 
-    ROS 1 publishes mounts on /tf. Reading /tf takes time, so it is read only if needed. It also shows which frame
-    is the base if none has a usual name: the frame that moves in odom, else in map or world.
+    ROS 1 publishes mounts on /tf. /tf is read only if needed, since this takes time. If no frame is named like a
+    base, /tf also shows the base: the frame that moves in odom, else in map or world.
     """
     static = log.static_transforms()
     if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
@@ -131,7 +131,7 @@ def on_moving_parts(
 def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
     """Return focal length fx and image centre cx [px] by CameraInfo for sensors that have these settings.
 
-    Used is the CameraInfo in the sensor's frame, else the only one.
+    The CameraInfo in the sensor's frame is used, else the only one.
     """
     infos = filled(log, CAMERA_INFO)
     found: dict[str, Any] = {}
@@ -159,7 +159,7 @@ def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
 
 
 def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return roll and pitch for sensors without them, as configured for a sensor on the same topic or frame.
+    """Return roll and pitch of sensors without these settings, from a sensor with the same topic or frame.
 
     An IMU is both compass and gyro, and has one mount.
     """
@@ -187,7 +187,7 @@ def moved_by(transforms: StaticTransforms, frame: str) -> str:
     parent = {edge.child: edge.parent for edge in (*transforms.edges, *transforms.moving)}
     moving, bodies = {edge.child for edge in transforms.moving}, set(_bases_in(transforms))
     way = [frame.lstrip("/")]
-    while way[-1] in parent and way[-1] not in bodies and len(way) <= len(parent):  # the length ends a loop
+    while way[-1] in parent and way[-1] not in bodies and len(way) <= len(parent):  # limited: loops
         way.append(parent[way[-1]])
     found = [f"{child} in {parent[child]}" for child in way[:-1] if child in moving]
     return found[0] if found and way[-1] in bodies else ""
@@ -214,9 +214,9 @@ def _table(mount: FrameMount) -> dict[str, Any]:
 def level_compass(
     log: Log, streams: Mapping[str, Any], robot: Robot, transforms: StaticTransforms
 ) -> dict[str, Any]:
-    """Return the streams; the magnetometer's stream gets the robot's tilt, if an IMU measured the tilt.
+    """Return the streams, with the robot's tilt added to the magnetometer's stream if an IMU measured it.
 
-    This is the IMU in the magnetometer's frame, or the only one.
+    This IMU is the one in the magnetometer's frame, else the only one.
     """
     field = streams.get("compass")
     if field is None or field.msgtype != FIELD or not robot.settings("compass").level:

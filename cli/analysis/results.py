@@ -1,4 +1,4 @@
-"""Results of a measured log: the report, its settings file, losses, and warnings on the motion."""
+"""Results of a measured log: the report, robot.toml, losses, and warnings on the motion."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from .settings import Asked
 from .topics import Note
 from .wheel_topics import steers, unused_words
 
-MIN_COVERED_SHARE = 0.8  # of the log's duration: less is reported
+MIN_COVERED_SHARE = 0.8  # of the log's duration: a motion that covers less is reported
 VOIDABLE = (*ERROR_KEYS, "anees")  # figures that depend on errors
-REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
-# exact repeats, readings before or after the wheels, messages of an arm on the wheels' topic
+REFUSED_SHARE = 0.01  # of a used sensor's readings: if more are refused, it is a loss
+# refused readings that are no loss: such as exact repeats, and readings before or after the wheels' readings
 NOT_A_LOSS = ("repeat", "outside_wheels", "other_joints", "other_bodies", "not_in_map", "ignored")
 
 
@@ -182,8 +182,8 @@ def _losses(reasons: Mapping[str, int]) -> dict[str, int]:
 def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool) -> None:
     """Add warnings on the robot's motion to the report, most of them at the start of its headline.
 
-    All figures become void if the motion is not the robot's.
-    With `judged`, wheel counters are also compared with scan matching.
+    All figures become void (not valid) if the motion is not the robot's. With `judged`, wheel counters are also
+    compared with scan matching.
     """
     _void_all(report, loaded.motion_faults)
     if judged and (words := _behind_scans(loaded)):

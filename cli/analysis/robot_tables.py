@@ -43,7 +43,7 @@ BASE_TABLES: dict[str, type[msgspec.Struct]] = {
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
     """Add to settings the SHA-256 of every file that they name (truth, detections, a map); return all.
 
-    Call this before the files are read: a file that changes later then has another hash at the next run.
+    Call this before the files are read: if a file changes later, the next run finds another hash.
     """
     settings = {name: value for name, value in tables.items() if name != FILES}
     files = {text: path for text in texts_of(settings) if (path := file_named(text)) is not None}
@@ -121,18 +121,18 @@ def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[st
 
 
 def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the user's settings and time window, but not those in the log; a result's key depends on them.
+    """Return the settings and time window from the user, on which a result's key depends; none from the log.
 
-    They include the hash of every file that they name.
+    The hashes of all files named in the settings are included.
     """
     window = {name: bound for name, bound in (("from", how.begin), ("to", how.end)) if bound is not None}
     return with_files(robot_toml.layered(*given_layers(how, more).values(), window))
 
 
 def attached(log: Log, quiet: bool = True) -> dict[str, Any] | None:
-    """Return the settings attached to the log; None without any, or if they cannot be read.
+    """Return the settings attached to the log; None if there are none, or if they cannot be read.
 
-    Settings that cannot be read are a loss of the log, except `quiet` ones: then only a wrong checksum is.
+    A wrong checksum is recorded as a loss of the log; unless `quiet`, so are settings that cannot be read.
     """
     try:
         text = log.attachments.get(ATTACHMENT)

@@ -19,11 +19,11 @@ from msgspec.structs import replace
 
 PathLike = str | os.PathLike[str]
 Sets = Mapping[str, Any] | Iterable[str]  # {"lrf.topic": "/scan"}, or as typed: ["lrf.topic=/scan"]
-Progress = Callable[[str], None]  # is given the name of the current step
-MAX_REFERENCE_INSTANTS = 2400  # update times of a drive with a reference by default: 4 min at 10 Hz
+Progress = Callable[[str], None]  # called with the name of the current step
+MAX_REFERENCE_INSTANTS = 2400  # longest drive [update times] with a reference by default: 4 min at 10 Hz
 OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
 OF_RUN = ("tum", "csv", "json")
-DEFAULT_OUTPUTS = ("html", "json", "tum")  # by default; robot.toml and fixes.toml always
+DEFAULT_OUTPUTS = ("html", "json", "tum")  # robot.toml and fixes.toml are always written
 EXPORTS = {  # formats of other tools
     "mcap": "ROS 2 messages, with layouts for Foxglove and PlotJuggler",
     "log": "these and every message of the log",
@@ -46,7 +46,7 @@ def silent(step: str) -> None:
 class LogOptions(msgspec.Struct, frozen=True):
     """Options for reading a log."""
 
-    robots: tuple[Path, ...] = ()  # robot.toml files, later ones over earlier ones
+    robots: tuple[Path, ...] = ()  # robot.toml files; later ones override earlier ones
     sets: tuple[str, ...] = ()
     order: str | None = None
     strict: bool = False
@@ -54,7 +54,7 @@ class LogOptions(msgspec.Struct, frozen=True):
     preset: str | None = None
     begin: float | None = None  # s since the first wheel reading: earlier readings are not used
     end: float | None = None  # s: later readings are not used
-    beside_hole: bool = False  # whether begin and end leave out a hole in the log, and are not the user's
+    beside_hole: bool = False  # begin and end are not from the user: they leave out a hole in the log
     hash_all: bool = False  # hash every byte of the log for the report
     given_map: Path | None = None  # a map in which the laser localises
 
@@ -120,7 +120,7 @@ class GateOptions(msgspec.Struct, frozen=True):
 class FleetOptions(msgspec.Struct, frozen=True):
     """Options for many logs, in addition to those for a single log."""
 
-    jobs: int = 1  # at once
+    jobs: int = 1  # that run at the same time
     max_failures: int | None = None
     again: bool = False
     each: tuple[str, ...] = ()  # folders
@@ -213,7 +213,7 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
 
 
 def by_default(known: Sequence[str]) -> list[str]:
-    """Return those of the `known` kinds of output that are written by default; all if html is not among them."""
+    """Return the kinds among `known` that are written by default; all of `known` if it has no html."""
     return [kind for kind in known if kind in DEFAULT_OUTPUTS or "html" not in known]
 
 

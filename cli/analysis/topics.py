@@ -27,7 +27,7 @@ class Note(NamedTuple):
 
     role: str
     words: str
-    fixes: tuple[str, ...] = ()  # settings that make the same choice
+    fixes: tuple[str, ...] = ()  # settings with the same effect
     is_fault: bool = False  # all figures of this log are void
     first: bool = False  # shown before all figures
 
@@ -35,15 +35,15 @@ class Note(NamedTuple):
 class Choice(msgspec.Struct):
     """Chosen topics by role ("wheels", a sensor, "truth"), and the reasons for missing ones."""
 
-    topics: dict[str, str] = field(default_factory=dict)  # the first of each role
-    more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # the others of a role that has several
-    why: dict[str, str] = field(default_factory=dict)  # role -> how its topic was chosen
+    topics: dict[str, str] = field(default_factory=dict)  # first topic of each role
+    more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # further topics of a role
+    why: dict[str, str] = field(default_factory=dict)  # role -> reason for the choice of its topic
     absent: dict[str, str] = field(default_factory=dict)
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may help
     foreign: set[str] = field(default_factory=set)  # sensors without any topic in the log
     notes: list[Note] = field(default_factory=list)
     unused_wheels: tuple[str, ...] = ()  # topics of wheel counters whose scale is unknown
-    lacks: str = ""  # their unknown settings, in words
+    lacks: str = ""  # unknown settings of the unused wheels, in words
     read: dict[tuple[str, ...], WheelReading] = field(default_factory=dict)  # motions read during the choice
 
     def of(self, role: str) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ def filled(log: Log, *msgtypes: str) -> list[str]:
 
 
 def one(log: Log, role: str, named: str | None, candidates: list[str], reads: Iterable[str]) -> str | None:
-    """Return the named topic, else the only candidate with messages, else None. Several: LocfuseError."""
+    """Return the named topic, else the only candidate, else None. Raises LocfuseError for several candidates."""
     if named is not None:
         return checked(log, role, named, reads)
     with_messages = [t for t in candidates if log.topics[t].count != 0]
@@ -83,7 +83,7 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
 
 
 def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
-    """Return the likeliest topic: rather of the robot of topic `beside`, then rather without an unlikely word."""
+    """Return the likeliest topic: first by the same robot as `beside`, then by a name without unlikely words."""
     words, robot = tuple(unlikely), _robot(beside)
     return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
 
@@ -130,6 +130,6 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
 
 
 def types(reads: Iterable[str]) -> str:
-    """Return message types as text: ROS types if there are any, else all."""
+    """Return message types as text; Foxglove types only if there are no others."""
     kinds = list(reads)
     return " or ".join(t.replace("/msg/", "/") for t in [k for k in kinds if "foxglove" not in k] or kinds)

@@ -39,12 +39,12 @@ TRUST_SENSORS = (
 TRUST_STRETCHES = (
     "Self-check: the only sensor was switched off every other five seconds, and its readings there were predicted."
 )
-MIN_UNPROVEN_NATS = 0.1  # nats per number: an unproven smaller gain is not reported
-MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is not reported
+MIN_UNPROVEN_NATS = 0.1  # nats per number: smallest gain that is reported if it is not proven
+MIN_HARM_RATIO = 1.25  # position error with / without a sensor: smallest ratio that is reported
 
 
 def overconfident_by_truth(check: Mapping[str, CovarianceCheck | None]) -> set[str]:
-    """Return the names of configurations whose errors to the truth exceed their covariance."""
+    """Return the names of configurations with larger errors to the truth than their covariance allows."""
     return {name for name, h in check.items() if h is not None and h.overconfident}
 
 
@@ -95,7 +95,7 @@ def noise_factors(runs: Sequence[RunInnovations], robot: Robot) -> dict[str, flo
 
 
 def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
-    """Return the reference by all sensors as plain values, with a sentence on it; `base`: name of its motion."""
+    """Return the reference by all sensors as plain values, with a sentence; `base`: name of the motion used."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
     words = REFERENCE.format(base=base, sensors=sensors, sigma=length(whole.sigma))
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
@@ -139,10 +139,10 @@ def verdicts(
     over: str = "drives",
     base: str = ODOMETRY,
 ) -> dict[str, dict[str, Any]]:
-    """Return verdict and reason for each sensor, by the credit, or without one by the scores `found`.
+    """Return verdict and reason for each sensor, by the credit; if it is None, by the scores `found`.
 
-    A credit of several logs is `over` their drives or robots.
-    Effects are relative to `base`, the configuration without a sensor.
+    `over`: replicates of a credit over several logs, "drives" or "robots". Effects are relative to `base`, the
+    configuration without a sensor.
     """
     if credit is not None:
         return {
@@ -213,7 +213,7 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
 
 
 def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: str) -> str:
-    """Return sentences on the `main` effect of a sensor: ratio of errors, interval, and whether it is proven."""
+    """Return sentences on a sensor's `main` effect: ratio of errors, interval, and whether it is proven."""
     if c.credit is not None and several:
         how = "On average over all sensor combinations"
     elif c.beside:
@@ -296,7 +296,7 @@ def add_pairs(
     errors: Mapping[str, float | None],
     by_truth: bool,
 ) -> None:
-    """Add to each sensor's verdict the effect of its lower rate, and beside which sensors it harms most.
+    """Add to each sensor's verdict the effect of a lower rate, and the sensors beside which it harms most.
 
     `sets`: configuration -> sensors; `slower`: those at a lower rate; `errors`: position errors [m]. Harm is shown
     only by truth, since two configurations may have different references.
@@ -393,7 +393,7 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 
 def _by_itself(score: Score, base: str) -> dict[str, Any]:
-    """Return the verdict on a log's only sensor by its own readings: these show faults, but not correctness."""
+    """Return the verdict on a log's only sensor by its own readings: they show faults, but not correctness."""
     notable = abs(score.gain) > MIN_GAIN_NATS
     if notable and score.high < 0.0:
         words = (

@@ -141,7 +141,7 @@ def _named(words: Sequence[str]) -> dict[str, str]:
 
 
 def _refuse_log_options() -> None:
-    """Raise UsageError for an option that finished results do not support: a gate is never skipped silently."""
+    """Raise UsageError for options that finished results do not support, such as gates."""
     from locfuse.fusion.data import UsageError
 
     context = click.get_current_context()

@@ -91,7 +91,7 @@ def tune(log: tuple[str, ...], options: o.Options, hold_out: tuple[str, ...], dr
 def _finish(found: Found, tables: Iterable[Table], options: o.Options, held: str = "") -> int:
     """Write and print estimated settings; return the exit code.
 
-    `held`: what the written file contains, printed instead of the hint how to use it; "" for the hint.
+    `held`: text on the content of the written file; "" prints a hint how to use the file instead.
     """
     from locfuse.cli.terminal import show
     from locfuse.formats.report import json_report

@@ -130,7 +130,7 @@ def _job_options(options: o.Options, folder: Path) -> Job:
 
 
 def _mark(folder: Path, todo: FleetPlan) -> None:
-    """Write a marker file, so that a killed run leaves a folder that is known to hold results."""
+    """Write a marker file, so that the folder is recognised as results even if the run is killed."""
     from locfuse.formats.report import json_report
     from locfuse.formats.whole_files import UNFINISHED, write_results
 
@@ -213,7 +213,7 @@ def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED
 
     gates = [*found.gates, *failed_gates]
-    # the reasons of exit code 3: printed with --quiet too
+    # also with --quiet, since they explain exit code 3
     _say_some([f"void: {line}" for line in found.void], "void figures")
     _say_some([f"doubtful: {e.name}: {line}" for e in found.entries for line in e.doubtful], "doubtful figures")
     _say_some([f"lost: {line}" for line in found.lost], "losses")

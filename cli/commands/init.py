@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from locfuse.fusion.checks.finding import Finding
 
 SCHEMA = "robot.schema.json"  # next to robot.toml, so that the path is valid on every machine
-LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
+LONGEST_UNIT = 24  # characters of the longest unit that is shown, such as "[latitude, longitude]"
 
 
 @click.command()
@@ -133,7 +133,7 @@ def _answer(key: str, words: str) -> str:
 
 
 def _updated(made: Draft, file: Path) -> str:
-    """Return the text of a robot.toml with keys added that the log shows and the file lacks."""
+    """Return the text of a robot.toml; keys that the file lacks and the log shows are added."""
     from locfuse.formats.robot import commented_toml, robot_toml
 
     text = commented_toml.text_of(file)
@@ -188,7 +188,7 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = why
     else:
         tune, compare = f"tune {words} --robot {name} -o tuned.toml", f"compare {words} --robot {name}"
-        # of an open scale the user has to choose
+        # an open scale has two fixes: the user must choose
         fixes = [fix for f in _wrong(made) if f.code != OPEN_SCALE for fix in f.fixes]
         last = f"next: locfuse {tune if _tunes(made) else compare} {options(fixes)}"
     of_robot = f"{made.robot}: its figures that the log does not tell are taken from locfuse's own files"
@@ -198,14 +198,14 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
 
 
 def _wrong(made: Draft) -> list[Finding]:
-    """Return the severe findings on truth and sensors that the new settings leave."""
+    """Return the severe findings on truth and sensors that remain under the new settings."""
     from locfuse.fusion.sensors.registry import REGISTRY
 
     return [f for f in made.overview.findings if f.severe and f.role in {"truth", *REGISTRY}]
 
 
 def _tunes(made: Draft) -> bool:
-    """Return whether `tune` can be used: the log has a sensor and a motion, and nothing is surely wrong."""
+    """Return whether `tune` can be used: the log has a sensor and a motion, and no severe finding."""
     loaded = made.overview.loaded
     usable = loaded is not None and bool(loaded.drive.measurements) and not loaded.motion_faults
     return usable and not _wrong(made)

@@ -110,7 +110,7 @@ class ToolAnswer:
     headline: str
     findings: list[AgentFinding] = field(default_factory=list)
     values: dict[str, Any] = field(default_factory=dict)  # SI units, degrees where a key ends in _deg
-    files: list[str] = field(default_factory=list)  # that hold everything, arrays included
+    files: list[str] = field(default_factory=list)  # files with all results, also arrays
 
 
 class Tools:
@@ -152,8 +152,8 @@ class Tools:
         """Return what each sensor of a log adds: errors of all configurations, verdicts, what looks wrong, fixes.
 
         `sensors` are configurations, such as ["odometry", "compass,lrf", "all"]; none: odometry, each alone, all.
-        `align` "se2" judges the shape of the path only. `smooth` adds paths from the whole drive; null: those with
-        the laser, where the log allows it.
+        `align` "se2" judges only the shape of the path. `smooth` adds smoothed paths; null: of configurations with
+        the laser, if the log allows it.
         """
         asked = Asked(tuple(sensors or ()), align=align, smooth=smooth, audits=False)
         result = opened([str(self._below(log))], self._how(settings), silent).compared(asked)
@@ -187,7 +187,7 @@ class Tools:
         return self._found(found, f"Calibration from {_logs(logs)}.")
 
     def explain(self, term: str = "") -> ToolAnswer:
-        """Explain a term of an answer or a report: ANEES, lrf, drift; without `term`, all but sensors."""
+        """Explain a term of an answer or a report: ANEES, lrf, drift; without `term`, all terms except sensors."""
         return ToolAnswer(meaning(term)) if term else ToolAnswer("Words of reports.", values=dict(GLOSSARY))
 
     def _found(self, found: Found, headline: str) -> ToolAnswer:

@@ -73,5 +73,5 @@ def completion(shell: str) -> None:
     locfuse completion fish > ~/.config/fish/completions/locfuse.fish
     """
     kind = get_completion_class(shell)
-    assert kind is not None  # click has all of them
+    assert kind is not None  # click supports all three shells
     put(kind(click.get_current_context().find_root().command, {}, "locfuse", COMPLETION_VARIABLE).source())

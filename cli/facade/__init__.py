@@ -7,8 +7,8 @@
     result.estimates["all"].pose                    # (n, 3) x, y [m], theta [rad], map frame
     result.write("out")                             # the files of `locfuse compare`
 
-Whatever cannot be used raises LocfuseError with one line that says what, where, and what to try. The command
-line is `locfuse`, or `python -m locfuse`; docs/python.md sets the two side by side.
+Expected errors are LocfuseErrors with one line: what is wrong, where, and what to try. The command line is
+`locfuse`, or `python -m locfuse`; docs/python.md compares it with Python.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if sys.version_info < (3, 11):  # noqa: UP036  an old pip, or a copied folder, installs without asking
+if sys.version_info < (3, 11):  # noqa: UP036  an old pip, or a copied folder: no check of the version
     this = ".".join(map(str, sys.version_info[:2]))
     raise ImportError(f"locfuse needs Python 3.11 or newer, this is {this}: python3.11 -m pip install locfuse")
 

@@ -57,7 +57,7 @@ class Job(msgspec.Struct, frozen=True):
 
     name: str
     log: tuple[str, ...]  # its parts
-    folder: Path  # of its results; a sweep's cells have folders in it
+    folder: Path  # of results; cells of a sweep have subfolders
     how: LogOptions
     asked: Asked
     outputs: Outputs
@@ -84,7 +84,7 @@ class JobOutcome(msgspec.Struct, frozen=True):
     reason: str = ""  # why it failed, in one line
     misused: bool = False  # failed because of an option, not the log
     resumed: bool = False  # skipped, since its results were complete
-    warnings: tuple[str, ...] = ()  # for example on its recording
+    warnings: tuple[str, ...] = ()  # such as a recording that could not be written
     looks: Mapping[Fixes, Look] = field(default_factory=dict)  # figures under the settings in `tries`
 
 
@@ -106,7 +106,7 @@ def is_finished(job: Job) -> bool:
 
 
 def _is_complete(job: Job, cell: SweepCell, report: Mapping[str, Any], changed_ns: int) -> bool:
-    """Return whether a result's files exist, are newer than the log, and its recording newer than the report."""
+    """Return whether a result's files exist and are newer than the log, and the recording is newer still."""
     folder = job.place(cell)
     written_ns = (folder / REPORT).stat().st_mtime_ns
     names = [OF_KIND[kind] for kind in job.outputs.write if kind in OF_KIND]
@@ -118,9 +118,9 @@ def _is_complete(job: Job, cell: SweepCell, report: Mapping[str, Any], changed_n
 
 
 def is_replaceable(folder: Path) -> bool:
-    """Return whether a folder has only files of a result, or only cells of a sweep.
+    """Return whether a folder has only files of a result, or only cells of a sweep, so that it may be replaced.
 
-    It may have no report, if its run was killed or it is the folder of a sweep.
+    A report is not needed: a killed run and the folder of a sweep have none.
     """
     known = {*OF_KIND.values(), *OTHER_FILES}
     return not folder.is_dir() or all(
@@ -149,7 +149,7 @@ class FleetPlan(msgspec.Struct, frozen=True):
 
 
 def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> FleetPlan:
-    """Return the jobs for all logs in `words`: each is the job `every` with its log, name and folder.
+    """Return a job for each log in `words`: the job `every` with the log, its name and its folder.
 
     Logs that cannot be opened are refused, each with the reason.
 
@@ -224,7 +224,7 @@ def _file_of(file: Path, robot: str | None) -> Path:
 
 
 class FleetRows(msgspec.Struct, frozen=True):
-    """The rows of a fleet's summary, and lines on gates and losses."""
+    """The rows of a fleet's summary, and lines of text on gates and losses."""
 
     entries: list[Entry] = field(default_factory=list)
     gates: list[str] = field(default_factory=list)  # a line per gate that a log fails

@@ -40,7 +40,7 @@ def run(job: Job, folder: str, version: str) -> JobOutcome:
     machine = socket.gethostname()
     if (ours := own()) != version:
         return JobOutcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {version}")
-    if not os.path.isdir(folder):  # noqa: PTH112 - as typed elsewhere
+    if not os.path.isdir(folder):  # noqa: PTH112 - a path of another machine
         return JobOutcome(job.name, "failed", f"worker on {machine}: it does not see the folder {folder}")
     try:
         return _in_a_process(job, folder)
@@ -64,12 +64,12 @@ def _in_a_process(job: Job, folder: str) -> JobOutcome:
         assert process.stdin is not None
         assert process.stdout is not None
         RUNNING.add(process)
-        with suppress(BrokenPipeError):  # ended at once: see its exit code
+        with suppress(BrokenPipeError):  # the process has ended already: see its exit code
             process.stdin.write(pickle.dumps(job))
             process.stdin.flush()
         answer = process.stdout.read()
         code = process.wait()
-        with suppress(BrokenPipeError):  # what it did not read
+        with suppress(BrokenPipeError):  # the rest of the job, if the process has not read it
             process.stdin.close()
         RUNNING.discard(process)
         if code == 0 and answer:
@@ -80,7 +80,7 @@ def _in_a_process(job: Job, folder: str) -> JobOutcome:
 
 
 def _ended(code: int, words: bytes) -> str:
-    """Return in words how a process without an answer ended."""
+    """Return in words how a process ended that wrote no outcome."""
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else "unknown"
         hint = ": often too little memory for so many --jobs" if -code == signal.SIGKILL else ""

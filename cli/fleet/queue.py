@@ -53,7 +53,7 @@ class QueueState:
 
     @property
     def seconds_left(self) -> float | None:
-        """Expected time [s] for the remaining jobs at the pace so far; None before the first."""
+        """Expected time [s] for the remaining jobs at the pace so far; None before the first job is done."""
         ran = self.done + self.failed - self.resumed
         return (time.monotonic() - self.began) / ran * self.left if ran else None
 
@@ -80,7 +80,7 @@ class Ended:
 
     outcomes: Mapping[str, JobOutcome]
     stopped: str = ""  # the reason; "" if every job has an outcome
-    by: BaseException | None = None  # Ctrl-C or a signal, to be raised after writing the results
+    by: BaseException | None = None  # interrupt or signal to raise again after the results are written
 
 
 def executor(fleet: FleetOptions) -> AbstractContextManager[Executor]:

@@ -70,7 +70,7 @@ def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> O
         gone = {
             "geometry",
             *((POINT, START) if overview.robot_facts.steered else ()),
-        }  # judged with a motion that is replaced
+        }  # found with another motion than the wheels that the fixes choose
         overview.findings = [*(f for f in overview.findings if f.code not in gone), *wheel_size(overview)]
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview
@@ -82,7 +82,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
     offer_presented(log)
     try:
         offer_tags(log, robot)
-    except LocfuseError as e:  # a loop of frames
+    except LocfuseError as e:  # the frames form a loop
         topic, _, words = str(e).partition(": ")
         found.append(Finding(topic, "tf", words))
     steps: dict[str, Callable[[], None]] = {
@@ -126,7 +126,7 @@ def _placed(
 
 
 def _of_file_losses(log: Log) -> list[Finding]:
-    """Return findings on lost bytes, and on files without checksums."""
+    """Return findings on unreadable bytes, and on files without checksums."""
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
@@ -143,7 +143,7 @@ def _measure(overview: Overview, progress: Progress) -> None:
         loaded = measured(overview.log, overview.tables, overview.choice, progress, aside=costly)
     except LocfuseError as e:
         role = e.role if e.role in {"wheels", "truth", *REGISTRY} else "log"
-        if role == "wheels":  # no clock to hold others against
+        if role == "wheels":  # other clocks cannot be compared with the wheels' clock
             overview.findings = [f for f in overview.findings if f.code != "other clock"]
         if not any(f.role == role and f.severe for f in overview.findings):
             overview.findings.append(of_error(e, role, "unusable"))
@@ -158,7 +158,7 @@ def _measure(overview: Overview, progress: Progress) -> None:
     short = too_short(loaded.drive)
     overview.findings += [*holes, *([Finding("log", "short", short)] if short else [])]
     found, known = examine(part.drive, part.robot, streams), {f.role for f in overview.findings if f.severe}
-    if loaded.motion_faults or short:  # by these no sensor is charged
+    if loaded.motion_faults or short:  # such a drive cannot show faults of sensors
         found = [f for f in found if f.code in {"repaired", "refused", "gap", BLIND, *MIXED}]
     by_channels = {f.role for f in overview.findings if f.code == PUBLISHERS}
     found = [f for f in found if f.code != PUBLISHERS or f.role not in by_channels]

@@ -1,7 +1,7 @@
 """JSON Schemas of robot.toml, report.json and --json output, made from their types.
 
-JSON Schema draft 7, the newest that TOML editors support (taplo, Even Better TOML): they read a tuple of draft
-2020-12 as an empty one.
+Draft 7 of JSON Schema is used, since TOML editors (taplo, Even Better TOML) support no newer one: they read tuples
+of draft 2020-12 as empty.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from .robot_facts import Overview
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
-# Name -> signs, each sufficient: a package of message types, a word in a topic's name, or a set of frames.
+# Name -> signs, of which one is enough: a package of message types, a word in a topic's name, a set of frames.
 SIGNS_OF_ROBOTS: dict[str, tuple[str | frozenset[str], ...]] = {
     "turtlebot4": ("turtlebot4_msgs", frozenset({"rplidar_link", "shell_link"})),
     "create3": ("irobot_create_msgs",),
@@ -93,7 +93,7 @@ def _wheels_kind(overview: Overview) -> str:
     """Return the message type of the wheel counters; "" for an odometry, or without counters."""
     topics = overview.choice.of("wheels")
     kind = overview.log.topics[topics[0]].msgtype if topics else SCANS
-    if kind != SCANS:  # scan matching also replaces wheels of unknown size
+    if kind != SCANS:  # scan matching is also used if the size of the wheels is unknown
         return "" if kind in BODY_READS else kind
     kinds = (overview.log.topics[t].msgtype for t in of_type(overview.log, (JOINTS, *TICKS, *NUMBERS)))
     return next(kinds, "")

@@ -23,7 +23,7 @@ def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
             continue
         settings = overview.robot.settings(name)
         values = {k: getattr(settings, k) for k in MOUNT_KEYS if hasattr(settings, k)}
-        if "mounts" in values and "x" in values:  # mounts of several sensors, or x, y ... of one
+        if "mounts" in values and "x" in values:  # "mounts" of several sensors, or x, y ... of a single sensor
             several = len(overview.choice.of(name)) > 1
             values = {k: v for k, v in values.items() if (k == "mounts") == several}
         if values:

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration
 
 ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
-MAX_STEERED_MISFIT = 0.02  # rms per distance: more is a bad fit
-MIN_MOVEMENT = 0.05  # of a joint in the log, in its unit: less is no wheel
+MAX_STEERED_MISFIT = 0.02  # largest rms / distance of a good fit
+MIN_MOVEMENT = 0.05  # least movement of a wheel joint in the log, in its unit
 
 
 class Steered(NamedTuple):
@@ -49,24 +49,24 @@ class Steered(NamedTuple):
 class RobotFacts(msgspec.Struct, frozen=True):
     """Facts about the robot that its log shows and robot.toml may lack."""
 
-    described: WheelGeometry | None = None  # by /robot_description
-    counters: tuple[str, ...] = ()  # topics of wheel turns: those in use, else those whose geometry is unknown
-    fitted: Geometry | None = None  # by an odometry topic made from the same wheels
+    described: WheelGeometry | None = None  # from /robot_description
+    counters: tuple[str, ...] = ()  # topics with wheel turns: used ones, else those of unknown geometry
+    fitted: Geometry | None = None  # from an odometry topic of the same wheels
     odometry: str = ""  # the odometry topic, or BY_SCANS
-    ticks: float | None = None  # usual ticks per revolution of the message's type
-    joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
-    steered: Steered | None = None  # a tricycle, by its truth
+    ticks: float | None = None  # ticks per revolution that are usual for the message type
+    joints: tuple[str, str] | None = None  # wheel joints (left, right): by name, or the only ones that turn
+    steered: Steered | None = None  # of a tricycle, by truth
 
 
 class Overview(msgspec.Struct):
     """The result of inspecting a log: topics, roles, mounts, clocks, findings."""
 
     log: Log
-    tables: dict[str, Any]  # robot.toml as merged, before mounts
+    tables: dict[str, Any]  # merged settings, without mounts from the log
     choice: Choice
     facts: list[TopicFacts]
     transforms: StaticTransforms
-    mounts: dict[str, Any]  # the sensors' tables by these transforms
+    mounts: dict[str, Any]  # tables of sensors, with mounts by these transforms
     robot: Robot  # with mounts where the log could be measured
     loaded: Loaded | None = None
     robot_facts: RobotFacts = field(default_factory=RobotFacts)
@@ -152,7 +152,7 @@ def wheel_size(overview: Overview) -> list[Finding]:
     if found.joints is not None and not named and not are_wheels(log, topics[0], robot):
         words.append("the joints of the wheels")
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
-    other = overview.choice.of("wheels") not in ((), topics)  # the note on the used topic names what is missing
+    other = overview.choice.of("wheels") not in ((), topics)  # a note names what is missing
     if not words or (other and not fixes):
         return []
     counts = "count" if len(topics) > 1 else "counts"

@@ -35,13 +35,13 @@ from .known_robots import open_figures, recognise
 from .mounts import placed_by
 from .robot_facts import Overview
 
-Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
+Known = dict[str, tuple[Any, str]]  # "table.key" -> (value, source)
 TOP_KEYS = ("order", "preset")
 STEERED_KEYS = ("radius", "ticks_per_revolution", "servo_gain", "wheelbase", "noise")  # of a tricycle's encoders
 MOUNT_KEYS = ("x", "y", "yaw_deg")  # written even if zero
 MOUNT_DECIMALS = 6
 
-# instructions for settings that a log does not contain; those of a sensor are in Sensor.asks
+# instructions for settings that no log contains; Sensor.asks has those of the sensors
 HOW_TO_MEASURE = {
     "wheels": {
         "radius": Ask(
@@ -75,18 +75,18 @@ HOW_TO_MEASURE = {
         "sigma_theta_deg": Ask("degrees: how exact its heading is"),
     },
 }
-# Conventions that a log does not contain: the default is written as a guess.
+# Settings whose default is written as a guess, since no log contains them.
 GUESSED_DEFAULTS = {
     "wheels": {
         "mirrored": "guess: both counters rise while the robot drives forward",
         "steering": "guess: radians of the front wheels (rate: rad/s of the body, heading: rad)",
     }
 }
-MAX_ROUNDS = 4  # of inspection: a fix may make other findings visible
-# codes of findings whose fix is a measured value
+MAX_ROUNDS = 4  # rounds of inspection: a fix may make other findings visible
+# codes of findings with a measured value as fix
 MEASURED_CODES = {"lag", "noise", "range scale", "track", "yaw"}
 GUESS = "guess: "
-GUESSED_CODES = {"choice", "unusable", "truth?"}  # codes of findings whose fix is the first candidate
+GUESSED_CODES = {"choice", "unusable", "truth?"}  # codes of findings with the first candidate as fix
 
 
 class Draft(NamedTuple):
@@ -94,7 +94,7 @@ class Draft(NamedTuple):
 
     overview: Overview  # with all active fixes
     sections: list[TomlSection]
-    missing: list[str]  # keys that the wheels, or their sensor, need
+    missing: list[str]  # required keys without a value, of the wheels or a sensor
     guesses: list[str]  # "key=value: why" of choices that the log leaves open
     robot: str = ""  # the known robot whose values are used, in words
 
@@ -134,7 +134,6 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
 def _inspected_with(
     fixes: Mapping[str, tuple[str, str]], log: Parts, how: LogOptions, progress: Progress
 ) -> Overview:
-    """Inspect the log again with these fixes."""
     return inspect_log(log, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
 
 
@@ -153,7 +152,7 @@ def _given(overview: Overview, how: LogOptions, imported: Mapping[str, Mapping[s
 def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
     """Return {key: ("key=value", reason)} of the valid fixes.
 
-    If wheel geometry was found, the other fixes for wheels are left out, which are for an odometry.
+    If wheel geometry was found, other fixes for wheels are left out, since they are for an odometry topic.
     """
     found = list(findings)
     replaced = any(f.code == "geometry" and f.fixes for f in found)
@@ -162,9 +161,10 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 
 def _may_apply(f: Finding, known: Collection[str] = ()) -> bool:
-    """Return whether init may set a fix without asking: it is severe, or its value is measured or chosen.
+    """Return whether `init` may apply the fix of a finding without asking the user.
 
-    Values of the `known` keys, set by an earlier round, are measured again: a start moves with the truth's clock.
+    It may if the finding is severe, if the value is measured, or if it chooses a topic. It may also change `known`
+    keys, set by an earlier round: a new clock offset of the truth changes the start pose.
     """
     again = {*_fixes((f,))} <= {*known}
     return f.code != OPEN_SCALE and (f.severe or again or f.code in {*MEASURED_CODES, "choice"})
@@ -202,8 +202,8 @@ def found(overview: Overview) -> Known:
     known: Known = {}
     for role in ("wheels", "truth", *REGISTRY):
         known |= _topics(overview, role)
-    # without wheels.topic the unused wheels are chosen as soon as their size is set, and a topic that is not the
-    # robot's motion is not made to count as such
+    # no wheels.topic: then unused wheels are chosen as soon as their size is set, and a topic that is not the
+    # robot's motion is not confirmed as its motion
     if overview.choice.unused_wheels or overview.motion_faults:
         known.pop("wheels.topic", None)
     wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
@@ -307,7 +307,7 @@ def _suggested(facts: Facts, table: str) -> Known:
 
 
 def _has_effect(facts: Facts, table: str, key: str) -> bool:
-    """Return whether a key has an effect for the message type that is read."""
+    """Return whether a key has an effect with the message type of the chosen topic."""
     overview = facts.overview
     if table == "wheels":
         return _has_effect_on_wheels(overview, key)
@@ -324,7 +324,7 @@ def _has_effect_on_wheels(overview: Overview, key: str) -> bool:
     if steers(wheels):
         return key in STEERED_KEYS
     kind, *others = (overview.log.topics[topic].msgtype for topic in wheels) if wheels else ("",)
-    counts = bool(kind) and kind not in (*BODY_READS, *MOTOR)  # an odometry needs no size of a wheel
+    counts = bool(kind) and kind not in (*BODY_READS, *MOTOR)  # an odometry needs no wheel size
     applies = {
         **dict.fromkeys(("radius", "track", "mirrored"), counts),
         "ticks_per_revolution": counts and counts_ticks(kind),
@@ -337,5 +337,5 @@ def _has_effect_on_wheels(overview: Overview, key: str) -> bool:
 
 
 def _instruction(table: str, key: str) -> Ask | None:
-    """Return the instruction how to find a key's value; None if it need not be asked."""
+    """Return the instruction how to find the value of a key; None if the key has none."""
     return (REGISTRY[table].asks if table in REGISTRY else HOW_TO_MEASURE.get(table, {})).get(key)

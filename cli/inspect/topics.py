@@ -40,11 +40,11 @@ class TopicFacts(msgspec.Struct, frozen=True):
     delay_s: float | None = None  # recording time - header stamp, median
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
-    derived: bool = False  # from another topic or a file, without messages of its own
+    derived: bool = False  # made from another topic or a file, without messages in the log
 
     @property
     def beside_s(self) -> float:
-        """Delay of recording behind header stamps [s] if it is so long that it shows two clocks; else 0."""
+        """Recording time - header stamp [s] if the difference is so large that it shows two clocks; else 0."""
         stamped = self.clock is not None and self.clock.by_stamps
         return self.delay_s if self.delay_s and abs(self.delay_s) > MAX_DELAY_S and stamped else 0.0
 
@@ -132,7 +132,7 @@ def of_publishers(log: Log, choice: Choice) -> list[Finding]:
 
 
 def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Return findings on used topics whose times are not their header stamps, and on clocks that differ."""
+    """Return findings on used topics whose times are not their header stamps, or whose clocks differ."""
     known = {f.topic: f for f in facts if f.count >= MIN_JUDGED and f.problem is None}
     used = {t: (role, known[t]) for role in choice.topics for t in choice.of(role) if t in known}
     found = [
@@ -157,7 +157,7 @@ def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot)
     for role, topic in choice.topics.items():
         f = known.get(topic)
         if f is None or any(one.clock is not None and one.clock.on_stamps for one in (f, wheels)):
-            continue  # recording times come from the stamps' clock
+            continue  # stamps and recording times have the same clock
         off = f.beside_s - wheels.beside_s
         settings = robot.truth if role == "truth" else robot.settings(role) if role in REGISTRY else None
         if abs(off) > MAX_DELAY_S and settings and abs(off - settings.time_offset) > MAX_DELAY_S:

@@ -62,7 +62,7 @@ def absent(overview: Overview) -> dict[str, str]:
 
 
 def configurations(overview: Overview) -> dict[str, str | None]:
-    """Return for odometry, each sensor and "all" the reason why it cannot run; None if it can."""
+    """Return the reason why a configuration cannot run (None if it can), for odometry, each sensor and "all"."""
     missing, base = absent(overview), wheels_missing(overview)
     known = [name for name in REGISTRY if name in missing or name in overview.choice.topics]
     ready = {name: missing.get(name) or base for name in known}
@@ -72,7 +72,7 @@ def configurations(overview: Overview) -> dict[str, str | None]:
 
 
 def wheels_missing(overview: Overview) -> str | None:
-    """Return why no motion can be estimated from this log; None if it can."""
+    """Return why the robot's motion cannot be estimated from this log; None if it can be estimated."""
     if overview.loaded is not None:
         return None
     unready = (f.sentence for f in overview.findings if f.severe and f.role in {"wheels", "log"})

@@ -25,8 +25,8 @@ CATALOG_PORT = 51234  # Rerun's own default for a catalog
 def record(outputs: Outputs, result: Result, folder: Path, say: Say) -> None:
     """Write and show a result's recording as the options require; a failure is a warning.
 
-    Without --rerun-save the recording is in the results' folder, where `locfuse view FOLDER` finds it. With it,
-    raises LocfuseError if the file cannot be written.
+    The recording is in the folder of results, where `locfuse view FOLDER` finds it, or in the file that
+    --rerun-save names. Raises LocfuseError if this file cannot be written.
     """
     if not outputs.recorded:
         return
@@ -50,10 +50,7 @@ def record(outputs: Outputs, result: Result, folder: Path, say: Say) -> None:
 
 
 def saved(path: Path, result: Result, identity: str | None = None) -> str:
-    """Write a result's recording; return "" or the reason of a failure in one line.
-
-    A missing, broken or incompatible Rerun is such a failure.
-    """
+    """Write the recording of a result; return "", or in one line why this failed, such as a missing Rerun."""
     from locfuse.fusion.data import LocfuseError
 
     try:
@@ -87,7 +84,7 @@ def file_in(folder: Path, drive: str) -> Path:
 def record_drive(folder: Path, drive: str, result: Result) -> str:
     """Write a drive's recording for the catalog; return "" or a warning in one line."""
     path = file_in(folder, drive)
-    problem = saved(path, result, identity=path.stem)  # its name in the catalog
+    problem = saved(path, result, identity=path.stem)  # the recording's name in the catalog
     return f"{drive}: {_warning(problem)}" if problem else ""
 
 

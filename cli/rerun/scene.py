@@ -59,8 +59,8 @@ from locfuse.fusion.truth import TRUTH_READS, read_truth
 from locfuse.fusion.wheels.odometry import POSE
 from locfuse.fusion.wheels.read import WHEEL_READS
 
-MAX_BEAMS = 360  # drawn of a scan
-MAX_PICTURES = 600  # by default
+MAX_BEAMS = 360  # drawn beams of a scan
+MAX_PICTURES = 600  # drawn pictures by default
 MAX_ARRAY_COLUMNS = 8  # longer numeric arrays, such as ranges, are not drawn as curves
 SMOOTHED_LIGHT_SHARE = 0.7  # brightness of a smoothed result's colour
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
@@ -202,7 +202,7 @@ def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> I
 
     drive: Drive = scene.drive
     m, finder = drive.measurements["camera"], detector(settings)
-    verdicts = np.full(len(m.z), "new", dtype="<U8")  # of every candidate in the best configuration
+    verdicts = np.full(len(m.z), "new", dtype="<U8")  # verdict on every detection, in the best configuration
     audit = scene.best.audits.get("camera")
     if audit is not None:
         verdicts[audit.row] = np.array(GROUP_OF)[audit.verdict]
@@ -250,7 +250,7 @@ def _jpeg(picture: Any) -> bytes:
     return data.tobytes() if done else b""
 
 
-# --- A folder of results: trajectories, read as by `--estimate`; truth, as by `--truth`; and table
+# --- Scene of a folder of results: trajectories (read as by --estimate), truth (as by --truth), and table
 
 
 def scene_of(report_file: Path) -> RerunScene:

@@ -1,8 +1,8 @@
 """The Rerun viewer: find a running one, start one, and send it a recording within a time limit.
 
 The viewer is a process of its own on the loopback interface (Rerun's `spawn` listens on all interfaces). A
-recording is sent by a child process (this file) that is stopped after a time limit. Rerun's connection has no
-reliable one: if a port accepts but never answers, `flush(timeout_sec=10)` takes 59 s.
+recording is sent by a child process (this file), which is stopped after a time limit. Rerun has no reliable time
+limit: if a port accepts but never answers, `flush(timeout_sec=10)` takes 59 s.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LOCAL_VIEWER = f"rerun+http://{HOST}:{PORT}/proxy"
 PORT_TIMEOUT_S = 1.0  # for a connection
 SEND_TIMEOUT_S = 10.0  # for sending a recording, plus its size divided by ...
 SEND_RATE_BPS = 5e6  # bytes per second
-START_TIMEOUT_S = 2.0  # a viewer that cannot start ends earlier
+START_TIMEOUT_S = 2.0  # a viewer that cannot start ends within this time
 
 
 def show(path: Path) -> subprocess.Popen[bytes] | None:

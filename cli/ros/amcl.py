@@ -63,7 +63,7 @@ def _motion(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
 def _noise(found: FoundRobot) -> tuple[float, float]:
     """Return wheel noise [variance per m] and track [m].
 
-    For scan matching, the noise that gives the same turning variance over the drive.
+    With scan matching, this is the noise of wheels with the same turning variance over the drive.
     """
     wheels = found.loaded.drive.wheels
     if wheels.matched is None:

@@ -33,9 +33,9 @@ TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 KINDS = {ODOMETRY: "odom", TWIST: "twist", POSE: "pose", IMU: "imu"}
 DRIVERS_TOPIC = "/odom"  # the usual name, if the log has no odometry
 STATES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az")
-SURE_SIGMAS = 3.0  # an offset larger than this counts as proven
+SURE_SIGMAS = 3.0  # an offset of more sigmas is proven
 TINY_VARIANCE = 1e-9  # variance per second: negligible, but keeps P positive
-OPTION_WORDS = {  # of False, of True
+OPTION_WORDS = {  # option -> explanation if it is false, explanation if it is true
     "differential": (
         "it does not drift in the frame of the filter",
         "only its changes count: it drifts, or has an offset that robot_localization does not estimate",
@@ -94,10 +94,10 @@ def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _input_name(source: FilterInput, there: Mapping[str, Any]) -> str | None:
-    """Return the name of the input ("odom0") that reads the source's topic in the file; None without one."""
+    """Return the name of the file's input ("odom0") that reads this topic; None if there is none."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
-    if source.origin == ASSUMED:  # the log has no odometry: take the file's first one
+    if source.origin == ASSUMED:  # the log has no odometry: use the first odometry in the file
         return next((key for key, _ in inputs if key.startswith("odom")), None)
     return next((key for key, topic in inputs if topic == bare or bare.endswith(f"/{topic}")), None)
 

@@ -34,7 +34,7 @@ class Made(msgspec.Struct, frozen=True):
 
     text: str
     diff: tuple[str, ...] = ()  # unified diff from the existing file
-    reasons: tuple[str, ...] = ()  # source of each value, and values that the file lacks
+    reasons: tuple[str, ...] = ()  # reason of each change, and values that have no place in the file
 
 
 def fresh(found: FoundRobot, targets: Sequence[str]) -> Made:
@@ -47,11 +47,9 @@ def fresh(found: FoundRobot, targets: Sequence[str]) -> Made:
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
-    """Return the targets (nodes) to write into a file.
+    """Return the targets (nodes) to write into a file; with `any_of` only those in the file, if it has any.
 
-    With `any_of` these are the targets that the file has; all if it has none of them.
-
-    Raises LocfuseError for a target without section, with several, or with one of another node.
+    Raises LocfuseError for a target without section, with several sections, or with a section of another node.
     """
     if any_of:
         targets = [target for target in targets if sections_of(file, target)] or targets

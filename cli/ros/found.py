@@ -29,7 +29,7 @@ from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.velocity_noise import VelocityNoise, velocity_noise
 
-MAX_FIRST = 4  # repetitions of a command after setting fixes
+MAX_FIRST = 4  # largest number of repetitions of a command, each after setting fixes
 F = TypeVar("F", Calibration, Tuning)
 
 
@@ -49,7 +49,7 @@ class FoundRobot(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def velocity(self) -> VelocityNoise:
-        """The wheels' noise as noise of velocities."""
+        """The wheel noise, converted to noise of velocities."""
         return velocity_noise(self.loaded.drive.wheels)
 
     @cached_property
@@ -68,7 +68,7 @@ class FoundRobot(msgspec.Struct, frozen=True, dict=True):
         return sensor in self.loaded.drive.measurements
 
     def why(self, key: str) -> str:
-        """Return the source of a setting's value in words; `key` is "table.key"."""
+        """Return in words where the value of the setting `key` ("table.key") comes from."""
         return self.sources.get(key, f"{key} is the default of locfuse")
 
     def origin(self, key: str) -> Origin:
@@ -152,7 +152,7 @@ class _Work:
 
     def __init__(self) -> None:
         self.sets: list[str] = []
-        self.sources: dict[str, str] = {}  # of fixes that a command needed first
+        self.sources: dict[str, str] = {}  # sources of fixes that had to be set before a command could run
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:

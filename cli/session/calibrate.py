@@ -37,10 +37,10 @@ from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 from .found import Found, Row, refuse_doubtful
 
 T = TypeVar("T")
-SENSORS = ("compass", "gyro", "lrf")  # sensors
+SENSORS = ("compass", "gyro", "lrf")  # whose topics calibration uses
 FIXED_CODES = ("wheel scale", "radius", "track", "iron", "yaw")  # codes of findings that calibration fixes
 GEOMETRY = ("radius", "ratio", "track")
-MIN_LN_RATIO = 3.0  # ln of a likelihood ratio (20 to 1): smaller ones are not reported
+MIN_LN_RATIO = 3.0  # smallest ln of a likelihood ratio that is reported: 20 to 1
 IRON_COLUMNS = {f"{kind}_iron{of}": f"{kind}{of}" for kind in ("hard", "soft") for of in ("", "_sigma")}
 MOUNT_UNITS = {"x": " [m]", "y": " [m]", "yaw_deg": " [deg]", "time_offset": " [s]"}
 LACKING_BY_TRUTH = {"radius": "straight runs", "ratio": "a truth with heading", "track": "turns on the spot"}
@@ -62,11 +62,11 @@ class Fitted(NamedTuple):
     figure: Figure
     was: float | None = None  # as configured
     unit: str = ""
-    stays: bool = False  # the interval contains the configured value, which is kept
+    stays: bool = False  # the configured value is kept, since the interval contains it
 
 
 class Calibration(Found, frozen=True, kw_only=True):
-    """Everything that `calibrate` estimated from the logs of one robot."""
+    """All estimates of `calibrate` from the logs of one robot."""
 
     settings: WheelSettings  # as configured
     wheels: WheelCalibration | None = None  # by truth
@@ -287,7 +287,7 @@ def _one_robot(loaded: Sequence[Loaded]) -> WheelSettings:
     """Return the wheel settings shared by all logs. Raises LocfuseError if they differ."""
     first = loaded[0].robot.wheels
     if any(one.log.topics[one.choice.topics["wheels"]].msgtype == ODOMETRY for one in loaded):
-        return replace(first, radius=None)  # an odometry has no wheels to correct
+        return replace(first, radius=None)  # a robot with an odometry topic has no wheel radius to correct
     for one in loaded[1:]:
         for key in GEOMETRY:
             a, b = getattr(first, key), getattr(one.robot.wheels, key)

@@ -75,7 +75,7 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
 
 
 def estimates_in(stream: Stream, drive: Drive, name: str) -> Estimates | None:
-    """Return a stream of poses as the estimates `name` of a drive; None if it has fewer than two poses of it."""
+    """Convert a stream of poses to estimates named `name`; None for fewer than two poses during the drive."""
     t, pose, triangles = _columns(stream, drive.epoch_ns)
     inside = (t >= drive.t[0]) & (t <= drive.t[-1]) & np.isfinite(pose).all(axis=1)
     inside[1:] &= np.diff(t) > 0
@@ -97,7 +97,7 @@ def estimates_in(stream: Stream, drive: Drive, name: str) -> Estimates | None:
 
 
 def _columns(stream: Stream, epoch_ns: int) -> tuple[Array, Array, Array]:
-    """Return t (n,) [s], poses (n, 3), and upper triangles of the covariances (n, 6), 0 if none is given."""
+    """Return t (n,) [s], poses (n, 3), and upper triangles of covariances (n, 6), 0 for a pose without one."""
     x, y, *q = (np.asarray(c, np.float64) for c in stream.columns(*POSE[stream.msgtype]).values())
     pose = np.stack((x, y, se2.yaw(*q)), axis=-1)
     triangles = np.zeros((len(pose), 6))

@@ -67,7 +67,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
     @speaks_python
     def write(self, file: PathLike, overwrite: bool = False) -> Path:
-        """Write robot.toml, the user's first file (with its comments) with the estimates, and return its path.
+        """Write robot.toml, and return its path: the user's first file with its comments, and the estimates added.
 
         Raises LocfuseError if the file exists, unless `overwrite`.
         """
@@ -97,9 +97,8 @@ UNFIXED = {CLOCK: "Find out which by locfuse compare", HOLE: "Use a part, or lea
 def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
     """Raise LocfuseError if the log has a proven fault that the estimates would hide.
 
-    `what` names these estimates in the message ("noise found now"). Faults with a code in `own` are accepted.
-
-    `info --check` exits with 3 for the same faults, except a wrong start, which affects neither noise nor wheels.
+    `what` names these estimates in the message ("noise found now"). Accepted are faults with a code in `own`, and
+    a wrong start, which affects neither noise nor wheels. For all other such faults `info --check` exits with 3.
     """
     if one.drive.wheels.stands:
         return

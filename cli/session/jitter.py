@@ -1,7 +1,7 @@
 """Jitter (`--jitter N`): each configuration is fused N more times, each time on a slightly changed drive.
 
-Differences smaller than a figure's range over these runs are chance. A verdict that changes its direction in any
-run becomes "no effect seen".
+A difference of two figures is chance if it is smaller than their range over these runs. A verdict that changes its
+direction in any run becomes "no effect seen".
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ COLOURS = {
     INTENDED: Colour("#0d0f12", "#f4f5f7"),
     WALLS: Colour("#9aa3af", "#667080"),
 }
-LINE_STYLES = {WITHOUT: "dash", WITH: "over"}  # the planned path is visible in the gaps
+LINE_STYLES = {WITHOUT: "dash", WITH: "over"}  # the planned path is seen through the gaps of the dashes
 SEED = 1
 LOG = "rounded_rectangle"
 PRESETS = {"ours": "default", "print": "paper"}  # column -> preset

@@ -20,7 +20,7 @@ WORD = r"""(?:'[^']*'|"[^"]*"|\[[^\]]*\]|<[^>]*>|[^\s,;:()'"\[<])+"""
 SETTING = rf"--set {WORD}"
 SETTINGS = re.compile(rf"{SETTING}(?: {SETTING})*")
 COMMAND = re.compile(rf"(?<=: )locfuse (info|compare|tune|calibrate)((?: {WORD})+)(?=$|[,;)])")
-OPTIONS = {  # option -> keyword with the option's value, or the keyword of an option without one
+OPTIONS = {  # option -> keyword argument in Python; {} is the option's value
     **{name: f'{name}="{{}}"' for name in ("align", "order", "preset", "robot")},
     **{name: name for name in ("sensors", "sweep", "write", "export")},
     "all-subsets": "all_subsets=True",

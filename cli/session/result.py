@@ -119,7 +119,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         """Return the errors of one result, `errors("lrf")`, for pandas.DataFrame or polars.DataFrame.
 
         Columns at the truth's stamps, (q,) each: t [s since the first wheel reading]; dx, dy [m], heading [rad]:
-        estimate - truth; nees (1 per degree of freedom is right). Missing values are NaN; without truth there are
+        estimate - truth; nees (expected: 1 per degree of freedom). Missing values are NaN; without truth there are
         no rows.
         """
         found = self.evaluations[name]
@@ -149,9 +149,9 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         return columns
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw all paths over the map and return matplotlib's axes: those given, or new ones.
+        """Draw all paths over the map into `axes` (None: new ones) and return matplotlib's axes.
 
-        Without matplotlib the report's figure is returned, an SVG that a notebook shows.
+        Without matplotlib, return the report's figure, an SVG for a notebook.
         """
         from locfuse.formats.figures.for_paper import on_axes
         from locfuse.formats.report.notebook import NotebookFigure
@@ -182,9 +182,9 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         return records(everything(self.report))
 
     def losses(self, strict: bool = False) -> list[str]:
-        """Return a line for each loss: lost bytes, over 1 % of a used sensor's readings refused, void figures.
+        """Return a line for each loss: lost bytes, over 1 % refused readings of a used sensor, void figures.
 
-        If there is any, the command exits with 3. With `strict` a single reading counts as a loss.
+        With any loss, the command exits with 3. With `strict`, a single refused reading is a loss.
         """
         return [*results.loss_lines(self.loaded, self._used(), strict), *void_reasons(self.report)]
 
@@ -209,9 +209,9 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         """Write the same files as the command with -o FOLDER, and return their paths.
 
         Args:
-            folder: where to; None is locfuse-out/<log name>.
-            write: of "html", "md", "json", "tum", "csv", "tex" those to write (of a run: "tum", "csv", "json");
-                None writes "html", "json" and "tum" (of a run all); "all" writes all.
+            folder: folder of the files; None is locfuse-out/<log name>.
+            write: kinds of output: "html", "md", "json", "tum", "csv", "tex" (for a run: "tum", "csv", "json");
+                None writes "html", "json" and "tum" (for a run all); "all" writes all.
             export: formats of other tools: "mcap", "log", "kitti", "tum-cov" ...
             overwrite: write into a folder that holds something else.
 
@@ -275,7 +275,8 @@ class Run(Result, frozen=True, eq=False):
     def save_map(self, file: PathLike) -> None:
         """Write the line map of this run, with covariances, as JSON: `session.with_map` reads it.
 
-        A .csv gets the landmarks or anchors that the run placed (`landmarks.map = "grow"`), for `landmarks.map`.
+        To a .csv, write the landmarks or anchors that the run estimated (`landmarks.map = "grow"`): use it as
+        `landmarks.map`.
         """
         from locfuse.formats.robot import landmark_map, line_map
         from locfuse.formats.whole_files import write_text

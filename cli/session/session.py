@@ -70,16 +70,15 @@ def load(
     Args:
         log: an .mcap, .db3 or .bag file, a rosbag2 folder, the name of a sample log ("rounded_rectangle"), or a
             list with the parts of one recording.
-        robot: a robot.toml; it goes over the one that the log carries.
-        sets: single keys of robot.toml, which go over both: {"lrf.topic": "/front/scan", "wheels.radius": 0.033}.
-        order: "auto", "stamp" or "recorded": which clock wins where stamps run backwards.
+        robot: a robot.toml; its keys override those of the robot.toml attached to the log.
+        sets: single keys that override both, {"lrf.topic": "/front/scan", "wheels.radius": 0.033}.
+        order: clock that is used if stamps run backwards: "auto", "stamp" or "recorded".
         preset: "default", or "paper" for the paper's equations as printed.
         between: (30.0, 90.0) uses only this time, in seconds since the first wheel reading; None: no bound.
         progress: called with the name of every step, such as `print`.
 
     Raises:
-        LocfuseError: no such file, not a log, no wheels, a setting that fits nothing; in one line, as the command
-            prints it.
+        LocfuseError: no such file, not a log, no wheels, or an invalid setting. The message is one line.
     """
     how = replace(log_options(robot, sets, order, preset), begin=between[0], end=between[1])
     return opened(words_of(log), how, progress)
@@ -108,14 +107,14 @@ def info(
 ) -> dict[str, Any]:
     """Return what is in a log, which sensor reads which topic and why, what is missing, and what looks wrong.
 
-    This is for logs that do not run yet: what is wrong becomes a finding, with the settings that fix it. The
-    values are those that `locfuse info LOG --json` prints; `locfuse schema info` has their units and meaning.
+    Use it for a log that `load` refuses: an error becomes a finding, with the settings that fix it. Values are as
+    printed by `locfuse info LOG --json`; `locfuse schema info` has their units and meaning.
 
     Args:
-        log: as of `load`.
+        log: as in `load`.
         robot: a robot.toml.
         sets: single keys of robot.toml.
-        order: which clock wins.
+        order: as in `load`.
         progress: called with the name of every step, such as `print`.
 
     Raises:
@@ -125,7 +124,7 @@ def info(
 
 
 def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
-    """Return the result of `info` for a log by command-line words."""
+    """Return the result of `info` for a log given as command-line words."""
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
 
@@ -184,9 +183,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         Args:
             sensors: "all", "odometry", "compass,lrf", ["compass", "lrf"], or "lrf@2Hz" for a lower rate.
             align: "none", "origin" or "se2": how to move the estimate onto the truth before judging it.
-            smooth: also smooth: every pose from the whole drive, its end included. None: with a laser.
-            advice: where something looks wrong, evaluate the log as `compare` does and try fixes.
-            jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
+            smooth: also compute the smoothed path, in which each pose uses the whole drive. None: with a laser.
+            advice: if something looks wrong, evaluate the log as `compare` does, and try fixes.
+            jitter: number of additional runs with stamps moved by 1 us and 1 % of the readings dropped; the report
                 then has the range of every figure under `configurations.<name>.jitter`.
 
         Raises:
@@ -214,19 +213,20 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             sensors: the configurations, such as ["odometry", "compass+lrf", "all", "lrf@2Hz"]; None compares
                 odometry, each sensor alone, and all.
             **choices: any of these.
-                all_subsets (False): every subset of the sensors: what each is worth beside the others too.
+                all_subsets (False): run every subset of the sensors, which gives the average effect of each.
                 align ("none"): "origin" or "se2" moves every estimate onto the truth before judging it.
-                smooth (None): also smooth every configuration that has sensors: "all-smoothed". None: those with
-                a laser, where no `jitter` is asked for.
-                audits (True): keep every measurement's innovation and verdict,
-                `estimates["lrf"].audits["lrf"]`. They are most of what a result holds; False frees them as soon
-                as the figures have what they show.
-                advice (True): where something looks wrong, try fixes by fusing again, and report what they did.
-                jitter (0): fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the
-                report then has the range of every figure, and a verdict that changes becomes "no effect seen".
-                estimates ({}): other people's estimates as rows, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
-                reference (None): where the log has no truth, measure errors against the solution of the whole
-                drive. None: where the drive is short enough for that, or is smoothed anyway.
+                smooth (None): also smooth every configuration that has sensors: "all-smoothed". None: only those
+                with a laser, and none with `jitter`.
+                audits (True): keep innovation and verdict of every measurement,
+                `estimates["lrf"].audits["lrf"]`. They take most of a result's memory; False frees them as soon
+                as the figures are computed.
+                advice (True): if something looks wrong, try fixes by fusing again, and report their effect.
+                jitter (0): number of additional runs with stamps moved by 1 us and 1 % of the readings dropped;
+                the report then has the range of every figure, and a verdict that changes becomes "no effect
+                seen".
+                estimates ({}): estimates of other programs as rows, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
+                reference (None): without truth, measure errors against a smoothed solution of the whole drive.
+                None: only if the drive is short or is smoothed anyway.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
@@ -253,8 +253,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     def _uses_reference(self, asked: Asked) -> bool:
         """Return whether errors are measured against a smoothed solution (a reference) instead of the truth.
 
-        Without a request: only if there is no truth, and the drive is short or is smoothed anyway. Raises
-        UsageError if a reference is requested but impossible.
+        `asked.reference` decides. If it is None, a reference is used only without truth, for a drive that is short
+        or is smoothed anyway. Raises UsageError if a reference is asked for but impossible.
         """
         wanted = asked.reference
         if wanted and asked.jitter:
@@ -287,12 +287,12 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
         Args:
             *more: more logs of the same robot.
-            sensors: those to tune and to tune by, "compass,lrf"; the others stay as they are.
-            hold_out: logs to judge by instead of tuning on them; none: the last fifth of every log.
-            drift: ask also whether the compass' estimated offset drifts.
+            sensors: sensors whose noise is tuned, by their readings only: "compass,lrf".
+            hold_out: logs that judge the tuned noise, not used for tuning; (): the last fifth of every log.
+            drift: also estimate whether the compass' offset drifts.
 
         Raises:
-            LocfuseError: an unknown sensor, or a log with a wrong setting that noise would cover up.
+            LocfuseError: an unknown sensor, or a log with a wrong setting that larger noise would hide.
         """
         from . import tune
 
@@ -315,9 +315,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     @speaks_python
     def findings(self) -> dict[str, Any]:
-        """Return what `compare` reports besides figures: validity, problems, and their fixes (tried by fusing).
+        """Return the advice in the report of `compare`: problems, and fixes tried by fusing.
 
-        Keys as in the report of `compare`: "headline", "validity", "findings", "fixes".
+        Keys: "headline", "validity", "findings", "fixes".
         """
         report = self.compare(audits=False, smooth=False).report
         return {key: report[key] for key in ADVICE_KEYS}
@@ -338,7 +338,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return report
 
     def _moves(self) -> bool:
-        """Return whether the robot moves, by a motion that is its own."""
+        """Return whether the robot moves, and the chosen motion is the robot's."""
         return not (self.drive.wheels.stands or self.loaded.motion_faults)
 
     @speaks_python
@@ -359,10 +359,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     ) -> Named[Comparison]:
         """Compare under every combination of settings, {"lrf.sigma_range": [0.01, 0.03], "lrf.map": ["grow"]}.
 
-        The log is measured once; a cell measures again only the sensors whose settings it changes. Returns the
-        comparisons by cell, "lrf.sigma_range=0.01 lrf.map=grow"; other arguments are those of `compare`, but no
-        audits are kept, nothing is advised or smoothed, and there is no reference unless they are asked for.
-        Raises UsageError as `with_settings` does, and for more than 1000 cells.
+        Returns the comparisons by combination, "lrf.sigma_range=0.01 lrf.map=grow". Only sensors whose settings
+        change are measured again. Other arguments are those of `compare`, but `audits`, `advice`, `reference` and
+        `smooth` are False by default. Raises UsageError as `with_settings` does, and for over 1000 combinations.
         """
         found = cells({key: [as_set(key, value) for value in values] for key, values in keys.items()})
         plain: Choices = {"audits": False, "advice": False, "reference": False, "smooth": False}
@@ -374,8 +373,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     def with_map(self, file: PathLike) -> Session:
         """Return the session with a map file in which the laser localises; the map is not extended.
 
-        A line map that `Run.save_map` wrote, or the .yaml of a map as an image (ROS's map_server): there the start
-        is looked for unless `[start]` is set. Raises LocfuseError where the map is of another building.
+        The file is a line map written by `Run.save_map`, or the .yaml of an image map (ROS's map_server). In an
+        image map the start is searched for, unless `[start]` is set. Raises LocfuseError for a map of another
+        building.
         """
         return replace(self, loaded=maps.give(self.loaded, path_of(file)))
 
@@ -401,7 +401,7 @@ def open_log(log: PathLike | Sequence[PathLike]) -> Log:
 def fuse(drive: Drive, robot: Robot, sensors: Sensors = "all") -> Estimates:
     """Run the filter over a drive with these sensors: `fuse(session.drive, session.robot, ["compass", "lrf"])`.
 
-    Returns pose (n, 3), covariance P (n, 3, 3) and the audit of every measurement at the drive's instants t (n,).
+    Returns pose (n, 3) and covariance P (n, 3, 3) at the drive's times t (n,), and the audit of every measurement.
     Raises LocfuseError for an unknown sensor, or one that the drive lacks.
     """
     return parse(sensors, drive).fuse(drive, robot)[0]

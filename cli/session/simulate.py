@@ -45,18 +45,18 @@ def simulate(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> Session:
-    """Drive a scenario with known truth, record it as an MCAP log, and load that.
+    """Simulate a scenario, record it as an MCAP log with known truth, and load this log.
 
     Args:
         scenario: a TOML file, or the name of a shipped scenario such as "rounded_rectangle".
-        out: the log to write (.mcap). None writes a temporary one, deleted with the session's log.
-        seed: of all random numbers; None is the scenario's own.
+        out: the log to write (.mcap). None writes a temporary file, deleted with the session's log.
+        seed: seed of all random numbers; None is the scenario's own.
         sets: single keys of the scenario: {"compass.noise_deg": 0.1, "control.estimator": "all"}.
         overwrite: replace an existing file.
         progress: called with the name of every step, such as `print`.
 
     Raises:
-        LocfuseError: no such scenario, a key that it does not have, a file that exists.
+        LocfuseError: no such scenario, an unknown key, or an existing file.
     """
     from locfuse.sample_logs import load as scenarios
 

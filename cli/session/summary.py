@@ -72,10 +72,10 @@ class Summary:
         return [{"log": name, **row} for name, result in self.results.items() for row in result.table()]
 
     def write(self, folder: PathLike | None = None, *, write: Kinds = None, overwrite: bool = False) -> list[Path]:
-        """Write what `locfuse compare LOG LOG -o FOLDER` writes: the summary, and every log's results in a folder.
+        """Write the files of `locfuse compare LOG LOG -o FOLDER`; return those of the summary.
 
-        `write` chooses among "html", "md", "json", "tum", "csv", "tex"; None writes all. With "csv" comes
-        fleet.parquet, where pyarrow is installed. Returns the summary's files.
+        These are the summary, and a folder of results for each log. `write`: kinds of output among "html", "md",
+        "json", "tum", "csv", "tex"; None writes all. "csv" also writes fleet.parquet if pyarrow is installed.
 
         Raises LocfuseError if the folder has other files, unless `overwrite`.
         """
@@ -130,15 +130,14 @@ def compare(
 ) -> Comparison | Summary:
     """Evaluate what each sensor adds, over one log or over several of one robot.
 
-    One log gives a Comparison, as `load(log).compare()`. Several give a Summary: every log compared by itself,
-    and figures over all. Arguments are those of `load` and of `Session.compare`; audits are kept of a single
-    log only.
+    One log gives a Comparison, as `load(log).compare()`. Several logs give a Summary: the comparison of each, and
+    figures over all. Arguments are those of `load` and of `Session.compare`. Only a single log keeps its audits.
 
         locfuse.compare("rounded_rectangle")
         locfuse.compare("monday.mcap", "tuesday.mcap", robot="robot.toml", sensors=["odometry", "lrf"])
 
     Raises:
-        LocfuseError: a log cannot be used, or a sensor is unknown; in one line that names the log.
+        LocfuseError: a log cannot be used, or a sensor is unknown; one line with the log's name.
     """
     how = log_options(robot, sets, order, preset)
     asked = Asked(configuration_words(sensors), **choices)
@@ -222,7 +221,7 @@ def of_each(write: Kinds) -> set[str]:
 
 
 class Mean(NamedTuple):
-    """A mean over replicates with its 95 % interval [low, high]; both None for too few (by default under four)."""
+    """A mean over replicates with its 95 % interval [low, high]; both None for too few replicates."""
 
     value: float
     low: float | None
@@ -240,7 +239,7 @@ def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
 
 
 def by_robot(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
-    """Group logs into replicates: return robot -> its logs; a log without robot is a group under its own name."""
+    """Group logs into replicates: return robot -> its logs; a log without robot is a group by itself."""
     found: dict[str, list[Entry]] = {}
     for entry in entries:
         found.setdefault(entry.name if entry.robot is None else entry.robot, []).append(entry)
@@ -259,9 +258,9 @@ def _values(entries: Sequence[Entry], configuration: str, key: str) -> dict[str,
 
 
 def _ties(summary: Mapping[str, Any], entries: Sequence[Entry]) -> dict[str, Any]:
-    """Return configurations as good as the best: errors within 2 %, or the 95 % interval includes equality.
+    """Return configurations as good as the best: by error ratios near 1, or a 95 % interval that includes 1.
 
-    Ratios of errors are taken per log, then per robot.
+    Ratios are averaged over the logs of each robot, then over robots.
     """
     best, ties = summary["best"], {}
     for name in summary["configurations"] if best is not None else ():
@@ -293,7 +292,7 @@ def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
         return None
     groups = by_robot(judged)
     over = "robots" if any(e.robot is not None for e in judged) else "drives"
-    if len(groups) < 2:  # one robot: its logs are no sample of other robots
+    if len(groups) < 2:  # one robot: no sample of robots, so its logs are the replicates
         groups, over = {e.name: [e] for e in judged}, "drives"
     credit = credit_over_logs([_of_robot([e.report["credit"] for e in group]) for group in groups.values()])
     return replace(credit, method=f"Student's t over {over.replace('drives', 'logs')}"), over

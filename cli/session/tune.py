@@ -30,7 +30,7 @@ from locfuse.fusion.tune.tune import Tuned, TuneLog, tune
 
 from .found import Found, Row, refuse_doubtful
 
-HELD_OUT_SHARE = 0.2  # of every log, its end, if no log is held out
+HELD_OUT_SHARE = 0.2  # the end of every log that is not used for tuning, if no log is held out
 
 
 class BothNoises(msgspec.Struct, frozen=True):
@@ -47,7 +47,7 @@ class Tuning(Found, frozen=True, kw_only=True):
 
     tuned: Tuned
     judged: Sequence[BothNoises]
-    refused: bool = False  # a log gets worse, or is lost, with the tuned noise
+    refused: bool = False  # with the tuned noise a log gets worse, or the filter is lost
 
     command: ClassVar[str] = "tune"
     titles: ClassVar[Row] = ("noise", "before", "after", "95 % interval")
@@ -91,7 +91,7 @@ class Tuning(Found, frozen=True, kw_only=True):
     def _likelihoods(self, *parts: str) -> Iterator[tuple[str, tuple[float, ...] | None, int]]:
         """Yield (name, (ln likelihood before, after) or None, number of values) for training, then held-out data.
 
-        `parts` are the two names.
+        `parts` are the names of the two data sets.
         """
         return zip(parts, (self.tuned.train, self.tuned.held_out), self.tuned.numbers, strict=True)
 
@@ -106,7 +106,7 @@ class Tuning(Found, frozen=True, kw_only=True):
         return rows
 
     def before(self) -> str:
-        """Return the comment line that starts a new robot.toml, written if the user gave no file."""
+        """Return the comment line that starts a new robot.toml, used if the user gave no file."""
         head = "# without the noise that locfuse tune found: a log gets worse by it\n"
         return head if self.refused else "# noise found by locfuse tune\n"
 
@@ -254,7 +254,7 @@ def _evaluated(one: Loaded) -> Evaluation:
 
 
 def lasting_errors(trials: Sequence[TuneLog]) -> dict[tuple[str, str], str]:
-    """Return (log, sensor) -> a note, for each sensor with errors correlated in time, which no sigma describes."""
+    """Return {(log, sensor): note} for sensors with errors correlated in time, which no sigma describes."""
     lasting: dict[tuple[str, str], str] = {}
     for trial in trials:
         sensors = list(trial.drive.measurements)

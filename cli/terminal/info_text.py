@@ -47,7 +47,7 @@ GAP_NOTE = " gap: the longest time without a message."
 CORRECT = "correct the settings that are named above, then: locfuse info LOG"
 SETTING = re.compile(rf"\b({'|'.join(table_types())})\.[a-z_]+")
 RECORD = "no setting helps: record the robot's wheels, odometry or laser scans, then: locfuse info LOG"
-MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
+MAX_UNREADABLE_LISTED = 6  # number of unreadable topics listed with their reasons
 
 
 def lines(
@@ -156,7 +156,7 @@ def _roles(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _place(mount: dict[str, Any], frame: str) -> str:
-    """Return in words where a sensor is mounted, and which source gives the mount; or that it is unknown."""
+    """Return in words the mount of a sensor and its source, or that the mount is unknown."""
     if mount["by"] == "nobody":
         return f"the mount of frame {frame} is unknown" if frame else "its mount is unknown"
     if "mounts" in mount:
@@ -169,7 +169,7 @@ def _place(mount: dict[str, Any], frame: str) -> str:
 
 
 def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
-    """Yield lines on configurations that can run, those that cannot with the reason, and sensors without topic."""
+    """Yield lines on configurations that can run, on those that cannot (and why), and on sensors without topic."""
     known, why = configurations(overview), absent(overview)
     base = wheels_missing(overview)
     ready = [name for name, what in known.items() if what is None]
@@ -185,7 +185,7 @@ def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _briefly(words: str, role: str, overview: Overview) -> str:
-    """Return `words`, why a configuration cannot run, or "see below" if a finding on `role` explains it."""
+    """Return the reason `words` why a configuration cannot run; "see below" if a finding on `role` gives it."""
     below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
     return "see below" if below else words
 
@@ -221,15 +221,15 @@ def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:
     """Return the next command to type: `recover`, `init`, `info` with fixes, or `compare`; or what to record.
 
-    If fixes were tried, `helped` replaces those of the findings.
+    If fixes were tried, `info` is proposed with those that helped.
     """
     losses = overview.log.losses
     if losses.recoverable and losses.messages < sum(f.count for f in overview.facts if not f.derived):
         return [shlex.join(("locfuse", "recover", *map(str, overview.log.given), "-o", "recovered.mcap"))]
     if overview.choice.unused_wheels:  # wheels first: other findings depend on their size
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
-    worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the user has to choose
-    sizeless = any(f.code == "geometry" for f in worst)  # init asks for it
+    worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # its fix is the user's choice
+    sizeless = any(f.code == "geometry" for f in worst)  # `init` asks for the size
     topics = {word.partition(".topic=")[0] for word in typed if ".topic=" in word}
     wrong = (f for f in worst if f.code in {"choice", "unusable"} and not f.fixes)
     if {"--set", "--robot"} & {*typed} and any(f.role in topics or SETTING.search(f.message) for f in wrong):

@@ -1,6 +1,6 @@
 """Options of commands that read logs, each declared once, and the record that passes them to a command.
 
-An option's parameter has the name of the field that it sets, in one of the parts of `Options`.
+The parameter of an option has the name of a field in one of the parts of `Options`.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ class Options(msgspec.Struct, frozen=True):
 
 
 PARTS = {part.name: part.type for part in msgspec.structs.fields(Options)}
-# parameters that set their fields
+# parameters that set fields of the parts of `Options`
 CARRIED_OPTIONS = {"truth", *(name for kind in PARTS.values() for name in kind.__struct_fields__)}
 
 
 def carried(*declared: Declared) -> Callable[[F], F]:
     """Return a decorator that adds the options `declared` to a command.
 
-    The command receives those of `Options` together as `options`, and each other option as an argument of its own.
+    The command gets all values of `Options` as the argument `options`, and each other value as its own argument.
     """
 
     def decorate(command: F) -> F:

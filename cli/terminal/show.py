@@ -38,7 +38,7 @@ REFERENCE_NOTE = (
     "Distances are to a reference, not to truth; *: it uses the same sensors, ?: it may be wrong. "
     "See: locfuse explain reference"
 )
-NO_TOPIC = "no topic"  # starts the usual reason of an absent sensor
+NO_TOPIC = "no topic"  # first words of the usual reason for an absent sensor
 SENTENCE_END = re.compile(r"(?<=[.?]) (?=[A-Z])")
 VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # other verdicts have no colour
 NO_ERRORS = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
@@ -101,7 +101,7 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     else:
         result(found.report, files[0].parent, outputs.verbose)
     void = void_reasons(found.report)
-    for line in lost:  # reasons of exit code 3: printed with --quiet too; void figures are on the screen already
+    for line in lost:  # also with --quiet, since they explain exit code 3; void figures are printed already
         if line not in void or outputs.as_json or not sys.stdout.isatty():
             say(f"{'void' if line in void else 'lost'}: {line}")
     if found.loaded.log.losses.recoverable and not how.quiet:
@@ -122,7 +122,7 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
 def ended(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
     """Print notes and losses on stderr; return the exit code."""
     for line in (*(() if quiet else (f"note: {n}" for n in notes)), *(f"lost: {n}" for n in lost)):
-        say(line)  # the reason of exit code 3 is printed with --quiet too
+        say(line)  # losses also with --quiet: they explain exit code 3
     return EXIT_LOSS if lost else 0
 
 

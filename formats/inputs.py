@@ -45,7 +45,10 @@ def reading(name: object) -> Iterator[None]:
 
 
 def identity(path: Path) -> FileIdentity:
-    """Return the identity of a file. Raises LocfuseError unless it is a regular file (a pipe never ends)."""
+    """Return device, inode, size and modification time of a file, to notice later that it was changed.
+
+    Raises LocfuseError unless it is a regular file: a pipe never ends.
+    """
     with reading(path):
         found = path.stat()
     if not stat.S_ISREG(found.st_mode):
@@ -54,7 +57,7 @@ def identity(path: Path) -> FileIdentity:
 
 
 def identity_of(found: os.stat_result) -> FileIdentity:
-    """Return the identity of a file from its stat()."""
+    """Return device, inode, size and modification time of a file from its stat()."""
     return FileIdentity(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
 
 

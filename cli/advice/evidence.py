@@ -109,9 +109,10 @@ class Evidence(NoiseFindings):
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return lists of functions that find faults, in order of use.
+        """Return the classes of faults in the order in which they are searched.
 
-        A list is used only if the earlier lists have no open severe finding.
+        A class is a list of functions; each returns the candidate fixes of one kind of fault. A class is searched
+        only if the earlier classes have no severe finding that is still open.
         """
         return (
             (self.truth,),
@@ -159,7 +160,10 @@ class Evidence(NoiseFindings):
         return [*self._late(self.wrong[:1]), *self._late_pictures()]
 
     def other_clocks(self) -> list[Candidate]:
-        """Return candidate time offsets by the other explanations of the lags, for clocks not in the best one."""
+        """Return candidate time offsets by all but the best explanation of the lags between sensors.
+
+        Sensors with a wrong clock in the best explanation are left out: `clocks` has their candidates.
+        """
         first = {clock.name for clocks in self.wrong[:1] for clock in clocks}
         return [one for one in self._late(self.wrong[1:]) if one.finding.role not in first]
 
@@ -295,9 +299,11 @@ class Evidence(NoiseFindings):
         return any(f.severe and not self._unless_open(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
 
     def _unless_open(self, finding: Finding) -> Finding:
-        """Return a finding; on the scales of laser and wheels, without its fix if no other sensor can decide.
+        """Return the finding, or a copy without its fix if nothing in the log shows whether the fix is right.
 
-        Predictions cannot decide: they are best with equal scales of laser and wheels, even if both are wrong.
+        Only one finding can lose its fix: that laser and wheels differ in distance scale. A sensor that measures
+        more than heading may decide which of both is wrong. Predictions cannot decide: they are best with equal
+        scales of laser and wheels, even if both are wrong.
         """
         known = self.loaded.drive.measurements
         few = np.arange(2)  # readings: enough to see whether a sensor measures heading

@@ -83,7 +83,11 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
 
 
 def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
-    """Return the likeliest topic: first by the same robot as `beside`, then by a name without unlikely words."""
+    """Return the topic that is most likely the wanted one; of equally likely ones, the first.
+
+    Preferred are topics of the same robot as the topic `beside` ("robot1" of "/robot1/scan"); without `beside`,
+    topics without a robot's name. Among these, topics whose names contain no word of `unlikely` are preferred.
+    """
     words, robot = tuple(unlikely), _robot(beside)
     return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
 
@@ -100,7 +104,7 @@ def _robot(topic: str) -> str:
 
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
-    """Return the exception for a role with several possible topics; its fix chooses the first topic."""
+    """Return the exception for a role (such as "wheels") with several possible topics; its fix names the first."""
     fix = f"{role}.topic={topics[0]}"
     return LocfuseError(
         f"{log.name} has {len(topics)} topics that fit: {', '.join(topics)}.",

@@ -1,4 +1,7 @@
-"""`locfuse compare`: every configuration over one log, measured once."""
+"""`locfuse compare`: runs the filter on a log with several sets of sensors, and compares the errors.
+
+The sensors' measurements are computed only once, for all sets. Finished results can be compared too.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +79,7 @@ def compare(log: tuple[str, ...], options: o.Options) -> int:
 
 
 def one(log: Sequence[str], options: o.Options) -> int:
-    """Compare the configurations of one log, write and print the result; return the exit code."""
+    """Compare several sets of sensors on one log, write and print the result; return the exit code."""
     from locfuse.cli.analysis.errors import EXIT_LOSS
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED, Gates, refuse_another_log
     from locfuse.cli.analysis.results import default_folder

@@ -35,7 +35,7 @@ class Optics(NamedTuple):
     clockwise: bool = False  # whether columns proceed clockwise in the world, seen from above
 
     def halved(self) -> Optics:
-        """Return the calibration for the picture at half its size."""
+        """Return the calibration for the picture scaled to half its width and height."""
         x, y = (self.x_c - 0.5) / 2.0, (self.y_c - 0.5) / 2.0
         return self._replace(x_c=x, y_c=y, inner=self.inner / 2.0, outer=self.outer / 2.0)
 

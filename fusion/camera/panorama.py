@@ -40,7 +40,7 @@ class Red(NamedTuple):
     slender: float = 1.5  # least length / width
 
     def halved(self) -> Red:
-        """Return the conditions for a picture at half its size."""
+        """Return these conditions for a picture scaled to half its width and height: half the least length."""
         return self._replace(length=self.length / 2.0)
 
 

@@ -61,7 +61,11 @@ class Errors(msgspec.Struct, frozen=True):
         return min(float(low), value - least), max(float(high), value + least)
 
     def _gaussian(self, weights: Array) -> float:
-        """Return the half width of `interval` for Gaussian errors with `samples` independent stamps (x and y)."""
+        """Return the half width of the confidence interval of sum(weights * ln_rmse) if the errors were Gaussian.
+
+        The errors x and y at the `samples` independent stamps count as 2 `samples` independent numbers. For the
+        `weights` (k,), see `interval`.
+        """
         n = 2.0 * self.samples
         scaled = weights / np.sqrt(n)
         variance = 0.5 * float(scaled @ self.correlation**2 @ scaled)

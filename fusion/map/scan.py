@@ -58,7 +58,10 @@ class LineReader:
         self._rows: Array = np.zeros((0, LINE_COLUMNS))
 
     def read(self, m: Measurements, first: int, last: int) -> Array:
-        """Return the lines first:last of m as a table (k, 7)."""
+        """Return the lines with indices first to last - 1 of laser measurements m, as a table (k, 7).
+
+        Each row is r [m], psi [rad], the covariance R_00, R_01, R_11, and both ends [m] along the line.
+        """
         if m is not self._of or first < self._begin or last > self._end:
             self._of, self._begin, self._end = m, first, max(last, min(first + LINES_AT_ONCE, len(m.z)))
             at = slice(self._begin, self._end)

@@ -133,7 +133,7 @@ class Bench:
         self._again: list[str] = []
 
     def now(self) -> list[TuneLog]:
-        """Return the logs with the present noise settings."""
+        """Return copies of the logs whose robot settings, motions and measurements have the present noise."""
         return [self._now(t) for t in self.trials]
 
     def _now(self, trial: TuneLog) -> TuneLog:
@@ -172,7 +172,7 @@ class Bench:
         return ends
 
     def move(self, steps: dict[str, float]) -> None:
-        """Add `steps` to the logarithms of the noise, by search variable.
+        """Change the noise: `steps` maps the name of each search variable to the change of its ln(noise).
 
         If a sensor's lines depend on its sigma and sigma has changed much, its measurements are made again.
         """

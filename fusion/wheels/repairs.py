@@ -133,9 +133,9 @@ class Unrolled(NamedTuple):
 def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float] = ()) -> Unrolled:
     """Return counter `values` (n,) with rollovers removed.
 
-    `modulus`: the configured one; 0: no rollovers; None: search among `likely`, a turn in radians or degrees, and
-    powers of two of the smallest step. The modulus must explain every long step, and all values must lie within
-    it.
+    A rollover changes the counter by `modulus`; 0: the counter never rolls over; None: the modulus is searched
+    among `likely`, a turn in radians or degrees, and powers of two in ticks. The found modulus must explain every
+    long step, and the values must span no more than it.
     """
     steps = np.diff(values)
     if modulus is None:
@@ -150,7 +150,10 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
 
 
 def _find_modulus(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
-    """Return the smallest plausible modulus that explains every long step as a rollover; None without one."""
+    """Return the smallest likely value at which the counter rolls over; None if there is none.
+
+    It must explain every long one of the `steps` (n-1,) between the `values` (n,) as a rollover.
+    """
     if not len(steps):
         return None
     longest = float(np.abs(steps).max())
@@ -162,7 +165,8 @@ def _find_modulus(values: Array, steps: Array, likely: Sequence[float]) -> float
 def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool:
     """Return whether a counter that rolls over at `modulus` explains all long `steps` (n,).
 
-    Without the roll-overs these steps must be as short as the others; all values span `span`.
+    With the rollovers removed, these steps must be about as short as the others. `span` is the largest minus the
+    smallest value, and `longest` the largest absolute step; all are in counter units.
     """
     if not 0.5 * modulus < longest < modulus or span > modulus * (1.0 + 1e-6):
         return False
@@ -173,7 +177,11 @@ def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool
 
 
 def _powers(steps: Array, longest: float) -> list[float]:
-    """Return candidate moduli: powers of two times the smallest step, if all steps are multiples of it."""
+    """Return values at which a binary counter may roll over: 2^bits ticks, in the unit of `steps` (n-1,).
+
+    The smallest step is taken as 1 to 5 ticks of the counter. Returns [] if the steps are not multiples of the
+    smallest one. `longest` is the largest absolute step.
+    """
     sizes = np.abs(steps[steps != 0.0])
     quantum = float(sizes.min()) if len(sizes) else 0.0
     if quantum <= 1e-12 * longest:

@@ -66,11 +66,15 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def judge(self) -> bool:
-        """Return whether the share s can be computed: there are points of earlier and of later scans."""
+        """Return whether the share s of agreeing points can be computed: earlier and later scans have points."""
         return any(len(p) for p in self.points) and any(len(p) for p in self.surface)
 
     def share(self, moved: Array, stride: int = 1) -> float:
-        """Return the share s for laser motions `moved` (p, 3): the later scan relative to the earlier one."""
+        """Return the share s of the later scan's points that lie on the earlier scan, as the mean over the pairs.
+
+        `moved` (p, 3) are laser poses at the later scan in the frame of the earlier one. Every `stride`-th point
+        is used.
+        """
         points = [p[::stride] for p in self.points]
         counts = [len(p) for p in points]
         lane = np.repeat(np.arange(len(counts)), counts)
@@ -84,11 +88,15 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def still(self) -> float:
-        """Return the share s that would result if the robot did not move."""
+        """Return the share s of agreeing points that would result if the robot did not move."""
         return self.share(np.zeros((len(self.first), 3)))
 
     def of(self, motion: WheelReading) -> float:
-        """Return the share s for a wheel motion, with the best direction, clock and mount of the laser."""
+        """Return the share s of scan points that agree with a wheel motion.
+
+        The laser's direction, mirroring and clock are chosen so that s is largest, and its x offset too if the
+        position of the laser is not configured.
+        """
         return self.share(self._by(motion, self._best_laser(motion)))
 
     def misfit(self, motion: WheelReading) -> float:
@@ -112,11 +120,14 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return best
 
     def of_path(self, motion: WheelReading) -> float:
-        """Return the share s for the laser's own scan-matched path, which needs no clock or mount search."""
+        """Return the share s of agreeing points for a motion that is the laser's own path by scan matching.
+
+        Clock and mount of the laser are used as configured, without a search.
+        """
         return self.share(self._by(motion, AS_CONFIGURED))
 
     def matched(self) -> float:
-        """Return the share s for the motion by matching the scans of each pair."""
+        """Return the share s of agreeing points for the motion found by matching the two scans of each pair."""
         return self.share(self._poses)
 
     @cached_property
@@ -164,7 +175,11 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
 
 def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) -> ScanPairs | None:
-    """Choose pairs of scans during which one of the motions moves; None without pairs."""
+    """Choose up to PAIR_COUNT pairs of scans, about 1 s apart, from the whole log; None without a usable pair.
+
+    A pair is moving if the robot moves between its two scans according to one of `motions` or more. Only moving
+    pairs are chosen, but if there are fewer than MIN_MOVING, pairs at rest are chosen too.
+    """
     t: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9) if len(stream.t_ns) else np.zeros(0)
     later = np.searchsorted(t, t + PAIR_S - 1e-3)
     first = np.flatnonzero(later < len(t))

@@ -55,7 +55,7 @@ class TrackColumns:
     """Record of the pose, its covariance and some states, one row per update."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
-        """Use pose (n, 3), triangle (n, 6) of P, values (n, 2 b): states in columns `states` (b,), then variances."""
+        """Use pose (n, 3), triangle (n, 6) of P, values (n, 2 b): of `states` (b,) mean, then variance."""
         self.pose, self.triangle, self.values = memory(pose), memory(triangle), memory(values)
         self.states = memory(states)
 
@@ -242,7 +242,7 @@ class State:
         return self.put(k, self.put(k, self.put(k, 0, 0, by_x), 1, by_y), 2, by_theta)
 
     def derive_frame(self, k: int, w: int, by_x: float, by_y: float, by_theta: float) -> int:
-        """Write H_G = H J_G, row k's derivative by the map frame (as in `derive`), from entry w on; return the next w."""
+        """Write H_G = H J_G, row k's derivative by the map frame, from entry w on; return the next w."""
         G = self.frame
         if by_x != 0.0 or by_y != 0.0:  # else H is by the heading only, and the frame's position has no effect
             c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
@@ -544,7 +544,7 @@ class State:
         """Compute pose and covariance triangle in the map.
 
         p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + b r r', with
-        C = cov(q, G), J as in fusion.ekf.map_frame, r = q's position in the map's axes, b = bent(var of heading G).
+        C = cov(q, G), J as in fusion.ekf.map_frame, r = position q in the axes of the map, b = bent(P[t, t]).
         """
         o, P, small = MAX_NUMBERS + 2, self.P, self.small
         qx, qy, qt = self.mean[0], self.mean[1], self.mean[2]

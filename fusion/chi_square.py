@@ -6,10 +6,18 @@ import math
 from functools import cache
 from statistics import NormalDist
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 EXACT_DOF, MAX_NEWTON_STEPS = 300, 50
 CONFIDENCE = 0.95  # confidence of intervals and bounds
 SIGMAS_95 = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 MAD_OF_NORMAL = 0.6745  # median absolute deviation / standard deviation of a normal distribution
+
+
+def robust_sigma(errors: ArrayLike) -> float:
+    """Return the standard deviation of errors about 0, from their median size: a few outliers do not matter."""
+    return float(np.median(np.abs(errors))) / MAD_OF_NORMAL
 
 
 @cache

@@ -135,6 +135,12 @@ def rotation(theta: Array) -> Array:
     return out
 
 
+def turned_covariance(P: Array, theta: Array) -> Array:
+    """Return covariances P (n, 3, 3) of (x, y, theta) in axes that are rotated by -theta (n,) [rad]."""
+    R = rotation(theta)
+    return np.asarray(R @ P @ R.transpose(0, 2, 1))
+
+
 def lever(x: Array, y: Array) -> Array:
     """Return derivatives (..., 3, 3) of poses that move by x, y (...) [m] per radian of their heading."""
     out = np.zeros((*np.shape(x), 3, 3))

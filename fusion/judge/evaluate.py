@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD_OF_NORMAL, mean_bounds
+from locfuse.fusion.chi_square import mean_bounds, robust_sigma
 from locfuse.fusion.data import (
     VERDICTS,
     Array,
@@ -128,7 +128,7 @@ def noise_of(t: Array, xy: Array, segments: Ints) -> float:
         apart = (t[at][:, :, None] - t[at][:, None, :]) / (lag * period) + np.eye(NOISE_ORDER + 1)
         weights = 1.0 / apart.prod(axis=2)
         weights /= np.linalg.norm(weights, axis=1)[:, None]
-        found = max(found, float(np.median(np.abs(np.einsum("nk,nkd->nd", weights, xy[at])))) / MAD_OF_NORMAL)
+        found = max(found, robust_sigma(np.einsum("nk,nkd->nd", weights, xy[at])))
         lag *= 2
     return found
 

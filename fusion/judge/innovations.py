@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.change import best_split
-from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square, mean_bounds
+from locfuse.fusion.chi_square import chi_square, mean_bounds, robust_sigma
 from locfuse.fusion.data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
@@ -124,9 +124,7 @@ def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
     """Return medians, robust deviations and normalised means (d,), and autocorrelation of `compared` rows."""
     y = audit.y.take(compared, axis=0)  # ten times faster than audit.y[compared]
     middle = _medians(y)
-    deviation = (
-        np.array([np.median(np.abs(c - centre)) for c, centre in zip(y.T, middle, strict=True)]) / MAD_OF_NORMAL
-    )
+    deviation = np.array([robust_sigma(c - centre) for c, centre in zip(y.T, middle, strict=True)])
     y /= audit.sigma.take(compared, axis=0)
     bias = y.mean(axis=0)
     y -= _medians(y)
@@ -226,7 +224,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
         mean = float(rows[:, 1].mean())
         y = rows[:, 1] - mean
     middle = float(np.median(y))
-    deviation = float(np.median(np.abs(y - middle))) / MAD_OF_NORMAL
+    deviation = robust_sigma(y - middle)
     inlier = np.abs(y - middle) <= OUTLIER_SIGMAS * max(deviation, 1e-12)
     t, _, h, R, theta = rows[inlier].T
     y = y[inlier]

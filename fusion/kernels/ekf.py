@@ -1,8 +1,7 @@
 """State of the filter, with its inner loops: predict (paper eq. 5-7) and correct (eq. 10-12).
 
 The mean (n,) begins with the pose: x [m], y [m], theta [rad, not wrapped]. P (n, n) is the covariance of all
-states, stored as a full symmetric matrix. The arrays may be larger than n; `fusion.ekf.belief` owns and grows
-them.
+states, stored as a full symmetric matrix. `fusion.ekf.belief` owns the arrays, which may be larger than n.
 
 The measurement equation of one update time is y = H dx + noise with covariance R. `compare` (or kernels.sight)
 writes its rows to one sparse table: row k has the derivatives H[k, :count[k]] by the states at[k, :count[k]]. Rows
@@ -35,10 +34,7 @@ class Steps:
     """Wheel motions between update times: step k is the motion that ends at update time k."""
 
     def __init__(self, u: Any, Q: Any, dt: Any, J: Any) -> None:
-        """Use arrays of s steps: motion u (s, 3) [m, m, rad], noise Q (s, 9), duration dt (s,) [s].
-
-        J (s, 3 p) is the derivative of u by the p wheel parameters, row by row.
-        """
+        """Use motions u (s, 3) [m, m, rad], Q (s, 9), dt (s,) [s], J (s, 3 p) = du/d(wheel parameters) by rows."""
         self.u, self.Q = memory(u), memory(Q)
         self.dt, self.J = memory(dt), memory(J)
 
@@ -59,10 +55,7 @@ class TrackColumns:
     """Record of the pose, its covariance and some states, one row per update."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
-        """Use arrays of n updates: pose (n, 3), covariance triangle (n, 6), and values (n, 2 b).
-
-        `values` are the recorded states, then their variances; `states` (b,) are the columns of these states.
-        """
+        """Use pose (n, 3), triangle (n, 6) of P, values (n, 2 b): of `states` (b,) mean, then variance."""
         self.pose, self.triangle, self.values = memory(pose), memory(triangle), memory(values)
         self.states = memory(states)
 
@@ -192,8 +185,7 @@ class State:
     ) -> Innovation:  # fmt: skip
         """Write the rows of a measurement; compute S = H P H' + R and NIS = y' S^-1 y.
 
-        See fusion.sensor.Belief.compare. `in_map`: H (d, 3) is the derivative by the pose in the map, else by the
-        local pose.
+        See fusion.sensor.Belief.compare. `in_map`: H (d, 3) is by the pose in the map, else by the local pose.
         """
         d, states, first = len(y), len(columns), self.written
         self.room_for(d, states)
@@ -250,10 +242,7 @@ class State:
         return self.put(k, self.put(k, self.put(k, 0, 0, by_x), 1, by_y), 2, by_theta)
 
     def derive_frame(self, k: int, w: int, by_x: float, by_y: float, by_theta: float) -> int:
-        """Write the derivative of row k by the map frame, from entry w on; return the number of entries.
-
-        It is H_G = H J_G, with the derivative H = (`by_x`, `by_y`, `by_theta`) by the pose in the map.
-        """
+        """Write H_G = H J_G, row k's derivative by the map frame, from entry w on; return the next w."""
         G = self.frame
         if by_x != 0.0 or by_y != 0.0:  # else H is by the heading only, and the frame's position has no effect
             c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
@@ -460,9 +449,8 @@ class State:
     def turn_frame(self, dx: float, dy: float) -> None:
         """Rotate the covariance of the map frame after its correction by (dx, dy) [m].
 
-        A rotation of the map and all poses about the map's origin is not observable. Its effect on the frame's
-        position is proportional to this position. So after the correction, rows x, y += (-dy, dx) row Th; else the
-        filter would seem to observe the rotation.
+        A rotation of map and poses about the map's origin is not observable. Its effect on the frame's position
+        is proportional to this position, so after the correction rows x, y += (-dy, dx) row Th.
         """
         G, n = self.frame, self.n
         for j in range(n):
@@ -487,10 +475,7 @@ class State:
                 self.P[i, column + j] = self.P[i, j]
 
     def replace(self, columns: Any, values: Any, G: Any) -> None:
-        """Replace the states in `columns` (k,) by `values`, and P by T P T'.
-
-        T is the identity matrix, except that its block for these states is G (k, k).
-        """
+        """Replace states (k,) by `values`, and P by T P T'; T is the identity, with G (k, k) for these states."""
         k, first = len(columns), self.written
         self.room_for(k, k)  # T is written after the rows of the measurement equation
         for a in range(k):
@@ -559,8 +544,7 @@ class State:
         """Compute pose and covariance triangle in the map.
 
         p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + b r r', with
-        C = cov(q, G), the derivatives J of fusion.ekf.map_frame, the position r of q rotated into the map's axes,
-        and b = `bent`(variance of the frame's heading).
+        C = cov(q, G), J as in fusion.ekf.map_frame, r = position q in the axes of the map, b = bent(P[t, t]).
         """
         o, P, small = MAX_NUMBERS + 2, self.P, self.small
         qx, qy, qt = self.mean[0], self.mean[1], self.mean[2]
@@ -608,9 +592,8 @@ class State:
 def bent(tt: float) -> float:
     """Return the variance along a lever of length 1, caused by the heading variance tt [rad^2] (second order).
 
-    To first order, a heading error moves the end of the lever only sideways. With a Gaussian heading error a, the
-    end is at cos(a) along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. For small tt
-    this is 3/4 tt^2.
+    With a Gaussian heading error a, the end of the lever is at cos(a) along it:
+    E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. For small tt this is 3/4 tt^2.
     """
     if tt > 1e-3:
         return 1.0 - 2.0 * exp(-0.5 * tt) + 0.5 * (1.0 + exp(-2.0 * tt))

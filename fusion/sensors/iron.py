@@ -12,7 +12,7 @@ import math
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import MAD_OF_NORMAL
+from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.se2 import wrap_all
 
@@ -52,7 +52,7 @@ def fit_iron(field: Array) -> Iron:
         c, A = c + step[:2], A + np.array([[step[2], step[3]], [step[3], step[4]]])
         if not float(np.linalg.det(A)) > 0.0:  # NaN too: a short arc has been fitted with a line
             raise LocfuseError(NO_ELLIPSE, role="compass")
-        scatter = float(np.median(np.abs(e))) / MAD_OF_NORMAL
+        scatter = robust_sigma(e)
         weights = np.clip(1.0 - (e / (TUKEY_SIGMAS * max(scatter, 1e-9))) ** 2, 0.0, None) ** 2
         if np.abs(step).max() < 1e-12:
             break

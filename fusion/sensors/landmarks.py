@@ -31,7 +31,7 @@ from typing import Any, ClassVar, NamedTuple, cast
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
+from locfuse.fusion.chi_square import chi_square, robust_sigma
 from locfuse.fusion.data import (
     Array,
     Colour,
@@ -338,7 +338,7 @@ class Landmarks(Sensor):
         turned = theta + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # one camera: its yaw does not change the spread
         off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + turned)
         off = wrap_all(off - np.median(off))
-        return float(np.median(np.abs(off))) / MAD_OF_NORMAL if len(off) >= MIN_FIT else None
+        return robust_sigma(off) if len(off) >= MIN_FIT else None
 
     def model(self, settings: LandmarksSettings) -> Model:
         """Return the filter model of the landmarks for a new run."""
@@ -581,4 +581,4 @@ def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> l
 
 def _scatter(rows: Array) -> float:
     """Return the robust standard deviation per axis of places (n, 3) [m]."""
-    return float(np.median(np.abs(rows[:, :2] - np.median(rows[:, :2], axis=0)), axis=0).max()) / MAD_OF_NORMAL
+    return max(robust_sigma(axis - np.median(axis)) for axis in rows[:, :2].T)

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
+from locfuse.fusion.chi_square import chi_square, robust_sigma
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
@@ -155,7 +155,7 @@ def _refined(
     for _ in range(2):  # with the ranges' sigma, then with the scatter that was found
         x, costs = _descended(predict, x, ranges, (sigma, sigmas[1]))
         h, _ = predict(x[np.argmin(costs)][None])
-        scatter = float(np.median(np.abs(ranges - h[0]))) / MAD_OF_NORMAL
+        scatter = robust_sigma(ranges - h[0])
         sigma = max(sigmas[0], scatter)
         x[:, HEADING_ENTRY] = se2.wrap_all(x[:, HEADING_ENTRY])
         _, first = np.unique(np.round(x, SAME_DIGITS), axis=0, return_index=True)

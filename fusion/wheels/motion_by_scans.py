@@ -262,8 +262,8 @@ def _match_with_keys(
     later = np.arange(1, len(rows))
     mine = key[later]
     guess = se2.between(chain[mine], chain[later])
-    total = np.concatenate((np.zeros((1, 3, 3)), np.cumsum(_rotated(spread, chain[:-1, 2]), axis=0)))
-    P = _rotated(total[later] - total[mine], -chain[mine, 2]) + FLOOR
+    total = np.concatenate((np.zeros((1, 3, 3)), np.cumsum(se2.turned_covariance(spread, chain[:-1, 2]), axis=0)))
+    P = se2.turned_covariance(total[later] - total[mine], -chain[mine, 2]) + FLOOR
     found = match(targets, mine, sources, later, guess, PAIRING_PRIOR_SHARE * inverse(P), REACH_M / 2.0)
     pose, C = _updated(guess, inverse(P), found)
     of_key = np.concatenate((np.zeros((1, 3)), pose))  # pose of each scan relative to its key
@@ -288,13 +288,7 @@ def _spread_evenly(C: Array, key: Ints, start: Array) -> Array:
     """
     _, at, counts = np.unique(key, return_inverse=True, return_counts=True)
     last = np.cumsum(counts) - 1
-    return np.asarray(_rotated((C[last] / counts[:, None, None])[at], -start[:, 2]))
-
-
-def _rotated(P: Array, theta: Array) -> Array:
-    """Return covariances P (n, 3, 3) rotated by theta (n,) [rad]."""
-    R = se2.rotation(theta)
-    return np.asarray(R @ P @ R.transpose(0, 2, 1))
+    return se2.turned_covariance((C[last] / counts[:, None, None])[at], -start[:, 2])
 
 
 # ---- constant velocity ----

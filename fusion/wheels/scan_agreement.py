@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser
@@ -46,7 +47,6 @@ STEP_S = 0.2  # s between matched scans within a pair
 STEP_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(12.0) ** -2])  # weak prior of a step
 BETWEEN_PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # prior of a pair after its steps were matched
 STEP_REACH_M, REACH_M = 0.6, 0.3
-CHI_SQUARE_MEDIAN = 0.4549  # of one degree of freedom
 LANE_M = 1e4  # offset between two scans in the common search tree
 
 
@@ -105,7 +105,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         off = se2.wrap_all(self._by(motion, how)[:, 2] - self._poses[:, 2])
         begin, end = self._within(motion, how[2])
         variance = motion.wheels.between(begin, end).Q[:, 2, 2] + FLOOR_RAD**2
-        return float(np.sqrt(np.median(off**2 / variance) / CHI_SQUARE_MEDIAN))
+        return robust_sigma(off / np.sqrt(variance))
 
     def _best_laser(self, motion: WheelReading) -> Array:
         """Search for the laser's turn [rad], mirroring, lag [s] and x offset [m] with the largest share s."""

@@ -92,8 +92,7 @@ def at_origin(start: Array, u: Array, Q: Array) -> Array:
 
 def moved(C: Array, frame: Array) -> Array:
     """Convert covariances C (n, 3, 3) of xi from the frames `frame` (n, 3) to the parent of these frames."""
-    R = se2.rotation(frame[:, 2])
-    return by_lever(R @ C @ R.transpose(0, 2, 1), frame[:, 1], -frame[:, 0])
+    return by_lever(se2.turned_covariance(C, frame[:, 2]), frame[:, 1], -frame[:, 0])
 
 
 def by_lever(C: Array, x: Array, y: Array) -> Array:

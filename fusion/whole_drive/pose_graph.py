@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.checks.lag import worth_saying
+from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements, spaced
 from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot
@@ -40,7 +41,6 @@ SPAN_GAP_S = 30.0  # closures further apart in time are listed separately
 MAX_EXTENT_VIEWS = 1.5  # a drive whose extent is at most this many scan ranges needs no loop closure
 SAMPLE_SCANS = 20
 FAR_SHARE = 0.95  # the range of a scan is this quantile of its points' distances
-SIGMA_PER_MEDIAN = 1.4826  # standard deviation of a Gaussian over its median absolute value
 MIN_GAIN, MIN_GAIN_M = (
     1.5,
     0.01,
@@ -275,7 +275,7 @@ def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
     u, C = odometry.between(keys[:-1], keys[1:])
     off = se2.wrap_all((se2.between(x[:-1], x[1:]) - u)[:, 2])
     claimed = float(np.median(C[:, 2, 2]))
-    return (SIGMA_PER_MEDIAN * float(np.median(np.abs(off)))) ** 2 / claimed if claimed > 0.0 else 1.0
+    return robust_sigma(off) ** 2 / claimed if claimed > 0.0 else 1.0
 
 
 def in_one_view(drive: Drive) -> bool:

@@ -79,7 +79,7 @@ def tilted(
         if stream.msgtype == IMU_TYPE:
             up = by_gravity(_vectors(stream, ACCELERATION_FIELDS))
         elif stream.msgtype == FIELD_TYPE and by_wheels:
-            up, by = by_field(stream, drive), "the plane in which the field turns"
+            up, by = by_field(stream, drive, settings.time_offset), "the plane in which the field turns"
         if up is None or _apart(up, configured) < MIN_TILT_RAD:
             continue
         turning = (by_sensor or {}).get(name)
@@ -118,12 +118,12 @@ def by_gravity(acceleration: Array) -> Array | None:
     return mean / g if GRAVITY_RANGE_MPS2[0] < g < GRAVITY_RANGE_MPS2[1] else None
 
 
-def by_field(stream: Stream, drive: Drive) -> Array | None:
+def by_field(stream: Stream, drive: Drive, time_offset: float) -> Array | None:
     """Return the axis (3,), in the sensor frame, about which a magnetometer's field turns as the robot turns.
 
     It points up if the robot is level. None if there are too few readings or turns, or the axis is not clear.
     """
-    t = (stream.t_ns - drive.epoch_ns) * 1e-9
+    t = (stream.t_ns - drive.epoch_ns) * 1e-9 + time_offset  # s
     inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
     field = _vectors(stream, MAGNETIC_FIELDS)
     good = inside & plausible(field)

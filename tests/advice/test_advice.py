@@ -102,11 +102,12 @@ def test_a_track_too_little_off_to_be_reported_untried_is_found_without_truth(lo
 
 @pytest.mark.parametrize(("camera", "left_open"), [(False, True), (True, False)])
 def test_a_compass_that_contradicts_the_start_is_left_open_where_nothing_locates(
-    log: Path, camera: bool, left_open: bool
+    log: Path, tmp_path: Path, camera: bool, left_open: bool
 ) -> None:
     """A camera that sees a known landmark knows where the robot is; lines of a map that is grown do not."""
     sets = ("truth.topic=none", "start.x=0", "start.y=0", "start.theta_deg=0", "compass.offset_deg=-57")
-    found = load("rounded_rectangle" if camera else log, sets=sets).findings()
+    drive = rewritten(tmp_path / "log.mcap", None, "/scan") if camera else log
+    found = load(drive, sets=sets).findings()
     open_ = [
         f for f in found["findings"] if f["role"] == "start" and "Nothing in this log says which" in f["message"]
     ]
@@ -172,11 +173,7 @@ def test_ranges_that_are_all_too_long_are_named_without_truth_where_nothing_else
 
 def test_laser_and_wheels_that_differ_in_distance_are_both_named(log: Path) -> None:
     """The laser's own readings are predicted better by the wheels' distances, even if the wheels are wrong."""
-    for small in ("lrf.range_scale=1.04", "lrf.range_scale=0.97"):
-        found = load(log, sets=("truth.topic=none", small)).findings()
-        assert not {fix.partition("=")[0] for fix in found["fixes"]} & {"lrf.range_scale", "wheels.radius"}
-        assert any(f["code"] == "distances" for f in found["findings"])
-    for wrong in (("lrf.range_scale=1.08",), ("wheels.radius=0.046", "wheels.track=0.552")):
+    for wrong in (("lrf.range_scale=1.04",), ("wheels.radius=0.046", "wheels.track=0.552")):
         found = load(log, sets=("truth.topic=none", *wrong)).findings()
         assert not {fix.partition("=")[0] for fix in found["fixes"]} & {"lrf.range_scale", "wheels.radius"}
         (message,) = (f["message"] for f in found["findings"] if f["code"] == "distances")

@@ -265,7 +265,8 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     least, ties = min(errors.values()), _ties(errors)
     best = min(ties, key=lambda n: len(sets[n]))
     if not sets[best]:
-        return f"No sensor improves on {best}: {length(errors[best])}.{_with_fixes(report, sets, least)}"
+        none = f"No sensor improves on {best}: {length(errors[best])}.{_smoothed_instead(report, sets, least)}"
+        return f"{none}{_with_fixes(report, sets, least)}"
     smoothed = _smoothed(report, best, errors[best])
     if doubts := [v.get("code") for v in report.get("validity") or () if not v["void"]]:
         first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
@@ -285,6 +286,16 @@ def _smoothed(report: Mapping[str, Any], best: str, error: float) -> str:
     """Return ", smoothed 4 mm" if smoothing makes the error [m] smaller, else ""."""
     after = report["configurations"].get(result_name(best, smoothed=True), {}).get("position_rmse_m")
     return "" if after is None or after >= error else f", smoothed {length(after)}"
+
+
+def _smoothed_instead(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
+    """Return a sentence on the smoothed result with the smallest error; "" unless it is below `least` [m]."""
+    rows = ((n, report["configurations"].get(result_name(n, smoothed=True), {})) for n in sets if sets[n])
+    found = {n: error for n, row in rows if (error := row.get("position_rmse_m")) is not None}
+    best = min(found, key=lambda n: found[n], default=None)
+    if best is None or found[best] > (1.0 - TIE_SHARE) * least:
+        return ""
+    return f" Smoothed, {_names(sets[best])} does: {length(found[best])}."
 
 
 def _as_configured(

@@ -76,6 +76,18 @@ def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, came
     assert found == f"Keep the laser (lrf): 0.75 m. With all sensors it is 4.20 m: {end}"
 
 
+@pytest.mark.parametrize(
+    ("smoothed", "end"), [(0.9, " Smoothed, the laser (lrf) does: 0.9 m."), (4.1, ""), (7.0, "")]
+)
+def test_where_only_smoothing_improves_on_the_wheels_it_is_named(smoothed: float, end: str) -> None:
+    errors = {"odometry": 4.28, "lrf": 6.5, "lrf-smoothed": smoothed}
+    report: dict[str, Any] = {
+        "configurations": {name: {"position_rmse_m": error} for name, error in errors.items()}
+    }
+    found = headline(report, {"odometry": (), "lrf": ("lrf",)})
+    assert found == f"No sensor improves on odometry: 4.28 m.{end}"
+
+
 def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
     errors = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
     report: dict[str, Any] = {

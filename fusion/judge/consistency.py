@@ -93,7 +93,7 @@ def by_itself(sensor: str, settings: Any, o: OwnInnovations, floor: Sequence[flo
     if o.raw > MIN_SIGMA_FACTOR and o.whiteness[0] > MIN_WANDER_CORRELATION:
         words = (
             f"successive residuals are similar ({o.whiteness[0]:.0%}). Usual causes, in this order: wheels.track, "
-            f"{sensor}.time_offset, the mount, the range scale, wheels.noise. Check with: locfuse info LOG --check"
+            f"{sensor}.time_offset, the mount, the range scale, wheels.noise"
         )
         return Consistency("correlated", words)
     factor = _on_sigma(o, floor)

@@ -173,7 +173,8 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
 def _scan_quality(report: Report) -> list[Column]:
     """Return the columns revisit agreement and crispness; a column without any value is left out."""
     runs = report["configurations"].values()
-    seen_twice, crisp = any(v.get(AGREEMENT.key) is not None for v in runs), any(_crispness(v, 1) for v in runs)
+    seen_twice = any(v.get(AGREEMENT.key) is not None for v in runs)
+    crisp = any(v.get("crispness_cells") for v in runs)
     return [*([AGREEMENT] if seen_twice else []), *([CRISPNESS] if crisp else [])]
 
 

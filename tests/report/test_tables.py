@@ -189,6 +189,10 @@ def test_a_path_that_does_not_agree_with_itself_is_bad_and_not_ranked(report: di
     )
     assert [row["crispness"] for row in shown] == ["bad", "x 1.50", "x 1.00"]
     assert [row["revisit_agreement"] for row in shown] == [0.2, 0.7, 0.8]
+    unknown = {**bad, "crispness_cells": None}
+    (row,) = records(tables.configurations({**report, "configurations": {"a": unknown}}, main=False))
+    assert row["revisit_agreement"] == 0.2
+    assert "crispness" not in row
 
 
 def test_the_largest_jumps_are_shown_in_order_of_time(report: dict[str, Any]) -> None:

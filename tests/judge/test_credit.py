@@ -33,6 +33,7 @@ from locfuse.fusion.judge.credit import (
     overconfident,
     shapley_steps,
     subsets,
+    unsure,
     verdict,
 )
 from locfuse.fusion.judge.evaluate import evaluate
@@ -62,6 +63,30 @@ def test_shapley_steps_are_the_mean_over_all_orders_of_adding(n: int) -> None:
             gains.append(value[before] - value[before | {sensor}])
         found = sum(s.weight * (value[s.before] - value[s.after]) for s in shapley_steps(sensor, sensors))
         assert found == pytest.approx(np.mean(gains), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "expected"),
+    [
+        (0.5, -2.30, 3.0, False),  # perhaps 10 times worse (ln 10 = 2.303): not more
+        (0.5, -2.31, 3.0, True),
+        (-0.5, -3.0, 2.30, False),
+        (-0.5, -3.0, 2.31, True),
+    ],
+)
+def test_an_effect_is_unsure_that_may_be_ten_times_the_other_way(
+    value: float, low: float, high: float, expected: bool
+) -> None:
+    assert unsure(Effect(value, low, high, None)) is expected
+
+
+def test_a_drive_counts_as_many_samples_as_its_most_lasting_error() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot, laps=0.7)
+    judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in subsets(SENSORS)}
+    each = [effective_samples(e.deviation) for e in judged.values()]
+    assert min(each) < 0.8 * max(each)
+    assert present(credit(judged, SENSORS)).effective_samples == pytest.approx(min(each))
 
 
 def test_credits_sum_to_what_all_sensors_bought() -> None:

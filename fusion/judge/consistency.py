@@ -160,6 +160,8 @@ def of_messages(found: Consistency) -> Consistency:
         words = "errors last longer than a reading, while its messages claim each to be independent"
     elif found.verdict == "understated":
         words = f"its messages claim errors about {times} smaller than they are"
+        if math.isinf(found.scale):
+            words = "its messages claim to have no errors: their covariances are 0"
     else:
         words = f"its messages claim errors about {times} larger than they are"
     return Consistency(found.verdict, words, found.scale)

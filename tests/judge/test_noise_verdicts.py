@@ -125,6 +125,7 @@ def test_a_sigma_is_too_large_only_where_residuals_show_it(changed: dict[str, fl
             2.0,
             "errors last longer than a reading, while its messages claim each to be independent",
         ),
+        ("understated", float("inf"), "its messages claim to have no errors: their covariances are 0"),
         ("consistent", 1.0, "as it was"),
         ("understated", None, "as it was"),
     ],

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.outputs import events
 from locfuse.cli.session.foreign import estimates_in
+from locfuse.cli.session.result import Result
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import Trace, colours, traces_in, traces_of
 from locfuse.formats.inputs import read_small
@@ -39,7 +40,6 @@ from locfuse.fusion.data import (
     Column,
     Drive,
     Estimates,
-    Evaluation,
     Ints,
     LocfuseError,
     Motions,
@@ -70,27 +70,21 @@ MEDIA_TYPES = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
 NO_ROWS: Ints = np.zeros(0, np.int64)
 
 
-def make_scene(
-    loaded: Loaded,
-    estimates: Mapping[str, Estimates],
-    evaluations: Mapping[str, Evaluation],
-    report: Mapping[str, Any],
-    images: int | None = None,
-    full: bool = False,
-) -> RerunScene:
-    """Return the scene of these estimates and evaluations (by name), with the tables of their report.
+def make_scene(result: Result, images: int | None = None, full: bool = False) -> RerunScene:
+    """Return the scene of a result's estimates and evaluations, with the tables of its report.
 
     `images` = n keeps every n-th picture, 0 none, None at most MAX_PICTURES. `full` keeps all curves and scans.
     """
-    runs, drive, settings = tuple(estimates.values()), loaded.drive, loaded.robot.settings
+    loaded, drive, settings = result.loaded, result.drive, result.robot.settings
+    runs = tuple(result.estimates.values())
     scene = RerunScene(
         name=loaded.log.name,
         drive=drive,
         estimates=runs,
-        evaluations=evaluations,
+        evaluations=result.evaluations,
         sights={s: _look_of(s, settings(s)) for s in drive.measurements},
         track=loaded.robot.wheels.track or VIRTUAL_TRACK,
-        table=table_of(report),
+        table=table_of(result.report),
         raw=_raw_topics(loaded),
         full=full,
         palette=palette(traces_of(runs)),

@@ -101,12 +101,11 @@ def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]],
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
     doubtful = [pair for pair in contradicting if set(pair) <= set(whole.sensors)]
     words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
-    return {
-        "sensors": list(whole.sensors),
-        "left_out": list(whole.left_out),
-        "sigma_m": whole.sigma,
-        "words": words,
-    }
+    return {**_of_reference(whole), "words": words}
+
+
+def _of_reference(r: Reference) -> dict[str, Any]:
+    return {"sensors": list(r.sensors), "left_out": list(r.left_out), "sigma_m": r.sigma}
 
 
 def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
@@ -114,13 +113,8 @@ def judge_values(reference: Reference, whole: Reference, used: Collection[str]) 
 
     `shared`: sensors that result and reference both use; `agrees`: whether the reference agrees with `whole`.
     """
-    return {
-        "sensors": list(reference.sensors),
-        "left_out": list(reference.left_out),
-        "sigma_m": reference.sigma,
-        "shared": [s for s in reference.sensors if s in used],
-        "agrees": reference.agrees(whole),
-    }
+    shared = [s for s in reference.sensors if s in used]
+    return {**_of_reference(reference), "shared": shared, "agrees": reference.agrees(whole)}
 
 
 class ByReference(NamedTuple):

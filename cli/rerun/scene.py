@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.load import Loaded, common_fields
 from locfuse.cli.analysis.outputs import events
 from locfuse.cli.session.foreign import estimates_in
 from locfuse.cli.session.result import Result
@@ -55,9 +55,8 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
-from locfuse.fusion.truth import TRUTH_READS, read_truth
+from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.odometry import POSE
-from locfuse.fusion.wheels.read import WHEEL_READS
 
 MAX_BEAMS = 360  # drawn beams of a scan
 MAX_PICTURES = 600  # drawn pictures by default
@@ -164,9 +163,8 @@ def _raw_topics(loaded: Loaded) -> list[RawTopic]:
     """Return the numeric fields of each used topic, without scans and pictures."""
     found = []
     for role in loaded.choice.topics:
-        stream, sensor = _stream(loaded, role), REGISTRY.get(role)
-        reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}.get(role) or (sensor.reads if sensor else {})
-        fields = () if sensor is not None and sensor.in_blocks else tuple(reads.get(stream.msgtype, ()))
+        stream = _stream(loaded, role)
+        fields = common_fields(role, stream.msgtype)
         t: Array = (stream.t_ns - loaded.drive.epoch_ns) * np.float64(1e-9)
         found.append(RawTopic(stream.topic, t, _curves(stream.columns(*fields) if fields else {})))
     return found

@@ -63,14 +63,14 @@ def add_consistency(
     for name, sensors in judged.items():
         for sensor, consistency in sensors.items():
             using = [by_truth.get(n) for n, used in judged.items() if sensor in used]
-            found = unless_overconfident(sensor, consistency, using)
+            found = unless_overconfident(consistency, using)
             values = rows[name]["sensors"][sensor]["consistency"] = asdict(found)
             del values["fix_values"]  # a fix that was not tried is no advice; `findings` has the tried ones
             verdicts[sensor] = {key: values[key] for key in ("verdict", "words")}
     report["consistency"] = verdicts
 
 
-def unless_overconfident(sensor: str, found: Consistency, using: Sequence[CovarianceCheck | None]) -> Consistency:
+def unless_overconfident(found: Consistency, using: Sequence[CovarianceCheck | None]) -> Consistency:
     """Withdraw the advice to reduce a sensor's sigma if truth shows that all runs with it are overconfident.
 
     Its readings then share an error of mount, scale or clock, which a noise setting cannot fix.

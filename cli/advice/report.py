@@ -123,11 +123,7 @@ def _values_differ(one: str, other: str) -> bool:
 def _finding(advice: Advice) -> dict[str, Any]:
     name, tried = advice.shown_by, None
     if name is not None and advice.before is not None and advice.after is not None:
-        tried = {
-            "configuration": name,
-            "before": score(advice.before[name]),
-            "after": score(advice.after[name]),
-        }
+        tried = {"configuration": name, "before": score(advice.before[name]), "after": score(advice.after[name])}
     return {
         "role": advice.finding.role,
         "code": advice.finding.code,

@@ -116,11 +116,7 @@ def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
 
 
 def compare_log(
-    loaded: Loaded,
-    configurations: Sequence[Configuration],
-    asked: Asked,
-    progress: Progress,
-    draws: bool = False,
+    loaded: Loaded, configurations: Sequence[Configuration], asked: Asked, progress: Progress, draws: bool = False
 ) -> Compared:
     """Run and judge every configuration, by truth or by its predictions; first filtered, then smoothed results.
 

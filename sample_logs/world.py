@@ -122,16 +122,8 @@ def cast(plan: Plan, origin: Array, angle: Array) -> Array:
     """
     direction = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
     rays = origin[:, None], direction[:, None]
-    hits = np.concatenate(
-        (
-            hit_segments(plan.segments, *rays),
-            hit_circles(plan.circles, *rays),
-            hit_rings(plan.rings, *rays),
-            np.full((len(angle), 1), np.inf),
-        ),
-        axis=1,
-    )
-    return np.asarray(hits.min(axis=1))
+    hits = (hit_segments(plan.segments, *rays), hit_circles(plan.circles, *rays), hit_rings(plan.rings, *rays))
+    return np.asarray(np.concatenate(hits, axis=1).min(axis=1, initial=np.inf))
 
 
 def hit_segments(segments: Array, origin: Array, direction: Array) -> Array:
@@ -175,9 +167,8 @@ def clearance(plan: Plan, points: Array) -> Array:
         np.sqrt(to_walls.min(axis=1, keepdims=True, initial=np.inf)),
         np.hypot(to_circles[..., 0], to_circles[..., 1]) - plan.circles[:, 2],
         plan.rings[:, 2] - np.hypot(to_rings[..., 0], to_rings[..., 1]),
-        np.full((len(points), 1), np.inf),
     )
-    return np.asarray(np.concatenate(gaps, axis=1).min(axis=1))
+    return np.asarray(np.concatenate(gaps, axis=1).min(axis=1, initial=np.inf))
 
 
 def _squared_gaps(segments: Array, points: Array) -> Array:

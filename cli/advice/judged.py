@@ -113,11 +113,8 @@ class Judged:
             kept = (self._best(known), self._all())
             others = (n for n in known if n not in kept and n not in BASES)  # judged before the kept ones
             # without truth, errors of odometry (one random walk) are chance: it judges only if it is alone
-            walk = (
-                tuple(n for n in BASES if n in known)
-                if self.loaded.drive.truth is not None or len(known) == 1
-                else ()
-            )
+            walk_judges = self.loaded.drive.truth is not None or len(known) == 1
+            walk = tuple(n for n in BASES if n in known and walk_judges)
             # for wheels odometry is first: if its error halves, later judges may get worse by chance
             order = (*walk, *others, *kept) if role == "wheels" else (*others, *kept, *walk)
             return tuple(n for n in dict.fromkeys(order) if n not in BASES or walk)
@@ -379,11 +376,8 @@ class NoiseFindings(Judged):
 
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
     """Return the smaller range sigma [m] that a laser's lines show, None if they do not."""
-    return (
-        verdict.fix_values.get(f"{LASER}.sigma_range")
-        if sensor == LASER and verdict.verdict == "overstated"
-        else None
-    )
+    shown = sensor == LASER and verdict.verdict == "overstated"
+    return verdict.fix_values.get(f"{LASER}.sigma_range") if shown else None
 
 
 def useful(fixes: Fixes, settings: Any) -> bool:

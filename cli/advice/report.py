@@ -265,13 +265,8 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     smoothed = _smoothed(report, best, errors[best])
     if doubts := [v.get("code") for v in report.get("validity") or () if not v["void"]]:
         first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
-        first += (
-            ""
-            if {*doubts} == {HOLE}
-            else " Set the fixes first."
-            if report.get("fixes")
-            else " Something is wrong that no setting explains."
-        )
+        todo = "Set the fixes first." if report.get("fixes") else "Something is wrong that no setting explains."
+        first += "" if {*doubts} == {HOLE} else f" {todo}"
         return f"{first}{_with_fixes(report, sets, least)}"
     first = f"Keep {_names(sets[best])}: {length(errors[best])}{smoothed}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"

@@ -326,11 +326,8 @@ def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int, base
         lone = sensors > 2 and len(against) == sensors - 1
         rivals = " and ".join(against)
         words = f"It contradicts {rivals}: with one of them the other is predicted worse than by {base}."
-        words += (
-            " All other sensors disagree with it."
-            if lone
-            else " One of them is wrong; without truth it is open which."
-        )
+        either = "One of them is wrong; without truth it is open which."
+        words += f" {'All other sensors disagree with it.' if lone else either}"
         return {"verdict": "hurts" if lone else "no verdict", "words": words}
     if not mine:
         return {"verdict": "no verdict", "words": "No other sensor in this log can check it."}

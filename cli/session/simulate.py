@@ -172,11 +172,8 @@ class Localiser:
         self._rolled.append((radius * left * angle[settings.left], radius * right * angle[settings.right]))
 
     def _wheels(self) -> Wheels:
-        rolled = np.array(self._rolled)
-        settings = self.robot.wheels
-        return Wheels.from_wheels(
-            np.array(self._wheel_t), rolled[:, 0], rolled[:, 1], settings.track or 1.0, settings.noise
-        )
+        settings, (left, right) = self.robot.wheels, np.array(self._rolled).T
+        return Wheels.from_wheels(np.array(self._wheel_t), left, right, settings.track or 1.0, settings.noise)
 
     def _correct(self, wheels: Wheels) -> None:
         """Advance the filter through all readings older than MAX_LATENCY_S, in time order."""

@@ -139,8 +139,7 @@ class _Lines:
     """Random deviations of wall lines, drawn on first use."""
 
     def __init__(self, bow: float, streams: Streams) -> None:
-        self.bow = bow
-        self.streams = streams
+        self.bow, self.streams = bow, streams
         self.known: dict[tuple[int, float], Deviation] = {}
 
     def off(self, axis: int, offset: float, s: Array) -> Array:

@@ -77,7 +77,7 @@ class BuildingScene(World):
         """Return the distances at which panes reflect rays, (n,) [m], inf for none; random for each time t [s]."""
         panes = self.solid(z).panes
         direction = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-        distance = hit_segments(panes, origin, direction)
+        distance = hit_segments(panes, origin[:, None], direction[:, None])
         name = zlib.crc32(b"glass"), round(t * 1e9)
         chance = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=name)).random(distance.shape)
         echoes = building_parts.returned(distance, panes, direction, self.building.glass, chance)

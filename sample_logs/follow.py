@@ -136,10 +136,9 @@ class Steering:
         """Return the set points of left and right wheel [rad/s] for the next control period."""
         command = self._command(now, pose)
         half = command.omega * self.track / 2
-        left, right = (command.v - half) / self.radius, (command.v + half) / self.radius
-        return round(left / RESOLUTION_RAD_S) * RESOLUTION_RAD_S, round(
-            right / RESOLUTION_RAD_S
-        ) * RESOLUTION_RAD_S
+        speeds = ((command.v + way) / self.radius for way in (-half, half))
+        left, right = (round(speed / RESOLUTION_RAD_S) * RESOLUTION_RAD_S for speed in speeds)
+        return left, right
 
     def _command(self, now: float, pose: Pose) -> Command:
         if now >= self.control.time_limit:

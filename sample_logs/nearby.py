@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array
 
-from .world import Plan
+from .world import Plan, hit_circles, hit_segments
 
 Indices = NDArray[np.intp]
 FULL_TURN_RAD = 2 * np.pi
@@ -59,7 +59,7 @@ def fan(origin: Array, angle: Array) -> Fan:
 
 
 def _segments(segments: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
-    """Return the rays (p,) that hit a segment, and the distances (p,) [m]."""
+    """Return the rays (p,) that may hit a segment, and the distances (p,) [m], inf for a miss."""
     a, b = segments[:, :2] - rays.middle, segments[:, 2:] - rays.middle
     gap = _gap(a, b)
     kept = np.flatnonzero(gap <= reach + rays.spread + ROUNDING_SLACK)
@@ -67,31 +67,18 @@ def _segments(segments: Array, rays: Fan, reach: float) -> tuple[Indices, Array]
     turn = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
     centre = np.arctan2(a[:, 1], a[:, 0]) + turn / 2
     ray, thing = _pairs(rays, centre, np.abs(turn) / 2, gap)
-    start = segments[kept[thing], :2]
-    along = segments[kept[thing], 2:] - start
-    w, d = start - rays.origin[ray], rays.direction[ray]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        denominator = d[:, 0] * along[:, 1] - d[:, 1] * along[:, 0]
-        way = (w[:, 0] * along[:, 1] - w[:, 1] * along[:, 0]) / denominator
-        share = (w[:, 0] * d[:, 1] - w[:, 1] * d[:, 0]) / denominator
-        hit = (way > 0) & (share >= 0) & (share <= 1)
-    return ray[hit], way[hit]
+    return ray, hit_segments(segments[kept[thing]], rays.origin[ray], rays.direction[ray])
 
 
 def _circles(circles: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
-    """Return the rays (p,) that hit a circle, and the distances (p,) [m]."""
+    """Return the rays (p,) that may hit a circle, and the distances (p,) [m], inf for a miss."""
     to = circles[:, :2] - rays.middle
     distance = np.hypot(to[:, 0], to[:, 1])
     kept = np.flatnonzero(distance - circles[:, 2] <= reach + rays.spread + ROUNDING_SLACK)
     to, distance, radius = to[kept], distance[kept], circles[kept, 2]
     width = np.arcsin(np.minimum(radius / np.maximum(distance, radius), 1.0))
     ray, thing = _pairs(rays, np.arctan2(to[:, 1], to[:, 0]), width, distance - radius)
-    w, d = circles[kept[thing], :2] - rays.origin[ray], rays.direction[ray]
-    ahead = (w * d).sum(axis=1)
-    square = radius[thing] ** 2 - (w * w).sum(axis=1) + ahead**2
-    way = ahead - np.sqrt(np.maximum(square, 0.0))
-    hit = (square >= 0) & (way > 0)
-    return ray[hit], way[hit]
+    return ray, hit_circles(circles[kept[thing]], rays.origin[ray], rays.direction[ray])
 
 
 def _gap(a: Array, b: Array) -> Array:

@@ -62,10 +62,10 @@ def in_memory(
     tables = simulation.robot_tables
     messages = defaultdict[str, list[RawMessage]](list)
     outcome = simulation.run(localise(tables), lambda message: messages[message.topic].append(message))
-    return {topic: _stream(some) for topic, some in messages.items()}, tables, outcome
+    return {topic: stream_of(some) for topic, some in messages.items()}, tables, outcome
 
 
-def _stream(messages: list[RawMessage]) -> ArrayStream:
+def stream_of(messages: list[RawMessage]) -> ArrayStream:
     """Convert the messages of one topic to a stream; drop each message with a stamp earlier than one before it."""
     stamps: Ints = np.array([m.stamp_ns for m in messages], np.int64)
     in_order = stamps >= np.maximum.accumulate(stamps)

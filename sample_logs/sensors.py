@@ -76,7 +76,7 @@ class Magnetometer:
     def __init__(
         self, compass: CompassSpec, scene: World, robot: SimulatedRobot, rng: np.random.Generator
     ) -> None:
-        self.settings = compass
+        self.settings, self.scene, self.robot, self.rng = compass, scene, robot, rng
         self.period, self.phase = 1 / compass.rate, compass.phase
         north = np.radians(scene.room.north_deg)
         self.earth = compass.field * np.array([np.cos(north), np.sin(north)])  # T, map frame
@@ -84,9 +84,6 @@ class Magnetometer:
         self.iron = np.array([[gain_x, cross], [cross, gain_y]])
         self.sigma = compass.field * np.radians(compass.noise_deg)
         self.step = compass.field * np.radians(compass.resolution_deg)
-        self.scene = scene
-        self.robot = robot
-        self.rng = rng
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the message fields with the field on two axes [T]; the third is 0."""
@@ -120,12 +117,9 @@ class SimulatedLaser:
         pattern: Array | None = None,
     ) -> None:
         """`pattern` (beams,) [m] are constant errors of the beams; by default 0."""
-        self.settings = lrf
+        self.settings, self.scene, self.robot, self.rng = lrf, scene, robot, rng
         self.pattern = np.zeros(lrf.beams) if pattern is None else pattern
         self.period, self.phase, self.duration = 1 / lrf.rate, lrf.phase, lrf.duration
-        self.scene = scene
-        self.robot = robot
-        self.rng = rng
         half = np.radians(lrf.field_of_view_deg) / 2
         self.angles = np.linspace(-half, half, lrf.beams)
         self.times = np.linspace(0, lrf.duration, lrf.beams)

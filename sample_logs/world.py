@@ -121,35 +121,27 @@ def cast(plan: Plan, origin: Array, angle: Array) -> Array:
         angle: (n,) rad, map frame.
     """
     direction = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-    hits = np.concatenate(
-        (
-            hit_segments(plan.segments, origin, direction),
-            hit_circles(plan.circles, origin, direction),
-            hit_rings(plan.rings, origin, direction),
-            np.full((len(angle), 1), np.inf),
-        ),
-        axis=1,
-    )
-    return np.asarray(hits.min(axis=1))
+    rays = origin[:, None], direction[:, None]
+    hits = (hit_segments(plan.segments, *rays), hit_circles(plan.circles, *rays), hit_rings(plan.rings, *rays))
+    return np.asarray(np.concatenate(hits, axis=1).min(axis=1, initial=np.inf))
 
 
 def hit_segments(segments: Array, origin: Array, direction: Array) -> Array:
-    """Return the distances (n, m) [m] along rays (n,) to segments (m,), inf for a miss."""
-    a, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
-    w = a[None] - origin[:, None]  # (n, m, 2)
-    d = direction[:, None]
+    """Return the distances (...) [m] along rays (..., 2) to segments (..., 4), inf for a miss."""
+    along = segments[..., 2:] - segments[..., :2]
+    w, d = segments[..., :2] - origin, direction
     with np.errstate(divide="ignore", invalid="ignore"):
-        denominator = d[..., 0] * along[:, 1] - d[..., 1] * along[:, 0]
-        distance = (w[..., 0] * along[:, 1] - w[..., 1] * along[:, 0]) / denominator
+        denominator = d[..., 0] * along[..., 1] - d[..., 1] * along[..., 0]
+        distance = (w[..., 0] * along[..., 1] - w[..., 1] * along[..., 0]) / denominator
         share = (w[..., 0] * d[..., 1] - w[..., 1] * d[..., 0]) / denominator
         hit = (distance > 0) & (share >= 0) & (share <= 1)
     return np.where(hit, distance, np.inf)
 
 
 def hit_circles(circles: Array, origin: Array, direction: Array) -> Array:
-    """Return the distances (n, k) [m] along rays (n,) to circles (k,), inf for a miss."""
-    w = circles[..., :2] - origin[:, None]  # (n, k, 2)
-    ahead = (w * direction[:, None]).sum(axis=-1)
+    """Return the distances (...) [m] along rays (..., 2) to circles (..., 3), inf for a miss."""
+    w = circles[..., :2] - origin
+    ahead = (w * direction).sum(axis=-1)
     square = circles[..., 2] ** 2 - (w * w).sum(axis=-1) + ahead**2
     with np.errstate(invalid="ignore"):
         distance = ahead - np.sqrt(square)
@@ -158,10 +150,10 @@ def hit_circles(circles: Array, origin: Array, direction: Array) -> Array:
 
 
 def hit_rings(rings: Array, origin: Array, direction: Array) -> Array:
-    """Return the distances (n, l) [m] along rays (n,) to round walls (l,) seen from inside; inf from outside."""
-    w = rings[:, :2] - origin[:, None]  # (n, l, 2)
-    ahead = (w * direction[:, None]).sum(axis=-1)
-    inside = rings[:, 2] ** 2 - (w * w).sum(axis=-1)  # m^2, the power of the point: positive inside
+    """Return the distances (...) [m] along rays (..., 2) to round walls (..., 3) from inside; inf from outside."""
+    w = rings[..., :2] - origin
+    ahead = (w * direction).sum(axis=-1)
+    inside = rings[..., 2] ** 2 - (w * w).sum(axis=-1)  # m^2, the power of the point: positive inside
     distance = ahead + np.sqrt(np.maximum(inside, 0.0) + ahead**2)
     return np.where(inside > 0, distance, np.inf)
 
@@ -175,9 +167,8 @@ def clearance(plan: Plan, points: Array) -> Array:
         np.sqrt(to_walls.min(axis=1, keepdims=True, initial=np.inf)),
         np.hypot(to_circles[..., 0], to_circles[..., 1]) - plan.circles[:, 2],
         plan.rings[:, 2] - np.hypot(to_rings[..., 0], to_rings[..., 1]),
-        np.full((len(points), 1), np.inf),
     )
-    return np.asarray(np.concatenate(gaps, axis=1).min(axis=1))
+    return np.asarray(np.concatenate(gaps, axis=1).min(axis=1, initial=np.inf))
 
 
 def _squared_gaps(segments: Array, points: Array) -> Array:

@@ -207,11 +207,9 @@ def may_judge(loaded: Loaded) -> bool:
 
     This needs the default filter without a given map, a drive of sufficient length, and a sensor or a truth.
     """
-    if loaded.robot.lines or loaded.robot.preset != "default":
-        return False
-    if not loaded.drive.measurements and loaded.drive.truth is None:
-        return False
-    return not too_short(loaded.drive)
+    ours = loaded.robot.preset == "default" and not loaded.robot.lines
+    judges = bool(loaded.drive.measurements) or loaded.drive.truth is not None
+    return ours and judges and not too_short(loaded.drive)
 
 
 def looks_wrong(one: Compared) -> bool:

@@ -113,11 +113,8 @@ class Judged:
             kept = (self._best(known), self._all())
             others = (n for n in known if n not in kept and n not in BASES)  # judged before the kept ones
             # without truth, errors of odometry (one random walk) are chance: it judges only if it is alone
-            walk = (
-                tuple(n for n in BASES if n in known)
-                if self.loaded.drive.truth is not None or len(known) == 1
-                else ()
-            )
+            walk_judges = self.loaded.drive.truth is not None or len(known) == 1
+            walk = tuple(n for n in BASES if n in known and walk_judges)
             # for wheels odometry is first: if its error halves, later judges may get worse by chance
             order = (*walk, *others, *kept) if role == "wheels" else (*others, *kept, *walk)
             return tuple(n for n in dict.fromkeys(order) if n not in BASES or walk)
@@ -132,8 +129,7 @@ class Judged:
 
     def _alone(self, sensor: str) -> str:
         """Return the configuration with this sensor and the fewest other sensors."""
-        using = {n: c for n, c in self.trial.configurations.items() if sensor in c.sensors}
-        return min(using, key=lambda n: len(using[n].sensors))
+        return min(self._using(sensor), key=lambda n: len(self.trial.configurations[n].sensors))
 
     def _best(self, names: Iterable[str]) -> str:
         """Return the configuration with the smallest position error; without truth, the one with most sensors."""
@@ -179,18 +175,17 @@ class NoiseFindings(Judged):
                 seen = []
             if seen and verdict.verdict == "overstated":
                 seen, words = self._with_wheel_noise(sensor, seen, words)
-            words = words if seen else self._errors_in_sigmas(sensor)
+            code, words = (verdict.verdict, words) if seen else self._by_truth(sensor)
             found += self._shared_by_lines(sensor, verdict)
             options = tuple(dict.fromkeys((*seen, *more)))
             if sensor != LASER:  # the laser's noise is checked by its raw ranges
                 settings = self.loaded.robot.settings(sensor)
                 options = tuple(fixes for fixes in options if useful(fixes, settings))
             if options:
-                finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
-                found.append(self._candidate(finding, options, not seen))
+                found.append(self._candidate(Finding(sensor, code, words), options, not seen))
             elif seen:
                 words += ": so much that something else is wrong with it"
-                found.append(self._candidate(Finding(sensor, verdict.verdict, words), ()))
+                found.append(self._candidate(Finding(sensor, code, words), ()))
         as_configured = self._slip is not None and not self._slip.unusual  # slip in turns fits wheels.noise
         doubtful = self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations))
         if doubtful and not as_configured:
@@ -345,16 +340,15 @@ class NoiseFindings(Judged):
             return []  # its raw ranges scatter as configured: something else is wrong
         return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in noise_keys)]
 
-    def _by_truth(self, sensor: str) -> str:
-        """Return the verdict on a sensor's noise by its run's ANEES: "understated" or "overstated"."""
-        check = self.covariance_checks.get(self._alone(sensor))
-        return "understated" if check is None or check.anees > 1.0 else "overstated"
+    def _by_truth(self, sensor: str) -> tuple[str, str]:
+        """Return the verdict on a sensor's noise by its run's ANEES, and a sentence with errors in sigmas.
 
-    def _errors_in_sigmas(self, sensor: str) -> str:
-        """Return a sentence with the ratio of errors to sigmas in the sensor's run."""
+        The verdict is "understated" or "overstated".
+        """
         check = self.covariance_checks.get(self._alone(sensor))
         times = 1.0 if check is None else check.anees**0.5
-        return f"position errors with it are {times:.2g} times what the covariance claims"
+        words = f"position errors with it are {times:.2g} times what the covariance claims"
+        return "understated" if check is None or check.anees > 1.0 else "overstated", words
 
     def _wheel_noise(self) -> Candidate:
         noise = self.loaded.robot.wheels.noise
@@ -382,11 +376,8 @@ class NoiseFindings(Judged):
 
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
     """Return the smaller range sigma [m] that a laser's lines show, None if they do not."""
-    return (
-        verdict.fix_values.get(f"{LASER}.sigma_range")
-        if sensor == LASER and verdict.verdict == "overstated"
-        else None
-    )
+    shown = sensor == LASER and verdict.verdict == "overstated"
+    return verdict.fix_values.get(f"{LASER}.sigma_range") if shown else None
 
 
 def useful(fixes: Fixes, settings: Any) -> bool:

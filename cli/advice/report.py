@@ -123,11 +123,7 @@ def _values_differ(one: str, other: str) -> bool:
 def _finding(advice: Advice) -> dict[str, Any]:
     name, tried = advice.shown_by, None
     if name is not None and advice.before is not None and advice.after is not None:
-        tried = {
-            "configuration": name,
-            "before": score(advice.before[name]),
-            "after": score(advice.after[name]),
-        }
+        tried = {"configuration": name, "before": score(advice.before[name]), "after": score(advice.after[name])}
     return {
         "role": advice.finding.role,
         "code": advice.finding.code,
@@ -270,13 +266,8 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     smoothed = _smoothed(report, best, errors[best])
     if doubts := [v.get("code") for v in report.get("validity") or () if not v["void"]]:
         first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
-        first += (
-            ""
-            if {*doubts} == {HOLE}
-            else " Set the fixes first."
-            if report.get("fixes")
-            else " Something is wrong that no setting explains."
-        )
+        todo = "Set the fixes first." if report.get("fixes") else "Something is wrong that no setting explains."
+        first += "" if {*doubts} == {HOLE} else f" {todo}"
         return f"{first}{_with_fixes(report, sets, least)}"
     first = f"Keep {_names(sets[best])}: {length(errors[best])}{smoothed}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"

@@ -25,12 +25,8 @@ from locfuse.fusion.measure import windowed
 from locfuse.fusion.paper.preset import fuser
 
 MAX_INSTANTS = 2400  # update times: 4 min of a 10 Hz laser
-SEEN_AFTERWARDS = {
-    "truth.x",
-    "truth.y",
-    "truth.sigma",
-    "truth.sigma_theta_deg",
-}  # keys that do not change estimates
+# keys that do not change estimates
+SEEN_AFTERWARDS = {"truth.x", "truth.y", "truth.sigma", "truth.sigma_theta_deg"}
 TRIED, WHOLE, SMOOTHED = "trying", "trying on the whole drive", "smoothing"  # kinds of figures
 MAX_FUSIONS = 60  # runs of the filter for one log's advice
 

@@ -296,9 +296,7 @@ def nothing_moves(log: Log) -> NoWheelsError:
     beside = filled(log, *ONLY_CORRECT)
     corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
     return NoWheelsError(
-        ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".",
-        role="wheels",
-        hint=f"It has {have}",
+        ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".", role="wheels", hint=f"It has {have}"
     )
 
 

@@ -119,9 +119,8 @@ def _names(settings: Any) -> tuple[str, ...]:
 def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     """Return topics of a sensor's message types that wheels and truth do not use; with messages if possible."""
     sensor = REGISTRY[name]
-    wheels = [
-        t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS
-    ]  # scans may be both motion and laser
+    # scans may be both motion and laser
+    wheels = [t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS]
     taken = {*choice.of("truth"), *wheels}
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
     # a topic of plain numbers must have one of these words in its name; None: any name

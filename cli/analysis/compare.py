@@ -116,11 +116,7 @@ def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
 
 
 def compare_log(
-    loaded: Loaded,
-    configurations: Sequence[Configuration],
-    asked: Asked,
-    progress: Progress,
-    draws: bool = False,
+    loaded: Loaded, configurations: Sequence[Configuration], asked: Asked, progress: Progress, draws: bool = False
 ) -> Compared:
     """Run and judge every configuration, by truth or by its predictions; first filtered, then smoothed results.
 
@@ -317,26 +313,24 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     slower = {c.name: c.sensors for c in compared.configurations if c.rates}
     errors = {name: values.get("position_rmse_m") for name, values in report["configurations"].items()}
     add_pairs(report["verdicts"], sets, slower, errors, compared.credit is not None)
-    add_own_scans(report, compared.loaded.drive, compared.estimates, compared.smoothed)
+    add_own_scans(report, compared, compared.loaded.drive)
     return json_report.plain(report)
 
 
-def add_own_scans(
-    report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
-) -> None:
+def add_own_scans(report: dict[str, Any], compared: Compared, drive: Drive) -> None:
     """Add pose jumps to each result; if any path was smoothed, also how well scans agree along the paths."""
     report["doubt"] = None
-    for e in estimates:  # slips, relocalisations, loop closures
+    for e in compared.estimates:  # slips, relocalisations, loop closures
         report["configurations"][e.name]["events"] = [
             {"t_s": t, "kind": kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(turn)}
             for t, kind, (x, y, turn) in e.jumps
         ]
-    if not smoothed:
+    if not compared.smoothed:
         return
     for values in report["configurations"].values():
         values.update(dict.fromkeys(("revisit_agreement", "crispness_cells")))
-    ours = [e for e in estimates if len(e.t) == len(drive.t)]
-    for name, own in judged_by_scans(drive, ours, smoothed).items():
+    ours = [e for e in compared.estimates if len(e.t) == len(drive.t)]
+    for name, own in judged_by_scans(drive, ours, compared.smoothed).items():
         values, apart = report["configurations"][name], own.smoothed
         values["revisit_agreement"], values["crispness_cells"] = own.revisit_agreement, own.crispness_cells
         if apart is None:
@@ -377,6 +371,5 @@ def report_of_run(compared: Compared) -> dict[str, Any]:
     """Return run.json, the report of one configuration, as plain values."""
     report = results.build(compared.loaded, compared.evaluations)
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
-    drive = compared.configurations[0].drive(compared.loaded.drive)
-    add_own_scans(report, drive, compared.estimates, compared.smoothed)
+    add_own_scans(report, compared, compared.configurations[0].drive(compared.loaded.drive))
     return json_report.plain(report)

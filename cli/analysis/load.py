@@ -32,9 +32,9 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged, outside, parts_of
-from locfuse.fusion.truth import NO_TRUTH
+from locfuse.fusion.truth import NO_TRUTH, TRUTH_READS
 from locfuse.fusion.wheels.odometry import SCANS
-from locfuse.fusion.wheels.read import WheelReading, read_wheels
+from locfuse.fusion.wheels.read import WHEEL_READS, WheelReading, read_wheels
 
 from .choose import choose
 from .motion_evidence import STANDS, find_motion_faults, path_of
@@ -307,17 +307,14 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
     wants: dict[str, tuple[str, ...]] = {}
     for role in choice.topics:
         for topic in choice.of(role):
-            fields = _common_fields(role, log.topics[topic].msgtype)
+            fields = common_fields(role, log.topics[topic].msgtype)
             wants[topic] = tuple(dict.fromkeys((*wants.get(topic, ()), *fields)))
     streams = log.streams(wants, order=order)
     return {role: merged([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
 
 
-def _common_fields(role: str, msgtype: str) -> tuple[str, ...]:
+def common_fields(role: str, msgtype: str) -> tuple[str, ...]:
     """Return the message fields of a role, to be read with all other topics; () for a role read in blocks."""
-    from locfuse.fusion.truth import TRUTH_READS
-    from locfuse.fusion.wheels.read import WHEEL_READS
-
     reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}
     if role in reads:
         return reads[role][msgtype]

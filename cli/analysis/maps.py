@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.caps import MAX_WALLS, names_its_cap
 from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
 from locfuse.fusion.map.given_walls import Grid
-from locfuse.fusion.robot import Robot
 
 from .load import Loaded, start_notes
 
@@ -39,7 +37,7 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
-        return replace(loaded, given=None, robot=_with_map(loaded.robot, line_map.read(file), str(file)))
+        return _with_map(replace(loaded, given=None), line_map.read(file), str(file))
     return _give_grid(replace(loaded, given=None), Grid(*map_image.read(file)), str(file))
 
 
@@ -84,11 +82,9 @@ def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
         raise LocfuseError(f"{name}: {problem.message}", role="map") from None
     if not lines:
         raise LocfuseError(f"{name} has no wall of 0.3 m or more: nothing can be localised in it")
-    found = replace(loaded, robot=_with_map(loaded.robot, lines, name))
-    start = found.robot.start
-    if found.robot.start_given and start.sigma_xy < UNKNOWN_START_M:
-        return found
-    return _with_start(found, grid, name)
+    found = _with_map(loaded, lines, name)
+    known = found.robot.start_given and found.robot.start.sigma_xy < UNKNOWN_START_M
+    return found if known else _with_start(found, grid, name)
 
 
 def _with_start(loaded: Loaded, grid: Grid, name: str) -> Loaded:
@@ -114,10 +110,10 @@ def _with_start(loaded: Loaded, grid: Grid, name: str) -> Loaded:
     return replace(loaded, robot=placed, drive=replace(drive, notes=notes))
 
 
-def _with_map(robot: Robot, lines: list[MapLine], name: str) -> Robot:
-    """Return the robot with the lines of a given map. Raises LocfuseError if there are more than MAX_WALLS."""
+def _with_map(loaded: Loaded, lines: list[MapLine], name: str) -> Loaded:
+    """Return the log with the lines of a given map. Raises LocfuseError if there are more than MAX_WALLS."""
     if len(lines) > MAX_WALLS:
         many = names_its_cap(name, len(lines), MAX_WALLS, "walls")
         raise LocfuseError(f"{many}; keep only the part that the drive is in", role="map")
-    lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
-    return replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=tuple(lines))
+    robot, lrf = loaded.robot, replace(loaded.robot.settings("lrf"), map="given")
+    return replace(loaded, robot=replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=tuple(lines)))

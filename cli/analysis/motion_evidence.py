@@ -126,7 +126,7 @@ class MotionEvidence:
         if (pairs := self._judging([motion])) is None:
             return ""
         share = pairs.of(motion)
-        better = self._matched >= max(share + BETTER_SHARE, self._at_rest + TELLING_SHARE)
+        better = self._matched >= max(share + BETTER_SHARE, pairs.still + TELLING_SHARE)
         if not better or pairs.misfit(motion) < MAX_MISFIT_SIGMAS:
             return ""
         return (
@@ -143,22 +143,20 @@ class MotionEvidence:
     @property
     def note(self) -> str:
         """Return a sentence on the motions that do not agree with the scans; "" if all agree."""
-        if not self._rejected:
+        if self._pairs is None or not self._rejected:
             return ""
         return (
             f"{'; '.join(self._rejected.values())} of a scan's points lie within 10 cm of the scan a second "
-            f"before ({self._matched:.0%} by matching the scans, {self._at_rest:.0%} if the robot stood)"
+            f"before ({self._matched:.0%} by matching the scans, {self._pairs.still:.0%} if the robot stood)"
         )
 
     def _agrees(self, topics: Topics, motion: WheelReading) -> bool:
         assert self._pairs is not None
         share = self._shares[topics] = self._pairs.of(motion)
         stands = motion.wheels.stands
-        if share >= SURE_SHARE and not stands:
+        if (share >= SURE_SHARE and not stands) or self._matched < self._pairs.still + TELLING_SHARE:
             return True
-        if self._matched < self._at_rest + TELLING_SHARE:
-            return True
-        if stands or share < max(self._matched - WORSE_SHARE, self._at_rest - BELOW_STILL_SHARE):
+        if stands or share < max(self._matched - WORSE_SHARE, self._pairs.still - BELOW_STILL_SHARE):
             does = "does not move: by it" if stands else "is not how the robot moved: by it"
             self._rejected[topics] = f"{' and '.join(topics)} {does} {share:.0%}"
             return False
@@ -172,11 +170,6 @@ class MotionEvidence:
             return self._pairs.matched()
         path = path_of(self._log, self._topic, self._robot.order, self._pairs.laser)
         return self._pairs.of_path(path.reading(WheelSettings(), 0.0))
-
-    @cached_property
-    def _at_rest(self) -> float:
-        assert self._pairs is not None
-        return self._pairs.still
 
     def _judging(self, motions: Sequence[WheelReading]) -> ScanPairs | None:
         """Return the scan pairs, chosen by the first `motions` and then kept; None if they cannot judge."""

@@ -65,11 +65,8 @@ def texts_of(value: Any) -> Iterator[str]:
     """Yield every string in a setting, or in tables of settings."""
     if isinstance(value, str):
         yield value
-    elif isinstance(value, Mapping):
-        for inner in value.values():
-            yield from texts_of(inner)
-    elif isinstance(value, list | tuple):
-        for inner in value:
+    elif isinstance(value, Mapping | list | tuple):
+        for inner in value.values() if isinstance(value, Mapping) else value:
             yield from texts_of(inner)
 
 
@@ -219,24 +216,20 @@ def table_types() -> dict[str, type[msgspec.Struct]]:
 
 def make_robot(tables: Mapping[str, Any]) -> Robot:
     """Convert tables to typed settings; an unknown key is an error with the most similar name."""
-    tables = dict(tables)
-    order = tables.pop("order", "auto")
-    if order not in ORDERS:
-        raise LocfuseError(f"order = {order!r}; choose from {', '.join(ORDERS)}")
-    preset = tables.pop("preset", "default")
-    if preset not in PRESETS:
-        raise LocfuseError(f"preset = {preset!r}; choose from {', '.join(PRESETS)}")
+    top = {"order": "auto", "preset": "default", **tables}
+    tables = {name: table for name, table in tables.items() if name not in {"order", "preset"}}
+    for word, known in (("order", ORDERS), ("preset", PRESETS)):
+        if top[word] not in known:
+            raise LocfuseError(f"{word} = {top[word]!r}; choose from {', '.join(known)}")
     types = table_types()
-    settings = robot_toml.convert(tables, types)
-    defaults = {name: kind() for name, kind in types.items()}
-    found: dict[str, Any] = {**defaults, **settings}
+    found: dict[str, Any] = {name: kind() for name, kind in types.items()} | robot_toml.convert(tables, types)
     return Robot(
         wheels=found["wheels"],
         start=found["start"],
         truth=found["truth"],
         sensors={name: found[name] for name in REGISTRY},
-        order=order,
-        preset=preset,
+        order=top["order"],
+        preset=top["preset"],
         start_given="start" in tables,
     )
 

@@ -43,6 +43,13 @@ def silent(step: str) -> None:
     """Ignore a progress step."""
 
 
+def _misuse(words: str) -> Exception:
+    """Return the UsageError for options or arguments that cannot be used."""
+    from locfuse.fusion.data import UsageError
+
+    return UsageError(words)
+
+
 class LogOptions(msgspec.Struct, frozen=True):
     """Options for reading a log."""
 
@@ -96,16 +103,12 @@ class Asked(msgspec.Struct, frozen=True):
 
         Raises UsageError for options that need a single drive.
         """
-        from locfuse.fusion.data import UsageError
-
         for name, source in self.estimates.items():
-            raise UsageError(f"--estimate {name}={source}: it is of one drive: compare one log at a time")
+            raise _misuse(f"--estimate {name}={source}: it is of one drive: compare one log at a time")
         if self.jitter:
-            raise UsageError(
-                f"--jitter {self.jitter}: several logs say by themselves what is chance; give one log"
-            )
+            raise _misuse(f"--jitter {self.jitter}: several logs say by themselves what is chance; give one log")
         if self.reference:
-            raise UsageError("--reference: it is of one drive: compare one log at a time")
+            raise _misuse("--reference: it is of one drive: compare one log at a time")
         return replace(self, smooth=bool(self.smooth), reference=False, advice=False, audits=False)
 
 
@@ -158,14 +161,12 @@ class Outputs(msgspec.Struct, frozen=True):
 
 def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, preset: str | None) -> LogOptions:
     """Return the options for reading a log from Python values. Raises UsageError for invalid ones."""
-    from locfuse.fusion.data import UsageError
-
     for what, word, known in (("order", order, ORDERS), ("preset", preset, PRESETS)):
         if word is not None:
             one_of(word, known, what)
     file = None if robot is None else path_of(robot)
     if file is not None and not file.is_file():
-        raise UsageError(f"robot: {file} is no file; make one with: locfuse init LOG > robot.toml")
+        raise _misuse(f"robot: {file} is no file; make one with: locfuse init LOG > robot.toml")
     return LogOptions(() if file is None else (file,), set_words(sets), order, quiet=True, preset=preset)
 
 
@@ -195,20 +196,17 @@ def path_of(path: PathLike) -> Path:
 def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
     """Return the paths of one log or of its parts as command-line words. Raises UsageError for an empty list."""
     from locfuse.formats.container.url import is_url
-    from locfuse.fusion.data import UsageError
 
     parts = [log] if isinstance(log, str | os.PathLike) else list(log)
     if not parts:
-        raise UsageError("which log? An empty list names none")
+        raise _misuse("which log? An empty list names none")
     return [part if isinstance(part, str) and is_url(part) else str(path_of(part)) for part in parts]
 
 
 def one_of(word: str, known: Sequence[str], what: str) -> str:
     """Return a word if it is known. Raises UsageError for an unknown one."""
-    from locfuse.fusion.data import UsageError
-
     if word not in known:
-        raise UsageError(f"{what} = {word!r}: choose from {', '.join(known)}")
+        raise _misuse(f"{what} = {word!r}: choose from {', '.join(known)}")
     return word
 
 
@@ -224,29 +222,25 @@ def chosen(
 
     Raises UsageError for an unknown one.
     """
-    from locfuse.fusion.data import UsageError
-
     if kinds is None:
         return set(by_default(known))
     names = {name.strip() for name in (kinds.split(",") if isinstance(kinds, str) else kinds) if name.strip()}
     if "all" in names:
         return set(known)
     if unknown := sorted(names - set(known)):
-        raise UsageError(f"{what} {unknown[0]!r}; choose from {', '.join(known)}")
+        raise _misuse(f"{what} {unknown[0]!r}; choose from {', '.join(known)}")
     return names
 
 
 def swept(words: Sequence[str]) -> dict[str, list[str]]:
     """Return the values of --sweep by key, as words of --set: "a.x=1,2" gives {"a.x": ["a.x=1", "a.x=2"]}."""
-    from locfuse.fusion.data import UsageError
-
     found: dict[str, list[str]] = {}
     for word in words:
         key, equals, values = word.partition("=")
         if not equals or not key.strip() or not values.strip():
-            raise UsageError(f'--sweep {word!r}: write it like "lrf.sigma_range=0.01,0.03,0.1"')
+            raise _misuse(f'--sweep {word!r}: write it like "lrf.sigma_range=0.01,0.03,0.1"')
         if key.strip() in found:
-            raise UsageError(f"--sweep {key.strip()} is given twice: name all its values in one")
+            raise _misuse(f"--sweep {key.strip()} is given twice: name all its values in one")
         parts = [value.strip() for value in BETWEEN_VALUES.split(values)]
         found[key.strip()] = [f"{key.strip()}={value}" for value in parts if value]
     return found
@@ -257,12 +251,10 @@ def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
 
     Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
     """
-    from locfuse.fusion.data import UsageError
-
     for word in (word for words in sets.values() for word in words):
         if UNFIT_FOR_FOLDER.search(word):
-            raise UsageError(f"--sweep {word!r}: a value with blanks or slashes cannot name a folder")
+            raise _misuse(f"--sweep {word!r}: a value with blanks or slashes cannot name a folder")
     count = prod(len(words) for words in sets.values())
     if count > MAX_CELLS:
-        raise UsageError(f"--sweep: {count} combinations, more than {MAX_CELLS}; sweep fewer values")
+        raise _misuse(f"--sweep: {count} combinations, more than {MAX_CELLS}; sweep fewer values")
     return {" ".join(combination): combination for combination in product(*sets.values())}

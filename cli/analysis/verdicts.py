@@ -12,15 +12,7 @@ from locfuse.formats.report.findings import change, in_one_unit, length
 from locfuse.fusion.data import ODOMETRY, Evaluation
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, RunInnovations, judge
-from locfuse.fusion.judge.credit import (
-    MIN_EFFECT,
-    Credit,
-    Effect,
-    SensorCredit,
-    overconfident,
-    unsure,
-    verdict,
-)
+from locfuse.fusion.judge.credit import MIN_EFFECT, Credit, Effect, SensorCredit, overconfident, unsure, verdict
 from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
 from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
 from locfuse.fusion.robot import Robot
@@ -63,14 +55,14 @@ def add_consistency(
     for name, sensors in judged.items():
         for sensor, consistency in sensors.items():
             using = [by_truth.get(n) for n, used in judged.items() if sensor in used]
-            found = unless_overconfident(sensor, consistency, using)
+            found = unless_overconfident(consistency, using)
             values = rows[name]["sensors"][sensor]["consistency"] = asdict(found)
             del values["fix_values"]  # a fix that was not tried is no advice; `findings` has the tried ones
             verdicts[sensor] = {key: values[key] for key in ("verdict", "words")}
     report["consistency"] = verdicts
 
 
-def unless_overconfident(sensor: str, found: Consistency, using: Sequence[CovarianceCheck | None]) -> Consistency:
+def unless_overconfident(found: Consistency, using: Sequence[CovarianceCheck | None]) -> Consistency:
     """Withdraw the advice to reduce a sensor's sigma if truth shows that all runs with it are overconfident.
 
     Its readings then share an error of mount, scale or clock, which a noise setting cannot fix.
@@ -101,12 +93,11 @@ def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]],
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
     doubtful = [pair for pair in contradicting if set(pair) <= set(whole.sensors)]
     words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
-    return {
-        "sensors": list(whole.sensors),
-        "left_out": list(whole.left_out),
-        "sigma_m": whole.sigma,
-        "words": words,
-    }
+    return {**_of_reference(whole), "words": words}
+
+
+def _of_reference(r: Reference) -> dict[str, Any]:
+    return {"sensors": list(r.sensors), "left_out": list(r.left_out), "sigma_m": r.sigma}
 
 
 def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
@@ -114,13 +105,8 @@ def judge_values(reference: Reference, whole: Reference, used: Collection[str]) 
 
     `shared`: sensors that result and reference both use; `agrees`: whether the reference agrees with `whole`.
     """
-    return {
-        "sensors": list(reference.sensors),
-        "left_out": list(reference.left_out),
-        "sigma_m": reference.sigma,
-        "shared": [s for s in reference.sensors if s in used],
-        "agrees": reference.agrees(whole),
-    }
+    shared = [s for s in reference.sensors if s in used]
+    return {**_of_reference(reference), "shared": shared, "agrees": reference.agrees(whole)}
 
 
 class ByReference(NamedTuple):
@@ -340,11 +326,8 @@ def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int, base
         lone = sensors > 2 and len(against) == sensors - 1
         rivals = " and ".join(against)
         words = f"It contradicts {rivals}: with one of them the other is predicted worse than by {base}."
-        words += (
-            " All other sensors disagree with it."
-            if lone
-            else " One of them is wrong; without truth it is open which."
-        )
+        either = "One of them is wrong; without truth it is open which."
+        words += f" {'All other sensors disagree with it.' if lone else either}"
         return {"verdict": "hurts" if lone else "no verdict", "words": words}
     if not mine:
         return {"verdict": "no verdict", "words": "No other sensor in this log can check it."}

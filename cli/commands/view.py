@@ -156,4 +156,4 @@ def _scene(
         options.asked.sensors or None, reference=False
     )
     progress("recording")
-    return make_scene(result.loaded, result.estimates, result.evaluations, result.report, images, full)
+    return make_scene(result, images, full)

@@ -67,10 +67,8 @@ def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> O
     _measure(overview, progress)
     if choice.unused_wheels and overview.loaded is not None:
         overview.robot_facts = find_robot_facts(overview)
-        gone = {
-            "geometry",
-            *((POINT, START) if overview.robot_facts.steered else ()),
-        }  # found with another motion than the wheels that the fixes choose
+        # found with another motion than the wheels that the fixes choose
+        gone = {"geometry", *((POINT, START) if overview.robot_facts.steered else ())}
         overview.findings = [*(f for f in overview.findings if f.code not in gone), *wheel_size(overview)]
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview

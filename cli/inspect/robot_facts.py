@@ -19,7 +19,7 @@ from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_o
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.data import BY_SCANS, Array, LocfuseError, Ragged, Stream
+from locfuse.fusion.data import BY_SCANS, LocfuseError, Ragged, Stream
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
@@ -214,14 +214,10 @@ def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
     """Return the total movement of each joint, in the unit of its positions."""
     at: dict[str, list[float]] = {}
     for i, row in enumerate(names):
-        values = positions[i]
-        for joint, value in zip(row, values.tolist(), strict=False):
+        for joint, value in zip(row, positions[i].tolist(), strict=False):
             at.setdefault(joint, []).append(value)
-    ways: dict[str, float] = {}
-    for joint, values_of in at.items():
-        v: Array = np.array(values_of)
-        ways[joint] = float(np.abs(np.diff(v[np.isfinite(v)])).sum())
-    return ways
+    values = {joint: np.array(of) for joint, of in at.items()}
+    return {joint: float(np.abs(np.diff(v[np.isfinite(v)])).sum()) for joint, v in values.items()}
 
 
 def _sorted_sides(a: str, b: str) -> tuple[str, str]:

@@ -219,10 +219,9 @@ def found(overview: Overview) -> Known:
 def _topics(overview: Overview, role: str) -> Known:
     topics, why = overview.choice.of(role), overview.choice.why.get(role, "")
     if not topics and role in REGISTRY:  # a sensor without a required setting may have a topic
-        fit = filled(overview.log, *REGISTRY[role].reads)
-        fit = best_of(overview.log, REGISTRY[role], fit)
-        settings = overview.robot.settings(role)
-        unset = role in overview.choice.absent and len(fit) == 1 and REGISTRY[role].missing(settings) is not None
+        sensor, settings = REGISTRY[role], overview.robot.settings(role)
+        fit = best_of(overview.log, sensor, filled(overview.log, *sensor.reads))
+        unset = role in overview.choice.absent and len(fit) == 1 and sensor.missing(settings) is not None
         topics, why = (tuple(fit), "the only topic of its type") if unset else ((), "")
     if not topics:
         return {}

@@ -58,8 +58,7 @@ def saved(path: Path, result: Result, identity: str | None = None) -> str:
 
         from .scene import make_scene
 
-        scene = make_scene(result.loaded, result.estimates, result.evaluations, result.report)
-        save_recording(path, scene, identity=identity)
+        save_recording(path, make_scene(result), identity=identity)
     except LocfuseError as problem:
         return str(problem)
     except ModuleNotFoundError:

@@ -12,9 +12,10 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.load import Loaded, common_fields
 from locfuse.cli.analysis.outputs import events
 from locfuse.cli.session.foreign import estimates_in
+from locfuse.cli.session.result import Result
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import Trace, colours, traces_in, traces_of
 from locfuse.formats.inputs import read_small
@@ -34,19 +35,7 @@ from locfuse.formats.rerun.scene import (
 from locfuse.formats.thin import evenly
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import (
-    Array,
-    Column,
-    Drive,
-    Estimates,
-    Evaluation,
-    Ints,
-    LocfuseError,
-    Motions,
-    Ragged,
-    Stream,
-    Truth,
-)
+from locfuse.fusion.data import Array, Column, Drive, Estimates, Ints, LocfuseError, Motions, Ragged, Stream, Truth
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import points_in_base
@@ -55,9 +44,8 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
-from locfuse.fusion.truth import TRUTH_READS, read_truth
+from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.odometry import POSE
-from locfuse.fusion.wheels.read import WHEEL_READS
 
 MAX_BEAMS = 360  # drawn beams of a scan
 MAX_PICTURES = 600  # drawn pictures by default
@@ -70,27 +58,21 @@ MEDIA_TYPES = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
 NO_ROWS: Ints = np.zeros(0, np.int64)
 
 
-def make_scene(
-    loaded: Loaded,
-    estimates: Mapping[str, Estimates],
-    evaluations: Mapping[str, Evaluation],
-    report: Mapping[str, Any],
-    images: int | None = None,
-    full: bool = False,
-) -> RerunScene:
-    """Return the scene of these estimates and evaluations (by name), with the tables of their report.
+def make_scene(result: Result, images: int | None = None, full: bool = False) -> RerunScene:
+    """Return the scene of a result's estimates and evaluations, with the tables of its report.
 
     `images` = n keeps every n-th picture, 0 none, None at most MAX_PICTURES. `full` keeps all curves and scans.
     """
-    runs, drive, settings = tuple(estimates.values()), loaded.drive, loaded.robot.settings
+    loaded, drive, settings = result.loaded, result.drive, result.robot.settings
+    runs = tuple(result.estimates.values())
     scene = RerunScene(
         name=loaded.log.name,
         drive=drive,
         estimates=runs,
-        evaluations=evaluations,
+        evaluations=result.evaluations,
         sights={s: _look_of(s, settings(s)) for s in drive.measurements},
         track=loaded.robot.wheels.track or VIRTUAL_TRACK,
-        table=table_of(report),
+        table=table_of(result.report),
         raw=_raw_topics(loaded),
         full=full,
         palette=palette(traces_of(runs)),
@@ -170,9 +152,8 @@ def _raw_topics(loaded: Loaded) -> list[RawTopic]:
     """Return the numeric fields of each used topic, without scans and pictures."""
     found = []
     for role in loaded.choice.topics:
-        stream, sensor = _stream(loaded, role), REGISTRY.get(role)
-        reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}.get(role) or (sensor.reads if sensor else {})
-        fields = () if sensor is not None and sensor.in_blocks else tuple(reads.get(stream.msgtype, ()))
+        stream = _stream(loaded, role)
+        fields = common_fields(role, stream.msgtype)
         t: Array = (stream.t_ns - loaded.drive.epoch_ns) * np.float64(1e-9)
         found.append(RawTopic(stream.topic, t, _curves(stream.columns(*fields) if fields else {})))
     return found

@@ -206,12 +206,8 @@ def _by_files(how: LogOptions) -> dict[str, str]:
         by = next(
             (f" (locfuse {name})" for name in ("tune", "calibrate", "compare") if f"locfuse {name}" in text), ""
         )
-        words |= {key: f"{key} by {file.name}{by}" for key in _keys(parse(text, str(file)))}
+        words |= {key: f"{key} by {file.name}{by}" for key in flat(parse(text, str(file)))}
     return words
-
-
-def _keys(tables: Mapping[str, Any]) -> list[str]:
-    return [f"{table}.{key}" for table, keys in tables.items() if isinstance(keys, Mapping) for key in keys]
 
 
 def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogOptions, dict[str, str]]:
@@ -237,5 +233,5 @@ def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogO
     sources = {key: f"{key} by {source} (compared)" for key, source in changed.items()}
     if fixes.is_file():
         tables = parse(read_small(fixes, MAX_ROBOT_TOML), str(fixes))
-        sources |= {key: f"{key} by {FIXES_FILE}, which locfuse compare tried" for key in _keys(tables)}
+        sources |= {key: f"{key} by {FIXES_FILE}, which locfuse compare tried" for key in flat(tables)}
     return places, used, sources

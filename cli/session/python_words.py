@@ -91,11 +91,8 @@ def _call(command: str, words: Sequence[str]) -> str:
     arguments = ", ".join((f'"{log}"', *given))
     if "--check" in words:
         return f"locfuse.load({arguments}).findings()"
-    return (
-        f"locfuse.{command}({arguments})"
-        if command in {"info", "compare"}
-        else f"locfuse.load({arguments}).{command}()"
-    )
+    direct = f"locfuse.{command}({arguments})"
+    return direct if command in {"info", "compare"} else f"locfuse.load({arguments}).{command}()"
 
 
 def _sets(words: Sequence[str]) -> str:

@@ -284,8 +284,7 @@ class Run(Result, frozen=True, eq=False):
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
                 raise UsageError(
-                    "save_map: this run placed no landmarks",
-                    hint="--set landmarks.map=grow makes a map of them",
+                    "save_map: this run placed no landmarks", hint="--set landmarks.map=grow makes a map of them"
                 )
             write_text(path_of(file), landmark_map.encode(self.filtered.points))
             return

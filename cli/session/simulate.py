@@ -19,7 +19,7 @@ from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.settings import PathLike, Progress, Sets, path_of, set_words, silent
 from locfuse.formats.whole_files import may_replace, scratch_prefix
 from locfuse.fusion import se2
-from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Measurements, Ragged, UsageError
+from locfuse.fusion.data import LocfuseError, Measurements, UsageError
 from locfuse.fusion.fuse import Filter, step_between
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -172,11 +172,8 @@ class Localiser:
         self._rolled.append((radius * left * angle[settings.left], radius * right * angle[settings.right]))
 
     def _wheels(self) -> Wheels:
-        rolled = np.array(self._rolled)
-        settings = self.robot.wheels
-        return Wheels.from_wheels(
-            np.array(self._wheel_t), rolled[:, 0], rolled[:, 1], settings.track or 1.0, settings.noise
-        )
+        settings, (left, right) = self.robot.wheels, np.array(self._rolled).T
+        return Wheels.from_wheels(np.array(self._wheel_t), left, right, settings.track or 1.0, settings.noise)
 
     def _correct(self, wheels: Wheels) -> None:
         """Advance the filter through all readings older than MAX_LATENCY_S, in time order."""
@@ -191,25 +188,11 @@ class Localiser:
             self._at = t
 
     def _measure(self, sensor: str, message: RawMessage, wheels: Wheels) -> Measurements:
-        stream = ArrayStream(
-            message.topic,
-            message.msgtype,
-            np.array([message.stamp_ns]),
-            {name: _column(value) for name, value in message.fields.items()},
-            message.frame_id,
-        )
-        return REGISTRY[sensor].measure(stream, self.robot.settings(sensor), wheels, self._epoch_ns)
+        from locfuse.sample_logs.record import stream_of
+
+        return REGISTRY[sensor].measure(stream_of([message]), self.robot.settings(sensor), wheels, self._epoch_ns)
 
     def _drop_old(self) -> None:
         while self._wheel_t[0] < min(self._wheel_t[-1] - WHEEL_MEMORY_S, self._at - WHEEL_MEMORY_S / 2):
             self._wheel_t.pop(0)
             self._rolled.pop(0)
-
-
-def _column(value: Any) -> Column:
-    """Return a message's value as a column with one row."""
-    if isinstance(value, np.ndarray) and value.ndim == 1:
-        return Ragged(value, np.array([0, len(value)]))
-    if isinstance(value, (int, float)):
-        return np.array([value], dtype=np.float64)
-    return [value]

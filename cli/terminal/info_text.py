@@ -18,7 +18,7 @@ from locfuse.formats.report.findings import options
 from locfuse.formats.report.table import Column, of_rows
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
-from locfuse.fusion.checks.tried import by_key
+from locfuse.fusion.checks.tried import by_key, keys
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table
@@ -75,7 +75,7 @@ def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Ite
     common = {value["key"] for value in shown["values"]}
     found: dict[tuple[str, str], dict[str, Finding]] = {}
     for name, overview in overviews.items():
-        for f in (f for f in overview.findings if not (f.fixes and _keys(f.fixes) <= common)):
+        for f in (f for f in overview.findings if not (f.fixes and keys(f.fixes) <= common)):
             found.setdefault((f.role, f.code), {})[name] = f
     for title, severe in BY_EFFECT:
         chosen = [of for of in found.values() if any(f.severe for f in of.values()) == severe]
@@ -195,13 +195,9 @@ def _finding(f: Finding, width: int | None, helped: Sequence[str] | None) -> lis
     body = text_table.wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
     if not fixes:
         return body
-    if helped is None or not f.severe or _keys(fixes) & _keys(helped):
+    if helped is None or not f.severe or keys(fixes) & keys(helped):
         return [*body, *_options("    fix: ", fixes, width)]
     return [*body, *_options("    as measured, but it does not help (see below): ", fixes, width)]
-
-
-def _keys(fixes: Sequence[str]) -> set[str]:
-    return {fix.partition("=")[0] for fix in fixes}
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:

@@ -86,9 +86,9 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         seen = np.array(counts) > 0
         return float(np.mean(near[seen] / np.array(counts)[seen]))
 
-    @property
+    @cached_property
     def still(self) -> float:
-        """Return the share s of agreeing points that would result if the robot did not move."""
+        """The share s of agreeing points that would result if the robot did not move."""
         return self.share(np.zeros((len(self.first), 3)))
 
     def of(self, motion: WheelReading) -> float:

@@ -253,7 +253,7 @@ def test_the_report_carries_verdicts_figures_and_words(report: Reported) -> None
 @pytest.mark.parametrize(("anees", "kept"), [((9.0, 4.0), False), ((9.0, 1.0), True), ((), True)])
 def test_an_overconfident_sensor_is_not_to_be_trusted_more(anees: tuple[float, ...], kept: bool) -> None:
     found = Consistency("overstated", "lrf noise is overstated", scale=0.1, fix_values={"lrf.sigma_range": 0.002})
-    judged = unless_overconfident("lrf", found, [CovarianceCheck(a, (0.5, 1.5)) for a in anees])
+    judged = unless_overconfident(found, [CovarianceCheck(a, (0.5, 1.5)) for a in anees])
     assert (judged == found) == kept
     if not kept:
         assert judged.words.startswith(

@@ -14,10 +14,12 @@ from recordings import Entity, read, read_blueprint
 
 from locfuse import sample_logs
 from locfuse.cli.analysis import results
+from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.configurations import for_comparison
 from locfuse.cli.analysis.load import Loaded, load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.scene import make_scene
+from locfuse.cli.session.result import Result
 from locfuse.formats.rerun.recording import save_recording
 from locfuse.fusion.data import VERDICTS, Estimates, Evaluation
 from locfuse.fusion.judge.evaluate import evaluate
@@ -43,8 +45,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     configurations = for_comparison(words, loaded.drive)
     estimates = {c.name: c.fuse(loaded.drive, loaded.robot)[0] for c in configurations}
     judged = {c.name: evaluate(estimates[c.name], c.drive(loaded.drive)) for c in configurations}
-    report = results.build(loaded, list(judged.values()))
-    save_recording(path, make_scene(loaded, estimates, judged, report, images=EVERY))
+    compared = Compared(loaded, configurations, list(estimates.values()), list(judged.values()), [])
+    report = results.build(loaded, compared.evaluations)
+    save_recording(path, make_scene(Result(compared, report), images=EVERY))
     return Made(loaded, estimates, judged, read(path), read_blueprint(path))
 
 

@@ -65,6 +65,7 @@ class Build(build_ext):
 
     def run(self) -> None:
         """Translate the kernels into C, then build as ever."""
+        self.parallel = self.parallel or os.cpu_count()
         folder = mirrored()
         for extension in self.extensions:
             name = extension.name.rpartition(".")[2]

@@ -24,7 +24,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, matrices
-from .progress import say_done
+from .progress import report_progress
 from .robot import Robot
 from .sensor import GATE, Model, Reading
 
@@ -60,9 +60,9 @@ def fuse(
     steps, end = steps_of(drive), float(drive.t[-1]) or 1.0
     for k, due in enumerate(due_readings(drive, (*sensors, *listen))):
         if not k % BLOCK_INSTANTS:
-            say_done(float(drive.t[k]) / end)
+            report_progress(float(drive.t[k]) / end)
         run.advance(k, steps, due, drive.measurements)
-    say_done(None)
+    report_progress(None)
     if events is not None:
         events.final = Before(run.belief.state.copy(), run.belief.covariance.copy())
     return run.estimates(drive, name or configuration_name(sensors, drive))
@@ -280,7 +280,7 @@ def inflate(seen: Innovation, state: State) -> None:
     if seen.verdict != GATE or seen.numbers != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
         return
     needed = seen.y[0] ** 2 / seen.threshold
-    state.loosen_row(seen.first, needed - seen.sigma[0] ** 2)
+    state.add_row_noise(seen.first, needed - seen.sigma[0] ** 2)
     seen.verdict, seen.nis, seen.sigma = 0, seen.threshold, (math.sqrt(needed),)
 
 

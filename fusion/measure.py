@@ -29,7 +29,7 @@ from .streams import count_dropped, gap_limit, outside
 from .truth import body_poses, read_truth
 
 MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # jittered drives: largest shift of a time [s], share of readings left out
-MAX_SILENCE_S = 0.2  # s: in longer gaps without sensor readings, wheel readings are update times
+MAX_SENSOR_GAP_S = 0.2  # s: in longer gaps without sensor readings, wheel readings are update times
 
 
 def measure(
@@ -189,20 +189,20 @@ def cut(
 
 def _gap_notes(wheels: Wheels) -> list[str]:
     """Return notes on gaps in the wheel data, one for each kind of gap."""
-    unknown, long = wheels.silence[:, 1] > 0.0, np.diff(wheels.t) > gap_limit(wheels.t)
-    way, turn = np.hypot(*wheels.twist[:, :2].T), np.abs(wheels.twist[:, 2])
-    moved = ((way > STANDS_M) | (turn > STANDS_RAD)) & ~unknown
+    unknown, long = wheels.gap_uncertainty[:, 1] > 0.0, np.diff(wheels.t) > gap_limit(wheels.t)
+    distance, turn = np.hypot(*wheels.twist[:, :2].T), np.abs(wheels.twist[:, 2])
+    moved = ((distance > STANDS_M) | (turn > STANDS_RAD)) & ~unknown
     notes = []
     for kind in (unknown, long & moved, long & ~moved & ~unknown):
-        if not (silent := np.flatnonzero(kind)).size:
+        if not (rows := np.flatnonzero(kind)).size:
             continue
-        longest = silent[np.argmax(np.diff(wheels.t)[silent])]
+        longest = rows[np.argmax(np.diff(wheels.t)[rows])]
         begin, end = wheels.t[longest], wheels.t[longest + 1]
-        gaps = f"{gaps_of(len(silent), end - begin)} ({begin:.1f}-{end:.1f} s)"
+        gaps = f"{gaps_of(len(rows), end - begin)} ({begin:.1f}-{end:.1f} s)"
         if unknown[longest]:
             notes.append(f"{gaps}: the path in between is unknown, so the covariance grows there")
         elif moved[longest]:
-            moves = f"{way[longest]:.2f} m and {math.degrees(turn[longest]):.0f}°"
+            moves = f"{distance[longest]:.2f} m and {math.degrees(turn[longest]):.0f}°"
             notes.append(f"{gaps}: the robot moved {moves} there, which is taken for one arc")
         else:
             notes.append(f"{gaps}: the robot stood there")
@@ -215,8 +215,8 @@ def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
     In long gaps without sensor readings, some wheel readings are added.
     """
     t = np.unique(np.concatenate([*sensor_t, wheel_t[[0, -1]]]))
-    cells = np.floor(wheel_t / MAX_SILENCE_S)
-    empty = ~np.isin(cells, np.floor(t / MAX_SILENCE_S))
+    cells = np.floor(wheel_t / MAX_SENSOR_GAP_S)
+    empty = ~np.isin(cells, np.floor(t / MAX_SENSOR_GAP_S))
     first_in_cell = np.diff(cells, prepend=-1) > 0
     return np.union1d(t, wheel_t[empty & first_in_cell])
 

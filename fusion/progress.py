@@ -10,20 +10,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-Hear = Callable[[float | None], None]  # argument: completed share of log time, 0 to 1; None: unknown
-_listener: ContextVar[Hear | None] = ContextVar("listener", default=None)
+Listener = Callable[[float | None], None]  # argument: completed share of log time, 0 to 1; None: unknown
+_listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
-def say_done(share: float | None) -> None:
+def report_progress(share: float | None) -> None:
     """Report the completed share of a computation, 0 to 1; None if unknown."""
-    if (hear := _listener.get()) is not None:
-        hear(share)
+    if (listener := _listener.get()) is not None:
+        listener(share)
 
 
 @contextmanager
-def heard_by(hear: Hear) -> Iterator[None]:
-    """Send progress reports to the function `hear` inside this context."""
-    token = _listener.set(hear)
+def reporting_to(listener: Listener) -> Iterator[None]:
+    """Send progress reports to the function `listener` inside this context."""
+    token = _listener.set(listener)
     try:
         yield
     finally:

@@ -109,9 +109,9 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
         body = moving[0]
     if body not in known:
         fix = f"truth.body={known[0]}" if known else ""
-        said = f"{topic} tracks {', '.join(known) or 'nothing'}" + (f", not {body}" if body is not None else "")
+        problem = f"{topic} tracks {', '.join(known) or 'nothing'}" + (f", not {body}" if body is not None else "")
         hint = f"Choose one with --set {quote(fix)}" if fix else ""
-        raise LocfuseError(f"{said}.", role="truth", fixes=(fix,) if fix and len(known) == 1 else (), hint=hint)
+        raise LocfuseError(f"{problem}.", role="truth", fixes=(fix,) if fix and len(known) == 1 else (), hint=hint)
     place = np.array([row.index(body) if body in row else -1 for row in rows])
     held = place >= 0
     count_dropped(dropped, other_bodies=~held)

@@ -23,7 +23,7 @@ from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, looks_like_truth
-from locfuse.fusion.wheels.motion import turns_explained, ways_explained
+from locfuse.fusion.wheels.motion import distances_explained, turns_explained
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
@@ -243,7 +243,7 @@ class MotionSensors:
             t = motion.wheels.t + (motion.epoch_ns - own.epoch_ns) * 1e-9
             shares = (
                 turns_explained(own.wheels, t, motion.wheels.pose[:, 2]),
-                ways_explained(own.wheels, t, motion.wheels.pose[:, :2], MIN_OTHER_WAY_M),
+                distances_explained(own.wheels, t, motion.wheels.pose[:, :2], MIN_OTHER_WAY_M),
             )
             if (share := min((s for s in shares if s is not None), default=1.0)) < MIN_EXPLAINED_SHARE:
                 return (
@@ -284,7 +284,7 @@ class MotionSensors:
 
     def _way_explained(self, topic: str, motion: WheelReading) -> float | None:
         m = seen(self._log, self._robot, "gps", topic, motion)
-        return ways_explained(motion.wheels, m.t, m.z) if m is not None and len(m.t) > 1 else None
+        return distances_explained(motion.wheels, m.t, m.z) if m is not None and len(m.t) > 1 else None
 
 
 def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) -> Measurements | None:

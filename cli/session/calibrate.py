@@ -161,7 +161,7 @@ class Calibration(Found, frozen=True, kw_only=True):
             found["laser"] = {
                 **_plain({**geometry, **self.mount()}),
                 "pieces": laser.intervals,
-                "way_m": laser.way_m,
+                "way_m": laser.distance_m,
                 "turned_deg": math.degrees(laser.turned_rad),
                 "outliers": laser.outliers,
             }
@@ -427,7 +427,7 @@ def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
 def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
     """Return notes on a calibration by laser: the data used, settings not estimated, and an odometry's scale."""
     notes = [
-        f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.way_m:.1f} m, "
+        f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.distance_m:.1f} m, "
         f"{math.degrees(fit.turned_rad):.0f} degrees); the laser's metre is taken for the right one "
         "(lrf.range_scale)"
     ]

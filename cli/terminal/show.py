@@ -19,7 +19,7 @@ from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, unwarned, void_reasons
 from locfuse.formats.report.table import Table
 from locfuse.formats.visible import visible
-from locfuse.fusion.progress import heard_by
+from locfuse.fusion.progress import reporting_to
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table
@@ -71,7 +71,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
         def done(share: float | None) -> None:
             status.update(step if share is None else f"{step}: {share:.0%}")
 
-        with heard_by(done):
+        with reporting_to(done):
             yield begin
 
 

@@ -23,7 +23,7 @@ from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
-from locfuse.fusion.progress import say_done
+from locfuse.fusion.progress import report_progress
 
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
@@ -385,7 +385,7 @@ class Log:
                     _report_progress(messages, span)
                     yield topic, plausibly_recorded(Raw(data, messages, decoder))
         finally:  # also if the caller stops early
-            say_done(None)
+            report_progress(None)
 
     def messages(self) -> Iterator[tuple[ChannelInfo, NDArray[np.uint8], Messages]]:
         """Yield all messages, readable or not: channel by channel in each batch, batches in file order."""
@@ -474,4 +474,4 @@ def _is_static_tf(name: str, topic: Topic) -> bool:
 def _report_progress(messages: Messages, span: tuple[int, int] | None) -> None:
     """Report the share of the log's time span that was read."""
     if span is not None and span[0] < span[1] and len(messages.log_time):
-        say_done(min(1.0, max(0.0, (int(messages.log_time[0]) - span[0]) / (span[1] - span[0]))))
+        report_progress(min(1.0, max(0.0, (int(messages.log_time[0]) - span[0]) / (span[1] - span[0]))))

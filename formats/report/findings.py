@@ -27,12 +27,12 @@ def warnings_of(report: Mapping[str, Any]) -> list[Warned]:
 
     If one finding covers several warnings, only the first of these is returned.
     """
-    headline, said, found = report.get("headline") or "", list[Any](), list[Warned]()
+    headline, shown, found = report.get("headline") or "", list[Any](), list[Warned]()
     for i, warning in enumerate(report.get("validity") or ()):
-        finding = next((f for f in report.get("findings") or () if _says(f, warning)), None)
-        if warning["message"] not in headline and finding not in said:
+        finding = next((f for f in report.get("findings") or () if _is_about(f, warning)), None)
+        if warning["message"] not in headline and finding not in shown:
             found.append(Warned("Void" if warning.get("void", True) else "Warning", i, finding))
-            said += [] if finding is None else [finding]
+            shown += [] if finding is None else [finding]
     return found
 
 
@@ -44,7 +44,7 @@ def banner_of(report: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _says(finding: Mapping[str, Any], warning: Mapping[str, Any]) -> bool:
+def _is_about(finding: Mapping[str, Any], warning: Mapping[str, Any]) -> bool:
     """Return whether a finding and a warning (of doubtful figures) are about the same problem."""
     role, _, words = warning["message"].partition(": ")
     return (
@@ -62,7 +62,7 @@ def without_correlation(words: str) -> str:
 def unwarned(report: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the findings whose problem is in no printed warning."""
     printed = [report["validity"][warning.at] for warning in warnings_of(report)]
-    return [f for f in report.get("findings") or () if not any(_says(f, warning) for warning in printed)]
+    return [f for f in report.get("findings") or () if not any(_is_about(f, warning) for warning in printed)]
 
 
 def void_reasons(report: Mapping[str, Any]) -> list[str]:

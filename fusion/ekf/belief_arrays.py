@@ -1,8 +1,8 @@
 """State of the extended Kalman filter: a pose, and more states (map lines, offsets, mounts, wheel parameters).
 
 State and covariance are changed only by methods of one class: predict, compare, queue, correct, know, listen; add,
-augment, remove, transform, loosen; clone_heading, clone_pose; shift, place; begin_frame, know_frame. The frequent
-methods are compiled (fusion.kernels.ekf, with the paper's eq. 5-7 and 10-12). They agree with a textbook filter to
+augment, remove, transform, add_variance; clone_heading, clone_pose; shift, place; begin_frame, know_frame. Many
+of them are compiled (fusion.kernels.ekf, with the paper's eq. 5-7 and 10-12). They agree with a textbook filter to
 1e-9 (tests/ekf/test_ekf.py). P stays symmetric by construction. If `events` is set, every method records an event.
 """
 
@@ -29,10 +29,10 @@ from .events import (
     Events,
     FrameMoved,
     FrameTurned,
-    Loosened,
     Moved,
     Source,
     Undone,
+    VarianceAdded,
     by_others,
     undone,
 )
@@ -339,7 +339,7 @@ class JointBelief(ekf.State):
             back = Undone(columns, before - inverse @ self.state, inverse, np.zeros((k, k)))
         self.events.add(Changed(columns, by, np.zeros((k, k)), back))
 
-    def loosen(self, columns: Ints, variance: Array) -> None:
+    def add_variance(self, columns: Ints, variance: Array) -> None:
         """Add independent variances (k,) to the states `columns` (k,)."""
         if self.events is None:
             self._P[columns, columns] += variance
@@ -351,7 +351,7 @@ class JointBelief(ekf.State):
         if self.events.backward:
             noise = np.diag(np.append(np.zeros(3), variance))
             back = undone(before, self._before(), np.concatenate((POSE, columns)), noise)
-        self.events.add(Loosened(columns, variance, back))
+        self.events.add(VarianceAdded(columns, variance, back))
 
     def consider(self, columns: Ints) -> None:
         """Make states considered (Schmidt-Kalman): their covariance is used, but their values do not change."""

@@ -73,7 +73,7 @@ class FrameTurned(NamedTuple):
     back: Undone | None
 
 
-class Loosened(NamedTuple):
+class VarianceAdded(NamedTuple):
     """Event: independent variances were added to states."""
 
     columns: Ints  # (k,)
@@ -110,7 +110,7 @@ class FrameMoved(NamedTuple):
     """Event: a new submap begins at the local pose q; the pose G of the map frame becomes G o q."""
 
 
-Event = Moved | Corrected | FrameTurned | Loosened | Added | Dropped | Changed | FrameMoved
+Event = Moved | Corrected | FrameTurned | VarianceAdded | Added | Dropped | Changed | FrameMoved
 
 
 class Before(NamedTuple):

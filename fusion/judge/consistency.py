@@ -61,7 +61,7 @@ class Consistency(msgspec.Struct, frozen=True):
 
 def disagrees(h: ComparedReadings) -> bool:
     """Return whether a sensor's mean innovation, in a run without this sensor, is significant and notable."""
-    return h.bias is not None and abs(h.bias) > MIN_SIGMAS * h.sure and notable(h)
+    return h.bias is not None and abs(h.bias) > MIN_SIGMAS * h.standard_error and notable(h)
 
 
 def notable(h: ComparedReadings) -> bool:
@@ -78,14 +78,14 @@ def by_reference_run(sensor: str, settings: Any, h: ComparedReadings) -> Consist
         return (changing(sensor, settings, h) if found.verdict == "correlated" else None) or found
     if h.reference > MAX_REFERENCE_VARIANCE_RATIO * noise:
         return None
-    return by_share(sensor, h.wild, by_scale(sensor, settings, math.sqrt(noise / h.R)))
+    return by_share(sensor, h.outlier_share, by_scale(sensor, settings, math.sqrt(noise / h.R)))
 
 
 def by_itself(sensor: str, settings: Any, o: OwnInnovations, floor: Sequence[float], period: float) -> Consistency:
     """Return the verdict on a sensor by its innovations in a run that uses the sensor."""
     several = len(o.R) > 1  # whether a reading has several numbers
-    if not several and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
-        return biased(sensor, settings, o.middle[0], o.sure[0], math.sqrt(o.R[0] / o.compared))
+    if not several and abs(o.middle[0]) > max(MIN_SIGMAS * o.standard_error[0], math.sqrt(o.R[0])):
+        return biased(sensor, settings, o.middle[0], o.standard_error[0], math.sqrt(o.R[0] / o.compared))
     if not several and o.white < MIN_WHITE_SHARE and o.whiteness[0] > MIN_REPEAT_CORRELATION:
         repeats = 1.0 + 2.0 * o.whiteness[0] / (1.0 - min(o.whiteness[0], 0.98))  # as for a Markov chain
         # the state followed the slow errors, so the innovations contain only a part of these errors
@@ -169,26 +169,26 @@ def of_messages(found: Consistency) -> Consistency:
 
 def biased_against(sensor: str, settings: Any, h: ComparedReadings) -> Consistency:
     """Return the verdict "biased" by the mean difference from a run that does not use the sensor."""
-    return biased(sensor, settings, h.bias or 0.0, h.sure, math.sqrt(h.white / h.readings))
+    return biased(sensor, settings, h.bias or 0.0, h.standard_error, math.sqrt(h.white / h.readings))
 
 
-def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -> Consistency:
+def biased(sensor: str, settings: Any, bias: float, standard_error: float, drawn: float) -> Consistency:
     """Return the verdict "biased".
 
-    `bias` is the mean of measured - predicted [rad or m], `sure` its sigma, `drawn` its sigma by the readings'
-    noise alone. If `sure` is clearly larger than `drawn`, the reference has a constant error of its own. The fix
-    then also sets the sigma of the offset: with an offset taken as exact, this error would pull the estimate with
-    the weight of all readings.
+    `bias` is the mean of measured - predicted [rad or m], `standard_error` its sigma, `drawn` its sigma by the
+    readings' noise alone. If `standard_error` is clearly larger than `drawn`, the reference has a constant error
+    of its own. The fix then also sets the sigma of the offset: with an offset taken as exact, this error would
+    pull the estimate with the weight of all readings.
     """
     amount, unit = _human(bias, sensor)
-    sigma = rounded(_human(sure, sensor)[0])
+    sigma = rounded(_human(standard_error, sensor)[0])
     words = f"differs from the other sensors by {amount:+.2g} {unit} on average"
     fix = REGISTRY[sensor].bias
     if fix is None:
         return Consistency("biased", words)
     value = (getattr(settings, fix.key) or 0.0) + fix.sign * amount
     fix_values = {f"{sensor}.{fix.key}": _turned(value) if unit == "deg" else rounded(value)}
-    if fix.sigma is not None and sure > MAX_DRAWN_RATIO * drawn and _accepts(settings, fix.sigma, sigma):
+    if fix.sigma is not None and standard_error > MAX_DRAWN_RATIO * drawn and _accepts(settings, fix.sigma, sigma):
         fix_values[f"{sensor}.{fix.sigma}"] = sigma
         words += f" (1 sigma {sigma:g})"
     return Consistency("biased", words, None, fix_values)
@@ -223,7 +223,9 @@ def changing(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | N
 
     The change must exceed half of the noise of a reading.
     """
-    if h.change is None or abs(h.change.amount) < max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.sure):
+    if h.change is None or abs(h.change.amount) < max(
+        MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.standard_error
+    ):
         return None
     amount, sign = _human(h.change.amount, sensor)[0], _sign(sensor)
     if h.change.step_s is None:
@@ -424,13 +426,13 @@ class NoiseEvidence:
         by_truth = {s: h for s in self.sensors if (h := self._compare_with_truth(s)) is not None}
         self.flagged |= {s: h for s, h in by_truth.items() if disagrees(h)}
         left = [s for s in self.sensors if s not in by_truth]
-        surest = {s: found[0][1] for s in left if (found := self.reference_runs(s))}
-        for s in sorted(surest, key=lambda s: surest[s].reference):
+        compared = {s: found[0][1] for s in left if (found := self.reference_runs(s))}
+        for s in sorted(compared, key=lambda s: compared[s].reference):
             found = self.reference_runs(s)
             if not found or not disagrees(found[0][1]):
                 continue
             run, evidence = found[0]
-            rivals = [x for x in run.estimates.sensors if x in surest]
+            rivals = [x for x in run.estimates.sensors if x in compared]
             others = {x: [w for r, w in self.reference_runs(x) if s not in r.estimates.sensors] for x in rivals}
             if any(disagrees(w) for found_x in others.values() for w in found_x[:1]):
                 continue  # others contradict a sensor of this reference, which is flagged later

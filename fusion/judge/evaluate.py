@@ -164,8 +164,8 @@ class _PosePairs(NamedTuple):
 def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evaluation:
     """Return errors, ANEES and NIS of one configuration."""
     sensors = {s: _sensor_figures(a, drive.measurements[s].absent) for s, a in estimates.audits.items()}
-    way = float(np.hypot(*np.diff(estimates.pose[:, :2], axis=0).T).sum())
-    own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": way}
+    length = float(np.hypot(*np.diff(estimates.pose[:, :2], axis=0).T).sum())
+    own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": length}
     truth = drive.truth
     pairs = _pairs(estimates, truth) if truth is not None else None
     found = Evaluation(
@@ -327,11 +327,11 @@ def _drift_figures(
             continue
         j = end[i]
         share = (distance[i] + length - distance[j - 1]) / (distance[j] - distance[j - 1])
-        way = both[j - 1] + share[:, None] * (both[j] - both[j - 1]) - both[i]
+        motion = both[j - 1] + share[:, None] * (both[j] - both[j - 1]) - both[i]
         if pairs.theta is None:
-            error = way[:, :2] - way[:, 2:]
+            error = motion[:, :2] - motion[:, 2:]
         else:
-            error = se2.rotated(-pairs.pose[i, 2], way[:, :2]) - se2.rotated(-pairs.theta[i], way[:, 2:])
+            error = se2.rotated(-pairs.pose[i, 2], motion[:, :2]) - se2.rotated(-pairs.theta[i], motion[:, 2:])
         out[f"drift_{length:.0f}m"] = float(np.hypot(error[:, 0], error[:, 1]).mean()) / length
     return out
 

@@ -40,7 +40,7 @@ class OwnInnovations(NamedTuple):
     bounds: tuple[float, float]  # 95 % bounds of the mean NIS of a consistent filter
     bias: tuple[float, ...]  # mean innovation in predicted standard deviations, rejected ones included
     middle: tuple[float, ...]  # median innovation, rejected ones included
-    sure: tuple[float, ...]  # standard error of the median
+    standard_error: tuple[float, ...]  # standard error of the median
     whiteness: tuple[float, ...]  # autocorrelation at lags 1 to MAX_LAG_READINGS
     raw: float  # observed / predicted covariance S of the innovations
     scale: float  # factor by which R should be multiplied
@@ -61,9 +61,9 @@ class ComparedReadings(NamedTuple):
     """Innovation figures of one sensor, in a run that does not use the sensor."""
 
     readings: int
-    wild: float  # share of outliers
+    outlier_share: float  # share of outliers
     bias: float | None  # mean innovation; None if the sensor's offset is unknown
-    sure: float  # standard error of the bias, including the uncertainty of the reference
+    standard_error: float  # standard error of the bias, including the uncertainty of the reference
     white: float  # variance of the white part
     slow: float  # covariance of neighbouring readings
     spread: float  # variance
@@ -94,7 +94,7 @@ def own(audit: Audit, m: Measurements) -> OwnInnovations | None:
         bounds=bounds,
         bias=tuple(bias.tolist()),
         middle=tuple(middle.tolist()),
-        sure=tuple((deviation * lasts).tolist()),
+        standard_error=tuple((deviation * lasts).tolist()),
         whiteness=tuple(whiteness.tolist()),
         raw=raw,
         scale=raw * min(max(1.0 - whiteness[0] * ratio, 0.3), 2.0),
@@ -236,12 +236,12 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | 
     memory = _memory(correlation)
     offset = mean + float(y.mean())
     bias = None if unknown else wrap(offset) if angular else offset
-    sure = math.sqrt(variance * memory / len(y) + float(h.mean()))
+    standard_error = math.sqrt(variance * memory / len(y) + float(h.mean()))
     return ComparedReadings(
         len(y),
         1.0 - float(inlier.mean()),
         bias,
-        sure,
+        standard_error,
         white,
         variance - white,
         variance,

@@ -48,9 +48,9 @@ class Distance(msgspec.Struct, frozen=True):
         off = np.hypot(*(se2.rotated(np.full(len(p), turn), p) - q).T)
         return cls(float(np.sqrt((off**2).mean())), float(off.max()), float(t[off.argmax()]))
 
-    def doubted(self, way: float) -> bool:
-        """Return whether the largest distance of the two paths is implausible for a drive of length `way` [m]."""
-        return self.max > max(DOUBT_M, DOUBT_SHARE * way)
+    def doubted(self, distance: float) -> bool:
+        """Return whether the paths lie implausibly far apart for a drive of length `distance` [m]."""
+        return self.max > max(DOUBT_M, DOUBT_SHARE * distance)
 
     def contradicts(self, a: float, b: float) -> bool:
         """Return whether two paths differ by more than their standard deviations a and b [m] allow."""
@@ -72,9 +72,9 @@ class OwnScans(msgspec.Struct, frozen=True):
         if m is None or m.points is None or not len(m.t):
             return None
         instants = drive.instant[LASER]
-        way = np.cumsum(np.hypot(*drive.motions.u[:, :2].T))[instants]
-        stride = max(STRIDE_M, float(way[-1] - way[0]) / MAX_SCANS)
-        chosen = np.flatnonzero(np.diff(np.floor(way / stride), prepend=-1.0) > 0)
+        distance = np.cumsum(np.hypot(*drive.motions.u[:, :2].T))[instants]
+        stride = max(STRIDE_M, float(distance[-1] - distance[0]) / MAX_SCANS)
+        chosen = np.flatnonzero(np.diff(np.floor(distance / stride), prepend=-1.0) > 0)
         return cls(drive.t[instants[chosen]], instants[chosen], list(m.points.read(chosen)), m.points.mount)
 
     def judge(self, e: Estimates) -> tuple[float | None, int, float]:

@@ -50,7 +50,7 @@ cdef class State:
     cpdef double variance(self, object H, object columns=*, object H_block=*, bint in_map=*) except? -1.0
     cpdef void begin(self)
     cpdef void queue_rows(self, Py_ssize_t first, Py_ssize_t rows)
-    cpdef void loosen_row(self, Py_ssize_t k, double variance)
+    cpdef void add_row_noise(self, Py_ssize_t k, double variance)
     cpdef double whiten(self, Py_ssize_t begin, Py_ssize_t end)
     @cython.locals(n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, q=Py_ssize_t, r=Py_ssize_t, row=Py_ssize_t, greatest=double, h=double)
     cdef double project(self, Py_ssize_t begin, Py_ssize_t m)

@@ -311,7 +311,7 @@ class State:
             self.queued_rows[self.queued + k] = first + k
         self.queued += rows
 
-    def loosen_row(self, k: int, variance: float) -> None:
+    def add_row_noise(self, k: int, variance: float) -> None:
         """Add a variance to the noise of row k."""
         self.row_R[k, k] += variance
 

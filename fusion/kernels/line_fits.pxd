@@ -4,7 +4,7 @@ from libc.math cimport cos, sin, sqrt
 from .places cimport wrapped
 from .segments cimport Limits, Returns, ScanColumns, Segments, distance, find_walls, head_of, tail_of
 
-cdef double FAR_FOOT_M, MAX_PSI_RAD, MIN_BEND_RAD, MAX_JOINT_TURN_RAD, MAX_SHADOW_M
+cdef double FAR_FOOT_M, MAX_PSI_RAD, MIN_CURVE_TURN_RAD, MAX_JOINT_TURN_RAD, MAX_SHADOW_M
 cdef double MIN_CURVE_GAIN_CHI2, SPARED_PIECE_CHI2, MIN_PIECE_GAIN_CHI2
 cdef Py_ssize_t MIN_CURVE_PIECES
 
@@ -52,7 +52,7 @@ cdef void take_step(Fit fit)
 cdef double foot_of(Returns returns, Py_ssize_t i, double r, double psi)
 cdef double stiffness(Fit fit)
 cdef double curvature(Fit fit)
-cdef double bend(Fit fit)
+cdef double parabola_gain(Fit fit)
 cdef void find_curves(Returns returns, Limits limits, Segments segments, Fit fit, Curves curves)
 cdef Py_ssize_t joints(Returns returns, Segments segments, Curves curves)
 cdef double curvature_of(Curves curves, Py_ssize_t walls, bint closed, Py_ssize_t i)

@@ -29,7 +29,7 @@ if not cython.compiled:
 
 FAR_FOOT_M = 1e150  # position on the wall assumed for a beam parallel to it
 MAX_PSI_RAD = 1e3  # a fit with a larger psi has diverged
-MIN_BEND_RAD = 0.08  # least turn of a curve over the length of one piece: a bow of 1 % of the length
+MIN_CURVE_TURN_RAD = 0.08  # least turn of a curve over the length of one piece: a bow of 1 % of the length
 MAX_JOINT_TURN_RAD = 0.7  # largest turn of a curve between two pieces
 MIN_CURVE_PIECES = 3  # two pieces may be a blunt corner
 MAX_SHADOW_M = 0.6  # largest gap between two pieces of a curve: a piece in it may have been too short for a wall
@@ -156,7 +156,7 @@ def finish(returns: Returns, limits: Limits, fit: Fit, found: FoundLines) -> boo
     first, last = fit.row[0], fit.row[fit.count - 1]
     begin, end = foot_of(returns, first, fit.r, fit.psi), foot_of(returns, last, fit.r, fit.psi)
     bow = abs(curvature(fit) * (end - begin)) / 4.0  # height / chord
-    if bend(fit) > limits.max_bend * limits.variance and bow > limits.max_bow:
+    if parabola_gain(fit) > limits.max_bend * limits.variance and bow > limits.max_bow:
         return False
     spread = fit.sum_w / det * limits.variance  # of psi [rad^2]
     most = limits.max_swing * sqrt(limits.variance / fit.sum_w)
@@ -337,7 +337,7 @@ def curvature(fit: Fit) -> float:
     return left / norm if norm > 0.0 else 0.0
 
 
-def bend(fit: Fit) -> float:
+def parabola_gain(fit: Fit) -> float:
     """Return the reduction of the weighted sum of squares [m^2] by a parabola in addition to the line."""
     coefficient = curvature(fit)
     return stiffness(fit) * coefficient * coefficient
@@ -390,11 +390,11 @@ def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
         turn = wrapped(psi[j] - psi[i])
         if not (shadow <= MAX_SHADOW_M and abs(turn) <= MAX_JOINT_TURN_RAD):  # also if the points are NaN
             continue
-        way = shadow + 0.5 * (distance(returns, begin, tail) + distance(returns, head, end))
+        length = shadow + 0.5 * (distance(returns, begin, tail) + distance(returns, head, end))
         ahead = cos(psi[i]) * (returns.y[tail] - returns.y[begin])
         ahead -= sin(psi[i]) * (returns.x[tail] - returns.x[begin])
-        if way > 0.0:
-            curves.joint[i] = turn / way if ahead > 0.0 else -turn / way
+        if length > 0.0:
+            curves.joint[i] = turn / length if ahead > 0.0 else -turn / length
             found += 1
     return found
 
@@ -441,7 +441,7 @@ def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None
 def is_piece(curves: Curves, walls: int, closed: bool, i: int, length: float) -> bool:
     """Return whether wall i of `length` [m] is a piece of a curve that fits better than several straight walls."""
     bent = curvature_of(curves, walls, closed, i)
-    if abs(bent) * length < MIN_BEND_RAD or curves.gains[i] < MIN_PIECE_GAIN_CHI2:
+    if abs(bent) * length < MIN_CURVE_TURN_RAD or curves.gains[i] < MIN_PIECE_GAIN_CHI2:
         return False
     curves.saved, curves.pieces = curves.gains[i] - SPARED_PIECE_CHI2, 1.0
     goes_on(curves, walls, closed, i, 1)

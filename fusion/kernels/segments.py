@@ -417,9 +417,9 @@ def near(
     The gap must be shorter than `limits.bridge` [m] and than both parts. If at most MAX_STRAY_BEAMS beams are
     `between` the parts, a gap shorter than `limits.max_gap` [m] is small enough too.
     """
-    open_way = distance(returns, tail, next_head)
+    gap = distance(returns, tail, next_head)
     shorter = min(distance(returns, head, tail), distance(returns, next_head, next_tail))
-    return open_way <= min(shorter, limits.bridge) or (between <= MAX_STRAY_BEAMS and open_way <= limits.max_gap)
+    return gap <= min(shorter, limits.bridge) or (between <= MAX_STRAY_BEAMS and gap <= limits.max_gap)
 
 
 def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:

@@ -23,7 +23,7 @@ cdef class WallColumns:
     cdef readonly Py_ssize_t places
     cdef readonly bint states
 
-cdef class Seat:
+cdef class MountStates:
     cdef double[::1] configured
     cdef Py_ssize_t[::1] which, columns
     cdef readonly Py_ssize_t free
@@ -42,7 +42,7 @@ cdef class AuditColumns:
 
 cdef class SightLines:
     cdef readonly Rules rules
-    cdef readonly Seat seat
+    cdef readonly MountStates mount_states
     cdef readonly WallColumns walls
     cdef readonly double[:, ::1] rows, pairs
     cdef readonly double[::1] offset
@@ -79,7 +79,7 @@ cdef class SightLines:
     cpdef bint is_matched(self, Py_ssize_t i)
     cpdef bint is_new(self, Py_ssize_t i)
     cpdef Py_ssize_t state_rows(self, State state) except? -1
-    @cython.locals(seat=Seat, a=Py_ssize_t, b=Py_ssize_t, v=Py_ssize_t, w=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, c_psi=double, s_psi=double)
+    @cython.locals(mount_states=MountStates, a=Py_ssize_t, b=Py_ssize_t, v=Py_ssize_t, w=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, c_psi=double, s_psi=double)
     cdef void state_line(self, State state, Py_ssize_t i, Py_ssize_t p)
     cdef void share_noise(self, State state, Py_ssize_t i, Py_ssize_t p, Py_ssize_t a)
     @cython.locals(rules=Rules, nan=double, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, p=Py_ssize_t)

@@ -74,7 +74,7 @@ class WallColumns:
         self.born, self.ids = memory(born), memory(ids)
 
 
-class Seat:
+class MountStates:
     """Configured mount of the laser, and the state columns of its estimated parts (of x, y, yaw)."""
 
     def __init__(self, configured: Any, which: Any, columns: Any) -> None:
@@ -107,8 +107,8 @@ class AuditColumns:
 class SightLines:
     """Lines of one scan, associated with the map."""
 
-    def __init__(self, rules: Rules, seat: Seat) -> None:
-        self.rules, self.seat = rules, seat
+    def __init__(self, rules: Rules, mount_states: MountStates) -> None:
+        self.rules, self.mount_states = rules, mount_states
         self.lines = self.accepted = self.numbers = self.found = 0
         self.first = self.parts = 0
         self.room_lines = self.room_walls = -1
@@ -121,7 +121,7 @@ class SightLines:
         self.rows, self.order = floats(n, 7), wholes(n)
         self.match, self.best, self.rival, self.near = wholes(n), wholes(n), wholes(n), wholes(n)
         self.pairs, self.seen = floats(n * walls, PAIR), floats(walls, 4)
-        self.wall_rows = floats(walls, WALL + 2 * self.seat.free)
+        self.wall_rows = floats(walls, WALL + 2 * self.mount_states.free)
         self.shared, self.G = floats(n, 2, parts), floats(2 * n, parts)
 
     # ---- a scan ----
@@ -144,13 +144,13 @@ class SightLines:
 
     def put_in_base(self, state: State, rows: Any, shared: Any) -> None:
         """Convert the lines and their shared errors to the base frame by the estimated mount."""
-        seat, n = self.seat, self.lines
+        mount_states, n = self.mount_states, self.lines
         for j in range(3):
-            self.place[j] = seat.configured[j]
-        for j in range(seat.free):
-            self.place[seat.which[j]] = state.mean[seat.columns[j]]
-        moved(self.place, seat.configured, self.offset)
-        if seat.free > 0:
+            self.place[j] = mount_states.configured[j]
+        for j in range(mount_states.free):
+            self.place[mount_states.which[j]] = state.mean[mount_states.columns[j]]
+        moved(self.place, mount_states.configured, self.offset)
+        if mount_states.free > 0:
             x, y, yaw = self.offset[0], self.offset[1], self.offset[2]
             into_base(rows, n, x, y, yaw, self.rows)
             shares_into_base(rows, n, x, y, yaw, shared, self.shared)
@@ -164,13 +164,13 @@ class SightLines:
 
     def gather(self, state: State) -> None:
         """Collect the map lines with their covariances, and the covariance of the mount."""
-        walls, seat, P, row = self.walls, self.seat, state.P, self.wall_rows
-        free = seat.free
+        walls, mount_states, P, row = self.walls, self.mount_states, state.P, self.wall_rows
+        free = mount_states.free
         for a in range(free):
             for i in range(3):
-                self.mount[i, a] = P[i, seat.columns[a]]
+                self.mount[i, a] = P[i, mount_states.columns[a]]
             for b in range(free):
-                self.mount[3 + a, b] = P[seat.columns[a], seat.columns[b]]
+                self.mount[3 + a, b] = P[mount_states.columns[a], mount_states.columns[b]]
         for j in range(walls.places):
             if not walls.states:
                 for i in range(WALL):
@@ -186,7 +186,10 @@ class SightLines:
             for i in range(3):
                 row[j, X_RHO + 2 * i], row[j, X_BETA + 2 * i] = P[i, rho], P[i, beta]
             for a in range(free):
-                row[j, WALL + a], row[j, WALL + free + a] = P[rho, seat.columns[a]], P[beta, seat.columns[a]]
+                row[j, WALL + a], row[j, WALL + free + a] = (
+                    P[rho, mount_states.columns[a]],
+                    P[beta, mount_states.columns[a]],
+                )
 
     def predict(self, x: float, y: float, theta: float) -> None:
         """Eq. 17, 18: compute the map lines in the robot's frame: r, psi, cos and sin of beta, (J, 4)."""
@@ -246,16 +249,16 @@ class SightLines:
         pairs[p, S00], pairs[p, S01], pairs[p, S11] = s00 + r00, s01 + r01, s11 + r11
         pairs[p, COS], pairs[p, SIN], pairs[p, LEVER] = c, s, u
         pairs[p, PSI] = self.seen[j, 1] + pairs[p, TURN]
-        if self.seat.free > 0:
+        if self.mount_states.free > 0:
             self.spread_mount(p, j)
 
     def spread_mount(self, p: int, j: int) -> None:
         """Add the covariance of the estimated mount to S of pair p."""
-        free, pairs, mount, row = self.seat.free, self.pairs, self.mount, self.wall_rows
+        free, pairs, mount, row = self.mount_states.free, self.pairs, self.mount, self.wall_rows
         c, s, u = pairs[p, COS], pairs[p, SIN], pairs[p, LEVER]
         c_psi, s_psi = cos(pairs[p, PSI]), sin(pairs[p, PSI])
         for a in range(free):
-            r, turn = self.lever(a, c_psi, s_psi), -1.0 if self.seat.which[a] == 2 else 0.0
+            r, turn = self.lever(a, c_psi, s_psi), -1.0 if self.mount_states.which[a] == 2 else 0.0
             with_beta = row[j, WALL + free + a]
             shared_r = -c * mount[0, a] - s * mount[1, a] + row[j, WALL + a] + u * with_beta
             shared_turn = -mount[2, a] + with_beta
@@ -265,15 +268,15 @@ class SightLines:
             for b in range(free):
                 variance = mount[3 + a, b]
                 pairs[p, S00] += r * variance * self.lever(b, c_psi, s_psi)
-                if self.seat.which[b] == 2:
+                if self.mount_states.which[b] == 2:
                     pairs[p, S01] -= r * variance
                     pairs[p, S11] -= turn * variance
 
     def lever(self, a: int, c: float, s: float) -> float:
         """Return the derivative of a line's r by mount state `a`; c, s are cos and sin of the line's psi."""
-        if self.seat.which[a] == 2:
+        if self.mount_states.which[a] == 2:
             return self.place[0] * s - self.place[1] * c
-        return -c if self.seat.which[a] == 0 else -s
+        return -c if self.mount_states.which[a] == 0 else -s
 
     def fits(self, p: int, distance: float, limit: float) -> bool:
         """Compute squared distance and score of pair p; return whether the line faces the robot and is near."""
@@ -425,17 +428,17 @@ class SightLines:
 
     def state_line(self, state: State, i: int, p: int) -> None:
         """Write the two rows of matched line i with pair p."""
-        seat, a = self.seat, state.written
+        mount_states, a = self.mount_states, state.written
         b = a + 1
         state.row_y[a], state.row_y[b] = self.pairs[p, OFFSET], self.pairs[p, TURN]
         w = state.put(a, state.put(a, 0, 0, -self.pairs[p, COS]), 1, -self.pairs[p, SIN])
         v = state.put(b, 0, 2, -1.0)
-        if seat.free > 0:
+        if mount_states.free > 0:
             c_psi, s_psi = cos(self.pairs[p, PSI]), sin(self.pairs[p, PSI])
-            for j in range(seat.free):
-                w = state.put(a, w, seat.columns[j], self.lever(j, c_psi, s_psi))
-                if seat.which[j] == 2:
-                    v = state.put(b, v, seat.columns[j], -1.0)
+            for j in range(mount_states.free):
+                w = state.put(a, w, mount_states.columns[j], self.lever(j, c_psi, s_psi))
+                if mount_states.which[j] == 2:
+                    v = state.put(b, v, mount_states.columns[j], -1.0)
         if self.rules.states:
             j = int(self.pairs[p, WALL_OF])
             rho = self.walls.columns[j]

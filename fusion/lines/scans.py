@@ -397,7 +397,7 @@ def wall_floor(
     return float(OFFSET_PER_ANGLE_M * floor), float(floor)
 
 
-def bend(uneven: Array) -> Array:
+def line_process_noise(uneven: Array) -> Array:
     """Return the process noise (2,) per scan of a line on an uneven wall: variances [m^2, rad^2].
 
     The error by unevenness, of variance `uneven` (2,), is constant while the same part of a wall is seen, so it

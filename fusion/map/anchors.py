@@ -59,7 +59,7 @@ class Anchors:
         self.edges = [e for e in self.edges if e is not edge]
         self._P = None
 
-    def loosen(self, of: int, to: int, factor: float) -> None:
+    def scale_covariances(self, of: int, to: int, factor: float) -> None:
         """Multiply the covariances of the edges between consecutive anchors from `of` to `to` by `factor`.
 
         It is chi-square over degrees of freedom, an estimate of the ratio of actual to claimed covariance.

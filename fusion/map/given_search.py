@@ -41,7 +41,7 @@ MOVE_DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # of the 
 MOVES_M_RAD = ((0.1, math.radians(2.0)), (0.05, math.radians(1.0)))  # step sizes
 ROUNDS_PER_SIZE = 2  # steps of each size
 MIN_SPEED = 1e-3  # m/s, rad/s
-SAY_START = "say where the drive begins: " + " ".join(
+START_HINT = "say where the drive begins: " + " ".join(
     f"--set start.{key}" for key in ("x=...", "y=...", "theta_deg=...", "sigma_xy=0.5")
 )
 
@@ -194,7 +194,7 @@ def _no_place(places: _Places, until: float) -> str:
         )
     return (
         f"several places in the map fit the first {until:.0f} s ({places.best:.0%} and {places.other:.0%} of the "
-        f"beams end at walls): {SAY_START}"
+        f"beams end at walls): {START_HINT}"
     )
 
 
@@ -207,7 +207,8 @@ def _lattice(grid: Grid) -> Array:
     if tried > MAX_TRIED:
         raise LocfuseError(
             f"the start cannot be looked for in all of the map: {tried // HEADING_COUNT} free places x "
-            f"{HEADING_COUNT} headings are {tried}, more than the cap of {MAX_TRIED}: {SAY_START}; or cut the map",
+            f"{HEADING_COUNT} headings are {tried}, more than the cap of {MAX_TRIED}: {START_HINT}; "
+            "or cut the map",
             role="map",
         )
     j, i = np.nonzero(free)

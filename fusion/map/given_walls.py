@@ -120,7 +120,7 @@ def _chains(starts: Ints, ends: Ints) -> list[list[int]]:
     return found
 
 
-MAX_BEND_CELLS = 1.0  # cells: the rasterised line of a straight wall deviates by less
+MAX_DEVIATION_CELLS = 1.0  # cells: the rasterised line of a straight wall deviates by less
 MIN_LENGTH_M, MIN_CELLS = 0.3, 5
 OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # least sigmas of a line: no plan is more exact
 
@@ -138,7 +138,7 @@ def walls_of(grid: Grid) -> list[MapLine]:
 
 
 def _straight(chain: Array) -> list[tuple[int, int]]:
-    """Return first and last index of the pieces of a chain (n, 2) that deviate less than MAX_BEND_CELLS."""
+    """Return first and last index of the pieces of a chain (n, 2) that deviate less than MAX_DEVIATION_CELLS."""
     if len(chain) > 2 and np.hypot(*(chain[-1] - chain[0])) < 2.0:  # closed: split at the furthest point
         far = int(np.argmax(np.hypot(*(chain - chain[0]).T)))
         return [*_split(chain, 0, far), *_split(chain, far, len(chain) - 1)]
@@ -158,7 +158,7 @@ def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
         off = chain[a : b + 1] - chain[a]
         away = np.abs(off[:, 0] * chord[1] - off[:, 1] * chord[0]) / length if length > 0.0 else np.hypot(*off.T)
         k = int(np.argmax(away))
-        if away[k] <= MAX_BEND_CELLS or k in {0, b - a}:
+        if away[k] <= MAX_DEVIATION_CELLS or k in {0, b - a}:
             done.append((a, b))
         else:
             todo += [(a + k, b), (a, a + k)]

@@ -125,7 +125,7 @@ class LineMap(msgspec.Struct):
         self.seen, self.born = np.append(self.seen, scan), np.append(self.born, scan)
         return line
 
-    def loosen(
+    def raise_variances(
         self,
         belief: JointBelief,
         least: Array,
@@ -138,7 +138,7 @@ class LineMap(msgspec.Struct):
         added = (added if most is None else np.minimum(added, most)).ravel()
         (lacking,) = (added > 0.0).nonzero()
         if len(lacking):
-            belief.loosen(at[lacking], added[lacking])
+            belief.add_variance(at[lacking], added[lacking])
 
     def drop(self, gone: Ints) -> Ints:
         """Remove the lines with indices `gone` (k,); return the state columns that become free."""
@@ -246,8 +246,8 @@ class Association(sight.SightLines, Reading):
     It is also a `Reading` of the filter: the accepted lines of the scan, as rows of the state's table.
     """
 
-    def __init__(self, rules: sight.Rules, seat: sight.Seat) -> None:
-        super().__init__(rules, seat)
+    def __init__(self, rules: sight.Rules, mount_states: sight.MountStates) -> None:
+        super().__init__(rules, mount_states)
         self.row = 0  # of the first line in Measurements.z
 
     def compare(self, belief: JointBelief, lines: LineMap, rows: Array, shared: Array = NO_SHARES) -> float:
@@ -276,7 +276,7 @@ def associate(
     The rules and the laser mount are those of the association `like`. `shared` (n, 2, s) are the correlated errors
     of the lines.
     """
-    found = Association(like.rules, like.seat)
+    found = Association(like.rules, like.mount_states)
     found.compare(belief, lines, rows, shared)
     return found
 
@@ -368,15 +368,15 @@ def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None
 # ---- the mount of the laser ----
 
 
-def seat_of(mount: Mount | None, belief: JointBelief) -> sight.Seat:
+def mount_states_of(mount: Mount | None, belief: JointBelief) -> sight.MountStates:
     """Return the laser mount for the kernel: configured x [m], y [m], yaw [rad], and which of them are states.
 
     Without a mount (None), all are 0 and none is a state.
     """
     if mount is None:
-        return sight.Seat(np.zeros(3), np.zeros(0, np.intp), np.zeros(0, np.intp))
+        return sight.MountStates(np.zeros(3), np.zeros(0, np.intp), np.zeros(0, np.intp))
     columns = np.array(mount.columns(belief), np.intp)
-    return sight.Seat(np.array(mount.configured, np.float64), np.array(mount.free, np.intp), columns)
+    return sight.MountStates(np.array(mount.configured, np.float64), np.array(mount.free, np.intp), columns)
 
 
 def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:

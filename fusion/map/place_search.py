@@ -32,7 +32,7 @@ from .line_map import MIN_HITS, LineMap
 from .scan import Scan
 from .slips import RecentScans
 from .small_maps import FrozenMap, as_scan
-from .way import Way
+from .submap_path import SubmapPath
 
 MIN_SKEW_RAD = math.radians(25.0)  # least angle between two walls that determine a pose
 APART_RAD = math.radians(20.0)  # poses whose headings differ by more are different
@@ -311,16 +311,16 @@ def contradicted(there: FrozenMap, here: FrozenMap, pose: Array) -> bool:
     doors, so scans see through all walls a little.
     """
     ours, theirs = walls_of(here.lines, here.lines.value), walls_of(there.lines, there.lines.value)
-    across = _mean_occluded(here.way, pose, theirs) + _mean_occluded(there.way, se2.inverse(pose), ours)
-    within = _mean_occluded(here.way, np.zeros(3), ours) + _mean_occluded(there.way, np.zeros(3), theirs)
+    across = _mean_occluded(here.path, pose, theirs) + _mean_occluded(there.path, se2.inverse(pose), ours)
+    within = _mean_occluded(here.path, np.zeros(3), ours) + _mean_occluded(there.path, np.zeros(3), theirs)
     return 0.5 * (across - within) > MAX_MAP_THROUGH_SHARE
 
 
-def _mean_occluded(way: Way, frame: Array, walls: Array) -> float:
+def _mean_occluded(path: SubmapPath, frame: Array, walls: Array) -> float:
     """Return the mean share of wall length behind `walls`, of scans along a path with frame pose `frame` (3,)."""
-    if not way.sights:
+    if not path.sights:
         return 0.0
-    seen = (seen_through(s.scan, walls, se2.compose(frame, s.pose).tolist()) for s in way.sights)
+    seen = (seen_through(s.scan, walls, se2.compose(frame, s.pose).tolist()) for s in path.sights)
     return float(np.mean(list(seen)))
 
 

@@ -45,7 +45,7 @@ MAX_CANDIDATES = 8
 RECENT_SCANS = 60  # scans
 DECIDING_SCANS = 3  # scans until a slip is decided
 # least increase of the matched share by a slip: if scan matching measured the turn, and by the map alone
-MIN_GAIN, SURE_GAIN = 0.2, 0.5
+MIN_GAIN_BY_SCANS, MIN_GAIN_BY_MAP = 0.2, 0.5
 SMALL_RAD = math.radians(5.0)  # a smaller slip is decided at once, since it is within usual heading errors
 AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by scan matching
 CARRIED_SCANS = 6  # consecutive scans that suggest a slip: the robot is being carried
@@ -219,11 +219,11 @@ class Suspicion:
     def confirmed(self, gain: float, by_scans: bool) -> bool:
         """Return whether scans match the map so much better with the slip that it is confirmed.
 
-        `gain` is the increase of the matched share of the last scan. The least increase is MIN_GAIN if scan
-        matching measured the slip (`by_scans`); else it is SURE_GAIN, for the last scan and for the mean of all
-        scans.
+        `gain` is the increase of the matched share of the last scan. The least increase is
+        MIN_GAIN_BY_SCANS if scan matching measured the slip (`by_scans`); else it is MIN_GAIN_BY_MAP, for the last
+        scan and for the mean of all scans.
         """
-        return gain >= MIN_GAIN if by_scans else min(gain, self._gain / self.looks) >= SURE_GAIN
+        return gain >= MIN_GAIN_BY_SCANS if by_scans else min(gain, self._gain / self.looks) >= MIN_GAIN_BY_MAP
 
 
 def agree(by_scans: float, turn: float) -> bool:

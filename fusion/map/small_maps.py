@@ -17,7 +17,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 
 from .line_map import COLUMN_NAMES, MIN_HITS, LineMap
 from .scan import Scan
-from .way import Way
+from .submap_path import SubmapPath
 
 # added variances [m^2, rad^2], and added share of a variance: both keep covariances invertible
 MIN_VARIANCE, MIN_VARIANCE_SHARE = 1e-18, 1e-9
@@ -87,19 +87,19 @@ class FrozenMap(NamedTuple):
 
     anchor: int  # index in the graph
     lines: LineMap  # no line is a state
-    way: Way
+    path: SubmapPath
     box: tuple[Array, Array]  # (2,) m: least and greatest x, y of the lines and the path
     origin: Array  # (3,) pose of the robot where the submap began, in the frame of the anchor
     joint: Array  # (2J, 2J) joint covariance of (rho, beta), line by line
 
 
-def frozen(anchor: int, lines: LineMap, way: Way, origin: Array, belief: JointBelief) -> FrozenMap:
+def frozen(anchor: int, lines: LineMap, path: SubmapPath, origin: Array, belief: JointBelief) -> FrozenMap:
     """Return a copy of the present submap with its present values and covariances, independent of the belief."""
     own = {name: getattr(lines, name).copy() for name in COLUMN_NAMES if name != "P"}
     own |= {"column": np.full(len(lines), -1, np.int64), "value": np.array(lines.values(belief))}
     kept = LineMap(**own, next_id=lines.next_id, P=np.array(lines.covariances(belief)))
     at = lines.states(np.s_[:])
-    return FrozenMap(anchor, kept, way, _box_of(kept, way), origin, belief.covariance[np.ix_(at, at)])
+    return FrozenMap(anchor, kept, path, _box_of(kept, path), origin, belief.covariance[np.ix_(at, at)])
 
 
 def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
@@ -109,13 +109,13 @@ def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
     lines.column = first_column + 2 * np.arange(len(kept))
 
 
-def _box_of(lines: LineMap, way: Way) -> tuple[Array, Array]:
+def _box_of(lines: LineMap, path: SubmapPath) -> tuple[Array, Array]:
     """Return the least and the greatest x, y [m] of frozen lines and a path, (2,) each."""
     rho, beta = lines.value[:, :1], lines.value[:, 1]
     n = np.stack((np.cos(beta), np.sin(beta)), axis=-1)
     tangent, foot = np.stack((-n[:, 1], n[:, 0]), axis=-1), lines.anchor + rho * n
     ends = (foot + extent[:, None] * tangent for extent in (lines.lo, lines.hi))
-    points = np.vstack((*ends, *(sight.pose[None, :2] for sight in way.sights)))
+    points = np.vstack((*ends, *(sight.pose[None, :2] for sight in path.sights)))
     return points.min(axis=0), points.max(axis=0)
 
 

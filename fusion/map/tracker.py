@@ -34,7 +34,7 @@ from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
-from locfuse.fusion.lines.scans import bend
+from locfuse.fusion.lines.scans import line_process_noise
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import beyond_wheels
 from locfuse.fusion.scan_matching.solve import NOWHERE
@@ -52,9 +52,9 @@ from .line_map import (
     associate,
     by_mount,
     merge_doubles,
+    mount_states_of,
     moved_mount,
     prune,
-    seat_of,
 )
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, find_closure, is_unknown
 from .scan import LineReader, Scan, Standing
@@ -67,7 +67,7 @@ from .small_maps import (
     shared_walls,
     thaw,
 )
-from .way import Way, WayByScans
+from .submap_path import ScanMatchedPath, SubmapPath
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
@@ -172,7 +172,7 @@ class LineTracker(Model):
             self._seen = self._scan_in_base(belief)
             return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
         if self._sight is None:
-            self._sight = Association(self.rules, seat_of(self.mount, belief))
+            self._sight = Association(self.rules, mount_states_of(self.mount, belief))
         shared = self._shared(m, first, last)
         found = self._sight
         share = found.compare(belief, self.map, rows, shared)
@@ -197,7 +197,7 @@ class LineTracker(Model):
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
             uneven, floor = self.wall_noise(m)
-            self._walls = uneven, floor, bend(uneven)
+            self._walls = uneven, floor, line_process_noise(uneven)
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
@@ -237,9 +237,9 @@ class LineTracker(Model):
 
     def _revise(self, found: Association, belief: JointBelief) -> None:
         """Add variance of uneven walls; in mode `grow` add new lines, remove rare lines, merge duplicates."""
-        uneven, floor, bent = self._walls
+        uneven, floor, process_noise = self._walls
         if uneven[0] > 0.0 or uneven[1] > 0.0:
-            self.map.loosen(belief, uneven, bent, np.flatnonzero(self.map.seen == self._scan))
+            self.map.raise_variances(belief, uneven, process_noise, np.flatnonzero(self.map.seen == self._scan))
         if self.mode == "grow":
             if new := found.new():
                 scan = self._scan_in_base(belief)
@@ -249,7 +249,7 @@ class LineTracker(Model):
                 prune(self.map, belief, self._scan)
                 merge_doubles(self.map, belief, self._scan, uneven)
         if floor[0] > 0.0 or floor[1] > 0.0:
-            self.map.loosen(belief, floor)
+            self.map.raise_variances(belief, floor)
 
     def wall_noise(self, m: Measurements) -> tuple[Array, Array]:
         """Return the process noise of seen lines and the least variance of all lines, (2,) each [m^2, rad^2].
@@ -320,11 +320,12 @@ class AtlasTracker(LineTracker):
         super().__init__(mode, gate, recover, mount)
         self._anchors = Anchors()
         self._frozen: list[FrozenMap] = []
-        self._way = Way()
+        self._path = SubmapPath()
         self._at = 0  # anchor of the present submap
         self._origin: Array = np.zeros(3)  # pose at which the present submap began
         self._now: tuple[Measurements, int] | None = None  # present reading
-        self._along: WayByScans | None = None  # path in the present submap; None after a return to a frozen submap
+        # path in the present submap; None after a return to a frozen submap
+        self._matched_path: ScanMatchedPath | None = None
         self._left: tuple[Array, Array] | None = None  # pose at which the last submap was left, and its covariance
         self._full = False
         self._searched_at = 0.0  # m of path
@@ -344,12 +345,12 @@ class AtlasTracker(LineTracker):
         pose = belief.pose()
         if begins and len(self.map.ids):
             self._enter(np.array(pose), belief)
-        elif self._along is not None:
-            self._along.add(i, pose)
-        if self._way.extend(pose):
-            self._way.keep(self._t[i], pose, self._seen)
-        if self._way.length - self._searched_at >= (LOOK_AGAIN_M if self._searched_at else FIRST_LOOK_M):
-            self._searched_at = self._way.length
+        elif self._matched_path is not None:
+            self._matched_path.add(i, pose)
+        if self._path.extend(pose):
+            self._path.keep(self._t[i], pose, self._seen)
+        if self._path.length - self._searched_at >= (LOOK_AGAIN_M if self._searched_at else FIRST_LOOK_M):
+            self._searched_at = self._path.length
             self._search(self._t[i], belief)
         away = math.hypot(pose[0] - self._origin.item(0), pose[1] - self._origin.item(1))
         self._full = away > REACH_M or len(self.map.ids) > MAX_LINES
@@ -386,11 +387,11 @@ class AtlasTracker(LineTracker):
         `connected`: the next submap begins at the robot's pose and shares walls with this one.
         """
         self._add_absolute_edge(belief)
-        self._frozen.append(frozen(self._at, self.map, self._way, self._origin, belief))
+        self._frozen.append(frozen(self._at, self.map, self._path, self._origin, belief))
         if connected:
-            belief.loosen(np.arange(3), ADDED_P_SHARE * np.diagonal(belief.matrix()) + MIN_ADDED_VARIANCES)
-            if self._along is not None:
-                self._along.end(self.mount, belief)
+            belief.add_variance(np.arange(3), ADDED_P_SHARE * np.diagonal(belief.matrix()) + MIN_ADDED_VARIANCES)
+            if self._matched_path is not None:
+                self._matched_path.end(self.mount, belief)
             if self.guard is not None:
                 self.guard.enter_map()
         self._left = np.array(belief.pose()), belief.matrix()
@@ -441,15 +442,16 @@ class AtlasTracker(LineTracker):
         belief.transform(np.arange(3), se2.compose(R, q), se2.rotation(R[2]))
         J = by_frame(R[None], q[None])[0]
         spread = J @ P @ J.T
-        belief.loosen(np.arange(3), np.abs(spread).sum(axis=1))  # a diagonal covariance that is at least `spread`
+        at_least = np.abs(spread).sum(axis=1)  # a diagonal covariance that is at least `spread`
+        belief.add_variance(np.arange(3), at_least)
         n = len(old.lines)
         first = belief.augment(old.lines.value.reshape(-1), np.zeros((2 * n, 3)), old.joint)
         thaw(old.lines, self.map, first)
         self.map.seen, self.map.born = np.full(n, self._scan), np.zeros(n, np.int64)
         self._frozen = [one for one in self._frozen if one is not old]
-        self._at, self._way, self._origin, self._along = old.anchor, old.way, old.origin, None
-        self._way.resume()
-        self._searched_at, self._looks, self._search_again_at = self._way.length, CandidateRuns(), {}
+        self._at, self._path, self._origin, self._matched_path = old.anchor, old.path, old.origin, None
+        self._path.resume()
+        self._searched_at, self._looks, self._search_again_at = self._path.length, CandidateRuns(), {}
         if self.guard is not None:
             self.guard.enter_map()
 
@@ -466,10 +468,10 @@ class AtlasTracker(LineTracker):
             self._at = self._anchors.append(self._at, z, P)
             if frame is not None:
                 self._anchors.pose[-1] = frame
-        self._way, self._origin, self._searched_at, self._looks = Way(), pose, 0.0, CandidateRuns()
+        self._path, self._origin, self._searched_at, self._looks = SubmapPath(), pose, 0.0, CandidateRuns()
         if self._now is not None:
             m, i = self._now
-            self._along = WayByScans(m, i, (pose[0], pose[1], pose[2]))
+            self._matched_path = ScanMatchedPath(m, i, (pose[0], pose[1], pose[2]))
         self._search_again_at = {}
 
     def _add_absolute_edge(self, belief: JointBelief) -> None:
@@ -498,7 +500,7 @@ class AtlasTracker(LineTracker):
 
     def _search(self, t: float, belief: JointBelief) -> None:
         """Search for the present submap in the frozen ones, and close loops."""
-        here = frozen(self._at, self.map, self._way, self._origin, belief)
+        here = frozen(self._at, self.map, self._path, self._origin, belief)
         at, beside = self._at, self._anchors.beside(self._at)
         known = {e.of if e.to == at else e.to for e in self._loops if at in (e.of, e.to)}
         low, high = here.box
@@ -509,7 +511,7 @@ class AtlasTracker(LineTracker):
             unknown = is_unknown(P)
             if k in beside and k not in known and not unknown:
                 continue
-            if self._way.length < self._search_again_at.get(k, 0.0):
+            if self._path.length < self._search_again_at.get(k, 0.0):
                 continue
             slack = 3.0 * math.sqrt(max(float(P[0, 0] + P[1, 1]), 0.0))
             there = se2.transform(expected, corners)
@@ -541,14 +543,14 @@ class AtlasTracker(LineTracker):
                     self._anchors.add(e)
                 self._anchors.pose = poses
                 return
-            self._anchors.loosen(of, at, worse / 3.0)
+            self._anchors.scale_covariances(of, at, worse / 3.0)
             self._anchors.add(edge)
             self._anchors.solve()
-        self._search_again_at[of] = 2.0 * self._way.length
+        self._search_again_at[of] = 2.0 * self._path.length
         self._loops = [e for e in self._loops if all(e is not o for o in old)] + [edge]
         if not old:
             here = se2.compose(found.pose, np.array(belief.pose()))
-            sight = seen.way.nearest(here[:2])
+            sight = seen.path.nearest(here[:2])
             self.closed.append(SeenAgain(sight.t, t, se2.between(sight.pose, here)))
         before_loop = in_map(belief)
         belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))

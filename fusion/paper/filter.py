@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
 from locfuse.fusion.ekf.record import Record
 from locfuse.fusion.fuse import BLOCK_INSTANTS, configuration_name
-from locfuse.fusion.progress import say_done
+from locfuse.fusion.progress import report_progress
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -51,9 +51,9 @@ def fuse_as_printed(
     run = PrintedFilter(drive, robot, sensors, listen)
     for k in range(len(run.grid)):
         if k % BLOCK_INSTANTS == 0:
-            say_done(k / len(run.grid))
+            report_progress(k / len(run.grid))
         run.step(k)
-    say_done(None)
+    report_progress(None)
     return run.estimates(name or configuration_name(sensors, drive))
 
 

@@ -175,9 +175,9 @@ def key_scans(m: Measurements) -> KeyScans:
 
 def _match_keys(m: Measurements, points: Points) -> KeyScans:
     u = points.moved(m.t[:-1], m.t[1:])
-    way = np.append(0.0, np.cumsum(np.hypot(*u[:, :2].T)))
+    distance = np.append(0.0, np.cumsum(np.hypot(*u[:, :2].T)))
     heading = np.append(0.0, np.cumsum(u[:, 2]))
-    readings = spaced((way, STRIDE_M), (heading, TURN_RAD))
+    readings = spaced((distance, STRIDE_M), (heading, TURN_RAD))
     clouds = clouds_of(m, readings)
     targets, sources = Targets(clouds), sources_of(clouds)
     turned = np.append(0.0, np.cumsum(np.abs(u[:, 2])))

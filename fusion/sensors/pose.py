@@ -223,10 +223,11 @@ def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
     """Raise LocfuseError if the pose never changes while the robot drives."""
     if len(t) < MIN_READINGS or np.ptp(z, axis=0).max() > 0.0:
         return
-    way = np.hypot(*wheels.relative(np.full(len(t), t[0]), t)[:, :2].T).max()
-    if way > STUCK_M:
+    distance = np.hypot(*wheels.relative(np.full(len(t), t[0]), t)[:, :2].T).max()
+    if distance > STUCK_M:
         raise LocfuseError(
-            f"{topic} says the same pose in all {len(t)} messages while the wheels drove {way:.1f} m", role="pose"
+            f"{topic} says the same pose in all {len(t)} messages while the wheels drove {distance:.1f} m",
+            role="pose",
         )
 
 
@@ -293,8 +294,8 @@ class KeptPoseModel(Model):
 
     def _drifted(self, u: Pose, floor: Array) -> Matrix:
         """Return the covariance (3, 3) of a measured motion u (3,): drift by its length and turn, plus `floor`."""
-        way = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(u[2]))
-        xy, theta = self.drift[0] * way + floor.item(0, 0), self.drift[1] * way + floor.item(2, 2)
+        distance = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(u[2]))
+        xy, theta = self.drift[0] * distance + floor.item(0, 0), self.drift[1] * distance + floor.item(2, 2)
         return ((xy, 0.0, 0.0), (0.0, xy, 0.0), (0.0, 0.0, theta))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
@@ -310,7 +311,7 @@ class KeptPoseModel(Model):
             return
         if last is None:
             R = _turned(_covariance_of(m, i), belief.theta - now[2])
-            belief.loosen(np.arange(column, column + 3), np.diagonal(np.array(R)))
+            belief.add_variance(np.arange(column, column + 3), np.diagonal(np.array(R)))
         else:
             at = column, column + 1, column + 2
             x, y, theta = map(belief.value, at)

@@ -79,10 +79,10 @@ class Twist(Sensor):
         sigmas = np.array([settings.sigma, math.radians(settings.sigma_turn_deg)])
         own = np.broadcast_to(sigmas**2, (len(t), 2))
         P, known = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
-        way, piece = summed(t, speeds[keep])
+        travelled, piece = summed(t, speeds[keep])
         # the errors of two readings are independent: their step has the variance 0.5 (v + v') dt^2; gaps have none
         held = np.where(np.diff(piece) > 0, 0.0, np.diff(t))[:, None]
-        variances, variance = np.diagonal(P, axis1=1, axis2=2), np.zeros_like(way)
+        variances, variance = np.diagonal(P, axis1=1, axis2=2), np.zeros_like(travelled)
         np.cumsum(0.5 * (variances[1:] + variances[:-1]) * held**2, axis=0, out=variance[1:])
         rows = last_of_periods(t, settings.period)
         n = len(rows)
@@ -91,7 +91,7 @@ class Twist(Sensor):
         return Measurements(
             t=t[rows],
             first=np.arange(n + 1),
-            z=way[rows],
+            z=travelled[rows],
             R_unit=R / settings.sigma**2,
             scale=settings.sigma,
             floor=np.diag([MIN_SIGMAS[0] ** 2, MIN_SIGMAS[1] ** 2]),
@@ -148,12 +148,12 @@ class TwistModel(Model):
         if last is None or m.plain["piece"][i] != m.plain["piece"][last]:
             return []
         z = m.plain["z"]
-        way, turn = z[i, 0] - z[last, 0], z[i, 1] - z[last, 1]
+        distance, turn = z[i, 0] - z[last, 0], z[i, 1] - z[last, 1]
         column = belief.column(CLONE)
         columns = column, column + 1, column + 2
         (along, turned), by_kept, by_pose = chord(tuple(map(belief.value, columns)), belief.pose())
-        y = straight(way, turn) - along, wrap(turn - turned)
-        R = (self._variance(m, 0, way, last, i), 0.0), (0.0, self._variance(m, 1, turn, last, i))
+        y = chord_length(distance, turn) - along, wrap(turn - turned)
+        R = (self._variance(m, 0, distance, last, i), 0.0), (0.0, self._variance(m, 1, turn, last, i))
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _variance(self, m: Measurements, of: int, value: float, last: int, i: int) -> float:
@@ -185,7 +185,7 @@ def chord(kept: Sequence[float], pose: Sequence[float]) -> tuple[tuple[float, fl
     return (x * c + y * s, turn), (along_kept, by_kept[2]), (along_pose, by_pose[2])
 
 
-def straight(way: float, turn: float) -> float:
+def chord_length(arc: float, turn: float) -> float:
     """Return the chord s sinc(a / 2) [m] of an arc of length s [m] and turn a [rad]."""
     half = 0.5 * turn
-    return way * direction(half)[1] / half if half else way
+    return arc * direction(half)[1] / half if half else arc

@@ -27,8 +27,8 @@ from locfuse.fusion.ekf.events import (
     Event,
     Events,
     FrameTurned,
-    Loosened,
     Moved,
+    VarianceAdded,
 )
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.mount import exact
@@ -135,7 +135,7 @@ def play(tape: Tape, noise: NoiseFactors, until: float = math.inf) -> Likelihood
             scores.append(replay.correct(op)[:, None])
             instants.append(instant)
             numbers.append(int((op.sensor >= 0).sum()))
-        elif isinstance(op, Loosened):
+        elif isinstance(op, VarianceAdded):
             replay.P[:, op.columns, op.columns] += op.variance
         elif isinstance(op, FrameTurned):
             replay.turn_frame(op)

@@ -109,7 +109,7 @@ STRAIGHT, TURN = 0, 1
 WINDOW_S = 0.3  # s, window in which the motion is classified
 STANDSTILL_MPS = 0.01  # m/s of the wheel rim below which the robot is at rest
 MAX_OTHER_SHARE = 0.2  # largest share of turning in a straight run, and of translation in a turn
-MAX_BEND_RAD_PER_M = 0.7  # rad/m: largest curvature of a straight run
+MAX_CURVATURE_RAD_PER_M = 0.7  # rad/m: largest curvature of a straight run
 MIN_RUNS = (0.5, math.radians(45.0))  # m, rad: shorter runs are not used
 PAPER_PERIOD_S = 0.1  # s, the sampling time for which the paper gives delta
 # weak prior, relative: mean scale, scale difference, track
@@ -232,7 +232,7 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
     else:
         e = se2.difference(seen, motions.u)
         T = _truth_noise(seen, sigma)
-    # eq. 9: the variance of a wheel's way in one period is delta (omega dt R)^2, so per metre delta v dt
+    # eq. 9: the variance of a wheel's distance in one period is delta (omega dt R)^2, so per metre delta v dt
     per_period = wheels.rolled**2 * (PAPER_PERIOD_S / np.diff(wheels.t))[:, None]
     return Pieces(
         kind=kind,
@@ -356,15 +356,17 @@ def find_runs(wheels: Wheels) -> list[Run]:
 def _labels(wheels: Wheels) -> Ints:
     """Label each wheel interval: +-1 straight forward/backward, +-2 left/right turn, 0 other motion or rest."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
-    way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.twist[:, [0, 2]], axis=0)))
+    travelled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.twist[:, [0, 2]], axis=0)))
     before, after = (
-        np.stack([np.interp(middle + h, wheels.t, column) for column in way.T], axis=-1)
+        np.stack([np.interp(middle + h, wheels.t, column) for column in travelled.T], axis=-1)
         for h in (-0.5 * WINDOW_S, 0.5 * WINDOW_S)
     )
     ds, turn = (after - before).T
     rim = 0.5 * wheels.track * turn
     moving = np.abs(ds) + np.abs(rim) > STANDSTILL_MPS * WINDOW_S
-    straight = (np.abs(rim) <= MAX_OTHER_SHARE * np.abs(ds)) & (np.abs(turn) <= MAX_BEND_RAD_PER_M * np.abs(ds))
+    straight = (np.abs(rim) <= MAX_OTHER_SHARE * np.abs(ds)) & (
+        np.abs(turn) <= MAX_CURVATURE_RAD_PER_M * np.abs(ds)
+    )
     label = np.where(straight, np.sign(ds), 0.0)
     label = np.where(np.abs(ds) <= MAX_OTHER_SHARE * np.abs(rim), 2.0 * np.sign(rim), label)
     return np.where(moving, label, 0.0).astype(np.int64)
@@ -378,14 +380,14 @@ def cut_runs(
     Returns (kind, index of first stamp, index of last stamp) of each piece, (k,) each; pieces do not overlap.
     """
     rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(np.abs(wheels.twist[:, [0, 2]]), axis=0)))
-    way = [np.interp(stamps, wheels.t, column) for column in rolled.T]
+    travelled = [np.interp(stamps, wheels.t, column) for column in rolled.T]
     pieces = [np.zeros((0, 3), np.int64)]
     for kind, start, end in runs:
         a, b = np.searchsorted(stamps, start).item(), np.searchsorted(stamps, end, side="right").item() - 1
-        if a >= b or (total := float(way[kind][b] - way[kind][a])) < 0.5 * MIN_RUNS[kind]:
+        if a >= b or (total := float(travelled[kind][b] - travelled[kind][a])) < 0.5 * MIN_RUNS[kind]:
             continue
-        cuts = np.linspace(way[kind][a], way[kind][b], max(1, int(total / least[kind])) + 1)
-        at = np.unique(np.clip(np.searchsorted(way[kind], cuts), a, b))
+        cuts = np.linspace(travelled[kind][a], travelled[kind][b], max(1, int(total / least[kind])) + 1)
+        at = np.unique(np.clip(np.searchsorted(travelled[kind], cuts), a, b))
         pieces.append(np.stack((np.full(len(at) - 1, kind), at[:-1], at[1:]), axis=-1))
     kinds, first, last = np.concatenate(pieces).T
     return kinds, first, last

@@ -115,10 +115,10 @@ def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) 
     start = np.arange(first, last - length, length)
     turn = np.interp(start + length, t, own) - np.interp(start, t, own)
     steps = np.column_stack((wheels.rolled, np.abs(wheels.rolled).sum(axis=1)))
-    way = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
+    travelled = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
     left, right, driven = (
         np.interp(start + delay + length, wheels.t, side) - np.interp(start + delay, wheels.t, side)
-        for side in way.T
+        for side in travelled.T
     )
     moves = np.maximum(np.abs(left), np.abs(right)) > MIN_MOVED_M * length / WINDOW_S
     return turn[moves], np.column_stack((right, left, np.full(len(start), length), driven))[moves]

@@ -35,10 +35,10 @@ NAMES = ("scale", "difference", "track", "x", "y", "yaw", "delay")
 STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 0.15])
 PRIOR = np.array([0.1, 0.1, 0.3, 0.5, 0.5, 1.0, 0.5])  # weak prior, 1 sigma: relative (3), m (2), rad, s
 # parameters that only translations determine (scale and mount), and that only turns determine (track, x, y)
-BY_WAY, BY_TURN = [0, 3, 4, 5], [2, 3, 4]
+BY_TRANSLATION, BY_TURN = [0, 3, 4, 5], [2, 3, 4]
 UNOBSERVED_SHARE = 0.3  # share of the prior's sigma from which a parameter counts as not determined
 # motion of the laser, or time, after which an interval ends
-WAY_M, TURN_RAD, SPAN_S = 0.4, np.radians(25.0), 3.0
+INTERVAL_M, INTERVAL_RAD, INTERVAL_S = 0.4, np.radians(25.0), 3.0
 MOVED_M, MOVED_RAD = 0.03, np.radians(1.5)  # intervals with less motion are not used
 MIN_INTERVALS = 12
 DELAYS_S = sorted(np.linspace(-1.0, 1.0, 41).tolist(), key=abs)  # tried for the first guess, the smallest first
@@ -68,7 +68,7 @@ class LaserCalibration(msgspec.Struct, frozen=True):
     noise: float  # m: maximum-likelihood wheel noise per metre
     intervals: int
     outliers: int
-    way_m: float
+    distance_m: float
     turned_rad: float
 
     def undetermined(self) -> list[str]:
@@ -87,7 +87,7 @@ class Intervals(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, motion: ScanMotions) -> Intervals:
-        """Cut a drive into intervals of WAY_M or TURN_RAD; leave out intervals at rest."""
+        """Cut a drive into intervals of INTERVAL_M or INTERVAL_RAD; leave out intervals at rest."""
         t, pose = motion.laser.t, motion.laser.pose
         a, b = _cut(t, pose)
         inside = (t[a] + motion.delay > motion.wheels.t[0]) & (t[b] + motion.delay < motion.wheels.t[-1])
@@ -141,8 +141,8 @@ def calibrate(motions: Sequence[ScanMotions]) -> LaserCalibration:
     n = sum(len(one.t_from) for one in every)
     if n < MIN_INTERVALS:
         raise LocfuseError(
-            f"{n} pieces of way are seen by wheels and laser; at least {MIN_INTERVALS} of {WAY_M:g} m or "
-            f"{np.degrees(TURN_RAD):.0f} degrees are needed",
+            f"{n} pieces of way are seen by wheels and laser; at least {MIN_INTERVALS} of {INTERVAL_M:g} m or "
+            f"{np.degrees(INTERVAL_RAD):.0f} degrees are needed",
             role="calibrate",
         )
     first = first_guess(every)
@@ -153,7 +153,7 @@ def calibrate(motions: Sequence[ScanMotions]) -> LaserCalibration:
     p, spread, scale = _fitted(used, p, first)
     sigmas = np.hypot(np.sqrt(np.diagonal(spread)), CORRELATED_SIGMAS)
     if _on_the_spot(_wheel_motions(used, float(p[6]))):  # mounts rotated about the axle give the same motions
-        sigmas[BY_WAY] = np.inf
+        sigmas[BY_TRANSLATION] = np.inf
     s = np.concatenate([one.s for one in used])
     if _straight(s):  # measured turns are only noise
         sigmas[BY_TURN] = np.inf
@@ -164,7 +164,7 @@ def calibrate(motions: Sequence[ScanMotions]) -> LaserCalibration:
         noise=scale,
         intervals=len(s),
         outliers=n - len(s),
-        way_m=float(np.hypot(s[:, 0], s[:, 1]).sum()),
+        distance_m=float(np.hypot(s[:, 0], s[:, 1]).sum()),
         turned_rad=float(np.abs(s[:, 2]).sum()),
     )
 
@@ -245,9 +245,9 @@ def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
 
 def _cut(t: Array, pose: Array) -> tuple[Ints, Ints]:
     """Return the indices of the first and the last scan of every interval, (n,) each."""
-    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
+    distance = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
     turn = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(pose[:, 2])))))
-    cuts = spaced((way, WAY_M), (turn, TURN_RAD), (t, SPAN_S))
+    cuts = spaced((distance, INTERVAL_M), (turn, INTERVAL_RAD), (t, INTERVAL_S))
     return cuts[:-1], cuts[1:]
 
 

@@ -96,8 +96,8 @@ def calibrate_tricycle(
         """
         ds = np.diff(found.rolled) * p[SCALE]
         angle = (found.steering - settings.servo_offset) * p[GAIN] + p[ZERO]
-        way = dead_reckoning(rolled_by(ds, angle, p[BASE]))
-        body = np.stack([np.interp(stamps + p[DELAY], t, column) for column in way.T], axis=-1)
+        path = dead_reckoning(rolled_by(ds, angle, p[BASE]))
+        body = np.stack([np.interp(stamps + p[DELAY], t, column) for column in path.T], axis=-1)
         return se2.compose(body, np.broadcast_to(p[POINT], body.shape))
 
     def of_windows(p: Array) -> Array:
@@ -149,8 +149,8 @@ def nominal(
     range counts as one radian for the gain. `shift` [s] converts the encoders' times to the reference's clock.
     """
     rows = np.unique(np.searchsorted(reference.t, np.arange(reference.t[0], reference.t[-1], WINDOW_S)))
-    ways = np.hypot(*np.diff(reference.pose[rows, :2], axis=0).T)
-    fastest = math.ceil(MAX_SPEED_RATIO * float((ways / np.diff(reference.t[rows])).max()))
+    distances = np.hypot(*np.diff(reference.pose[rows, :2], axis=0).T)
+    fastest = math.ceil(MAX_SPEED_RATIO * float((distances / np.diff(reference.t[rows])).max()))
     assumed = msgspec.structs.replace(
         settings,
         ticks_per_revolution=settings.ticks_per_revolution or ASSUMED_TICKS,
@@ -163,7 +163,7 @@ def nominal(
     low, middle, high = np.percentile(found.steering, (5.0, 50.0, 95.0)).tolist()
     return msgspec.structs.replace(
         assumed,
-        radius=settings.radius or ASSUMED_RADIUS_M * float(ways.sum() / rolled),
+        radius=settings.radius or ASSUMED_RADIUS_M * float(distances.sum() / rolled),
         max_speed=settings.max_speed or float(fastest),
         servo_gain=settings.servo_gain or high - low,
         servo_offset=settings.servo_offset or middle,

@@ -37,7 +37,8 @@ class Wheels(msgspec.Struct, frozen=True):
     pose: Array  # (n, 3) dead reckoning from (0, 0, 0)
     track: float  # m
     noise: float  # m: variance per metre rolled
-    silence: Array  # (n-1, 2) for gaps: variance of the end position [m^2], largest turning rate [rad/s]; else 0
+    # (n-1, 2) for gaps: variance of the end position [m^2], largest turning rate [rad/s]; else 0
+    gap_uncertainty: Array
     matched: Array | None = None  # (n-1, 3, 3) covariance of each twist, for scan-matched odometry
 
     @classmethod
@@ -46,7 +47,7 @@ class Wheels(msgspec.Struct, frozen=True):
         rolled = np.column_stack((np.diff(left), np.diff(right)))
         ds, turn = body_increments(rolled[:, 0], rolled[:, 1], track)
         twist = np.column_stack((ds, np.zeros_like(ds), turn))
-        return cls(t, twist, rolled, dead_reckoning(twist), track, noise, silences(t, rolled, turn))
+        return cls(t, twist, rolled, dead_reckoning(twist), track, noise, gap_uncertainties(t, rolled, turn))
 
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
@@ -56,8 +57,8 @@ class Wheels(msgspec.Struct, frozen=True):
         motion.
         """
         half = 0.5 * track * twist[:, 2]
-        way = np.copysign(np.hypot(twist[:, 0], twist[:, 1]), twist[:, 0])
-        rolled = np.column_stack((way - half, way + half))
+        distance = np.copysign(np.hypot(twist[:, 0], twist[:, 1]), twist[:, 0])
+        rolled = np.column_stack((distance - half, distance + half))
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise, np.zeros_like(rolled))
 
     @classmethod
@@ -82,7 +83,7 @@ class Wheels(msgspec.Struct, frozen=True):
             twist=self.twist[between],
             rolled=self.rolled[between],
             pose=self.pose[rows],
-            silence=self.silence[between],
+            gap_uncertainty=self.gap_uncertainty[between],
             matched=None if self.matched is None else self.matched[between],
         )
 
@@ -114,8 +115,8 @@ class Wheels(msgspec.Struct, frozen=True):
             steps = self.noise * np.abs(self.rolled)
         else:  # the variance of wheels that would cause the same variance of the turn
             steps = np.repeat(0.5 * self.track**2 * self.matched[:, 2, 2, None], 2, axis=1)
-        way = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
-        return np.diff(np.stack([np.interp(t, self.t, column) for column in way.T], axis=-1), axis=-2)
+        travelled = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+        return np.diff(np.stack([np.interp(t, self.t, column) for column in travelled.T], axis=-1), axis=-2)
 
     def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
         """Pre-integrate n intervals [t_from, t_to], (n,) s each.
@@ -167,12 +168,14 @@ class Wheels(msgspec.Struct, frozen=True):
         chord = se2.rotated(middle, twist[:, :2])
         # derivative of the end pose by the turn: of the chord, and of the lever arm from the piece to the end
         by_turn = np.stack((-0.5 * chord[:, 1] - lever[:, 1], 0.5 * chord[:, 0] + lever[:, 0], one), axis=-1)
-        way = middle + _travel_direction(ahead, left)
-        by_way = np.stack((np.cos(way), np.sin(way), 0.0 * way), axis=-1)
-        by_wheels = np.stack((0.5 * by_way - by_turn / self.track, 0.5 * by_way + by_turn / self.track), axis=-1)
+        direction = middle + _travel_direction(ahead, left)
+        by_distance = np.stack((np.cos(direction), np.sin(direction), 0.0 * direction), axis=-1)
+        by_wheels = np.stack(
+            (0.5 * by_distance - by_turn / self.track, 0.5 * by_distance + by_turn / self.track), axis=-1
+        )
         if self.matched is None:
             noise = (by_wheels * (self.noise * np.abs(rolled))[:, None]) @ np.swapaxes(by_wheels, 1, 2)
-            variance, rate = self.silence[k].T
+            variance, rate = self.gap_uncertainty[k].T
             if rate.any():
                 # the counters give the heading after the gap; within the gap the heading is uncertain
                 most = np.minimum(rate * share * (self.t[k + 1] - self.t[k]), np.pi)
@@ -204,7 +207,7 @@ def _sums(pieces: Array, count: Ints) -> Array:
     return out
 
 
-def silences(t: Array, rolled: Array, turn: Array) -> Array:
+def gap_uncertainties(t: Array, rolled: Array, turn: Array) -> Array:
     """Return (n-1, 2) for n-1 wheel intervals: in gaps position variance [m^2] and turning rate [rad/s], else 0.
 
     Over a gap of length T, the counters give the distance of each wheel but not the path: a straight line, an arc
@@ -212,13 +215,13 @@ def silences(t: Array, rolled: Array, turn: Array) -> Array:
     2 and comes back. Its mean deviation of w T / 4 (uniform) moves the position by this share of the path; at
     most, the position lies anywhere in a disc about the start.
     """
-    span, way = np.diff(t), 0.5 * np.abs(rolled).sum(axis=1)
-    silent = span > gap_limit(t)
-    if not silent.any():
+    span, distance = np.diff(t), 0.5 * np.abs(rolled).sum(axis=1)
+    in_gap = span > gap_limit(t)
+    if not in_gap.any():
         return np.broadcast_to(np.float64(0.0), (len(span), 2))  # needs no memory
-    fastest = float(np.percentile(np.abs(turn[~silent]) / span[~silent], 99))
-    sigma = way * np.minimum(0.5, fastest * span / (4.0 * np.sqrt(3.0)))
-    return np.where(silent[:, None], np.column_stack((sigma**2, np.full_like(span, fastest))), 0.0)
+    fastest = float(np.percentile(np.abs(turn[~in_gap]) / span[~in_gap], 99))
+    sigma = distance * np.minimum(0.5, fastest * span / (4.0 * np.sqrt(3.0)))
+    return np.where(in_gap[:, None], np.column_stack((sigma**2, np.full_like(span, fastest))), 0.0)
 
 
 def dead_reckoning(twist: Array) -> Array:
@@ -233,10 +236,10 @@ def dead_reckoning(twist: Array) -> Array:
 # between both clocks. It is 0 for a motion at rest. Both signs of the turns are tried, so an axis that points down
 # is not detected.
 
-TURN_WINDOW_S, WAY_WINDOW_S, MIN_WINDOWS = 1.0, 5.0, 5
+TURN_WINDOW_S, DISTANCE_WINDOW_S, MIN_WINDOWS = 1.0, 5.0, 5
 LAGS_S = np.arange(-1.0, 1.01, 0.1)  # between the clocks of a motion and a sensor
 MIN_TURN_RAD = np.radians(3.0)  # least rms turn of the sensor in a window
-MIN_WAY_M = 15.0  # m, least total distance: fixes of a receiver at rest drift by some metres
+MIN_DISTANCE_M = 15.0  # m, least total distance: fixes of a receiver at rest drift by some metres
 
 
 def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
@@ -255,14 +258,14 @@ def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
     return max(_explained(seen, start, turned), _explained(-seen, start, turned))
 
 
-def ways_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_WAY_M) -> float | None:
+def distances_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_DISTANCE_M) -> float | None:
     """Return how much of the distance between positions a motion explains, as a share in [0, 1].
 
     None if there are too few positions, or less than `least` [m] between them in total.
 
     `xy` (n, 2) [m] are the positions at times t (n,) [s] on the clock of the motion.
     """
-    start = np.arange(t[0], t[-1] - WAY_WINDOW_S, WAY_WINDOW_S)
+    start = np.arange(t[0], t[-1] - DISTANCE_WINDOW_S, DISTANCE_WINDOW_S)
     seen = _far(start, t, xy)
     if len(start) < MIN_WINDOWS or seen.sum() < least:
         return None
@@ -270,7 +273,7 @@ def ways_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_WAY_M
 
 
 def _far(start: Array, t: Array, xy: Array) -> Array:
-    ends = [np.stack([np.interp(at, t, column) for column in xy.T]) for at in (start, start + WAY_WINDOW_S)]
+    ends = [np.stack([np.interp(at, t, column) for column in xy.T]) for at in (start, start + DISTANCE_WINDOW_S)]
     return np.asarray(np.hypot(*(ends[1] - ends[0])))
 
 

@@ -60,7 +60,7 @@ USUAL_VARIANCES = np.array([0.5, 0.3, 1.0]) ** 2
 DECAY_S = np.array([4.0, 4.0, 1.0])  # s, decay times of the velocity: turns change fastest
 
 
-class _Way(msgspec.Struct):
+class _MatchedPath(msgspec.Struct):
     """Motion of n scans: for each scan the step (3,) from the one before, and its covariance."""
 
     t: Array  # (n,) s
@@ -72,7 +72,7 @@ class _Way(msgspec.Struct):
 class MatchedScans(msgspec.Struct, frozen=True):
     """Path of a laser by scan matching, independent of the settings of wheels and clocks."""
 
-    way: _Way
+    path: _MatchedPath
     epoch_ns: int  # the stream's first stamp
     dropped: dict[str, int]
     notes: tuple[str, ...]
@@ -83,9 +83,9 @@ class MatchedScans(msgspec.Struct, frozen=True):
         The covariance of the matches is multiplied by `wheels.noise` over its default. The times are those of the
         laser plus `time_offset` [s].
         """
-        begin = float(self.way.t[0])
+        begin = float(self.path.t[0])
         epoch_ns = self.epoch_ns + round((begin + time_offset + settings.time_offset) * 1e9)
-        return WheelReading(_wheels(self.way, settings, begin), epoch_ns, dict(self.dropped), self.notes)
+        return WheelReading(_wheels(self.path, settings, begin), epoch_ns, dict(self.dropped), self.notes)
 
 
 def match_scans(stream: Stream, laser: Laser) -> MatchedScans:
@@ -95,55 +95,55 @@ def match_scans(stream: Stream, laser: Laser) -> MatchedScans:
     scans = read_scans(stream, laser, STANDING)
     if scans.t[0] == scans.t[-1]:
         raise LocfuseError(f"the {len(scans.t)} scans of {stream.topic} have one stamp", role="wheels")
-    way = _matched(scans)
+    path = _matched(scans)
     if scans.skewed:
-        way = _matched(read_scans(stream, laser, _wheels(way, WheelSettings())))
-    if way.blind[1:].all():
+        path = _matched(read_scans(stream, laser, _wheels(path, WheelSettings())))
+    if path.blind[1:].all():
         raise LocfuseError(NO_RETURNS.format(topic=stream.topic), role="wheels")
-    return MatchedScans(way, int(stream.t_ns[0]), dict(stream.dropped), _notes(stream, way))
+    return MatchedScans(path, int(stream.t_ns[0]), dict(stream.dropped), _notes(stream, path))
 
 
-def _notes(stream: Stream, way: _Way) -> tuple[str, ...]:
+def _notes(stream: Stream, path: _MatchedPath) -> tuple[str, ...]:
     words = [f"the motion is matched from scan to scan of {stream.topic}"]
-    blind = way.blind[1:]
+    blind = path.blind[1:]
     if blind.any():
         at = np.flatnonzero(blind) + 1
         words.append(
-            f"{len(at)} of {len(blind)} scans match none before them (first at {way.t[at[0]] - way.t[0]:.1f} s): "
-            "constant velocity is assumed there"
+            f"{len(at)} of {len(blind)} scans match none before them "
+            f"(first at {path.t[at[0]] - path.t[0]:.1f} s): constant velocity is assumed there"
         )
     return tuple(words)
 
 
-def _wheels(way: _Way, settings: WheelSettings, begin: float = 0.0) -> Wheels:
-    later = np.append(True, np.diff(way.t) > 0.0)  # of two scans with one stamp the first is used
-    twist = se2.log(way.step[later][1:])
+def _wheels(path: _MatchedPath, settings: WheelSettings, begin: float = 0.0) -> Wheels:
+    later = np.append(True, np.diff(path.t) > 0.0)  # of two scans with one stamp the first is used
+    twist = se2.log(path.step[later][1:])
     return Wheels.from_matches(
-        way.t[later] - begin,
+        path.t[later] - begin,
         twist,
-        way.P[later][1:] * (settings.noise / USUAL_NOISE),
+        path.P[later][1:] * (settings.noise / USUAL_NOISE),
         settings.track or VIRTUAL_TRACK,
         settings.noise,
     )
 
 
-def _matched(scans: ThinnedScans) -> _Way:
+def _matched(scans: ThinnedScans) -> _MatchedPath:
     """Match all scans, in blocks of SCANS_AT_ONCE; each block begins with the last key of the block before."""
     n = len(scans.t)
-    way = _Way(scans.t, np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool))
+    path = _MatchedPath(scans.t, np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool))
     velocity, begin = initial_velocity(), 0
     while begin < n - 1:
         rows = np.arange(begin, min(begin + SCANS_AT_ONCE, n))
-        velocity, key = _block(scans, rows, velocity, way)
+        velocity, key = _block(scans, rows, velocity, path)
         begin = int(rows[key]) if rows[-1] < n - 1 else n
-    return way
+    return path
 
 
-def _block(scans: ThinnedScans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Velocity, int]:
+def _block(scans: ThinnedScans, rows: Ints, velocity: Velocity, path: _MatchedPath) -> tuple[Velocity, int]:
     """Match the scans `rows` (m,); return the velocity at the last key, and the index of this key in `rows`."""
     clouds = scans.clouds(rows)
     if not np.isfinite(clouds.normal[:, 0]).any():
-        return _predict(velocity, scans.t[rows], way, rows)
+        return _predict(velocity, scans.t[rows], path, rows)
     targets, sources = Targets(clouds), sources_of(clouds)
     t = scans.t[rows]
     ends = np.union1d(spaced((t, MIN_PAIR_S)), len(t) - 1)
@@ -156,21 +156,21 @@ def _block(scans: ThinnedScans, rows: Ints, velocity: Velocity, way: _Way) -> tu
     chain = np.concatenate((np.zeros((1, 3)), chain))
     share = np.diff(t) / np.where(dt > 0.0, dt, 1.0)[pair]
     key = _keys(targets, sources, chain)
-    _match_with_keys(targets, sources, chain, key, share[:, None, None] * np.array(spread)[pair], way, rows)
-    way.blind[rows[1:]] = np.logical_not(fits)[pair]
+    _match_with_keys(targets, sources, chain, key, share[:, None, None] * np.array(spread)[pair], path, rows)
+    path.blind[rows[1:]] = np.logical_not(fits)[pair]
     last = int(key[-1])
     return velocities[pair[last - 1]], (last or len(rows) - 1)
 
 
-def _predict(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velocity, int]:
+def _predict(velocity: Velocity, t: Array, path: _MatchedPath, rows: Ints) -> tuple[Velocity, int]:
     """Predict the motion through scans `rows` (m,) without surfaces by the decaying velocity; mark them blind.
 
     Returns the velocity at the last of these scans, and the index of this scan in `rows`.
     """
     for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
         velocity = velocity.after(span)
-        way.step[row], way.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
-        way.blind[row] = True
+        path.step[row], path.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
+        path.blind[row] = True
     return velocity, len(rows) - 1
 
 
@@ -256,9 +256,9 @@ def _mutual_overlap(targets: Targets, sources: Clouds, chain: Array, a: int, b: 
 
 
 def _match_with_keys(
-    targets: Targets, sources: Clouds, chain: Array, key: Ints, spread: Array, way: _Way, rows: Ints
+    targets: Targets, sources: Clouds, chain: Array, key: Ints, spread: Array, path: _MatchedPath, rows: Ints
 ) -> None:
-    """Match every scan with its key scan, and store the steps from scan to scan in `way`."""
+    """Match every scan with its key scan, and store the steps from scan to scan in `path`."""
     later = np.arange(1, len(rows))
     mine = key[later]
     guess = se2.between(chain[mine], chain[later])
@@ -269,8 +269,8 @@ def _match_with_keys(
     of_key = np.concatenate((np.zeros((1, 3)), pose))  # pose of each scan relative to its key
     same = key[:-1] == mine  # the scan before has the same key
     start = np.where((same & (later - 1 != mine))[:, None], of_key[:-1], 0.0)
-    way.step[rows[1:]] = se2.between(start, pose)
-    way.P[rows[1:]] = _spread_evenly(C, mine, start)
+    path.step[rows[1:]] = se2.between(start, pose)
+    path.P[rows[1:]] = _spread_evenly(C, mine, start)
 
 
 def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:

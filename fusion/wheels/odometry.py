@@ -139,9 +139,9 @@ def _poses_by_heading(t: Array, speed: Array, heading: Array) -> Array:
     finite = np.isfinite(speed) & np.isfinite(heading)
     out = np.full((len(t), 3), np.nan)
     t, speed, heading = t[finite], speed[finite], heading[finite]
-    way = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
+    arc = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
     turn = se2.wrap_all(np.diff(heading))
-    chord, middle = way * np.sinc(turn / (2.0 * np.pi)), heading[:-1] + 0.5 * turn
+    chord, middle = arc * np.sinc(turn / (2.0 * np.pi)), heading[:-1] + 0.5 * turn
     steps = np.stack((chord * np.cos(middle), chord * np.sin(middle)), axis=-1)
     places = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))[: len(t)]
     out[finite] = np.column_stack((places, heading))
@@ -276,8 +276,8 @@ def along_the_frame(ahead: Array, dx: Array, by_speed: Array) -> bool:
     x.
     """
     most = MAX_STEP_RATIO * np.maximum(np.abs(by_speed), np.abs(ahead))  # limits the effect of jumps
-    ways = dx, np.copysign(ahead, by_speed)
-    in_frame, in_body = (float(np.minimum(np.abs(way - by_speed), most).sum()) for way in ways)
+    distances = dx, np.copysign(ahead, by_speed)
+    in_frame, in_body = (float(np.minimum(np.abs(distance - by_speed), most).sum()) for distance in distances)
     return in_frame < MAX_FRAME_SHARE * in_body and in_body > MIN_BODY_MISFIT * float(np.abs(by_speed).sum())
 
 

@@ -116,8 +116,8 @@ def _rolled(
     else:  # two topics: at the times of the left wheel
         t = t_left[(t_left >= t_right[0]) & (t_left <= t_right[-1])]
     s_left, s_right = (s * share for s, share in zip(SIGNS[settings.mirrored], settings.shares, strict=True))
-    ways = s_left * np.interp(t, t_left, left.rolled), s_right * np.interp(t, t_right, right.rolled)
-    return t, *ways, (*left.notes, *right.notes)
+    distances = s_left * np.interp(t, t_left, left.rolled), s_right * np.interp(t, t_right, right.rolled)
+    return t, *distances, (*left.notes, *right.notes)
 
 
 def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
@@ -175,9 +175,9 @@ def _from_body(
         t, twist = odometry.obeyed(t[can], values[keep[can], 3:])
         notes, doubt = tuple[str, ...](), ""
     else:
-        way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
-        count_dropped(dropped, spike=way.spikes)
-        t, twist, notes, doubt = t[way.keep], way.twist, way.notes, way.doubt
+        motion = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
+        count_dropped(dropped, spike=motion.spikes)
+        t, twist, notes, doubt = t[motion.keep], motion.twist, motion.notes, motion.doubt
     require_two(stream.topic, len(t), len(stream.t_ns))
     wheels = Wheels.from_twists(t - t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
     epoch_ns = int(stream.t_ns[keep[0]]) + round((float(t[0]) + settings.time_offset) * 1e9)

@@ -58,14 +58,14 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     keep, rolled = keep[~held], rolled[~held]
     t, steps = side.t[keep], np.diff(rolled)
     restarts = np.abs(steps) > limits(t, steps, max_speed)
-    way = np.concatenate(([0.0], np.cumsum(without_restarts(t, steps[:, None], restarts))))
+    distance = np.concatenate(([0.0], np.cumsum(without_restarts(t, steps[:, None], restarts))))
     jumps = steps[restarts] / metres
     notes = _words(side.name, count, int(bad.sum()), jumps.tolist())
     if held.any():
         notes.append(
             f"{side.name} counter stood still and then caught up: its {held.sum()} equal readings are not used"
         )
-    return Repaired(keep, way, int(bad.sum()), tuple(notes))
+    return Repaired(keep, distance, int(bad.sum()), tuple(notes))
 
 
 def _held(t: Array, rolled: Array, max_speed: float | None) -> Mask:

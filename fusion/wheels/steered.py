@@ -108,10 +108,10 @@ def read_encoders(stream: MergedStream, settings: WheelSettings) -> Encoders:
     t = (traction.t_ns[rows] - zero_ns) * np.float64(1e-9)
     metres = 2.0 * math.pi * settings.radius / settings.ticks_per_revolution
     side = Side("traction", t, _numbers(traction)[rows], COUNTER_RANGES)
-    way = repaired(side, metres, settings.rollover, settings.max_speed)
+    wheel = repaired(side, metres, settings.rollover, settings.max_speed)
     turned = unrolled(_numbers(steering)).values
-    at = np.interp(t[way.keep], (steering.t_ns - zero_ns) * np.float64(1e-9), turned)
-    return Encoders(t[way.keep], zero_ns, way.rolled, at, way.spikes, way.notes)
+    at = np.interp(t[wheel.keep], (steering.t_ns - zero_ns) * np.float64(1e-9), turned)
+    return Encoders(t[wheel.keep], zero_ns, wheel.rolled, at, wheel.spikes, wheel.notes)
 
 
 def twists_of(found: Encoders, settings: WheelSettings, stream: Stream) -> Array:

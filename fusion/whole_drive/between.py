@@ -177,10 +177,10 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
 
     t (N,) are all update times [s]. The robot moved if the wheels turned within REST_S of the scan.
     """
-    way, turned = odometry.way(), np.append(0.0, np.cumsum(np.abs(np.diff(odometry.pose[:, 2]))))
+    distance, turned = odometry.path_length(), np.append(0.0, np.cumsum(np.abs(np.diff(odometry.pose[:, 2]))))
     before = np.searchsorted(t, t[instants] - REST_S)
     after = np.searchsorted(t, t[instants] + REST_S, side="right") - 1
-    moved = (way[after] > way[before]) | (turned[after] > turned[before])
+    moved = (distance[after] > distance[before]) | (turned[after] > turned[before])
     moved[readings], moved[: readings[0]], moved[readings[-1] :] = False, False, False
     chosen = np.flatnonzero(moved)
     return chosen[spaced((t[instants[chosen]], GAP_S))]

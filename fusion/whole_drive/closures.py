@@ -36,7 +36,7 @@ GRID_CELLS = 256  # cells per side of the transform: submap and search window fi
 MAX_SHIFT_M = 0.5 * GRID_CELLS * CELL_M - 2.0 - REACH_M
 APART_M = 1.5  # two peaks further apart are two places
 ALIKE_SHARE = 0.93  # if the second peak has this share of the best score, the search is undecided
-MIN_WAY_M = 15.0  # least path length of a loop
+MIN_LOOP_LENGTH_M = 15.0  # least path length of a loop
 MAX_APART_M = 5.0  # between the middles of two submaps that overlap
 NARROW_M, NARROW_RAD = 0.35, np.radians(4.0)  # 1 sigma up to which scan matching works without a search
 SEARCH_SIGMAS_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search in each round
@@ -56,7 +56,7 @@ NARROWER_SHARE = 0.7  # a search is repeated if its window shrank to this share
 CLOSURE_WIDTH_SIGMAS = 4.0  # width of the robust kernel
 MIN_KEPT_WEIGHT = 0.3  # a closure with a lower weight after the solve is removed
 SUPPORT_M, SUPPORT_RAD = 0.35, np.radians(2.5)  # largest disagreement of two candidates at neighbouring submaps
-SUPPORT_WAY_M = 12.0  # largest path length between neighbouring submaps
+MAX_SUPPORT_DISTANCE_M = 12.0  # largest path length between neighbouring submaps
 # 1 sigma of a place that the filter recognised: half of NARROW_M, since key scans were taken near the place
 SIGMA_M, SIGMA_RAD = 0.5 * NARROW_M, 0.5 * NARROW_RAD
 KERNEL_WIDTH_FACTORS = (1e4, 1e3, 1e2, 10.0, 1.0)
@@ -121,15 +121,15 @@ class Submaps(msgspec.Struct, frozen=True):
     clouds: Clouds  # of the s submaps
     keys: Clouds  # of the n single keys
     views: Views  # of the n single keys
-    way: Array  # (n,) m, path length driven until each key
+    driven: Array  # (n,) m, path length driven until each key
 
 
-def submaps_of(keys: Clouds, origin: Array, x: Array, way: Array) -> Submaps:
-    """Group keys at poses x (n, 3), with path lengths `way` (n,) [m], into submaps that overlap by half."""
-    middle = np.flatnonzero(np.diff(np.floor(way / SPACING_M), prepend=-1.0) > 0)
-    members = [np.flatnonzero(np.abs(way - way[k]) <= HALF_LENGTH_M) for k in middle.tolist()]
+def submaps_of(keys: Clouds, origin: Array, x: Array, driven: Array) -> Submaps:
+    """Group keys at poses x (n, 3), with path lengths `driven` (n,) [m], into submaps that overlap by half."""
+    middle = np.flatnonzero(np.diff(np.floor(driven / SPACING_M), prepend=-1.0) > 0)
+    members = [np.flatnonzero(np.abs(driven - driven[k]) <= HALF_LENGTH_M) for k in middle.tolist()]
     poses = [se2.between(x[k], x[group]) for k, group in zip(middle.tolist(), members, strict=True)]
-    return Submaps(middle, members, merged(keys, members, poses), keys, Views.of(keys, origin), way)
+    return Submaps(middle, members, merged(keys, members, poses), keys, Views.of(keys, origin), driven)
 
 
 class Peak(msgspec.Struct, frozen=True):
@@ -242,13 +242,15 @@ def close(x: Array, edges: Edges, problem: Problem, maps: Submaps, hints: Edges)
 
 def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candidates:
     """Return the pairs of submaps without a closure that may overlap according to the graph."""
-    middle, way = maps.middle, maps.way
+    middle, driven = maps.middle, maps.driven
     a, b = np.triu_indices(len(middle), 1)
     apart = np.hypot(*(x[middle[b], :2] - x[middle[a], :2]).T)
     closed = np.zeros((len(middle), len(middle)), bool)
     for pair in loops.pair:
         closed[pair] = True
-    possible = (way[middle[b]] - way[middle[a]] > MIN_WAY_M) & (apart < 2.0 * MAX_APART_M) & ~closed[a, b]
+    possible = (
+        (driven[middle[b]] - driven[middle[a]] > MIN_LOOP_LENGTH_M) & (apart < 2.0 * MAX_APART_M) & ~closed[a, b]
+    )
     a, b, apart = a[possible], b[possible], apart[possible]
     some, at = np.unique(np.concatenate((a, b)), return_inverse=True)
     guess, P = relative(x[middle[some]], normal.joint(middle[some]), at[: len(a)], at[len(a) :])
@@ -358,12 +360,14 @@ def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
 
 def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops) -> NDArray[np.bool_]:
     """Return which candidates (c,) agree with another candidate or a closure at neighbouring submaps."""
-    way, i = maps.way, np.concatenate((maps.middle[c.a], loops.edges.i))
+    driven, i = maps.driven, np.concatenate((maps.middle[c.a], loops.edges.i))
     j = np.concatenate((maps.middle[c.b], loops.edges.j))
     z = np.concatenate((found.pose, loops.edges.z))
     out = np.zeros(len(c.a), dtype=bool)
     for k in range(len(c.a)):
-        near = (np.abs(way[i] - way[i[k]]) < SUPPORT_WAY_M) & (np.abs(way[j] - way[j[k]]) < SUPPORT_WAY_M)
+        near = (np.abs(driven[i] - driven[i[k]]) < MAX_SUPPORT_DISTANCE_M) & (
+            np.abs(driven[j] - driven[j[k]]) < MAX_SUPPORT_DISTANCE_M
+        )
         near &= (i != i[k]) | (j != j[k])
         others = np.flatnonzero(near)
         if not len(others):

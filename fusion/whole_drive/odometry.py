@@ -27,7 +27,7 @@ class Odometry(msgspec.Struct, frozen=True):
     C: Array  # (n, 3, 3) covariance of xi since the first instant
     left_out: Array | None = None  # (3,) variances in C in addition to the wheels' noise, per metre and radian
 
-    def way(self) -> Array:
+    def path_length(self) -> Array:
         """Return the path length driven until each update time, (n,) [m]."""
         return np.append(0.0, np.cumsum(np.hypot(*np.diff(self.pose[:, :2], axis=0).T)))
 
@@ -35,7 +35,7 @@ class Odometry(msgspec.Struct, frozen=True):
         """Return the odometry at the update times with indices k (m,)."""
         return Odometry(self.pose[k], self.C[k], self.left_out)
 
-    def loosened(self) -> Odometry:
+    def with_slip_noise(self) -> Odometry:
         """Add variance for slips and uneven floors (LEFT_OUT_VARIANCES), which wheel noise does not include."""
         u = se2.between(self.pose[:-1], self.pose[1:])
         more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT_VARIANCES)), axis=0)

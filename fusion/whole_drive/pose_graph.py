@@ -34,7 +34,7 @@ from .walls import straightened
 
 LASER = "lrf"
 MIN_KEYS = 10
-KEY_WAY_M, KEY_TURN_RAD = 0.5, np.radians(20.0)  # path length or turn between two keys
+KEY_DISTANCE_M, KEY_TURN_RAD = 0.5, np.radians(20.0)  # path length or turn between two keys
 START_FLOOR_P = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: least covariance of the start pose
 MAX_STRAIGHT_RAD = np.radians(5.0)  # largest turn between two keys that counts as driving straight
 SPAN_GAP_S = 30.0  # closures further apart in time are listed separately
@@ -181,8 +181,8 @@ def whole_drive(
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
     wheels = None if estimated is None else estimated[-1]
     odometry = odometry_of(drive, lag, wheels)
-    driven, headings = odometry.way()[drive.instant[LASER]], odometry.pose[drive.instant[LASER], 2]
-    readings = spaced((driven, KEY_WAY_M), (headings, KEY_TURN_RAD))
+    distance, headings = odometry.path_length()[drive.instant[LASER]], odometry.pose[drive.instant[LASER], 2]
+    readings = spaced((distance, KEY_DISTANCE_M), (headings, KEY_TURN_RAD))
     if len(readings) < MIN_KEYS:
         return None
     keys = drive.instant[LASER][readings]
@@ -194,31 +194,31 @@ def whole_drive(
     others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys, audits)
     start = GraphStart.of(robot, odometry, int(keys[0]))
     problem = Problem(start.at_first_key, others if others.sensors else None)
-    way = driven[readings]
+    driven = distance[readings]
     wheels_only = wheel_edges(odometry, keys)
-    x, edges = sequential(scans.targets, scans.sources, wheels_only, way, problem)
+    x, edges = sequential(scans.targets, scans.sources, wheels_only, driven, problem)
     straighter = straight_mount(mount, configured, x, wheels_only.z)
     if not np.array_equal(straighter, mount):
         mount, scans = straighter, KeyClouds(m, readings, straighter)
-        x, edges = sequential(scans.targets, scans.sources, wheels_only, way, problem)
+        x, edges = sequential(scans.targets, scans.sources, wheels_only, driven, problem)
     drive = replace(drive, measurements={**drive.measurements, LASER: scans.m})
     scaled = replace(odometry, C=wheels_share(odometry, keys, x) * odometry.C)
     start = GraphStart.of(robot, scaled, int(keys[0]))
     problem.start = start.at_first_key
-    maps = submaps_of(scans.clouds, mount[:2], x, way)
+    maps = submaps_of(scans.clouds, mount[:2], x, driven)
     hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
     x, closed, loops = close(x, edges, problem, maps, hints)
     if len(loops.edges):
-        closed = Edges.joined(closed, again(scans.targets, scans.sources, x, way))
+        closed = Edges.joined(closed, again(scans.targets, scans.sources, x, driven))
     x, normal = problem.solve(x, closed, KERNEL_WIDTH_FACTORS if len(loops.edges) else (1.0,))
-    loosened = odometry.loosened()
-    fixes = scans_between(loosened, drive, LASER, readings, scans.clouds, x)
+    noisier = odometry.with_slip_noise()
+    fixes = scans_between(noisier, drive, LASER, readings, scans.clouds, x)
     return Graph(
         drive=drive,
         configured_mount=configured,
         mount=mount,
         start=start,
-        odometry=loosened,
+        odometry=noisier,
         readings=readings,
         x=x,
         fixes=fixes,
@@ -344,7 +344,7 @@ MAX_NEIGHBOUR_M = 5.0
 # factor on the information of matches: errors of neighbouring scans are correlated
 INFORMATION_SHARE = 0.5
 # matches of a key with earlier visits: their number, least path length between them, largest distance
-MAX_VISITS_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5
+MAX_VISITS_AGAIN, MIN_LENGTH_AGAIN_M, MAX_AGAIN_M = 2, 5.0, 2.5
 
 
 def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
@@ -359,48 +359,50 @@ def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
     return edges
 
 
-def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edges:
+def edges_of(i: Ints, j: Ints, found: Matches, driven: Array | None = None) -> Edges:
     """Convert matches of scans i and j to graph edges.
 
-    If the path lengths `way` (n,) [m] are given, the edges allow for a heading drift proportional to path length.
+    If the path lengths `driven` (n,) [m] are given, the edges allow for a heading drift proportional to them.
     """
     edges = Edges.of(i, j, found.alone, INFORMATION_SHARE * found.information, SCAN_WIDTH_SIGMAS)
-    if way is not None:
-        edges.by[:, 2, 0] = way[j] - way[i]
+    if driven is not None:
+        edges.by[:, 2, 0] = driven[j] - driven[i]
     return edges
 
 
 def sequential(
-    targets: Targets, clouds: Clouds, wheels: Edges, way: Array, problem: Problem
+    targets: Targets, clouds: Clouds, wheels: Edges, driven: Array, problem: Problem
 ) -> tuple[Array, Edges]:
     """Return the key poses (n, 3) without loop closures, and the graph edges of the wheels and the scans."""
     found = next_scans(targets, wheels.i, clouds, wheels.j, wheels.z, wheels.information)
     reliable = good(found)
     step = np.where(reliable[:, None], found.pose, wheels.z)
     x = se2.compose(problem.start.z[0], se2.chain(step))
-    scans = edges_of(wheels.i, wheels.j, found, way).take(reliable)
+    scans = edges_of(wheels.i, wheels.j, found, driven).take(reliable)
     x, _ = problem.solve(x, Edges.joined(wheels, scans), (100.0, 1.0))
     further = []
     for n in NEIGHBOUR_STEPS:
         i, found = further_scans(targets, clouds, x, n, MAX_NEIGHBOUR_M)
-        further.append(edges_of(i, i + n, found, way))
+        further.append(edges_of(i, i + n, found, driven))
     edges = Edges.joined(wheels, scans, *further)
     x, _ = problem.solve(x, edges, (100.0, 1.0))
     return x, edges
 
 
-def again(targets: Targets, clouds: Clouds, x: Array, way: Array) -> Edges:
+def again(targets: Targets, clouds: Clouds, x: Array, driven: Array) -> Edges:
     """Match each key scan with nearby key scans of earlier visits, after loop closure (Lu and Milios 1997)."""
     from scipy.spatial import cKDTree
 
     near = cKDTree(x[:, :2]).query_ball_point(x[:, :2], MAX_AGAIN_M, return_sorted=True)
     pairs = []
     for j, others in enumerate(near):
-        i = np.array([k for k in others if way[j] - way[k] > MIN_WAY_M], dtype=np.int64)
+        i = np.array([k for k in others if driven[j] - driven[k] > MIN_LENGTH_AGAIN_M], dtype=np.int64)
         i = i[np.argsort(np.hypot(*(x[i, :2] - x[j, :2]).T), kind="stable")]
         visits: list[int] = []
         for k in i.tolist():
-            if len(visits) < MAX_VISITS_AGAIN and all(abs(way[k] - way[v]) > MIN_WAY_M for v in visits):
+            if len(visits) < MAX_VISITS_AGAIN and all(
+                abs(driven[k] - driven[v]) > MIN_LENGTH_AGAIN_M for v in visits
+            ):
                 visits.append(k)
         pairs += [(k, j) for k in visits]
     if not pairs:

@@ -27,9 +27,9 @@ from locfuse.fusion.ekf.events import (
     Events,
     FrameMoved,
     FrameTurned,
-    Loosened,
     Moved,
     Undone,
+    VarianceAdded,
 )
 from locfuse.fusion.ekf.map_frame import in_map_P
 from locfuse.fusion.fuse import fuse
@@ -184,7 +184,7 @@ class Backward:
                 self._G, self._to_G = self._x[self._of_frame].copy(), np.eye(6)
             elif isinstance(event, Dropped):
                 self._restore(event.back)
-            elif isinstance(event, Changed | Loosened):
+            elif isinstance(event, Changed | VarianceAdded):
                 self._step(event.back)
 
     def _undo_motion(self, event: Moved, k: int) -> None:

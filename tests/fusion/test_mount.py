@@ -21,7 +21,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_of
-from locfuse.fusion.map.line_map import Association, LineMap, seat_of
+from locfuse.fusion.map.line_map import Association, LineMap, mount_states_of
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.map.tracker import LineTracker
 from locfuse.fusion.mount import OTHER_MOUNT, Mount
@@ -65,7 +65,7 @@ def by_laser(z: np.ndarray, mount: Any) -> np.ndarray:
 
 def compared(mount: Mount, belief: JointBelief, lines: LineMap, rows: np.ndarray) -> Association:
     """Lines in the base as the mount was told to be, against a map and without a gate."""
-    found = Association(Rules(math.inf, True, False, 2, 3, 4), seat_of(mount, belief))
+    found = Association(Rules(math.inf, True, False, 2, 3, 4), mount_states_of(mount, belief))
     found.compare(belief, lines, rows)
     return found
 

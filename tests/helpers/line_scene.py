@@ -9,12 +9,12 @@ import numpy as np
 
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.kernels.sight import Rules, Seat
-from locfuse.fusion.map.line_map import NO_SHARES, Association, LineMap, seat_of
+from locfuse.fusion.kernels.sight import MountStates, Rules
+from locfuse.fusion.map.line_map import NO_SHARES, Association, LineMap, mount_states_of
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.sensor import Equation
 
-# of `seated`, m, m, rad: a mount as configured, and how far it is from there
+# of `mounted_states`, m, m, rad: a mount as configured, and how far it is from there
 MOUNT, MOVED = np.array([0.2, -0.3, 0.0]), np.array([0.03, -0.02, 0.05])
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 
@@ -46,7 +46,7 @@ def scene(seed: int, states: bool) -> tuple[Scan, LineMap, JointBelief]:
     return Scan.of(z, np.array([covariance(rng) for _ in range(k)]), ends), lines, belief
 
 
-def seated(belief: JointBelief, free: tuple[int, ...]) -> Seat:
+def mounted_states(belief: JointBelief, free: tuple[int, ...]) -> MountStates:
     """A laser at MOUNT, of which these of x, y, yaw are states, correlated with all else."""
     rng = np.random.default_rng(len(free))
     G = 0.3 * rng.normal(size=(len(free), 3))
@@ -56,7 +56,7 @@ def seated(belief: JointBelief, free: tuple[int, ...]) -> Seat:
         covariance(rng, 0.03)[: len(free), : len(free)] if len(free) < 3 else 1e-3 * np.eye(3),
     )
     columns = np.arange(first, first + len(free), dtype=np.intp)
-    return Seat(MOUNT.copy(), np.array(free, np.intp), columns)
+    return MountStates(MOUNT.copy(), np.array(free, np.intp), columns)
 
 
 # --- a scan that is associated with a map, and what the association has worked out on the way
@@ -127,11 +127,13 @@ def symmetric(upper: Array) -> Array:
 
 
 def sighted(
-    rows: Array, lines: LineMap, belief: JointBelief, gate: float, states: bool, seat: Seat | None = None,
-    shared: Array = NO_SHARES,
+    rows: Array, lines: LineMap, belief: JointBelief, gate: float, states: bool,
+    mount_states: MountStates | None = None, shared: Array = NO_SHARES,
 ) -> Sighted:  # fmt: skip
     """Associate lines (n, 7) with a map, whose lines are `states` or not, and write what matches."""
-    found = Sighted(Rules(gate, states, True, UNMATCHED, AMBIGUOUS, NEW), seat or seat_of(None, belief))
+    found = Sighted(
+        Rules(gate, states, True, UNMATCHED, AMBIGUOUS, NEW), mount_states or mount_states_of(None, belief)
+    )
     found.compare(belief, lines, rows, shared)
     belief.begin()
     found.state_rows(belief)

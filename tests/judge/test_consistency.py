@@ -278,7 +278,7 @@ def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
         )
         for x in (m, moved)
     )
-    assert alone.readings + round(alone.wild * alone.readings) == pytest.approx(len(m.t), abs=2)
+    assert alone.readings + round(alone.outlier_share * alone.readings) == pytest.approx(len(m.t), abs=2)
     assert spoiled.readings == pytest.approx(int((~disturbed).sum()), abs=2)
     assert spoiled.spread == pytest.approx(alone.spread, rel=0.2)
 
@@ -342,7 +342,7 @@ def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(righ
 def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
     heard = NoiseEvidence(runs(drive, robot, 0.0), robot).reference_runs("compass")[0][1]
-    off = heard._replace(bias=math.radians(5.0), sure=math.radians(0.4))
+    off = heard._replace(bias=math.radians(5.0), standard_error=math.radians(0.4))
     camera: Any = REGISTRY["camera"].Settings
     assert set(biased_against("camera", camera(), off).fix_values) == {"camera.zero_deg", "camera.sigma_yaw_deg"}
     assert set(biased_against("camera", camera(bearing="absolute"), off).fix_values) == {"camera.zero_deg"}
@@ -451,7 +451,7 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     white = autocorrelation([centred[landmark[compared] == mark] for mark in (7, 8)], LAGS)
     np.testing.assert_allclose(found.whiteness, white)
     spread = stats.median_abs_deviation(some, axis=0, scale="normal")
-    np.testing.assert_allclose(found.sure, spread * math.sqrt(memory(white) / compared.sum()), rtol=1e-4)
+    np.testing.assert_allclose(found.standard_error, spread * math.sqrt(memory(white) / compared.sum()), rtol=1e-4)
 
     R = 1.5**2 * (1.0 + audit.row[compared] / n) + 0.1
     np.testing.assert_allclose(found.R, np.full(d, R.mean()))
@@ -483,7 +483,7 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
     tame = ~wild
     some = y[tame]
     assert found.readings == tame.sum()
-    assert found.wild == pytest.approx(10 / n)
+    assert found.outlier_share == pytest.approx(10 / n)
     assert found.bias == pytest.approx(some.mean() if not angular else math.remainder(some.mean(), 2 * math.pi))
     variance = some.var()
     assert found.spread == pytest.approx(variance)
@@ -499,7 +499,7 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
             break
         correlation.append((centred[lag:] * centred[:-lag])[close].mean() / variance)
     assert found.memory == pytest.approx(memory(np.array(correlation)))
-    assert found.sure == pytest.approx(math.sqrt(variance * found.memory / tame.sum() + h[tame].mean()))
+    assert found.standard_error == pytest.approx(math.sqrt(variance * found.memory / tame.sum() + h[tame].mean()))
     assert found.period == pytest.approx(0.2)
     assert found.reference == pytest.approx(h[tame].mean())
     assert pytest.approx(R[tame].mean()) == found.R

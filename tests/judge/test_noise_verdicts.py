@@ -32,11 +32,11 @@ from locfuse.fusion.sensors.registry import REGISTRY
 DEG = math.radians(1.0)
 # a compass of 3 degrees whose errors are white and as large as configured
 HEARD = ComparedReadings(
-    readings=400, wild=0.0, bias=0.0, sure=0.1 * DEG, white=(3 * DEG) ** 2, slow=0.0, spread=(3 * DEG) ** 2,
-    memory=1.0, period=0.1, reference=(0.1 * DEG) ** 2, R=(3 * DEG) ** 2,
+    readings=400, outlier_share=0.0, bias=0.0, standard_error=0.1 * DEG, white=(3 * DEG) ** 2,
+    slow=0.0, spread=(3 * DEG) ** 2, memory=1.0, period=0.1, reference=(0.1 * DEG) ** 2, R=(3 * DEG) ** 2,
 )  # fmt: skip
 OWN = OwnInnovations(
-    compared=400, refused=0.0, nis=1.0, bounds=(0.9, 1.1), bias=(0.0,), middle=(0.0,), sure=(0.1 * DEG,),
+    compared=400, refused=0.0, nis=1.0, bounds=(0.9, 1.1), bias=(0.0,), middle=(0.0,), standard_error=(0.1 * DEG,),
     whiteness=(0.0,) * 5, raw=1.0, scale=1.0, white=0.9, share=0.9, R=((3 * DEG) ** 2,),
 )  # fmt: skip
 
@@ -136,10 +136,10 @@ def test_of_noise_that_messages_bring_no_setting_is_the_fix(verdict: Any, scale:
     assert bool(found.fix_values) is (words == "as it was")
 
 
-@pytest.mark.parametrize(("sure", "given"), [(0.29, False), (0.31, True)])
-def test_an_offset_comes_with_its_sigma_where_another_error_is_in_it(sure: float, given: bool) -> None:
+@pytest.mark.parametrize(("error", "given"), [(0.29, False), (0.31, True)])
+def test_an_offset_comes_with_its_sigma_where_another_error_is_in_it(error: float, given: bool) -> None:
     """3 degrees of noise over 400 readings leave 0.15 degrees: twice that is still its own."""
-    h = HEARD._replace(bias=5.0 * DEG, sure=sure * DEG)
+    h = HEARD._replace(bias=5.0 * DEG, standard_error=error * DEG)
     found = biased_against("compass", settings("compass", offset_deg=170.0), h)
     assert found.words.startswith("differs from the other sensors by +5 deg on average")
     assert found.fix_values["compass.offset_deg"] == pytest.approx(175.0)
@@ -150,9 +150,9 @@ def test_an_offset_comes_with_its_sigma_where_another_error_is_in_it(sure: float
 # --- who is to blame where runs disagree: what each run says of each sensor is laid by hand
 
 
-FINE = HEARD._replace(sure=0.01, white=1.0, spread=1.0, reference=0.01, R=1.0)
+FINE = HEARD._replace(standard_error=0.01, white=1.0, spread=1.0, reference=0.01, R=1.0)
 OFF = FINE._replace(bias=2.0)
-OWN_RUN = OWN._replace(sure=(0.1,), R=(1.0,))
+OWN_RUN = OWN._replace(standard_error=(0.1,), R=(1.0,))
 ROBOT: Robot = small_drive.robot()
 SENSORS, N = ("compass", "gyro", "lrf"), 30
 T: NDArray[np.float64] = np.linspace(0.0, 2.9, N)

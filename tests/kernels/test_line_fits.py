@@ -146,7 +146,7 @@ def test_a_step_and_what_it_leaves_are_those_of_least_squares(seed: int) -> None
     assert core.misfit_of(sums) == pytest.approx(left)
     x, bent = solved(e, w, one, -q, q * q)
     assert core.curvature(sums) == pytest.approx(x[2])
-    assert core.bend(sums) == pytest.approx(left - bent)
+    assert core.parabola_gain(sums) == pytest.approx(left - bent)
     alone = solved(q * q, w, one, q)[1]
     assert core.stiffness(sums) == pytest.approx(alone)
 

@@ -18,8 +18,8 @@ from line_scene import (
     Pair,
     Sighted,
     equation_of,
+    mounted_states,
     scene,
-    seated,
     side_of,
     sighted,
 )
@@ -45,9 +45,9 @@ def setting(
 ) -> tuple[Sighted, LineMap, JointBelief, Array]:
     """A scan that was associated in a random scene, by a laser at a known mount or not; what its lines share."""
     scan, lines, belief = scene(seed, states)
-    seat = seated(belief, free) if free else None
+    mount_states = mounted_states(belief, free) if free else None
     shared = np.random.default_rng(seed).normal(0.0, 0.01, (len(scan.z), 2, parts))
-    return sighted(scan.rows, lines, belief, gate, states, seat, shared), lines, belief, shared
+    return sighted(scan.rows, lines, belief, gate, states, mount_states, shared), lines, belief, shared
 
 
 # --- candidate pairs
@@ -374,7 +374,7 @@ def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> No
         for c in {int(lines.column[pair.which]) for pair in found.matched()}:
             expected[c : c + 2] += np.clip(uneven - before[c : c + 2], 0.0, most)
         found.extend(9)
-        lines.loosen(belief, uneven, most, np.flatnonzero(lines.seen == 9))
+        lines.raise_variances(belief, uneven, most, np.flatnonzero(lines.seen == 9))
         np.testing.assert_allclose(np.diag(belief.covariance), expected, rtol=1e-14)
         bent += int((expected != before).sum())
     assert bent > 20

@@ -22,8 +22,8 @@ from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines import scans
 from locfuse.fusion.lines.extract import Lines, LineSettings
 from locfuse.fusion.lines.points import Longest, ScanPoints
-from locfuse.fusion.lines.scans import LAG_SCANS, Laser, bend, lines_in_base, sweep_time, wall_floor
-from locfuse.fusion.map.line_map import Association, LineMap, seat_of
+from locfuse.fusion.lines.scans import LAG_SCANS, Laser, line_process_noise, lines_in_base, sweep_time, wall_floor
+from locfuse.fusion.map.line_map import Association, LineMap, mount_states_of
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.se2 import wrap_all
@@ -294,7 +294,7 @@ def test_too_few_walls_say_nothing() -> None:
 def test_a_line_that_bends_changes_over_the_lag_as_the_walls_did() -> None:
     """Two readings of a wall with unevenness u differ by 2 u; a random walk must get there in LAG_SCANS steps."""
     uneven = np.array([1e-4, 7e-5])
-    steps = np.random.default_rng(0).normal(size=(4000, LAG_SCANS, 2)) * np.sqrt(bend(uneven))
+    steps = np.random.default_rng(0).normal(size=(4000, LAG_SCANS, 2)) * np.sqrt(line_process_noise(uneven))
     assert steps.sum(axis=1).var(axis=0) == pytest.approx(2.0 * uneven, rel=0.1)
 
 
@@ -310,10 +310,10 @@ def test_a_line_that_is_seen_for_ever_stays_within_its_walls_unevenness() -> Non
     for which in (0, 1):
         walls.lo[:], walls.hi[:] = 10.0, 11.0  # the other one lies elsewhere
         walls.lo[which], walls.hi[which] = -1.0, 1.0
-        found = Association(Rules(math.inf, True, True, 0, 0, 0), seat_of(None, belief))
+        found = Association(Rules(math.inf, True, True, 0, 0, 0), mount_states_of(None, belief))
         found.compare(belief, walls, Scan.of(z, R, ends).rows)
         for _ in range(10 * LAG_SCANS):
-            walls.loosen(belief, uneven, bend(uneven), np.array([which]))
+            walls.raise_variances(belief, uneven, line_process_noise(uneven), np.array([which]))
     np.testing.assert_allclose(np.diagonal(belief.covariance)[3:], [*uneven, 4e-4, 4e-4], rtol=1e-9)
 
 

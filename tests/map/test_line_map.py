@@ -128,7 +128,7 @@ def test_no_line_is_known_better_than_its_floor() -> None:
     belief = JointBelief((0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
     lines = three_lines(belief, np.random.default_rng(1))
     belief.covariance[range(3, 9), range(3, 9)] = 1e-4, 9e-4, 4e-4, 1e-6, 9e-4, 1e-4
-    lines.loosen(belief, np.array([4e-4, 2e-4]))
+    lines.raise_variances(belief, np.array([4e-4, 2e-4]))
     np.testing.assert_allclose(np.diag(belief.covariance)[3:], [4e-4, 9e-4, 4e-4, 2e-4, 9e-4, 2e-4])
 
 

@@ -22,8 +22,8 @@ from locfuse.fusion.map.line_map import Association
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.map.slips import (
     DECIDING_SCANS,
-    MIN_GAIN,
-    SURE_GAIN,
+    MIN_GAIN_BY_MAP,
+    MIN_GAIN_BY_SCANS,
     PresentScan,
     RecentScans,
     Slide,
@@ -262,10 +262,10 @@ def test_a_slip_waits_for_scans_and_needs_less_of_them_where_matched_scans_agree
     suspicion = Suspicion(math.radians(10.0))
     for _ in range(DECIDING_SCANS):
         assert not suspicion.decided
-        suspicion.add(0.1, 0.1 + 0.5 * (MIN_GAIN + SURE_GAIN))
+        suspicion.add(0.1, 0.1 + 0.5 * (MIN_GAIN_BY_SCANS + MIN_GAIN_BY_MAP))
     assert suspicion.decided
-    assert suspicion.confirmed(0.5 * (MIN_GAIN + SURE_GAIN), by_scans=True)
-    assert not suspicion.confirmed(0.5 * (MIN_GAIN + SURE_GAIN), by_scans=False)
+    assert suspicion.confirmed(0.5 * (MIN_GAIN_BY_SCANS + MIN_GAIN_BY_MAP), by_scans=True)
+    assert not suspicion.confirmed(0.5 * (MIN_GAIN_BY_SCANS + MIN_GAIN_BY_MAP), by_scans=False)
     assert not suspicion.confirmed(0.0, by_scans=True)  # the last scan does not ask for it any more
 
 

@@ -18,7 +18,7 @@ from locfuse.fusion.map.anchors import Anchors, Edge, inverted
 from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.map.place_search import find_closure, rival_spread
 from locfuse.fusion.map.small_maps import FrozenMap, begin_submap, heading_among, shared_walls
-from locfuse.fusion.map.way import Way
+from locfuse.fusion.map.submap_path import SubmapPath
 from locfuse.fusion.scan_matching.solve import NOWHERE
 
 P_STEP = np.diag(np.square((0.1, 0.05, 0.02)))
@@ -72,8 +72,8 @@ def test_a_frame_that_is_known_better_teaches_the_rest_as_a_reading_of_it_would(
     np.testing.assert_allclose(belief.covariance, wanted_P, atol=1e-9)
 
 
-def test_a_way_that_was_worse_than_claimed_is_loosened_until_its_error_is_an_ordinary_one() -> None:
-    """The closure contradicts the way by 10 sigma; by the variance factor its chi-square becomes about 3."""
+def test_a_path_that_was_worse_than_claimed_is_widened_until_its_error_is_an_ordinary_one() -> None:
+    """The closure contradicts the path by 10 sigma; by the variance factor its chi-square becomes about 3."""
     graph = Anchors()
     at = graph.append(NOWHERE, np.zeros(3), np.zeros((3, 3)))
     for _ in range(2):
@@ -88,7 +88,7 @@ def test_a_way_that_was_worse_than_claimed_is_loosened_until_its_error_is_an_ord
     worse = graph.cost()
     assert worse > 30.0
     graph.remove(closure)
-    graph.loosen(0, at, worse / 3.0)
+    graph.scale_covariances(0, at, worse / 3.0)
     graph.add(closure)
     graph.solve()
     assert 1.5 < graph.cost() < 4.5
@@ -192,7 +192,7 @@ def map_of(walls: Array, frame: Array) -> FrozenMap:
         beta = math.atan2(along[1], along[0]) - math.pi / 2
         lines.append(middle, np.array([0.0, beta]), SIGMA, -1, (-half, half), 0)
     lines.hits = np.full(len(walls), 20)
-    return FrozenMap(0, lines, Way(), (np.zeros(2), np.zeros(2)), np.zeros(3), np.zeros((0, 0)))
+    return FrozenMap(0, lines, SubmapPath(), (np.zeros(2), np.zeros(2)), np.zeros(3), np.zeros((0, 0)))
 
 
 def corridor(doors: float) -> Array:

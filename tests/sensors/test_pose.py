@@ -26,7 +26,7 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.pose import PoseSettings, plane_covariance
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.sensors.twist import Twist, TwistModel, TwistSettings, straight
+from locfuse.fusion.sensors.twist import Twist, TwistModel, TwistSettings, chord_length
 from locfuse.sample_logs.messages import RawMessage
 
 # --- a robot that drives round in a wide loop by noisy wheels, with its true poses: for sensors that see no walls
@@ -347,5 +347,5 @@ def test_the_first_reading_and_one_after_a_gap_only_begin() -> None:
 
 @pytest.mark.parametrize("turn", [math.nan, math.inf, -math.inf])
 def test_a_turn_that_is_no_number_gives_no_chord(turn: float) -> None:
-    assert math.isnan(straight(1.0, turn))
-    assert straight(1.5, 0.0) == 1.5
+    assert math.isnan(chord_length(1.0, turn))
+    assert chord_length(1.5, 0.0) == 1.5

@@ -17,7 +17,7 @@ from locfuse.cli.analysis import load
 from locfuse.fusion.camera import detect
 from locfuse.fusion.fuse import BLOCK_INSTANTS
 from locfuse.fusion.lines.scans import lines_in_base
-from locfuse.fusion.progress import heard_by
+from locfuse.fusion.progress import reporting_to
 from locfuse.fusion.sensors import lrf
 from locfuse.fusion.wheels.read import read_wheels
 
@@ -263,10 +263,10 @@ def test_reading_and_fusing_say_which_share_of_the_log_is_done() -> None:
         doing.append(step)
         heard[step] = []
 
-    def hear(share: float | None) -> None:
+    def listener(share: float | None) -> None:
         heard[doing[-1]].append(share)
 
-    with heard_by(hear):
+    with reporting_to(listener):
         session = locfuse.load(LOG, progress=begin)
         session.run("all", advice=False)
     for step in ("reading", "measuring camera", "fusing"):

@@ -65,7 +65,7 @@ def test_cutting_an_arc_anywhere_moves_the_result_by_nothing() -> None:
 
 
 def wheels_of(kind: str) -> Wheels:
-    """Wheels, with a silence or not, an odometry that also moves sideways, or scans that were matched."""
+    """Wheels, with a gap or not, an odometry that also moves sideways, or scans that were matched."""
     rng, a = np.random.default_rng(1), np.random.default_rng(4).normal(0.03, 0.02, (40, 3))
     t = np.cumsum(rng.uniform(0.01, 0.1, 41))
     if kind == "gap":
@@ -176,7 +176,7 @@ def test_a_window_holds_both_readings_at_its_ends_and_what_lies_between() -> Non
         part = wheels.window(begin, end)
         np.testing.assert_array_equal(part.t, wheels.t[first : last + 1])
         np.testing.assert_array_equal(part.pose, wheels.pose[first : last + 1])
-        for column in ("twist", "rolled", "silence"):
+        for column in ("twist", "rolled", "gap_uncertainty"):
             np.testing.assert_array_equal(getattr(part, column), getattr(wheels, column)[first:last])
 
 
@@ -206,20 +206,20 @@ def test_scans_count_as_wheels_that_leave_the_turn_as_uncertain() -> None:
     np.testing.assert_array_equal(slips[:, 0], slips[:, 1])
 
 
-def wanderer(seed: int, silence: tuple[float, float]) -> tuple[Wheels, Wheels]:
-    """A minute of straight pieces and turns by chance: all that the wheels said, and the same with a silence."""
+def wanderer(seed: int, gap: tuple[float, float]) -> tuple[Wheels, Wheels]:
+    """A minute of straight pieces and turns by chance: all that the wheels said, and the same with a gap."""
     rng = np.random.default_rng(seed)
     turning = np.repeat(rng.choice([-0.45, 0.0, 0.0, 0.45], size=75), 40)  # rad/s, anew every 0.8 s
     speed = 0.3 + np.stack((-0.5 * TRACK * turning, 0.5 * TRACK * turning), axis=-1)
     t: Any = np.arange(len(turning) + 1) * 0.02
     way: Any = np.concatenate((np.zeros((1, 2)), np.cumsum(speed * 0.02, axis=0)))
-    heard = (t <= silence[0]) | (t >= silence[1])
+    heard = (t <= gap[0]) | (t >= gap[1])
     whole, gappy = (Wheels.from_wheels(t[k], way[k, 0], way[k, 1], TRACK, 1e-12) for k in (t >= 0.0, heard))
     return whole, gappy
 
 
-def in_silence(until: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Errors and sigmas (200, 3) of the motion from 20 s `until` a time, in a silence from 20 s to its `end`."""
+def in_gap(until: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and sigmas (200, 3) of the motion from 20 s `until` a time, in a gap from 20 s to its `end`."""
     a, b = np.array([20.0]), np.array([until])
     errors, sigmas = [], []
     for seed in range(200):
@@ -232,15 +232,15 @@ def in_silence(until: float, end: float) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("seconds", [2.0, 5.0, 12.0])
 def test_where_a_robot_went_while_its_wheels_were_silent_lies_within_three_sigma(seconds: float) -> None:
-    error, sigma = in_silence(20.0 + seconds, 20.0 + seconds)
+    error, sigma = in_gap(20.0 + seconds, 20.0 + seconds)
     assert (error[:, :2] < 3.0 * sigma[:, :2]).all()
     assert np.sqrt((error[:, :2] ** 2).mean()) > 0.2 * np.sqrt((sigma[:, :2] ** 2).mean())  # and not by much
     assert error[:, 2].max() < 1e-9  # how far it turned is the difference of the sums
     assert sigma[:, 2].max() < 1e-5
 
 
-def test_halfway_through_a_silence_the_heading_lies_within_three_sigma_too() -> None:
-    error, sigma = in_silence(23.0, 26.0)
+def test_halfway_through_a_gap_the_heading_lies_within_three_sigma_too() -> None:
+    error, sigma = in_gap(23.0, 26.0)
     assert (error[:, 2] < 3.0 * sigma[:, 2]).all()
     assert error[:, 2].max() > 0.3
 
@@ -262,13 +262,13 @@ def test_beyond_its_ends_a_drive_goes_on_for_one_interval() -> None:
 
 
 @pytest.mark.parametrize(
-    ("period", "gap", "silent"), [(0.02, 0.45, False), (0.02, 0.6, True), (0.2, 0.9, False), (0.2, 1.2, True)]
+    ("period", "gap", "is_gap"), [(0.02, 0.45, False), (0.02, 0.6, True), (0.2, 0.9, False), (0.2, 1.2, True)]
 )
-def test_a_silence_is_longer_than_half_a_second_and_than_five_periods(
-    period: float, gap: float, silent: bool
-) -> None:
+def test_a_gap_is_longer_than_half_a_second_and_than_five_periods(period: float, gap: float, is_gap: bool) -> None:
     t = np.append(np.arange(50.0) * period, 49.0 * period + gap)
-    assert bool(Wheels.from_wheels(t, 0.3 * t, 0.3 * t + 0.01 * np.sin(t), TRACK, K).silence.any()) is silent
+    assert (
+        bool(Wheels.from_wheels(t, 0.3 * t, 0.3 * t + 0.01 * np.sin(t), TRACK, K).gap_uncertainty.any()) is is_gap
+    )
 
 
 def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
@@ -277,28 +277,28 @@ def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
         t: Any = when
         way = 0.3 * t
         wheels = Wheels.from_wheels(t, way, way + 0.1 * np.sin(t), TRACK, K)
-        assert not wheels.silence.any()
+        assert not wheels.gap_uncertainty.any()
 
 
 @pytest.mark.parametrize(("seconds", "stray"), [(2.0, 0.2 * 2.0 / 4.0 / math.sqrt(3.0)), (60.0, 0.5)])
-def test_the_place_after_a_silence_strays_by_a_uniform_heading_and_at_most_over_a_disc(
+def test_the_place_after_a_gap_strays_by_a_uniform_heading_and_at_most_over_a_disc(
     seconds: float, stray: float
 ) -> None:
     """A heading uniform within w T / 4 to either side; a place uniform in a disc has half its radius per axis."""
     t = np.append(np.arange(0.0, 40.0, 0.1), 39.9 + seconds)
     way, turn = 0.3 * t, 0.2 * t  # rad/s is the fastest turning seen
     wheels = Wheels.from_wheels(t, way - 0.5 * TRACK * turn, way + 0.5 * TRACK * turn, TRACK, 1e-12)
-    assert wheels.silence[-1, 0] == pytest.approx((0.3 * seconds * stray) ** 2, rel=1e-6)
-    assert wheels.silence[-1, 1] == pytest.approx(0.2, rel=1e-6)
-    assert not wheels.silence[:-1].any()
+    assert wheels.gap_uncertainty[-1, 0] == pytest.approx((0.3 * seconds * stray) ** 2, rel=1e-6)
+    assert wheels.gap_uncertainty[-1, 1] == pytest.approx(0.2, rel=1e-6)
+    assert not wheels.gap_uncertainty[:-1].any()
     quarter = wheels.between(t[-2:-1], t[-2:-1] + 0.25 * seconds).Q[0, 2, 2]
     assert quarter == pytest.approx(0.75 * (0.2 * 0.25 * seconds) ** 2 / 3.0, rel=1e-6)
 
 
-def test_an_odometry_knows_its_way_over_a_silence() -> None:
+def test_an_odometry_knows_its_path_over_a_gap() -> None:
     t = np.array([0.0, 0.1, 0.2, 0.3, 5.0, 5.1])
     poses = np.stack((t, np.sin(t), 0.1 * t), axis=-1)
-    assert not wheels_of_poses(t, poses).silence.any()
+    assert not wheels_of_poses(t, poses).gap_uncertainty.any()
 
 
 @pytest.mark.parametrize("aside", [0.5 * math.pi, -0.5 * math.pi, math.pi, 0.7, -2.5])

@@ -13,7 +13,7 @@ from wheel_bags import chosen, log_of, messages, odometry, turned, twists
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.fusion.wheels.motion import Wheels, turns_explained, ways_explained
+from locfuse.fusion.wheels.motion import Wheels, distances_explained, turns_explained
 
 T = np.arange(0.0, 40.0, 0.1)
 TURN = 1.5 * np.sin(0.3 * T)  # rad; 1 m/s along it
@@ -57,9 +57,9 @@ def test_a_motion_explains_its_own_turns_and_ways_and_a_standing_one_none() -> N
     assert turns_explained(true, T, TURN) == pytest.approx(1.0, abs=1e-9)
     assert turns_explained(true, T + 0.5, TURN) == pytest.approx(1.0, abs=0.01)  # a late clock
     assert turns_explained(true, T, -TURN) == pytest.approx(1.0, abs=1e-9)  # an axis that points down
-    assert ways_explained(true, T, TRUTH[:, :2]) == pytest.approx(1.0, abs=1e-9)
+    assert distances_explained(true, T, TRUTH[:, :2]) == pytest.approx(1.0, abs=1e-9)
     assert turns_explained(still, T, TURN) == 0.0
-    assert ways_explained(still, T, TRUTH[:, :2]) == 0.0
+    assert distances_explained(still, T, TRUTH[:, :2]) == 0.0
 
 
 def test_half_of_every_turn_explains_three_quarters_by_the_formula() -> None:
@@ -70,7 +70,7 @@ def test_half_of_every_turn_explains_three_quarters_by_the_formula() -> None:
 def test_a_sensor_that_hardly_moves_tells_nothing() -> None:
     true = wheels_of(TRUTH)
     assert turns_explained(true, T, 0.01 * TURN) is None
-    assert ways_explained(true, T, 0.1 * TRUTH[:, :2]) is None
+    assert distances_explained(true, T, 0.1 * TRUTH[:, :2]) is None
 
 
 # ---- which topic is taken ----

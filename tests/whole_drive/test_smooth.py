@@ -149,7 +149,7 @@ def test_smoothing_equals_a_filter_that_carries_all_its_past(case: str) -> None:
 
 
 def test_walls_that_bend_are_smoothed_as_what_moves() -> None:
-    """Walls that are not flat loosen with every scan (wall_floor): the events must undo that too."""
+    """Walls that are not flat get noise with every scan (wall_floor): the events must undo that too."""
     drive, robot = World(seconds=6.0).measured()
     m = drive.measurements["lrf"]
     uneven = replace(m, extra={**m.extra, "uneven": np.broadcast_to([1e-4, 7e-5], m.z.shape)})

@@ -37,8 +37,8 @@ from locfuse.fusion.whole_drive.closures import recognised
 from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
 from locfuse.fusion.whole_drive.others import Others
 from locfuse.fusion.whole_drive.pose_graph import (
+    KEY_DISTANCE_M,
     KEY_TURN_RAD,
-    KEY_WAY_M,
     Graph,
     straight_mount,
     wheels_share,
@@ -234,7 +234,7 @@ def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() 
     drive, truth = ring_drive(3)
     odometry = odometry_of(drive)
     scans = drive.instant["lrf"]
-    readings = spaced((odometry.way()[scans], KEY_WAY_M), (odometry.pose[scans, 2], KEY_TURN_RAD))
+    readings = spaced((odometry.path_length()[scans], KEY_DISTANCE_M), (odometry.pose[scans, 2], KEY_TURN_RAD))
     keys = drive.instant["lrf"][readings]
     slip = np.zeros_like(odometry.pose)
     for k in keys[20:60:4] + 2:  # 6 degrees at once, just behind ten of the keys
@@ -244,7 +244,7 @@ def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() 
     pose = np.vstack((odometry.pose[:1], np.zeros_like(u)))
     for k, motion in enumerate(u):
         pose[k + 1] = se2.compose(pose[k], motion)
-    slipped = Odometry(pose, odometry.C).loosened()
+    slipped = Odometry(pose, odometry.C).with_slip_noise()
     clouds = clouds_of(drive.measurements["lrf"], readings)
     P = np.tile(np.diag([1e-6, 1e-6, 1e-8]), (len(keys), 1, 1))
     span = slice(int(keys[20]), int(keys[61]))

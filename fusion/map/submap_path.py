@@ -51,7 +51,7 @@ class PlacedScan(NamedTuple):
     scan: Scan
 
 
-class Way:
+class SubmapPath:
     """Path through a submap, with scans from poses along the path."""
 
     def __init__(self) -> None:
@@ -87,7 +87,7 @@ class Way:
         return min(self.sights, key=lambda sight: math.hypot(*(sight.pose[:2] - place)))
 
 
-class WayByScans:
+class ScanMatchedPath:
     """Path through one submap by scan matching, and the filter's poses to compare it with."""
 
     def __init__(self, m: Measurements, reading: int, pose: Pose) -> None:
@@ -114,18 +114,20 @@ class WayByScans:
         if not MIN_KEYS <= last - first < MAX_KEYS:
             return
         matches = keys.matches.take((keys.matches.i >= first) & (keys.matches.j <= last))
-        z, R = end_of_way(keys.steps[first:last], replace(matches, i=matches.i - first, j=matches.j - first))
+        z, R = end_pose(keys.steps[first:last], replace(matches, i=matches.i - first, j=matches.j - first))
         equation = compared(z, R + 2.0 * FILTER_P, begin, se2.between(np.array(belief.pose()), end), mount, belief)
         S = equation.H @ belief.covariance[np.ix_(equation.columns, equation.columns)] @ equation.H.T + equation.R
         worse = float(equation.y @ np.linalg.solve(S, equation.y)) / 3.0
-        if worse > MAX_CHI2 / 3.0:  # both are overconfident: increase both covariances, as in Anchors.loosen
-            belief.loosen(np.arange(3), (worse - 1.0) * np.diagonal(belief.matrix()))
+        if (
+            worse > MAX_CHI2 / 3.0
+        ):  # both are overconfident: increase both covariances, as in Anchors.scale_covariances
+            belief.add_variance(np.arange(3), (worse - 1.0) * np.diagonal(belief.matrix()))
             equation = equation._replace(R=worse * equation.R)
         y, columns, H, R = (part.tolist() for part in equation)
         belief.know(y, R, columns, H)
 
 
-def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:
+def end_pose(steps: Array, matches: Edges) -> tuple[Array, Array]:
     """Return the pose (3,) of the last key scan relative to the first, and its covariance (3, 3), by all matches.
 
     The motions `steps` (n, 3) between neighbours get a low weight. Matches that contradict the others are
@@ -161,7 +163,7 @@ def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None,
     place, mounted = np.array(belief.pose()), np.zeros(3) if mount is None else np.array(mount.now(belief))
     configured = np.zeros(3) if mount is None else np.array(mount.configured)
 
-    def way(x: Array) -> Array:
+    def motion(x: Array) -> Array:
         now = mounted.copy()
         now[free] = x[3:]
         aside = se2.compose(now, se2.inverse(configured))
@@ -169,8 +171,9 @@ def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None,
 
     x = np.append(place, mounted[free])
     H = np.stack(
-        [(way(x + d) - way(x - d)) / (2.0 * DERIVATIVE_STEP) for d in DERIVATIVE_STEP * np.eye(len(x))], axis=-1
+        [(motion(x + d) - motion(x - d)) / (2.0 * DERIVATIVE_STEP) for d in DERIVATIVE_STEP * np.eye(len(x))],
+        axis=-1,
     )
-    y = z - way(x)
+    y = z - motion(x)
     y[2] = se2.wrap(float(y[2]))
     return Equation(y, np.array((0, 1, 2, *columns)), H, R)

@@ -343,11 +343,7 @@ def level_slice(xyz: Array, optical: bool = False) -> Array:
 # --- The table of adapters
 
 PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
-OF_PATH = (
-    "poses.header.stamp",
-    *_axes("poses.pose.position", "xy"),
-    *_axes("poses.pose.orientation", "xyzw"),
-)
+OF_PATH = ("poses.header.stamp", *_axes("poses.pose.position", "xy"), *_axes("poses.pose.orientation", "xyzw"))
 
 
 class Presented(NamedTuple):

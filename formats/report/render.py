@@ -159,9 +159,7 @@ def latex(table: Table) -> str:
     heads_line, *lines = [" & ".join(map(latex_text, row)) + r" \\" for row in (heads, *rows)]
     sides = "".join("r" if c.kind == "number" else "l" for c in table.columns)
     begin = rf"\begin{{tabular}}{{{sides}}}"
-    return "\n".join(
-        [begin, r"\toprule", heads_line, r"\midrule", *lines, r"\bottomrule", r"\end{tabular}"],
-    )
+    return "\n".join([begin, r"\toprule", heads_line, r"\midrule", *lines, r"\bottomrule", r"\end{tabular}"])
 
 
 def latex_text(words: str) -> str:

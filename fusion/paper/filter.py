@@ -44,9 +44,7 @@ def fuse_as_printed(
             raise drive.lacks(sensor)
         if sensor not in PARTS:
             raise LocfuseError(
-                "the paper has no equation for it;",
-                role=sensor,
-                hint="leave it out, or use --preset default",
+                "the paper has no equation for it;", role=sensor, hint="leave it out, or use --preset default"
             )
     run = PrintedFilter(drive, robot, sensors, listen)
     for k in range(len(run.grid)):
@@ -89,11 +87,7 @@ class PrintedFilter:
     """Filter with the equations as printed in the paper: state, measurements and the record of a run."""
 
     def __init__(
-        self,
-        drive: Drive,
-        robot: Robot,
-        sensors: Sequence[str],
-        listen: Mapping[str, NDArray[np.bool_]],
+        self, drive: Drive, robot: Robot, sensors: Sequence[str], listen: Mapping[str, NDArray[np.bool_]]
     ) -> None:
         self.drive, self.listen = drive, listen
         self.grid = _grid(float(drive.t[-1]), PRINTED.period)

@@ -277,16 +277,8 @@ def _distribution(errors: Mapping[str, Array]) -> Section:
     share = np.linspace(0.0, 100.0, CURVE_POINTS)
     marks = tuple(Curve(name, share, np.percentile(v, share)) for name, v in errors.items())
     words = "; ".join(f"{name}: median {np.median(v):.4g} m, worst {v[-1]:.4g} m" for name, v in errors.items())
-    panel = Panel(
-        "distribution",
-        "Position rmse",
-        "m",
-        "% of the logs stay below",
-        marks,
-        words,
-        log=True,
-        x_range=(0.0, 100.0),
-    )
+    label = "% of the logs stay below"
+    panel = Panel("distribution", "Position rmse", "m", label, marks, words, log=True, x_range=(0.0, 100.0))
     text = "At 50 the median log, at 90 what nine of ten logs stay below, at 100 the worst."
     return Section("distribution", "How errors are distributed over the logs", text, (panel,), columns=1)
 

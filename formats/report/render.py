@@ -36,13 +36,8 @@ LATEX = {
     "°": r"\textdegree{}",
 }
 UNIT, NBSP = re.compile(r" (?=\S{1,2}$)"), "\u00a0"  # the space before the unit at the end of a heading
-SIGNS = {
-    "helps": "▲",
-    "seems to help": "△",
-    "no effect seen": "■",
-    "seems to hurt": "▽",
-    "hurts": "▼",
-}  # for the verdict on a sensor
+# verdict on a sensor -> its sign
+SIGNS = {"helps": "▲", "seems to help": "△", "no effect seen": "■", "seems to hurt": "▽", "hurts": "▼"}
 
 
 class Swatches(msgspec.Struct, frozen=True, dict=True):

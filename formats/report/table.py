@@ -111,11 +111,8 @@ def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any],
 
     The path is () if the values are not in report.json.
     """
-    return Table(
-        tuple(columns),
-        tuple(tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows),
-        label,
-    )
+    cells = (tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows)
+    return Table(tuple(columns), tuple(cells), label)
 
 
 def of_rows(columns: Sequence[Column], rows: Iterable[Mapping[str, Any]]) -> Table:

@@ -251,11 +251,8 @@ def _short(report: Report) -> Table:
     at = 1 + [c.key for c in table.columns].index(RMSE.key)
     rmse = table.columns[at - 1]
     smoothed = replace(rmse, key="smoothed", heading="smoothed", brief="smoothed", missing="", rank=5)
-    rows = tuple(
-        (*row[:at], Cell(after.get(row[0].value)), *row[at:])
-        for row in table.rows
-        if not runs[row[0].value].get("smoothed")
-    )
+    causal = (row for row in table.rows if not runs[row[0].value].get("smoothed"))
+    rows = tuple((*row[:at], Cell(after.get(row[0].value)), *row[at:]) for row in causal)
     columns = (*table.columns[:at], smoothed, *table.columns[at:])
     return replace(table, columns=columns, rows=rows).without("position_max_m")
 

@@ -189,10 +189,8 @@ def title_of(report: Mapping[str, Any]) -> str:
 def notes_of(report: Mapping[str, Any]) -> list[str]:
     """Return the notes of the log, then of the configurations (wheel slips, estimated track width)."""
     runs = report["configurations"]
-    found = _grouped(
-        (name, _without_numbers(words), words) for name, values in runs.items() for words in values["notes"]
-    )
-    merged = (next(iter(own.values())) if len(runs) == 1 else _named(own) for own in found)
+    notes = ((name, _without_numbers(words), words) for name, values in runs.items() for words in values["notes"])
+    merged = (next(iter(own.values())) if len(runs) == 1 else _named(own) for own in _grouped(notes))
     return [*_of_log(report["notes"]), *merged]
 
 

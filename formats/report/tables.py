@@ -300,9 +300,8 @@ def credit(report: Report) -> Table:
     """Return every sensor's effects on the position error."""
     rows = []
     for sensor, values in report["credit"]["sensors"].items():
-        beside = (
-            f"beside {' and '.join(values['beside'])}" if values["beside"] else "alone, compared with odometry"
-        )
+        others = " and ".join(values["beside"])
+        beside = f"beside {others}" if others else "alone, compared with odometry"
         effects = {"credit": "credit", "alone": beside, "leave_one_out": "last, beside all others"}
         for kind, title in effects.items():
             at = ("credit", "sensors", sensor, kind)

@@ -125,10 +125,8 @@ def _detections(
     path: Path, times: Sequence[int], idents: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
 ) -> MadeStream:
     missing = np.full(len(times), np.nan)
-    data: dict[str, Column] = {
-        "id": np.array(idents, np.int64),
-        **{name: column(name) if name in at else missing for name in ("range", "bearing")},
-    }
+    measured = {name: column(name) if name in at else missing for name in ("range", "bearing")}
+    data: dict[str, Column] = {"id": np.array(idents, np.int64), **measured}
     kind = DETECTIONS if "bearing" in at else RANGES
     return in_time_order(str(path), kind, np.array(times, np.int64), data)
 

@@ -126,10 +126,8 @@ def transforms(t_ns: Ints, pose: Array, child: str) -> PoseSeries:
     constant = {"transforms": [{"header": {"frame_id": MAP}, "child_frame_id": child}]}
 
     def columns(rows: slice) -> Columns:
-        return {
-            **stamp_columns("transforms.header.stamp", t_ns[rows]),
-            **_pose("transforms.transform", pose[rows], "translation", "rotation"),
-        }
+        stamped = stamp_columns("transforms.header.stamp", t_ns[rows])
+        return {**stamped, **_pose("transforms.transform", pose[rows], "translation", "rotation")}
 
     return PoseSeries(TF, t_ns, constant, columns)
 

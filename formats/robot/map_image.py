@@ -67,9 +67,8 @@ def of_message(data: Any, width: int, height: int, cell: float, origin: Array, n
         raise LocfuseError(f"{name}: a map with cells of {cell:g} m at {origin.tolist()} lies nowhere")
     grid = cells.reshape(height, width)
     known = grid != UNKNOWN_CELL
-    return checked(
-        MapImage(known & (grid > 100 * OCCUPIED_SHARE), known & (grid < 100 * FREE_SHARE), cell, origin), name
-    )
+    occupied, free = known & (grid > 100 * OCCUPIED_SHARE), known & (grid < 100 * FREE_SHARE)
+    return checked(MapImage(occupied, free, cell, origin), name)
 
 
 def checked(found: MapImage, name: str) -> MapImage:

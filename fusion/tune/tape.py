@@ -373,10 +373,8 @@ def best(problem: Likelihood, starts: Sequence[float], least: Sequence[float] | 
         return float(values[0]), (values[1 : p + 1] - values[p + 1 :]) / (2.0 * STEP_LOG)
 
     limits = [(-SEARCH_BOUND_LOG, SEARCH_BOUND_LOG)] * p
-    found = [
-        minimize(cost, np.full(p, s), jac=True, method="L-BFGS-B", bounds=limits, options={"ftol": 1e-8})
-        for s in starts
-    ]
+    how = {"jac": True, "method": "L-BFGS-B", "bounds": limits, "options": {"ftol": 1e-8}}
+    found = [minimize(cost, np.full(p, s), **how) for s in starts]
     return np.asarray(min(found, key=lambda f: float(f.fun)).x, np.float64)
 
 

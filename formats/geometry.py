@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from locfuse.fusion.data import Array, MapLine
+from locfuse.fusion.data import PLANE_ROWS, Array, MapLine, matrices
 
 ELLIPSE_SIGMAS = 3.0
 BAND_POINTS = 9  # points along a wall
@@ -25,6 +25,13 @@ def quaternions(angle: Array) -> Array:
     """Return quaternions x, y, z, w (n, 4) of rotations by `angle` (n,) [rad] about z."""
     zero = np.zeros_like(angle)
     return np.column_stack((zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)))
+
+
+def in_space(triangles: Array) -> Array:
+    """Return covariances (n, 6, 6) of x, y, z, roll, pitch, yaw from triangles (n, 6) of those of x, y, yaw."""
+    P = np.zeros((len(triangles), 6, 6))
+    P[:, np.array(PLANE_ROWS)[:, None], PLANE_ROWS] = matrices(triangles)
+    return P
 
 
 def segments(z: Array, ends: Array) -> Array:

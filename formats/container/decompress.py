@@ -9,6 +9,7 @@ from __future__ import annotations
 import bz2
 import io
 import os
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -151,8 +152,6 @@ def unpack_file(data: FileBytes) -> None:
 
     A damaged or cut-off rest of the file is recorded as a loss.
     """
-    import tempfile
-
     handle, place = tempfile.mkstemp(prefix=scratch_prefix())
     temporary = Path(place)
     try:

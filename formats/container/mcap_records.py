@@ -236,9 +236,8 @@ def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
     ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
     inside = ends < len(data)
     opcode = data[np.where(inside, ends, 0)]
-    kept: Ints = offsets[
-        (ends == len(data)) | (inside & (opcode != 0) & ((opcode <= DATA_END) | (opcode >= PRIVATE)))
-    ]
+    valid = (opcode != 0) & ((opcode <= DATA_END) | (opcode >= PRIVATE))
+    kept: Ints = offsets[(ends == len(data)) | (inside & valid)]
     return kept
 
 

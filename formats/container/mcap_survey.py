@@ -357,9 +357,8 @@ class _SurveyWalk:
     def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
         self.data = data
         self.summary = summary
-        self.found = Survey()
-        if summary is not None:
-            self.found = Survey([], summary.schemas, summary.channels, [], summary.expected)
+        known = summary or Survey()
+        self.found = Survey([], known.schemas, known.channels, [], known.expected)
         self.resync = Resync(data, summary)
         self.chunked = False
         self.index_end = 0  # end of the last chunk's message indexes, from the summary

@@ -62,11 +62,6 @@ LATCHED = """\
 """
 
 
-def time_message(ns: int) -> dict[str, int]:
-    """Return the fields of a builtin_interfaces/Time."""
-    return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
-
-
 class StandardMessages:
     """Builds and serialises messages of the standard ROS 2 types from plain values."""
 
@@ -154,16 +149,11 @@ class LogWriter:
         channel = self.channel(topic, msgtype, latched)
         values = nested(fields)
         if self._messages.has_header(msgtype):
-            stamp = time_message(log_ns if stamp_ns is None else stamp_ns)
-            values["header"] = {"stamp": stamp, "frame_id": frame_id}
+            sec, nanosec = divmod(log_ns if stamp_ns is None else stamp_ns, 1_000_000_000)
+            values["header"] = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
         self._sequence[topic] += 1
-        self.writer.add_message(
-            channel_id=channel,
-            log_time=log_ns,
-            publish_time=log_ns,
-            sequence=self._sequence[topic],
-            data=self._messages.cdr(msgtype, values),
-        )
+        data = self._messages.cdr(msgtype, values)
+        self.writer.add_message(channel, log_ns, data, publish_time=log_ns, sequence=self._sequence[topic])
 
     def channel(self, topic: str, msgtype: str, latched: bool = False) -> int:
         """Return the id of a topic's channel; register it if it is new."""

@@ -231,9 +231,8 @@ def _channels(database: sqlite3.Connection, limit: TimeLimit) -> tuple[dict[int,
     )
     samples = {ident: data or b"" for ident, data in limit.rows(database, first_messages, MAX_SAMPLE)}
     found = {}
-    for ident, *texts_of_topic in database.execute(
-        "SELECT CAST(id AS INTEGER), name, type, serialization_format FROM topics ORDER BY 1"
-    ):
+    topics = "SELECT CAST(id AS INTEGER), name, type, serialization_format FROM topics ORDER BY 1"
+    for ident, *texts_of_topic in database.execute(topics):
         topic, msgtype, encoding = (str(text or "") for text in texts_of_topic)
         language, text = texts.get(msgtype) or (
             "ros2msg",

@@ -18,9 +18,8 @@ COMPONENTS = ("x", "y", "heading")
 MIN_ENLARGED_RATIO = 5.0  # ratio of the largest to the smallest rms, above which an enlarged panel is added
 MAX_SIMILAR_RATIO = 2.5  # ratio to the smallest rms of curves that fit into the enlarged panel
 MIN_ERROR_M = 1e-4  # m: smaller position errors are drawn here on logarithmic axes
-OVERLAYS: Mapping[
-    str, tuple[str, str, Callable[[Evaluation], Array]]
-] = {  # panel -> title, key in the report, deviation (n,)
+# panel -> title, key in the report, deviation (n,)
+OVERLAYS: Mapping[str, tuple[str, str, Callable[[Evaluation], Array]]] = {
     "deviation_x": ("Deviation in x", "x_rmse_m", lambda j: j.deviation[:, 0]),
     "deviation_y": ("Deviation in y", "y_rmse_m", lambda j: j.deviation[:, 1]),
     "deviation_along": ("Deviation along the way", "along_rmse_m", lambda j: j.along_cross[:, 0]),
@@ -86,15 +85,10 @@ def _error(judged: list[Evaluation], by: str) -> Panel:
     """Return the panel of the position error over the distance driven, with a logarithmic y axis."""
     errors = [np.maximum(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged]
     scale, unit = metres(errors)
-    return Panel(
-        "error_distance",
-        "Position error against distance",
-        f"position error, {unit}",
-        "distance driven, m",
-        tuple(Curve(j.name, j.distance, scale * e) for j, e in zip(judged, errors, strict=True)),
-        f"Distance of estimate and {by}; " + _figures_words(judged, "position_rmse_m", "m"),
-        log=True,
-    )
+    marks = tuple(Curve(j.name, j.distance, scale * e) for j, e in zip(judged, errors, strict=True))
+    title, label = "Position error against distance", f"position error, {unit}"
+    summary = f"Distance of estimate and {by}; " + _figures_words(judged, "position_rmse_m", "m")
+    return Panel("error_distance", title, label, "distance driven, m", marks, summary, log=True)
 
 
 def bands(scene: Scene) -> Section:
@@ -197,15 +191,8 @@ def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str)
     marks: list[Mark] = []
     for lane, (name, share) in enumerate(shares.items()):
         foot = lane + 0.92
-        marks.append(
-            Band(
-                name,
-                x,
-                np.full_like(x, foot),
-                foot - MAX_BIN_HEIGHT_LANES * np.repeat(share, 2) / tallest,
-                solid=True,
-            )
-        )
+        top = foot - MAX_BIN_HEIGHT_LANES * np.repeat(share, 2) / tallest
+        marks.append(Band(name, x, np.full_like(x, foot), top, solid=True))
         if len(errors[name]):
             middle = scale * float(np.median(errors[name]))
             marks.append(Strokes("median", np.array([[[middle, lane + 0.1], [middle, foot]]])))

@@ -57,17 +57,9 @@ def _ratios(
 ) -> Panel:
     """Return a panel of NEES or NIS over time with its bounds, with a logarithmic y axis."""
     limits = (float(np.nanmin(band.low)), float(np.nanmax(band.high)))
-    return Panel(
-        name,
-        f"{of}{what} per degree of freedom",
-        f"{of}{what} / dof",
-        TIME,
-        (band, *curves),
-        summary,
-        log=True,
-        x_range=span,
-        y_range=_log_range([c.y for c in curves], limits),
-    )
+    title, label = f"{of}{what} per degree of freedom", f"{of}{what} / dof"
+    y_range = _log_range([c.y for c in curves], limits)
+    return Panel(name, title, label, TIME, (band, *curves), summary, log=True, x_range=span, y_range=y_range)
 
 
 def innovations(scene: Scene) -> Section:

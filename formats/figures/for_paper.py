@@ -20,12 +20,8 @@ from .panels import Band, Curve, Dots, Mark, Panel, Section, Spots, Strokes, ran
 
 PANEL_SIZE_IN = (3.5, 2.1)  # one column of a two-column paper
 SQUARE_SIZE_IN = (3.5, 3.0)
-AXES_AREA = (
-    0.17,
-    0.19,
-    0.8,
-    0.66,
-)  # of the axes in the figure; fixed, because a layout engine would take a third of the time
+# of the axes in the figure; fixed, because a layout engine would take a third of the time
+AXES_AREA = (0.17, 0.19, 0.8, 0.66)
 HEIGHT_IN_COLUMN = 1.45  # inches per panel in a column of panels
 COLUMN = {"top": 0.88, "bottom": 0.12, "hspace": 0.12}
 LANES_AREA = (0.24, 0.19, 0.73, 0.66)
@@ -191,9 +187,8 @@ def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapp
         alpha = 1.0 if mark.solid else 0.18
         axes.fill_between(mark.x[kept], mark.low[kept], mark.high[kept], color=ink, alpha=alpha, lw=0, label=label)
     elif isinstance(mark, Dots):
-        axes.plot(
-            mark.x, mark.y, ".", color=ink, ms=1.2, mew=0, label=label, rasterized=len(mark.x) > MAX_CURVE_POINTS
-        )
+        many = len(mark.x) > MAX_CURVE_POINTS
+        axes.plot(mark.x, mark.y, ".", color=ink, ms=1.2, mew=0, label=label, rasterized=many)
     elif isinstance(mark, Strokes):
         for i, (a, b) in enumerate(mark.ends):
             axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)

@@ -74,10 +74,7 @@ ROLES = {  # colours of marks that are not configurations
     "jump": Colour("#c02080", "#f080c0"),
     "repeated": Colour("#e4e7ec", "#2f353e"),
     **{f"level {i}": colour for i, colour in enumerate(LEVELS)},
-    "median": TRUTH,
-    "start": TRUTH,
-    "end": TRUTH,
-    "time": TRUTH,
+    **dict.fromkeys(("median", "start", "end", "time"), TRUTH),
     "landmark": LANDMARK,
     **dict.fromkeys(("alone", "leave_one_out", "credit"), TRUTH),  # effects of a sensor on the error
 }

@@ -213,8 +213,7 @@ def _left(panel: Panel, y0: float, y1: float) -> float:
     """Return the left margin [px] for the y labels."""
     if panel.lanes:
         return 12 + CHARACTER_WIDTH_PX * max(len(lane) for lane in panel.lanes)
-    labels = [label for _, label in ticks(y0, y1, panel.log)]
-    return round(12 + CHARACTER_WIDTH_PX * max([len(label) for label in labels] or [1]))
+    return round(12 + CHARACTER_WIDTH_PX * max((len(label) for _, label in ticks(y0, y1, panel.log)), default=1))
 
 
 def _equal(

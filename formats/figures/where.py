@@ -244,10 +244,8 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
         stretch = route.value[first : last + 1]
         if np.isfinite(stretch).any():
             level = int(np.searchsorted(edges, np.sqrt(np.nanmean(stretch**2)), side="right"))
-            shown = route.xy[first : last + 1][
-                evenly(last + 1 - first, MAX_POINTS_ON_SMALL_MAP // COLOURED_STRETCHES)
-            ]
-            _extend(pieces.setdefault(level, []), shown)
+            kept = first + evenly(last + 1 - first, MAX_POINTS_ON_SMALL_MAP // COLOURED_STRETCHES)
+            _extend(pieces.setdefault(level, []), route.xy[kept])
     paths = {level: np.concatenate(found) for level, found in sorted(pieces.items())}
     return [Curve(f"level {level}", xy[:, 0], xy[:, 1], wide=True) for level, xy in paths.items()]
 

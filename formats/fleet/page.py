@@ -262,11 +262,9 @@ FEW_LOGS = 3  # smallest number of logs for a distribution
 
 def sections(summary: Mapping[str, Any], entries: Sequence[Entry]) -> list[Section]:
     """Return the figures for which there are enough logs: distribution and trend of the errors."""
-    errors = {
-        name: np.array([v for e in entries if (v := _error(e, name)) is not None])
-        for name in summary["configurations"]
-    }
-    known = {name: np.sort(v[v > 0.0]) for name, v in errors.items() if (v > 0.0).any()}
+    names = summary["configurations"]
+    errors = {name: np.sort([v for e in entries if (v := _error(e, name) or 0.0) > 0.0]) for name in names}
+    known = {name: v for name, v in errors.items() if len(v)}
     best = dict(sorted(known.items(), key=lambda pair: float(np.median(pair[1])))[:MAX_CURVES])
     found = [_distribution(best)] if any(len(v) >= FEW_LOGS for v in best.values()) else []
     return [*found, *_trend(summary["best"], entries)]
@@ -277,16 +275,8 @@ def _distribution(errors: Mapping[str, Array]) -> Section:
     share = np.linspace(0.0, 100.0, CURVE_POINTS)
     marks = tuple(Curve(name, share, np.percentile(v, share)) for name, v in errors.items())
     words = "; ".join(f"{name}: median {np.median(v):.4g} m, worst {v[-1]:.4g} m" for name, v in errors.items())
-    panel = Panel(
-        "distribution",
-        "Position rmse",
-        "m",
-        "% of the logs stay below",
-        marks,
-        words,
-        log=True,
-        x_range=(0.0, 100.0),
-    )
+    label = "% of the logs stay below"
+    panel = Panel("distribution", "Position rmse", "m", label, marks, words, log=True, x_range=(0.0, 100.0))
     text = "At 50 the median log, at 90 what nine of ten logs stay below, at 100 the worst."
     return Section("distribution", "How errors are distributed over the logs", text, (panel,), columns=1)
 
@@ -303,9 +293,7 @@ def _trend(best: str | None, entries: Sequence[Entry]) -> list[Section]:
         return []
     first = min(days)
     x = np.array([(day - first).days for day in sorted(days)], float)
-    low, middle, high = (
-        np.array([np.percentile(days[day], share) for day in sorted(days)]) for share in (10.0, 50.0, 90.0)
-    )
+    low, middle, high = np.array([np.percentile(days[day], (10.0, 50.0, 90.0)) for day in sorted(days)]).T
     marks = (Band(best, x, low, high), Curve(best, x, middle), Dots(best, x, middle))
     panel = Panel("trend", "Position rmse by day", "m", f"days since {first}", marks, "median by day", log=True)
     text = f"The median of {best} on each day; the band holds the logs between 10 and 90 %."

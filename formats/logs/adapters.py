@@ -312,9 +312,8 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
     ):
         return nothing
     order = ">" if columns["is_bigendian"][i] else "<"
-    layout = np.dtype(
-        {"names": list("xyz"), "formats": [order + k for k in kinds], "offsets": offsets, "itemsize": step}
-    )
+    formats = [order + k for k in kinds]
+    layout = np.dtype({"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": step})
     data = np.frombuffer(columns["data"][i], np.uint8)
     if height > 1 and row > width * step:  # padded rows
         data = data[: len(data) // row * row].reshape(-1, row)[:, : width * step].reshape(-1)
@@ -343,11 +342,7 @@ def level_slice(xyz: Array, optical: bool = False) -> Array:
 # --- The table of adapters
 
 PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
-OF_PATH = (
-    "poses.header.stamp",
-    *_axes("poses.pose.position", "xy"),
-    *_axes("poses.pose.orientation", "xyzw"),
-)
+OF_PATH = ("poses.header.stamp", *_axes("poses.pose.position", "xy"), *_axes("poses.pose.orientation", "xyzw"))
 
 
 class Presented(NamedTuple):

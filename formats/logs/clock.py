@@ -32,12 +32,7 @@ JUMP_NS, STEP_NS, MIN_EVEN_STEPS = 10 * 10**9, 10**9, 10
 MIN_PIECE_SHARE = 0.25  # share of messages; a smaller piece on the recording's clock is not preferred
 MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 # small message types with headers that most logs have; their stamps show which clock is used
-SMALL_TYPES = (
-    "nav_msgs/msg/Odometry",
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/Imu",
-    "sensor_msgs/msg/LaserScan",
-)
+SMALL_TYPES = ("nav_msgs/msg/Odometry", *(f"sensor_msgs/msg/{one}" for one in ("JointState", "Imu", "LaserScan")))
 MIN_MESSAGES, MAX_TOPICS = 20, 3
 SAME_CLOCK_NS = 10**9  # topics use one clock if their stamps' offsets from recording differ by less
 
@@ -161,8 +156,6 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
 
 def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
     """Return reason -> mask (n,) of the stamps that are not trusted."""
-    zero = stamp == 0
-    negative = stamp < 0
     off = np.zeros(len(stamp), bool)
     ordinary = np.flatnonzero(stamp > 0)
     off[ordinary] = _off_the_clock(log_time[ordinary], stamp[ordinary])
@@ -171,8 +164,8 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
     if (np.diff(stamp[left]) < 0).any():  # rare, and the search is slow
         backwards[left], unsteady[left] = _out_of_order(log_time[left], stamp[left])
     return {
-        "zero": zero,
-        "negative": negative,
+        "zero": stamp == 0,
+        "negative": stamp < 0,
         "off the stream's clock": off,
         "backwards": backwards,
         "off the beat": unsteady,

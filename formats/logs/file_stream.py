@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from locfuse.formats.caps import MAX_TEXT_FILE
-from locfuse.formats.geometry import quaternions
+from locfuse.formats.geometry import in_space, quaternions
 from locfuse.formats.inputs import csv_table, read_small
 from locfuse.formats.visible import visible
-from locfuse.fusion.data import END_OF_TIME, PLANE_ROWS, Array, Column, Ints, LocfuseError
+from locfuse.fusion.data import END_OF_TIME, Array, Column, Ints, LocfuseError
 
 from .clock import MadeStream, RowTimes
 
@@ -125,10 +125,8 @@ def _detections(
     path: Path, times: Sequence[int], idents: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
 ) -> MadeStream:
     missing = np.full(len(times), np.nan)
-    data: dict[str, Column] = {
-        "id": np.array(idents, np.int64),
-        **{name: column(name) if name in at else missing for name in ("range", "bearing")},
-    }
+    measured = {name: column(name) if name in at else missing for name in ("range", "bearing")}
+    data: dict[str, Column] = {"id": np.array(idents, np.int64), **measured}
     kind = DETECTIONS if "bearing" in at else RANGES
     return in_time_order(str(path), kind, np.array(times, np.int64), data)
 
@@ -149,11 +147,7 @@ def _table_of_poses(
     q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # infinite headings are missing; sin() would warn
     if not set(COVARIANCE_COLUMNS) <= at.keys():
         return _poses(path, times, position, q, None)
-    P = np.zeros((len(times), 6, 6))
-    for (i, j), name in zip(
-        itertools.combinations_with_replacement(PLANE_ROWS, 2), COVARIANCE_COLUMNS, strict=True
-    ):
-        P[:, i, j] = P[:, j, i] = column(name)
+    P = in_space(np.stack([column(name) for name in COVARIANCE_COLUMNS], axis=-1))
     return _poses(path, times, position, q, P)
 
 

@@ -91,12 +91,7 @@ class Log:
     """A log of one or more files. Fields of several topics are read together in one pass."""
 
     def __init__(
-        self,
-        paths: Sequence[Place],
-        sources: Sequence[Source],
-        name: str,
-        losses: Losses,
-        given: Sequence[Place],
+        self, paths: Sequence[Place], sources: Sequence[Source], name: str, losses: Losses, given: Sequence[Place]
     ) -> None:
         self.paths = tuple(paths)
         self.given = tuple(given)  # files and folders as the user named them

@@ -219,11 +219,8 @@ class TopicTable:
         """Return `order` without messages recorded twice (equal log time and bytes as an earlier message)."""
         digests, sequence, log_time = keys
         by_content = np.lexsort((sequence, digests, log_time))
-        same = (
-            (np.diff(log_time[by_content]) == 0)
-            & (np.diff(digests[by_content]) == 0)
-            & (digests[by_content[1:]] != 0)
-        )
+        same = (np.diff(log_time[by_content]) == 0) & (np.diff(digests[by_content]) == 0)
+        same &= digests[by_content[1:]] != 0
         repeats = by_content[1:][same]
         if len(repeats):
             self.bad["repeat"] += len(repeats)

@@ -36,9 +36,7 @@ TRANSFORM = "geometry_msgs/msg/TransformStamped"
 STAMP = "transforms.header.stamp|transforms.timestamp|timestamp"
 TF_FIELDS = (STAMP, *FIELDS)
 MAX_STILL_M = 1e-6  # m, and of quaternion components: smaller changes do not count as motion
-NAMES = tuple(f"transform.{part}" for part in ("translation.x", "translation.y", "translation.z")) + tuple(
-    f"transform.rotation.{axis}" for axis in "xyzw"
-)
+NAMES = (*(f"transform.translation.{axis}" for axis in "xyz"), *(f"transform.rotation.{axis}" for axis in "xyzw"))
 
 
 class FrameEdge(NamedTuple):
@@ -89,10 +87,8 @@ def edges_of(
         good = np.isfinite(values[at]).all(axis=1) & (np.square(values[at, 3:]).sum(axis=1) > MAX_STILL_M)
         use = np.array(at)[good]
         if len(use):
-            stamped, recorded = (
-                np.asarray(stamps.values)[use].astype(np.int64),
-                log_time[np.array(rows[key])[good]],
-            )
+            stamped = np.asarray(stamps.values)[use].astype(np.int64)
+            recorded = log_time[np.array(rows[key])[good]]
             clock = clocks.settle(recorded, stamped, order, others)
             found[key] = FrameEdge(*key, clock, recorded, stamped, values[use])
     return found
@@ -122,17 +118,10 @@ def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -
     for edge, backward in path:
         one = _at(edge, t_ns) if isinstance(edge, FrameEdge) else edge
         T = T @ (inverse_of(one) if backward else one)
-    columns = (*T[:, :3, 3].T, *quaternions_of(T[:, :3, :3]).T)
-    return clocks.MadeStream(
-        topic,
-        TRANSFORM,
-        t_ns,
-        dict(zip(NAMES, columns, strict=True)),
-        parent,
-        {**main.clock.dropped, **({"outside_chain": outside} if outside else {})},
-        clock=main.clock,
-        delay_s=_delay_s(main.log_time, main.clock.t_ns if main.clock.on_stamps else main.stamp),
-    )
+    data = dict(zip(NAMES, (*T[:, :3, 3].T, *quaternions_of(T[:, :3, :3]).T), strict=True))
+    dropped = {**main.clock.dropped, **({"outside_chain": outside} if outside else {})}
+    delay_s = _delay_s(main.log_time, main.clock.t_ns if main.clock.on_stamps else main.stamp)
+    return clocks.MadeStream(topic, TRANSFORM, t_ns, data, parent, dropped, clock=main.clock, delay_s=delay_s)
 
 
 def _path(
@@ -235,16 +224,10 @@ def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTr
     by_record = by_record[~repeated[by_record]]
     clock = clocks.settle(recorded[by_record], stamps[by_record], order)
     rows = by_record if clock.rows is None else by_record[clock.rows]
-    return clocks.MadeStream(
-        topic,
-        TAGS,
-        clock.t_ns,
-        {"id": ids[rows].astype(np.int64), **dict(zip("xyz", places[rows].T, strict=True))},
-        camera,
-        {**clock.dropped, **({"repeat": int(repeated.sum())} if repeated.any() else {})},
-        clock=clock,
-        delay_s=_delay_s(recorded, stamps),
-    )
+    data = {"id": ids[rows].astype(np.int64), **dict(zip("xyz", places[rows].T, strict=True))}
+    dropped = {**clock.dropped, **({"repeat": int(repeated.sum())} if repeated.any() else {})}
+    delay_s = _delay_s(recorded, stamps)
+    return clocks.MadeStream(topic, TAGS, clock.t_ns, data, camera, dropped, clock=clock, delay_s=delay_s)
 
 
 def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[FrameEdge]:

@@ -201,9 +201,8 @@ class JsonDecoder(MessageDecoder):
 
     def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
-        objects = [
-            _object(data[at : at + n].tobytes()) for at, n in zip(start.tolist(), length.tolist(), strict=True)
-        ]
+        places = zip(start.tolist(), length.tolist(), strict=True)
+        objects = [_object(data[at : at + n].tobytes()) for at, n in places]
         found = [one for one in objects if one is not None]
         good = np.array([one is not None for one in objects], bool)
         columns = {path: column(found, path, resolve(self.message, path)) for path in fields}

@@ -16,14 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import (
-    MAX_DEFINITION,
-    MAX_DEPTH,
-    MAX_ITEMS,
-    MAX_MESSAGE,
-    MAX_TEXT,
-    refuse_above,
-)
+from locfuse.formats.caps import MAX_DEFINITION, MAX_DEPTH, MAX_ITEMS, MAX_MESSAGE, MAX_TEXT, refuse_above
 from locfuse.formats.columns import nested
 from locfuse.fusion.data import Ints
 

@@ -98,10 +98,8 @@ def parse(name: str, encoding: str, text: str, filler: bool = True) -> Structure
 
 def refuse_many_fields(tree: Structure) -> None:
     """Raise SchemaError if a message has more than MAX_FIELDS fields; nested types count at every use."""
-    fields = count_fields(tree, {})
-    refuse_above(
-        f"its definition of {tree.name} unfolds to too many fields", fields, MAX_FIELDS, error=SchemaError
-    )
+    what = f"its definition of {tree.name} unfolds to too many fields"
+    refuse_above(what, count_fields(tree, {}), MAX_FIELDS, error=SchemaError)
 
 
 def count_fields(node: Node, known: dict[int, int]) -> int:

@@ -47,11 +47,8 @@ def banner_of(report: Mapping[str, Any]) -> list[str]:
 def _is_about(finding: Mapping[str, Any], warning: Mapping[str, Any]) -> bool:
     """Return whether a finding and a warning (of doubtful figures) are about the same problem."""
     role, _, words = warning["message"].partition(": ")
-    return (
-        not warning.get("void", True)
-        and finding["role"] == role
-        and words.partition(". ")[0] in without_correlation(finding["message"])
-    )
+    found = words.partition(". ")[0] in without_correlation(finding["message"])
+    return not warning.get("void", True) and finding["role"] == role and found
 
 
 def without_correlation(words: str) -> str:
@@ -133,14 +130,9 @@ def effect_of(tried: Mapping[str, Any], brief: bool) -> str:
     if before["position_rmse_m"] is not None:
         error = "error of the path's shape" if before.get("aligned") else "error"
         parts.append(f"{error} {change(before['position_rmse_m'], after['position_rmse_m'])}")
-    turned = [values.get("heading_rmse_deg") for values in (before, after)]
-    if (
-        not brief
-        and turned[0]
-        and turned[1] is not None
-        and abs(turned[0] - turned[1]) > MIN_HEADING_CHANGE * turned[0]
-    ):
-        parts.append("heading " + " -> ".join(f"{v:.0f}°" if v >= 10.0 else f"{v:.2g}°" for v in turned))
+    first, last = (values.get("heading_rmse_deg") for values in (before, after))
+    if not brief and first and last is not None and abs(first - last) > MIN_HEADING_CHANGE * first:
+        parts.append("heading " + " -> ".join(f"{v:.0f}°" if v >= 10.0 else f"{v:.2g}°" for v in (first, last)))
     if before["anees"] and after["anees"]:
         parts.append(f"ANEES {_anees(before['anees'])} -> {_anees(after['anees'])}")
     if before["prediction_nats"] is not None:
@@ -197,10 +189,8 @@ def title_of(report: Mapping[str, Any]) -> str:
 def notes_of(report: Mapping[str, Any]) -> list[str]:
     """Return the notes of the log, then of the configurations (wheel slips, estimated track width)."""
     runs = report["configurations"]
-    found = _grouped(
-        (name, _without_numbers(words), words) for name, values in runs.items() for words in values["notes"]
-    )
-    merged = (next(iter(own.values())) if len(runs) == 1 else _named(own) for own in found)
+    notes = ((name, _without_numbers(words), words) for name, values in runs.items() for words in values["notes"])
+    merged = (next(iter(own.values())) if len(runs) == 1 else _named(own) for own in _grouped(notes))
     return [*_of_log(report["notes"]), *merged]
 
 

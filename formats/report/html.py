@@ -26,6 +26,7 @@ from . import tables
 from .findings import fingerprint, in_parts, notes_of, options, title_of, together, unwarned, warnings_of
 from .glossary import GLOSSARY
 from .render import SIGNS, Swatches, data, html
+from .summary import errors_of
 from .table import Path, Piece, written
 
 if TYPE_CHECKING:
@@ -160,22 +161,16 @@ def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     per_row = section.columns if section.rows else max(1, len(drawn))
     rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
     keys = {k: p.legend.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}
-    scale = {
-        k: keys.pop(k) for k in sorted(keys) if k.startswith("level ")
-    }  # the keys of a colour scale come first, in order
+    # the keys of a colour scale come first, in order
+    scale = {k: keys.pop(k) for k in sorted(keys) if k.startswith("level ")}
     return {"section": section, "rows": rows, "keys": scale | keys}
 
 
 def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
     """Return the path of each position rmse in report.json -> length of its bar, in % of the largest rmse."""
-    key = tables.RMSE.key
-    values = {name: v.get(key) for name, v in report["configurations"].items()}
-    worst = max((v for v in values.values() if v), default=0.0)
-    return {
-        ("configurations", name, key): 100.0 * v / worst
-        for name, v in values.items()
-        if v is not None and worst > 0.0
-    }
+    key, errors = tables.RMSE.key, errors_of(report)
+    worst = max((v for v in errors.values() if v), default=0.0)
+    return {("configurations", name, key): 100.0 * v / worst for name, v in errors.items() if worst > 0.0}
 
 
 def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:

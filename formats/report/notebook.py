@@ -58,9 +58,8 @@ def render(report: Mapping[str, Any], spoken: Callable[[str], str] = str) -> str
     """
     lines = [*banner_of(report), *map(sentence, unwarned(report)), *filter(None, [together(report)])]
     findings = "".join(f"<li>{html_text(spoken(line))}</li>" for line in lines)
-    head = f"<p><b>{html_text(spoken(report.get('headline') or ''))}</b></p>" + (
-        f"<ul>{findings}</ul>" if findings else ""
-    )
+    head = f"<p><b>{html_text(spoken(report.get('headline') or ''))}</b></p>"
+    head += f"<ul>{findings}</ul>" if findings else ""
     return head + _verdicts(report.get("verdicts", {})) + html(configurations(report))
 
 

@@ -75,9 +75,8 @@ def conclusion(values: Mapping[str, Any]) -> str:
 
 def latex(values: Mapping[str, Any]) -> str:
     """Return the table of errors as LaTeX."""
-    return f"% locfuse {values['locfuse']}; needs \\usepackage{{booktabs}} and \\usepackage{{textcomp}}\n" + (
-        latex_of(table(values)) + "\n"
-    )
+    head = f"% locfuse {values['locfuse']}; needs \\usepackage{{booktabs}} and \\usepackage{{textcomp}}\n"
+    return f"{head}{latex_of(table(values))}\n"
 
 
 def render(

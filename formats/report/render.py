@@ -36,13 +36,8 @@ LATEX = {
     "°": r"\textdegree{}",
 }
 UNIT, NBSP = re.compile(r" (?=\S{1,2}$)"), "\u00a0"  # the space before the unit at the end of a heading
-SIGNS = {
-    "helps": "▲",
-    "seems to help": "△",
-    "no effect seen": "■",
-    "seems to hurt": "▽",
-    "hurts": "▼",
-}  # for the verdict on a sensor
+# verdict on a sensor -> its sign
+SIGNS = {"helps": "▲", "seems to help": "△", "no effect seen": "■", "seems to hurt": "▽", "hurts": "▼"}
 
 
 class Swatches(msgspec.Struct, frozen=True, dict=True):
@@ -159,9 +154,7 @@ def latex(table: Table) -> str:
     heads_line, *lines = [" & ".join(map(latex_text, row)) + r" \\" for row in (heads, *rows)]
     sides = "".join("r" if c.kind == "number" else "l" for c in table.columns)
     begin = rf"\begin{{tabular}}{{{sides}}}"
-    return "\n".join(
-        [begin, r"\toprule", heads_line, r"\midrule", *lines, r"\bottomrule", r"\end{tabular}"],
-    )
+    return "\n".join([begin, r"\toprule", heads_line, r"\midrule", *lines, r"\bottomrule", r"\end{tabular}"])
 
 
 def latex_text(words: str) -> str:

@@ -47,8 +47,13 @@ def summarise(reports: Reports) -> dict[str, Any]:
 
 def best_of(report: Mapping[str, Any]) -> str | None:
     """Return the configuration with the smallest position error of one report; None without truth."""
-    known = {n: v[RMSE.key] for n, v in report["configurations"].items() if v.get(RMSE.key) is not None}
+    known = errors_of(report)
     return min(known, key=lambda name: known[name]) if known else None
+
+
+def errors_of(report: Mapping[str, Any]) -> dict[str, float]:
+    """Return configuration -> its position error [m], if it has one."""
+    return {n: v[RMSE.key] for n, v in report["configurations"].items() if v.get(RMSE.key) is not None}
 
 
 def _best_mean(configurations: Mapping[str, Any], judged: int) -> str | None:
@@ -63,15 +68,8 @@ def _best_mean(configurations: Mapping[str, Any], judged: int) -> str | None:
 
 def _log(report: Mapping[str, Any]) -> dict[str, Any]:
     first = next(iter(report["configurations"].values()))
-    source = report["input"]
-    known = {key: source.get(key) for key in ("name", "sha256", "identity", "start")}
-    return {
-        **known,
-        "duration_s": first["duration_s"],
-        "figures": {
-            name: v[RMSE.key] for name, v in report["configurations"].items() if v.get(RMSE.key) is not None
-        },
-    }
+    known = {key: report["input"].get(key) for key in ("name", "sha256", "identity", "start")}
+    return {**known, "duration_s": first["duration_s"], "figures": errors_of(report)}
 
 
 def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
@@ -256,8 +254,5 @@ def _worse(logs: Sequence[str]) -> str:
 def not_done(summary: Mapping[str, Any]) -> str:
     """Return a text on the logs that failed or were not run: " 2 failed. 1 were not run."."""
     states = [log.get("state", "done") for log in summary["logs"].values()]
-    return "".join(
-        f" {states.count(state)} {words}."
-        for state, words in (("failed", "failed"), ("not run", "were not run"))
-        if state in states
-    )
+    counts = ((states.count("failed"), "failed"), (states.count("not run"), "were not run"))
+    return "".join(f" {n} {words}." for n, words in counts if n)

@@ -83,11 +83,9 @@ class Table(msgspec.Struct, frozen=True):
     def once(self) -> Table:
         """Return the table without repetitions in the first column: cells equal to the one above are empty."""
         above = (None, *(row[0].value for row in self.rows))
-        rows = (
-            row if row[0].value != last else (Cell(""), *row[1:])
-            for last, row in zip(above, self.rows, strict=False)
-        )
-        return replace(self, rows=tuple(rows))
+        pairs = zip(above, self.rows, strict=False)
+        rows = tuple(row if row[0].value != last else (Cell(""), *row[1:]) for last, row in pairs)
+        return replace(self, rows=rows)
 
 
 def heading(column: Column, brief: bool = False) -> str:
@@ -111,11 +109,8 @@ def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any],
 
     The path is () if the values are not in report.json.
     """
-    return Table(
-        tuple(columns),
-        tuple(tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows),
-        label,
-    )
+    cells = (tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows)
+    return Table(tuple(columns), tuple(cells), label)
 
 
 def of_rows(columns: Sequence[Column], rows: Iterable[Mapping[str, Any]]) -> Table:
@@ -132,10 +127,8 @@ def pieces(column: Column, cell: Cell) -> list[Piece]:
         counted = [(str(n), n, k, f" {k.replace('_', ' ')}") for k, n in value.items()]
         return _joined([[Piece(number, n, _below(at, k)), Piece(what)] for number, n, k, what in counted], ", ")
     if isinstance(value, list | tuple):
-        return _joined(
-            [[Piece(column.number(v), v, _below(at, i))] for i, v in enumerate(value)],
-            ", " if column.kind == "long" else " – ",
-        )
+        numbers = [[Piece(column.number(v), v, _below(at, i))] for i, v in enumerate(value)]
+        return _joined(numbers, ", " if column.kind == "long" else " – ")
     if isinstance(value, int | float) and not isinstance(value, bool):
         return [Piece(column.number(value), value, at)]
     return [Piece(str(value))]

@@ -251,11 +251,8 @@ def _short(report: Report) -> Table:
     at = 1 + [c.key for c in table.columns].index(RMSE.key)
     rmse = table.columns[at - 1]
     smoothed = replace(rmse, key="smoothed", heading="smoothed", brief="smoothed", missing="", rank=5)
-    rows = tuple(
-        (*row[:at], Cell(after.get(row[0].value)), *row[at:])
-        for row in table.rows
-        if not runs[row[0].value].get("smoothed")
-    )
+    causal = (row for row in table.rows if not runs[row[0].value].get("smoothed"))
+    rows = tuple((*row[:at], Cell(after.get(row[0].value)), *row[at:]) for row in causal)
     columns = (*table.columns[:at], smoothed, *table.columns[at:])
     return replace(table, columns=columns, rows=rows).without("position_max_m")
 
@@ -303,9 +300,8 @@ def credit(report: Report) -> Table:
     """Return every sensor's effects on the position error."""
     rows = []
     for sensor, values in report["credit"]["sensors"].items():
-        beside = (
-            f"beside {' and '.join(values['beside'])}" if values["beside"] else "alone, compared with odometry"
-        )
+        others = " and ".join(values["beside"])
+        beside = f"beside {others}" if others else "alone, compared with odometry"
         effects = {"credit": "credit", "alone": beside, "leave_one_out": "last, beside all others"}
         for kind, title in effects.items():
             at = ("credit", "sensors", sensor, kind)

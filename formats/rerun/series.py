@@ -115,12 +115,8 @@ def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: Se
     if gate is None:
         return
     low, high = sight.bounds
-    levels = (
-        ("low", low, "95 %", ink.LEVEL),
-        ("high", high, "95 %", ink.LEVEL),
-        ("gate", gate, "gate", ink.LIMIT),
-    )
-    for level, value, name, colour in levels:
+    lines = (("low", low, "95 %", ink.LEVEL), ("high", high, "95 %", ink.LEVEL), ("gate", gate, "gate", ink.LIMIT))
+    for level, value, name, colour in lines:
         if np.isfinite(value):
             pen = Pen(to, name, colour, 2)
             pen.curve(f"nis/{sensor}/limits/{level}", scene.drive.t[[0, -1]], np.full(2, value))

@@ -18,20 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.columns import nested
-from locfuse.formats.container.mcap_write import (
-    CHUNK_BYTES,
-    LogWriter,
-    StandardMessages,
-    add_messages,
-    time_message,
-)
-from locfuse.formats.geometry import quaternions
+from locfuse.formats.container.mcap_write import CHUNK_BYTES, LogWriter, StandardMessages, add_messages
+from locfuse.formats.geometry import in_space, quaternions
 from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
 from locfuse.formats.messages.fields import resolve
 from locfuse.formats.messages.schema import Many, Node, Scalar, parse
 from locfuse.formats.thin import evenly
-from locfuse.fusion.data import PLANE_ROWS, Array, Drive, Estimates, Ints, LocfuseError, Truth, matrices
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth
 
 from .recovered_log import copy_messages
 from .trajectory import stamps, with_truth_rows
@@ -95,12 +89,10 @@ def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str
     """Return Odometry messages of poses (n, 3), covariance triangles (n, 6) and body twists (n, 3)."""
 
     def columns(rows: slice) -> Columns:
-        covariance = np.zeros((len(t_ns[rows]), 6, 6))
-        covariance[:, np.array(PLANE_ROWS)[:, None], PLANE_ROWS] = matrices(triangles[rows])
         return {
             **stamp_columns("header.stamp", t_ns[rows]),
             **_pose("pose.pose", pose[rows]),
-            "pose.covariance": covariance.reshape(-1, 36),
+            "pose.covariance": in_space(triangles[rows]).reshape(-1, 36),
             "twist.twist.linear.x": twist[rows, 0],
             "twist.twist.linear.y": twist[rows, 1],
             "twist.twist.angular.z": twist[rows, 2],
@@ -134,10 +126,8 @@ def transforms(t_ns: Ints, pose: Array, child: str) -> PoseSeries:
     constant = {"transforms": [{"header": {"frame_id": MAP}, "child_frame_id": child}]}
 
     def columns(rows: slice) -> Columns:
-        return {
-            **stamp_columns("transforms.header.stamp", t_ns[rows]),
-            **_pose("transforms.transform", pose[rows], "translation", "rotation"),
-        }
+        stamped = stamp_columns("transforms.header.stamp", t_ns[rows])
+        return {**stamped, **_pose("transforms.transform", pose[rows], "translation", "rotation")}
 
     return PoseSeries(TF, t_ns, constant, columns)
 
@@ -148,8 +138,8 @@ def path(t_ns: Ints, pose: Array) -> NDArray[np.uint8]:
     columns = {**stamp_columns("header.stamp", t_ns[rows]), **_pose("pose", pose[rows])}
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
     listed = [nested({"header.frame_id": MAP, **dict(zip(columns, one, strict=True))}) for one in values]
-    header = {"stamp": time_message(int(t_ns[0])), "frame_id": MAP}
-    return np.frombuffer(MESSAGES.cdr(PATH, {"header": header, "poses": listed}), np.uint8)[None]
+    fields = {**stamp_columns("header.stamp", t_ns[0]), "header.frame_id": MAP, "poses": listed}
+    return np.frombuffer(MESSAGES.cdr(PATH, nested(fields)), np.uint8)[None]
 
 
 def _pose(at: str, pose: Array, position: str = "position", orientation: str = "orientation") -> dict[str, Array]:

@@ -71,9 +71,8 @@ def copy_messages(writer: Any, log: Log) -> Counter[str]:
             channels[key] = writer.register_channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
         ends = (messages.start + messages.length).tolist()
         payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
-        log_time, published = (
-            t.clip(CLOCKLESS_LOG_NS, END_OF_TIME) for t in (messages.log_time, messages.published)
-        )
+        log_time = messages.log_time.clip(CLOCKLESS_LOG_NS, END_OF_TIME)
+        published = messages.published.clip(CLOCKLESS_LOG_NS, END_OF_TIME)
         add_messages(writer, channels[key], log_time, messages.sequence, payload, published)
         counts[channel.topic] += len(messages.start)
     return counts

@@ -9,17 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from locfuse.fusion.data import (
-    PLANE_ROWS,
-    VERDICTS,
-    Array,
-    Audit,
-    Drive,
-    Estimates,
-    Truth,
-    matrices,
-    upper_triangles,
-)
+from locfuse.formats.geometry import in_space
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Truth, upper_triangles
 
 LINES_AT_ONCE = 4096  # lines per block; the Python values of a line take ten times the memory of its text
 TUM_COVARIANCE_HEADER = "# t x y z qx qy qz qw, then P by rows, upper triangle: " + " ".join(
@@ -92,10 +83,8 @@ def tum_covariance_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
     """
     yield f"{TUM_COVARIANCE_HEADER}\n"
     _, _, triangles = with_truth_rows(drive, estimates)
-    P = np.zeros((len(triangles), 6, 6))
-    P[:, np.array(PLANE_ROWS)[:, None], PLANE_ROWS] = matrices(triangles)
     rows = "".join(tum_blocks(drive, estimates)).splitlines()
-    for row, upper in zip(rows, P[:, *np.triu_indices(6)].tolist(), strict=True):
+    for row, upper in zip(rows, in_space(triangles)[:, *np.triu_indices(6)].tolist(), strict=True):
         yield f"{row} {' '.join(map(repr, upper))}\n"
 
 
@@ -156,20 +145,11 @@ def audit_csv(drive: Drive, estimates: Estimates) -> str:
 
 
 def _lines(times: list[str], sensor: str, audit: Audit) -> list[tuple[int, str]]:
-    columns = zip(
-        audit.instant.tolist(),
-        audit.row.tolist(),
-        audit.verdict.tolist(),
-        audit.landmark.tolist(),
-        audit.nis.tolist(),
-        audit.threshold.tolist(),
-        audit.y.tolist(),
-        audit.sigma.tolist(),
-        strict=True,
-    )
+    numbers = (audit.instant, audit.row, audit.verdict, audit.landmark, audit.nis, audit.threshold)
+    rows = zip(*(column.tolist() for column in (*numbers, audit.y, audit.sigma)), strict=True)
     return [
         (k, f"{times[k]},{sensor},{row},{VERDICTS[v]},{'' if mark < 0 else mark},{_cells(nis, gate, y, sigma)}")
-        for k, row, v, mark, nis, gate, y, sigma in columns
+        for k, row, v, mark, nis, gate, y, sigma in rows
     ]
 
 

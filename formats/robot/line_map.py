@@ -73,14 +73,14 @@ def decode(text: bytes | str, name: str) -> list[MapLine]:
 def _wall(line: MapLine) -> Wall:
     c, s = math.cos(line.beta), math.sin(line.beta)
     a, b = ((line.rho * c - t * s, line.rho * s + t * c) for t in line.ends)
-    G = _jacobian_at_middle(line)
+    G = _jacobian_at_middle(line.ends)
     (p, q), (_, r) = (G @ line.P @ G.T).tolist()
     return Wall(line.id, a, b, ((p, q), (q, r)), line.hits)
 
 
-def _jacobian_at_middle(line: MapLine) -> Array:
+def _jacobian_at_middle(ends: tuple[float, float]) -> Array:
     """Return d(offset at the middle of the wall, beta) / d(rho, beta), (2, 2), for a fixed middle."""
-    return np.array([[1.0, -0.5 * (line.ends[0] + line.ends[1])], [0.0, 1.0]])
+    return np.array([[1.0, -0.5 * (ends[0] + ends[1])], [0.0, 1.0]])
 
 
 def _line(wall: Wall, where: str) -> MapLine:
@@ -92,9 +92,7 @@ def _line(wall: Wall, where: str) -> MapLine:
     if not np.isfinite(P).all() or abs(P[0, 1] - P[1, 0]) > 1e-12 or np.linalg.eigvalsh(P)[0] < 0.0:
         raise LocfuseError(f"{where} has a covariance that is not symmetric and positive: {P.tolist()}")
     c, s = dy / length, -dx / length  # the normal points to the right of from -> to
-    ends = tuple(-s * x + c * y for x, y in (wall.start, wall.end))
-    line = MapLine(
-        wall.id, c * wall.start[0] + s * wall.start[1], math.atan2(s, c), (ends[0], ends[1]), P, wall.hits
-    )
-    G = np.linalg.inv(_jacobian_at_middle(line))
-    return MapLine(line.id, line.rho, line.beta, line.ends, G @ P @ G.T, line.hits)
+    rho, beta = c * wall.start[0] + s * wall.start[1], math.atan2(s, c)
+    low, high = (-s * x + c * y for x, y in (wall.start, wall.end))
+    G = np.linalg.inv(_jacobian_at_middle((low, high)))
+    return MapLine(wall.id, rho, beta, (low, high), G @ P @ G.T, wall.hits)

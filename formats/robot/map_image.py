@@ -44,10 +44,8 @@ def read(path: Path) -> MapImage:
     image = _text(keys, "image", path)
     file = Path(image) if Path(image).is_absolute() else path.parent / image
     pixels, negate = _pixels(file), bool(_number(keys, "negate", path, 0.0))
-    least, most = (
-        _number(keys, "occupied_thresh", path, OCCUPIED_SHARE),
-        _number(keys, "free_thresh", path, FREE_SHARE),
-    )
+    least = _number(keys, "occupied_thresh", path, OCCUPIED_SHARE)
+    most = _number(keys, "free_thresh", path, FREE_SHARE)
     occupied, free = np.zeros((2, *pixels.shape[:2]), dtype=bool)
     for row in range(0, len(pixels), ROWS_AT_ONCE):
         some = slice(row, row + ROWS_AT_ONCE)
@@ -69,9 +67,8 @@ def of_message(data: Any, width: int, height: int, cell: float, origin: Array, n
         raise LocfuseError(f"{name}: a map with cells of {cell:g} m at {origin.tolist()} lies nowhere")
     grid = cells.reshape(height, width)
     known = grid != UNKNOWN_CELL
-    return checked(
-        MapImage(known & (grid > 100 * OCCUPIED_SHARE), known & (grid < 100 * FREE_SHARE), cell, origin), name
-    )
+    occupied, free = known & (grid > 100 * OCCUPIED_SHARE), known & (grid < 100 * FREE_SHARE)
+    return checked(MapImage(occupied, free, cell, origin), name)
 
 
 def checked(found: MapImage, name: str) -> MapImage:

@@ -93,13 +93,10 @@ def read(path: Path, topics: Sequence[str]) -> Translated:
 
 
 def _parameters(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return the parameters of the first filter node in a file, and a note on its other nodes."""
+    """Return the parameters of the first filter node in a file ({} without one), and a note on its other nodes."""
     found = by_yaml(path, "load", read_small(path, MAX_ROBOT_TOML))
-    nodes = _nodes(found, "", 0)
-    if not nodes:
-        raise LocfuseError(f"{path} names no input (odom0, twist0, pose0, imu0): is it of robot_localization?")
-    name, parameters = nodes[0]
-    others = [visible(other) for other, _ in nodes[1:]]
+    (name, parameters), *more = _nodes(found, "", 0) or [("", {})]
+    others = [visible(other) for other, _ in more]
     return parameters, [f"{', '.join(others)}: only {visible(name)} is read"] if others else []
 
 
@@ -118,11 +115,7 @@ def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | 
     topic, switches = parameters[name], parameters.get(f"{name}_config")
     if not isinstance(topic, str) or not topic:
         return None
-    if (
-        not isinstance(switches, list)
-        or len(switches) != SWITCH_COUNT
-        or not all(isinstance(s, bool) for s in switches)
-    ):
+    if not isinstance(switches, list) or [type(s) for s in switches] != [bool] * SWITCH_COUNT:
         raise LocfuseError(f"{path}: {name}_config is not {SWITCH_COUNT} times true or false")
     differential, relative = (parameters.get(f"{name}_{key}") is True for key in ("differential", "relative"))
     return EkfInput(name, name.rstrip("0123456789"), topic, tuple(switches), differential, relative)
@@ -148,10 +141,8 @@ def _assign(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
         return _assign_imu(source, tables)
     on = source.switches
     posed, moves = on[X] or on[Y] or on[YAW], on[SPEED] or on[TURN]
-    if source.kind == "odom" and "wheels" not in tables and (posed or moves):
-        tables["wheels"] = {"topic": source.topic}
-        return []
-    if source.kind == "twist" and "wheels" not in tables and moves:
+    of_wheels = {"odom": posed or moves, "twist": moves}.get(source.kind, False)
+    if of_wheels and "wheels" not in tables:
         tables["wheels"] = {"topic": source.topic}
         return []
     table = "pose" if posed else "twist" if moves else ""
@@ -193,8 +184,7 @@ def _start(path: Path, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any
         raise LocfuseError(f"{path}: initial_state is not {SWITCH_COUNT} numbers")
     if not any(state[place] for place in (X, Y, YAW)):
         return {}
-    start = {"x": float(state[X]), "y": float(state[Y]), "theta_deg": math.degrees(state[YAW])}
-    return {"start": start}
+    return {"start": {"x": float(state[X]), "y": float(state[Y]), "theta_deg": math.degrees(state[YAW])}}
 
 
 def _finite(value: Any) -> bool:

@@ -269,8 +269,5 @@ def dump(tables: Mapping[str, Any]) -> str:
 
 
 def _without_none(tables: Mapping[str, Any]) -> Tables:
-    return {
-        key: _without_none(value) if isinstance(value, Mapping) else value
-        for key, value in tables.items()
-        if value is not None
-    }
+    kept = {key: value for key, value in tables.items() if value is not None}
+    return {key: _without_none(value) if isinstance(value, Mapping) else value for key, value in kept.items()}

@@ -20,7 +20,7 @@ from locfuse.fusion.wheels.motion import Wheels
 
 from . import equations
 from .equations import PRINTED
-from .rows import PARTS, LineRows, MeasurementEquation, MeasurementRow
+from .rows import PARTS, LineRows, MeasurementRow
 
 MAX_STAMP_ROUNDING_S = 1e-9  # s: largest rounding error of a stamp on the grid
 MAX_STEPS = 2_000_000  # with 100 bytes each; this is more than two days
@@ -44,9 +44,7 @@ def fuse_as_printed(
             raise drive.lacks(sensor)
         if sensor not in PARTS:
             raise LocfuseError(
-                "the paper has no equation for it;",
-                role=sensor,
-                hint="leave it out, or use --preset default",
+                "the paper has no equation for it;", role=sensor, hint="leave it out, or use --preset default"
             )
     run = PrintedFilter(drive, robot, sensors, listen)
     for k in range(len(run.grid)):
@@ -89,11 +87,7 @@ class PrintedFilter:
     """Filter with the equations as printed in the paper: state, measurements and the record of a run."""
 
     def __init__(
-        self,
-        drive: Drive,
-        robot: Robot,
-        sensors: Sequence[str],
-        listen: Mapping[str, NDArray[np.bool_]],
+        self, drive: Drive, robot: Robot, sensors: Sequence[str], listen: Mapping[str, NDArray[np.bool_]]
     ) -> None:
         self.drive, self.listen = drive, listen
         self.grid = _grid(float(drive.t[-1]), PRINTED.period)
@@ -104,9 +98,7 @@ class PrintedFilter:
         self.x = np.array(robot.start.pose)
         self.P = np.diag(robot.start.variances)
         self.used = tuple(s for s in drive.measurements if s in sensors)
-        self.parts: dict[str, MeasurementEquation] = {
-            s: PARTS[s](robot) for s in PARTS if s in sensors or s in listen
-        }
+        self.parts = {s: part(robot) for s, part in PARTS.items() if s in sensors or s in listen}
         self._newest = {s: newest(self.grid, drive.measurements[s].t) for s in self.parts}
         self._records = {s: Record() for s in self.parts}
         self._poses = np.empty((len(self.grid), 3))
@@ -182,11 +174,9 @@ class PrintedFilter:
         notes = []
         for sensor, used in self._newest.items():
             n = len(self.drive.measurements[sensor].t)
-            late = n - int((used >= 0).sum())
-            if late:
-                notes.append(
-                    f"{sensor}: {late} of {n} readings were not the newest of their 100 ms and are not used"
-                )
+            if late := n - int((used >= 0).sum()):
+                words = f"{late} of {n} readings were not the newest of their 100 ms and are not used"
+                notes.append(f"{sensor}: {words}")
         return notes
 
 

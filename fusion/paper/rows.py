@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,13 +26,6 @@ class MeasurementRow(NamedTuple):
     H: Array  # (d, 3) by the pose
 
 
-class MeasurementEquation(Protocol):
-    """Measurement equation of one sensor in eq. 16."""
-
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[MeasurementRow]:
-        """Return the rows of reading i at the predicted pose x (3,) with covariance P (3, 3)."""
-
-
 class LineRows:
     """Rows for lines (r, psi), compared with the map of the first scan; this map counts as exact."""
 
@@ -45,7 +38,7 @@ class LineRows:
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[MeasurementRow]:
         """Return the rows for the lines of scan i, each with the nearest map line.
 
-        The first scan becomes the map.
+        The first scan becomes the map. The predicted pose is x (3,) with covariance P (3, 3).
         """
         lines = range(int(m.first[i]), int(m.first[i + 1]))
         if not self.map:
@@ -140,8 +133,6 @@ def unmatched(row: int, verdict: int) -> MeasurementRow:
     return MeasurementRow(Innovation.unpredicted(row, verdict, 2, math.inf), np.zeros((0, 3)))
 
 
-PARTS: dict[str, type[LineRows] | type[CompassRow] | type[CameraRow]] = {
-    "lrf": LineRows,
-    "compass": CompassRow,
-    "camera": CameraRow,
-}  # in the order of eq. 16
+MeasurementEquation = LineRows | CompassRow | CameraRow
+# in the order of eq. 16
+PARTS: dict[str, type[MeasurementEquation]] = {"lrf": LineRows, "compass": CompassRow, "camera": CameraRow}

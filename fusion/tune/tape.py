@@ -278,7 +278,7 @@ class Figures(msgspec.Struct):
             settings = self.configured.settings(s)
             out |= {f"{s}.{k}": getattr(settings, k) * self.factor(s) for k in REGISTRY[s].noise_keys}
         if self.drift:
-            key = drift_key(self.drift)
+            key = REGISTRY[self.drift].drift_key or ""
             start = getattr(self.configured.settings(self.drift), key) or DRIFT_START
             out[f"{self.drift}.{key}"] = start * self.factor(self.drift + DRIFT)
         return out
@@ -288,7 +288,7 @@ class Figures(msgspec.Struct):
         table, _, name = key.partition(".")
         if key == WHEELS:
             return WHEELS
-        return table + DRIFT if table == self.drift and name == drift_key(table) else table
+        return table + DRIFT if table == self.drift and name == REGISTRY[table].drift_key else table
 
     def robot(self, robot: Robot) -> Robot:
         """Return a robot with the present noise settings."""
@@ -301,18 +301,13 @@ class Figures(msgspec.Struct):
         return replace(robot, wheels=wheels, sensors=settings)
 
 
-def drift_key(sensor: str) -> str:
-    """Return the key in robot.toml for the drift of this sensor's offset; "" if the sensor has no such key."""
-    return REGISTRY[sensor].drift_key or ""
-
-
 def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
     """Return the first sensor with an estimated offset, provided that the offset drifts; else None.
 
     With `wanted`, the configured drift may be 0.
     """
     for s in sensors:
-        offset, key = REGISTRY[s].bias, drift_key(s)
+        offset, key = REGISTRY[s].bias, REGISTRY[s].drift_key
         if key and offset is not None and getattr(robot.settings(s), offset.key) is None:
             return s if wanted or getattr(robot.settings(s), key) > 0.0 else None
     return None
@@ -331,9 +326,8 @@ class Likelihood(msgspec.Struct):
         `turns` (B,) are logarithms of the wheels' noise in turns, `least` is an earlier end of each run [s].
         """
         total = np.zeros(len(theta))
-        for tape, end in zip(
-            self.tapes, self.until if least is None else map(min, self.until, least), strict=True
-        ):
+        ends = self.until if least is None else map(min, self.until, least)
+        for tape, end in zip(self.tapes, ends, strict=True):
             if end > tape.t[0]:
                 total += play(tape, self._noise(tape, theta, turns), end).scores.sum(axis=1)
         return total
@@ -379,10 +373,8 @@ def best(problem: Likelihood, starts: Sequence[float], least: Sequence[float] | 
         return float(values[0]), (values[1 : p + 1] - values[p + 1 :]) / (2.0 * STEP_LOG)
 
     limits = [(-SEARCH_BOUND_LOG, SEARCH_BOUND_LOG)] * p
-    found = [
-        minimize(cost, np.full(p, s), jac=True, method="L-BFGS-B", bounds=limits, options={"ftol": 1e-8})
-        for s in starts
-    ]
+    how = {"jac": True, "method": "L-BFGS-B", "bounds": limits, "options": {"ftol": 1e-8}}
+    found = [minimize(cost, np.full(p, s), **how) for s in starts]
     return np.asarray(min(found, key=lambda f: float(f.fun)).x, np.float64)
 
 

@@ -22,19 +22,7 @@ from locfuse.fusion.judge.innovations import OwnInnovations, own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .tape import (
-    DRIFT,
-    MAX_SIGMA_LOG,
-    WHEELS,
-    Figures,
-    Likelihood,
-    at_most,
-    best,
-    drift_key,
-    drifting,
-    identify,
-    record,
-)
+from .tape import DRIFT, MAX_SIGMA_LOG, WHEELS, Figures, Likelihood, at_most, best, drifting, identify, record
 
 MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # the rounds end if all logarithms change by less
 START_LOG_FACTORS = (0.0, math.log(6.0), -math.log(6.0))
@@ -227,7 +215,7 @@ class Bench:
         if name.endswith(DRIFT):
             figures.factors[name] = -math.inf
             sensor = name.removesuffix(DRIFT)
-            return f"no drift of the {sensor}'s offset is seen: {drift_key(sensor)} is 0"
+            return f"no drift of the {sensor}'s offset is seen: {REGISTRY[sensor].drift_key} is 0"
         key = next(key for key in figures.values() if figures.name_of(key) == name)
         now = figures.factors.get(name, 0.0)
         most = at_most(problem, figures.names.index(name), -now)
@@ -268,10 +256,9 @@ def optimal(robot: Robot) -> Robot:
     settings = {}
     for s, c in robot.sensors.items():
         mode = getattr(c, "map", "")
-        changes = {
-            "outliers": "reject",
-            **({"map": OPTIMAL[mode]} if isinstance(mode, str) and mode in OPTIMAL else {}),
-        }
+        changes = {"outliers": "reject"}
+        if isinstance(mode, str) and mode in OPTIMAL:
+            changes["map"] = OPTIMAL[mode]
         settings[s] = msgspec.structs.replace(c, **changes)
     return replace(robot, sensors=settings)
 

@@ -11,12 +11,13 @@ import numpy as np
 
 from locfuse.fusion.change import jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, LocfuseError, Ragged, Stream
+from locfuse.fusion.data import Array, LocfuseError, Measurements, Ragged, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 from locfuse.fusion.streams import take
 
 from .finding import Finding
+from .truth import UNIT
 
 MIN_IN_TURN = 5  # least number of scans with the second most frequent first angle
 SAMPLE_SCANS = 300
@@ -27,6 +28,8 @@ NORMAL_SHARES, NORMAL_SIZES = (0.1, 0.25, 0.5), (0.1257, 0.3186, 0.6745)
 MAX_NOISE_M = 0.1  # m: more scatter is not noise of a laser
 MAX_SIGMA_RATIO = 1.2  # largest ratio of the sigmas by these quantiles
 OFFSET = "range offset"  # code of the finding
+MAX_LIMIT_RATIO = 10.0  # of a range and range_max: walls in mm are 1000 times as far as in m, at 1 % of range_max
+MAX_WALL_M = 100.0  # m: median distance of walls that no robot with a 2D laser has; 10 cm in mm
 FIRST_SCANS = 3000  # first scans, of which SAMPLE_SCANS are taken evenly
 HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
 CHECKED_BEAMS = 16  # on either side of the middle one
@@ -35,6 +38,15 @@ MIN_STRETCH_TRIPLES, STRETCH_COUNT = 200, 8  # in each stretch; stretches for th
 MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: limits of a finding; sigmas
 SPAN_FIELDS = ("angle_min", "angle_max", "angle_increment", "ranges")
 MAX_OFF_STEPS = 3.0  # increments: smaller differences are wrong counts of beams
+
+
+def of_range_unit(m: Measurements, settings: LrfSettings) -> list[Finding]:
+    """Return a finding if ranges are in mm: by the median distance of the walls."""
+    median = float(np.median(m.z[:, 0])) if len(m.z) else 0.0
+    if median < MAX_WALL_M:
+        return []
+    words = f"half of its walls are farther away than {median:.0f} m: its ranges look like mm"
+    return [Finding("lrf", UNIT, words, (f"lrf.range_scale={0.001 * settings.range_scale:.4g}",), True)]
 
 
 def driver(stream: Stream) -> list[Finding]:
@@ -241,12 +253,15 @@ def _unreturned(parts: list[dict[str, Any]], least: float) -> str:
         return ""
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
     far = np.concatenate([np.repeat(limits(p)[1], r.lengths) for p, r in zip(parts, ranges, strict=True)])
+    beyond = (values > far) & np.isfinite(values)
     shares = {
         "inf": np.isinf(values).mean(),
         "NaN": np.isnan(values).mean(),
         "zero": (values == 0.0).mean(),
-        "beyond range_max": ((values > far) & np.isfinite(values)).mean(),
+        "beyond range_max": beyond.mean(),
     }
+    if beyond.any() and np.median(values[beyond] / far[beyond]) > MAX_LIMIT_RATIO:
+        shares["far beyond range_max, as in mm"] = shares.pop("beyond range_max")
     if sum(shares.values()) <= least:
         return ""
     return ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -51,6 +52,7 @@ MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; st
 # sideways steps: least size in m, and in median differences from the wheels; largest number
 MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5
 MIN_STEPS, READINGS_AROUND = 100, 5  # steps for an estimate of the noise; readings before and after a step
+WINDOW_STEPS = 41  # steps of a path over which its direction is computed; one wrong step hardly turns it
 CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # sigmas at which steps are clipped; standard errors of significant noise
 MIN_NOISE_FACTOR = 2.0  # noise above this multiple of the configured noise is reported
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # smaller noise is not reported
@@ -73,6 +75,19 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     start = [] if jumps or point else of_start(truth, drive, robot, aside)
     noise = [] if jumps else _noise(truth, drive)
     return [*jumps, *_gaps(truth), *noise, *point, *start, *creep]
+
+
+def with_headings(truth: Truth, wheels: Wheels) -> Truth:
+    """Return the truth; one of positions gets the wheels' headings, turned so that both paths have one direction.
+
+    The turn is that of the path within WINDOW_STEPS, since wheels slip.
+    """
+    if truth.theta is not None or len(truth.t) < MIN_STEPS:
+        return truth
+    _, _, pose = wheels.at(np.clip(truth.t, wheels.t[0], wheels.t[-1]))
+    seen, rolled = (np.diff(xy @ (1.0, 1.0j)) for xy in (truth.xy, pose[:, :2]))
+    turn = np.unwrap(np.angle(np.convolve(seen * rolled.conj(), np.ones(WINDOW_STEPS), "same")))
+    return replace(truth, theta=pose[:, 2] + np.append(turn, turn[-1:]))
 
 
 def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
@@ -98,6 +113,7 @@ def _inside(truth: Truth, wheels: Wheels) -> Mask:
 
 def _steps(truth: Truth, drive: Drive) -> list[Finding]:
     """Return a finding if the truth steps off the wheels' path between two stamps and does not come back."""
+    truth = with_headings(truth, drive.wheels)
     path = axle_path(truth, drive.wheels)
     if path is None or truth.theta is None:
         return []
@@ -486,10 +502,13 @@ SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive that are used to find the s
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
 
-def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> list[Finding]:
+def of_start(
+    truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0, by_points: bool = False
+) -> list[Finding]:
     """Return a finding if the configured start differs from the start pose by the truth.
 
     If the robot drives sideways by the angle `aside` [rad], the heading is found from the shape of the path.
+    `by_points`: the truth has positions only, and its headings are those of the configured start.
     """
     fitted = start_pose(truth, drive, by_shape=aside > 0.0)
     if fitted is None:
@@ -503,13 +522,17 @@ def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> li
     away, turn = math.hypot(x - configured[0], y - configured[1]), abs(se2.wrap(theta - configured[2]))
     severe = away > SEVERE_START_ERROR_M or turn > SEVERE_START_ERROR_RAD
     least = (MIN_START_ERROR_M, MIN_START_ERROR_RAD)
-    if truth.theta is None or aside:
+    if truth.theta is None or aside or by_points:
         least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
     place = least[0] + START_SIGMAS * fitted.place_sigma(robot, truth)
     if away < place and turn < least[1] + START_SIGMAS * math.hypot(
         math.radians(robot.start.sigma_theta_deg), heading_sigma
     ):
-        return []
+        if truth.theta is not None:
+            return []
+        # if the configured heading is right, the first positions show the place, which the path's shape hides
+        headings = configured[2] + wheels.heading(truth.t) - wheels.heading(at)
+        return of_start(replace(truth, theta=headings), drive, robot, by_points=True)
     drives = severe and robot.start_given and wheels.driven(wheels.t[0] + DRIVES_S) > STANDS_M
     begun = ", and the robot drives at the first reading: its beginning may be lost" if drives else ""
     where = f"the drive is at {at:.1f} s" if fitted.t else "the drive starts"

@@ -130,14 +130,13 @@ def of_turning(
 ) -> list[Finding]:
     """Return findings on wrong directions of wheels and mounts, by the turns of wheels and sensors."""
     counts_wheels = streams["wheels"].msgtype not in BODY_READS
-    found = _dead_wheel(drive.wheels) if counts_wheels else []
     mirrored = [w for t in by_sensor.values() if (w := _mirrored(t)) is not None]
-    if not found and counts_wheels and len(mirrored) > len(by_sensor) / 2:
+    if counts_wheels and len(mirrored) > len(by_sensor) / 2:
         wheel = max(set(mirrored), key=mirrored.count)
         by = " and ".join(name for name, t in by_sensor.items() if _mirrored(t) == wheel)
         words = f"the {wheel} wheel counts backward, by the turning of {by}"
         return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
-    found = found or _against_the_truth(drive, robot, by_sensor, streams["wheels"])
+    found = _against_the_truth(drive, robot, by_sensor, streams["wheels"])
     if not found and not by_sensor and counts_wheels:
         found = _by_the_wheels_alone(drive.wheels, robot)
     if found or not by_sensor:
@@ -381,15 +380,6 @@ def _against_the_truth(
         words += "; or the odometry turns the wrong way round"
     agree = all(t.b < 0.0 < t.a for t in others.values())
     return [Finding("truth", MIRROR, words, (), True)] if agree else []
-
-
-def _dead_wheel(wheels: Wheels) -> list[Finding]:
-    left, right = np.abs(wheels.rolled).sum(axis=0).tolist()
-    for side, own, other in (("left", left, right), ("right", right, left)):
-        if other > 0.5 and own < 0.001 * other:
-            words = f"the {side} wheel never turns while the other rolls {other:.1f} m: its encoder is dead"
-            return [Finding("wheels", "dead", words, (), True)]
-    return []
 
 
 def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Finding]:

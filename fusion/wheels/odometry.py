@@ -7,7 +7,7 @@ messages).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -17,7 +17,7 @@ from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import gap_limit
 
-from .repairs import MAX_SPEED_MPS, Mask, limits, spikes, times, without_restarts
+from .repairs import MAX_SPEED_MPS, Mask, held_readings, limits, spikes, times, without_restarts
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -201,7 +201,10 @@ def travelled(
         keep = possible(values[:, 3:], max_speed)
         return OdometryMotion(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
-    t, values = t[~bad], values[~bad]
+    keep = np.flatnonzero(~bad)
+    way = np.cumsum(np.hypot(*np.diff(values[keep, :2], axis=0, prepend=values[keep[:1], :2]).T))
+    held = held_readings(t[keep], way, max_speed)
+    t, values = t[keep[~held]], values[keep[~held]]
     twist = _steps(values)
     far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
     doubt = unlike_a_robot(t, twist, far)
@@ -213,8 +216,10 @@ def travelled(
     steps[backing, :2] *= -1.0
     words = [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
-    words += _words(int(bad.sum()), int(far.sum()), int(backing.sum()))
-    return OdometryMotion(~bad, steps, int(bad.sum()), tuple(words), doubt)
+    words += _words(int(bad.sum()), int(held.sum()), t[1:][far].tolist(), int(backing.sum()))
+    used = ~bad
+    used[keep[held]] = False
+    return OdometryMotion(used, steps, int(bad.sum()), tuple(words), doubt)
 
 
 def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
@@ -233,13 +238,17 @@ def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
     return ""
 
 
-def _words(spiked: int, restarts: int, turned: int) -> list[str]:
+def _words(spiked: int, held: int, restarts: Sequence[float], turned: int) -> list[str]:
     words = []
     if spiked:
         words.append(f"its pose jumped away and returned (messages not used: {spiked}); {SPEED_SETTING}")
+    if held:
+        words.append(f"its pose stood still and then caught up: its {held} equal readings are not used")
     if restarts:
+        when = ", ".join(f"{t:.1f}" for t in restarts[:3]) + (" ..." if len(restarts) > 3 else "")
         words.append(
-            f"its pose jumped {times(restarts)}; the motion there is taken from around it; {SPEED_SETTING}"
+            f"its pose jumped {times(len(restarts))} (at {when} s); the motion there is taken from around it; "
+            f"{SPEED_SETTING}"
         )
     if turned:
         words.append(

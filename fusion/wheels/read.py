@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import VIRTUAL_TRACK, Mirrored, WheelSettings
-from locfuse.fusion.streams import MergedStream, count_dropped
+from locfuse.fusion.streams import MergedStream, blank, count_dropped
 
 from . import odometry
 from .motion import Wheels
@@ -167,6 +167,10 @@ def _from_body(
     """
     dropped = dict(stream.dropped)
     keep = usable(stream.t_ns, values, dropped)
+    if posed:
+        lost = blank(values[keep, :2])
+        count_dropped(dropped, zeros=lost)
+        keep = keep[~lost]
     require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
     if commands:

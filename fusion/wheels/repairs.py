@@ -54,7 +54,7 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
         count = unrolled(side.value[~bad], modulus, side.likely)
     keep = np.flatnonzero(~bad)
     rolled = count.values * metres
-    held = _held(side.t[keep], rolled, max_speed)
+    held = held_readings(side.t[keep], rolled, max_speed)
     keep, rolled = keep[~held], rolled[~held]
     t, steps = side.t[keep], np.diff(rolled)
     restarts = np.abs(steps) > limits(t, steps, max_speed)
@@ -68,7 +68,7 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     return Repaired(keep, distance, int(bad.sum()), tuple(notes))
 
 
-def _held(t: Array, rolled: Array, max_speed: float | None) -> Mask:
+def held_readings(t: Array, rolled: Array, max_speed: float | None) -> Mask:
     """Return which readings (n,) repeat an old value while the wheel rolled on; then the counter jumps.
 
     Such a jump is the distance of the whole time, at a speed similar to those before and after it. (A counter that

@@ -325,6 +325,26 @@ def test_a_truth_that_steps_aside_once_is_named_and_one_whose_reading_jumps_and_
     assert "step" not in found_of(healthy, aside)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_truth_of_positions_that_steps_aside_once_is_named_too(seed: int) -> None:
+    healthy = with_truth(drive(20 + seed, robot()), theta=None)
+    truth = truth_of(healthy)
+    assert of_truth(healthy, robot()) == []
+    aside = np.where(truth.t[:, None] > 30.0, [0.05, -0.06], 0.0)
+    (found,) = of_truth(with_truth(healthy, xy=truth.xy + aside), robot())
+    assert found.code == "step"
+    assert "at 30." in found.message
+
+
+def test_positions_alone_show_that_the_drive_starts_elsewhere() -> None:
+    """By the path's shape 0.15 m is within the wheels' slip."""
+    healthy = with_truth(drive(22, robot()), theta=None)
+    truth = truth_of(healthy)
+    found = told(of_truth(with_truth(healthy, xy=truth.xy + np.array([0.15, 0.0])), robot()))
+    assert found["start.x"] == pytest.approx(START[0] + 0.15, abs=0.01)
+    assert found["start.y"] == pytest.approx(START[1], abs=0.01)
+
+
 def test_the_noise_of_a_truth_is_measured_on_the_move_too() -> None:
     healthy, rng = drive(21, robot(), laps=1.5), np.random.default_rng(4)
     n = len(truth_of(healthy).t)

@@ -13,6 +13,7 @@ from small_drive import NOISE, drive, robot
 
 from locfuse.cli.session.session import Session, load
 from locfuse.fusion import se2
+from locfuse.fusion.checks.encoder import STUCK, of_stuck_wheel
 from locfuse.fusion.checks.examine import HOLE, holes, longest_part, of_holes, unseen
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import WallMotion
@@ -158,6 +159,50 @@ def test_a_compass_that_is_too_noisy_to_see_slips_calls_none_unusual(seed: int) 
     """Of 6 degrees a reading, the difference of two turns tells nothing of slips of half a degree."""
     found = slip(drawn(seed, compass_noise_deg=6.0))
     assert found is None or not found.unusual
+
+
+# --- an encoder that holds its value
+
+
+def held(one: Drive, side: int, begin: float, end: float) -> Drive:
+    """The drive with one wheel (0: left) that counts nothing between two times [s]."""
+    rolled = np.where((one.wheels.t[:-1] < begin) | (one.wheels.t[:-1] >= end), 1.0, np.arange(2)[:, None] != side)
+    left, right = np.concatenate((np.zeros((1, 2)), np.cumsum(one.wheels.rolled * rolled.T, axis=0))).T
+    wheels = Wheels.from_wheels(one.wheels.t, left, right, one.wheels.track, one.wheels.noise)
+    return replace(one, wheels=wheels)
+
+
+@pytest.mark.parametrize(("side", "word"), [(0, "left"), (1, "right")])
+@pytest.mark.parametrize("begin", [0.0, 40.0])
+def test_a_wheel_that_stands_still_while_the_other_one_rolls_is_named_with_its_time(
+    side: int, word: str, begin: float
+) -> None:
+    one = drawn(8)
+    (found,) = of_stuck_wheel(held(one, side, begin, np.inf))
+    end = float(one.wheels.t[-1])
+    assert f"the {word} wheel stands still from {begin:.1f} s to {end:.1f} s" in found.message
+    assert (found.code, found.severe) == (STUCK, True)
+    assert not of_stuck_wheel(one)
+
+
+def test_a_robot_that_turns_about_one_wheel_has_no_stuck_wheel() -> None:
+    """The compass saw three whole turns about the left wheel while only the right one rolled."""
+    t = np.arange(0.0, 40.0, 0.05)
+    heading = np.clip(t - 5.0, 0.0, 30.0) * 2.0 * np.pi / 10.0
+    wheels = Wheels.from_wheels(t, np.zeros(len(t)), 0.6 * heading, 0.6, NOISE)
+    one = drawn(9)
+    compass = one.measurements["compass"].take(np.arange(len(t)))
+    turning = replace(one, wheels=wheels, measurements={"compass": replace(compass, t=t, z=heading[:, None])})
+    assert not of_stuck_wheel(turning)
+    assert of_stuck_wheel(replace(turning, measurements={}))
+
+
+def test_a_short_time_in_which_one_wheel_stands_is_a_manoeuvre() -> None:
+    """Until the other wheel has rolled 2 pi times the track, the robot may be turning about the standing one."""
+    one = drawn(8)
+    seconds = 2.0 * np.pi * 0.6 / 0.3
+    assert not of_stuck_wheel(held(one, 0, 20.0, 20.0 + 0.8 * seconds))
+    assert of_stuck_wheel(held(one, 0, 20.0, 20.0 + 1.3 * seconds))
 
 
 # --- left and right exchanged, on a robot without a sensor that turns: a truth of points shows it

@@ -192,6 +192,7 @@ WHEEL_TRAPS = (
     Trap("joints of other names", other_names, "the joints of the wheels", spoils=True, refused=True),
     Trap("a wrong track", geometry(track=0.9 * TRACK), "the track is 0.54 m, but the turning of", spoils=True),
     Trap("a wrong radius", WRONG_RADIUS, "they measure", spoils=True),
+    Trap("wheel angles in degrees", field(WHEELS, position=np.degrees), "angles look like degrees", spoils=True),
     Trap("geometry that only /odom knows", no_geometry, "/odom was made with these", spoils=True, refused=True),
     Trap("geometry that /robot_description knows", described, "/robot_description has", spoils=True,
          refused=True),
@@ -472,6 +473,8 @@ QUARTER = math.pi / 2
 LONG_RANGES = field(SCAN, ranges=lambda r: r + np.float32(0.08))
 # a short-sighted laser: what is further than 5 m comes back as 5 m
 SATURATED = field(SCAN, ranges=lambda r: np.minimum(r, np.float32(5.0)), range_max=5.0)
+MILLIMETRES = field(SCAN, **dict.fromkeys(("ranges", "range_min", "range_max"), lambda m: 1000.0 * m))
+
 LASER_TRAPS = (
     Trap("a laser without time_increment", field(SCAN, time_increment=0.0), "time_increment is 0", False, "lrf"),
     Trap("no return as NaN", no_returns(math.nan), "without a return: 17% NaN", False, "lrf"),
@@ -500,6 +503,7 @@ LASER_TRAPS = (
     Trap("a laser on another clock", late(SCAN, 3600.0), "stamped 3600.0 s after the wheels", True, "lrf", True),
     Trap("a laser whose ranges are short", short_metre, "it measures 9.", True, "lrf"),
     Trap("a laser whose ranges are all 8 cm long", LONG_RANGES, "as if every range were", True, "lrf"),
+    Trap("a laser whose ranges are in mm", MILLIMETRES, "its ranges look like mm", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", False, "lrf"),
 )  # fmt: skip
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bags import Said
 from commands import locfuse, refused, reported
+from pose_streams import pose_stream
 from wheel_bags import (
     GEOMETRY,
     RADIUS,
@@ -163,6 +164,20 @@ def test_a_speed_that_no_body_has_is_left_out_and_counted(topic: str, field: str
     assert read_wheels(stream, WheelSettings(max_speed=2.0 * SPEED)).dropped == {"spike": 2}
     with pytest.raises(LocfuseError, match=f"{topic} has 0 usable readings of {len(T)}"):
         read_wheels(stream, WheelSettings(max_speed=0.5 * SPEED))
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_an_odometry_that_hangs_or_is_zero_for_a_while_loses_no_way(hangs: bool) -> None:
+    """On a circle 4 m from the origin: the poses from 8 s to 10 s are the one before, or zeros."""
+    poses = CIRCLE + np.array([4.0, 4.0, 0.0])
+    bad = (T > 8.0) & (T < 10.0)
+    poses[bad] = poses[np.searchsorted(T, 8.0)] if hangs else 0.0
+    reading = read_wheels(pose_stream("/odom", np.rint(T * 1e9).astype(np.int64), poses), WheelSettings())
+    assert reading.wheels.pose[-1] == pytest.approx(CIRCLE[-1], abs=1e-6)
+    assert reading.wheels.heading(np.array(9.0)) == pytest.approx(RATE * 9.0, abs=0.02)
+    assert float(np.diff(reading.wheels.t).max()) == pytest.approx(2.0, abs=0.06)
+    assert reading.dropped == ({} if hangs else {"zeros": bad.sum()})
+    assert any("its 39 equal readings" in note for note in reading.notes) == hangs
 
 
 def test_a_command_lasts_until_the_next_one_and_a_second_at_most() -> None:

@@ -15,6 +15,8 @@ from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged,
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # a gap is longer than both: s, median periods
 MIN_BLANK_STEPS = 20.0  # median steps: from a larger value, a step to zero is no motion
+# least readings to compare; largest ratio of the change over two readings to that over one (one source: 1 to 2)
+MIN_IN_TURN, MAX_TURN_RATIO = 20, 0.5
 
 
 def concat(parts: Sequence[Column]) -> Column:
@@ -108,6 +110,15 @@ def blank(values: Array) -> NDArray[np.bool_]:
     usual = MIN_BLANK_STEPS * float(np.median(step[step > 0.0]))
     out[at] = (size > usual) & (np.hypot.reduce(left - right, axis=1) < 0.5 * size)
     return out
+
+
+def in_turn(values: Array) -> bool:
+    """Return whether readings (n, k) change less over two readings than over one: two sources in turn."""
+    if len(values) < MIN_IN_TURN:
+        return False
+    values = np.where(np.isfinite(values), values, 0.0)
+    one, two = (float(np.median(np.abs(values[k:] - values[:-k]).mean(axis=1))) for k in (1, 2))
+    return two < MAX_TURN_RATIO * one
 
 
 class MergedStream(msgspec.Struct, frozen=True, dict=True):

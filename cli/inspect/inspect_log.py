@@ -27,9 +27,10 @@ from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.report.findings import options
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.checks.examine import BLIND, MIXED, PUBLISHERS, examine, too_short
+from locfuse.fusion.checks.examine import BLIND, MIXED, examine, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
+from locfuse.fusion.checks.publishers import PUBLISHERS
 from locfuse.fusion.checks.truth import FEW, POINT, START, of_few
 from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.robot import Robot

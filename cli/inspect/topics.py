@@ -12,8 +12,9 @@ import numpy as np
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.clock import MAX_DELAY_S, RowTimes
 from locfuse.formats.logs.log import UnreadableTopicError
-from locfuse.fusion.checks.examine import PUBLISHERS, gaps
+from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.publishers import PUBLISHERS
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -7,7 +7,6 @@ wheels, and the truth with both. A finding names the setting that fixes it.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -17,7 +16,7 @@ from locfuse.fusion.data import Array, Drive, Measurements, Stream, stretches
 from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_LINES
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import gap_limit, parts_of
+from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.odometry import BODY_READS
 from locfuse.fusion.wheels.repairs import gaps_of
 
@@ -27,6 +26,7 @@ from .encoder import STUCK, of_degrees, of_stuck_wheel
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_offset, of_range_unit, of_scatter, unreturned
+from .publishers import PUBLISHERS, of_publishers
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, clock_offset, of_track, of_turning, turnings
 
@@ -46,9 +46,7 @@ REPAIRED = {"spike", "other_joints"}
 HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 # least motion in a hole: m, rad, share of the drive's distance; over a smaller one, wheel odometry is good enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
-PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
 MIXED = frozenset({EQUAL, PUBLISHERS, STUCK, UNIT})  # codes of findings that make all other checks wrong
-MIN_CHANGES = 10  # least number of changes of the frame from message to message that shows two publishers
 BLIND = "blind"  # code of the finding on a sensor without measurements
 CHECK_SENSOR = "Check the sensor and its driver, then record again"
 
@@ -234,30 +232,14 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
 
     `stream` returns the raw readings of a role, of which columns are read only for a role with a finding.
     """
-    found = of_frames("wheels", stream("wheels")) if drive.wheels.matched is None else []
+    found = of_publishers("wheels", stream("wheels")) if drive.wheels.matched is None else []
     if (kind := stream("wheels").msgtype) not in BODY_READS and drive.wheels.matched is None:
         found += of_stuck_wheel(drive) or of_degrees(drive, robot, kind)
     for name, m in drive.measurements.items():
-        found += of_frames(name, stream(name))
+        found += of_publishers(name, stream(name))
         found += of_range_unit(m, robot.settings("lrf")) if name == "lrf" else []
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
     return [*found, *of_equal_stamps(drive, stream)]
-
-
-def of_frames(name: str, stream: Stream) -> list[Finding]:
-    """Return a finding for each topic of a role whose messages have two frames in turn: two publishers."""
-    found = []
-    for part in parts_of(stream):
-        frames = np.array(getattr(part, "frames", ()))
-        two = Counter(frames.tolist()).most_common(2)
-        changes = int((frames[1:] != frames[:-1]).sum())
-        if len(two) == 2 and changes >= max(two[1][1], MIN_CHANGES):
-            words = (
-                f"{part.topic} mixes messages of two frames in turn, {two[0][0]} and {two[1][0]}: two publishers. "
-                "Record each on a topic of its own"
-            )
-            found.append(Finding(name, PUBLISHERS, words, severe=True))
-    return found
 
 
 def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:

@@ -15,7 +15,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.streams import gap_limit, in_turn
 
 from .repairs import MAX_SPEED_MPS, Mask, held_readings, limits, spikes, times, without_restarts
 
@@ -80,6 +80,7 @@ COMMANDED = ("cmd", "command", "control", "target", "setpoint", "goal", "initial
 MEASURED = ("state", "status", "feedback", "report", "measured", "actual", "odom")
 MAX_HOLD_S = 1.0  # s, longest duration of a command: then drivers stop the robot
 MAX_TURN_RADPS = 1e6  # faster than any body, in any unit
+TWO_SOURCES = "its poses jump to and fro between two paths: two publishers. Record each on a topic of its own"
 SPEED_SETTING = "wheels.max_speed [m/s] limits a step"
 # misfit to the axes of the poses' frame, as share of that to the body's, for speeds in this frame
 MAX_FRAME_SHARE = 0.5
@@ -200,14 +201,15 @@ def travelled(
         notes = ("its pose never changes: its twist is used",) if posed else ()
         keep = possible(values[:, 3:], max_speed)
         return OdometryMotion(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
+    two = in_turn(values[:, :2])
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
-    keep = np.flatnonzero(~bad)
-    way = np.cumsum(np.hypot(*np.diff(values[keep, :2], axis=0, prepend=values[keep[:1], :2]).T))
-    held = held_readings(t[keep], way, max_speed)
-    t, values = t[keep[~held]], values[keep[~held]]
+    good = np.flatnonzero(~bad)
+    distance = np.cumsum(np.hypot(*np.diff(values[good, :2], axis=0, prepend=values[good[:1], :2]).T))
+    held = held_readings(t[good], distance, max_speed)
+    t, values = t[good[~held]], values[good[~held]]
     twist = _steps(values)
     far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
-    doubt = unlike_a_robot(t, twist, far)
+    doubt = TWO_SOURCES if two else unlike_a_robot(t, twist, far)
     steps = without_restarts(t, twist, far)
     # over a gap the speeds at its ends do not give the distance
     by_speed = 0.5 * (values[1:, 3] + values[:-1, 3]) * np.where(np.diff(t) > gap_limit(t), 0.0, np.diff(t))
@@ -218,7 +220,7 @@ def travelled(
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
     words += _words(int(bad.sum()), int(held.sum()), t[1:][far].tolist(), int(backing.sum()))
     used = ~bad
-    used[keep[held]] = False
+    used[good[held]] = False
     return OdometryMotion(used, steps, int(bad.sum()), tuple(words), doubt)
 
 

@@ -452,6 +452,26 @@ def test_two_lasers_in_turn_on_one_topic_have_two_frames_and_no_verdict(tmp_path
     assert "/scan mixes messages of two frames in turn" in finding["message"]
 
 
+def test_two_lasers_of_one_frame_and_channel_are_told_by_their_scans(tmp_path: Path) -> None:
+    """The second one looks back: it sees at each place what the first one would see half a turn later."""
+    from bags import write
+
+    t, poses = circle()
+    assert found(write(tmp_path / "one.mcap", scans_of(t, poses))) == []
+    front, rear = scans_of(t, poses), scans_of(t, poses + np.array([0.0, 0.0, np.pi]))
+    mixed = [rear[i] if i % 2 else m for i, m in enumerate(front)]
+    (finding,) = found(write(tmp_path / "two.mcap", mixed))
+    assert (finding["role"], finding["severe"]) == ("lrf", True)
+    assert "/scan has scans that are like the one before the last, not like the last" in finding["message"]
+
+
+def test_two_odometries_of_one_channel_are_no_motion_of_a_robot(tmp_path: Path) -> None:
+    writes = [(0, i, 0.05 * i + 3.0 * (i % 2)) for i in range(100)]
+    report = json.loads(locfuse("info", log(tmp_path / "two.mcap", writes), "--json").stdout)
+    (finding,) = [f for f in report["findings"] if f["severe"]]
+    assert "/odom: its poses jump to and fro between two paths: two publishers" in finding["message"]
+
+
 @pytest.mark.parametrize("kind", ["started again", "recorded twice", "one"])
 def test_a_publisher_that_starts_again_or_is_recorded_twice_is_one(tmp_path: Path, kind: str) -> None:
     writes = {

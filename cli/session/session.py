@@ -264,11 +264,11 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         short = asked.smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
         if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
-        from locfuse.fusion.whole_drive.reference import possible, refuse  # imports the graph solver
+        from locfuse.fusion.whole_drive.reference import may_have_reference, refuse  # imports the graph solver
 
         if wanted:
             refuse(self.drive, self.robot)
-        return possible(self.drive, self.robot)
+        return may_have_reference(self.drive, self.robot)
 
     @speaks_python
     def info(self) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from .events import (
     by_others,
     undone,
 )
-from .map_frame import Pose, Triangle, by_frame
+from .map_frame import Pose, Triangle, pose_by_frame
 
 POSE = np.arange(3)
 MAX_STATES_OF_A_ROW = 24  # largest number of states on which one row of a measurement equation depends
@@ -397,7 +397,7 @@ class JointBelief(ekf.State):
 
     def clone_pose(self, column: int, behind: Array | None = None) -> None:
         """Clone to three states the present pose, or the pose `behind` (3,) in the frame of the present one."""
-        J = np.eye(3) if behind is None else by_frame(self._x[None, :3], behind[None])[0]
+        J = np.eye(3) if behind is None else pose_by_frame(self._x[None, :3], behind[None])[0]
         if self.events is not None:
             self._note_change(np.arange(column, column + 3), np.hstack((J, np.zeros((3, self.n - 3)))))
         self._kept.add(column)
@@ -473,7 +473,7 @@ class JointBelief(ekf.State):
         G, q = np.array(self.frame_pose()), self._x[:3].copy()
         at = np.concatenate((np.arange(3), self._frame_columns()))
         J = np.eye(6)
-        J[3:] = np.hstack((se2.rotation(G[2]), by_frame(G[None], q[None])[0]))
+        J[3:] = np.hstack((se2.rotation(G[2]), pose_by_frame(G[None], q[None])[0]))
         self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
 
     def _into_frame(self, column: int, size: int) -> None:

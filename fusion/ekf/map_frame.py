@@ -59,9 +59,9 @@ class InMap:
         return self.pose()[2]
 
 
-def in_map_P(G: Array, q: Array, P: Array) -> Array:
+def map_covariance(G: Array, q: Array, P: Array) -> Array:
     """Return the covariances (n, 3, 3) of poses G o q in the map; P (n, 6, 6) is the covariance of (q, G)."""
-    J = np.concatenate((se2.rotation(G[:, 2]), by_frame(G, q)), axis=2)
+    J = np.concatenate((se2.rotation(G[:, 2]), pose_by_frame(G, q)), axis=2)
     r = se2.rotated(G[:, 2], q[:, :2])
     out: Array = J @ P @ J.transpose(0, 2, 1)
     e = np.array([bent(tt) for tt in P[:, 5, 5].tolist()])
@@ -69,7 +69,7 @@ def in_map_P(G: Array, q: Array, P: Array) -> Array:
     return out
 
 
-def by_frame(G: Array, q: Array) -> Array:
+def pose_by_frame(G: Array, q: Array) -> Array:
     """Return the derivative J_G = d(G o q)/dG, (n, 3, 3)."""
     r = se2.rotated(G[:, 2], q[:, :2])
     return se2.lever(-r[:, 1], r[:, 0])

@@ -34,7 +34,7 @@ from locfuse.fusion.data import (
     SensorFigures,
     Truth,
 )
-from locfuse.fusion.ekf.map_frame import by_frame
+from locfuse.fusion.ekf.map_frame import pose_by_frame
 from locfuse.fusion.streams import gap_limit
 
 from .bootstrap import effective_samples
@@ -268,7 +268,7 @@ def _expected(pairs: _PosePairs, deviation: Array, heading: Array | None, truth:
     lever = np.broadcast_to(np.append(truth.point, 0.0), pairs.pose.shape)
     sigma, found = np.empty((len(pairs.t), 3)), np.empty(len(pairs.t))
     for at in (slice(a, a + ERRORS_AT_ONCE) for a in range(0, len(pairs.t), ERRORS_AT_ONCE)):
-        G = by_frame(pairs.pose[at], lever[at])
+        G = pose_by_frame(pairs.pose[at], lever[at])
         P = G @ pairs.P[at] @ G.transpose(0, 2, 1)
         sigma[at] = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
         found[at] = nees(e[at], (P + own)[:, :dof, :dof])

@@ -67,7 +67,7 @@ def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> StartPos
             continue
         places.look(scan, wheels.relative(t[[seen[-1]]], t[[row]])[0] if seen else None)
         seen.append(row)
-    if places.decided():
+    if places.is_decided():
         return StartPose(places.pose(), float(t[seen[0]]), float(t[seen[-1]]), places.best)
     raise LocfuseError(_no_place(places, float(t[rows[-1]]) if len(rows) else 0.0), role="map")
 
@@ -106,7 +106,7 @@ class _Places:
         self._thin()
         self._rank()
 
-    def decided(self) -> bool:
+    def is_decided(self) -> bool:
         """Return whether one candidate matches clearly better than every different one."""
         ahead = self.best - self.other
         clear = ahead >= MIN_LEAD_SHARE and ahead * self.seen >= MIN_LEAD_SCANS

@@ -126,7 +126,7 @@ class Guard:
         share of the scan's line length that matches the map by the association `found`.
         """
         t, scan, belief = present.t, present.scan, present.belief
-        moved = share < GOOD_SHARE and self._moved(belief.pose())
+        moved = share < GOOD_SHARE and self._has_moved(belief.pose())
         if not moved:
             self._slide.reset()
         elif self._correct_slide(present, share):
@@ -175,7 +175,7 @@ class Guard:
             with tried(belief, (0.0, 0.0, 0.0), sigma**2, 0.0):
                 return bool(present.again().share() >= share + MIN_SLIDE_GAIN)
 
-        shown = slide.begun or any(more_matches(sigma) for sigma in SLIDE_SIGMAS_M)
+        shown = slide.has_begun or any(more_matches(sigma) for sigma in SLIDE_SIGMAS_M)
         step = present.slipped() if shown else None
         if step is None or abs(step[2]) > SLIP_SIGMA_RAD or not self._is_ahead(step, belief.pose()):
             slide.reset()
@@ -225,7 +225,7 @@ class Guard:
         Scan matching measures the turn without the map. If it succeeds, the slip by the map must agree with it.
         """
         suspicion.add(kept, with_slip(present, suspicion.turn).share())
-        if not suspicion.decided:
+        if not suspicion.is_decided:
             return None
         step = present.slipped()
         self._suspicion, by_scans = None, None if step is None else float(step[2])
@@ -236,7 +236,7 @@ class Guard:
             turns = [by_scans, *(turn for turn in turns if agree(by_scans, turn))]
         shares = [with_slip(present, turn).share() for turn in turns]
         best = int(np.argmax(shares))
-        return turns[best] if suspicion.confirmed(shares[best] - kept, by_scans is not None) else None
+        return turns[best] if suspicion.is_confirmed(shares[best] - kept, by_scans is not None) else None
 
     def _is_usable(self, before: Sequence[Seen], now: Seen, share: float, present: PresentScan) -> bool:
         """Return whether a scan with few matches may correct pose and map; repeated disagreement sets `lost`."""
@@ -327,15 +327,15 @@ class Guard:
             return found, False  # the robot has not moved since the last search
         self._tried += 1
         pose = find_pose(present.scan, present.lines, belief, self._trail)
-        if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
+        if pose is None or self._lost_from is None or not self._is_confirmed(pose, belief):
             return found, False
-        before = in_map(belief)
+        before = pose_in_map(belief)
         belief.place(pose, PLACED_SIGMA_M**2, PLACED_SIGMA_RAD**2)
-        self._jumps.append(jump(present.t, RELOCALISED, before, in_map(belief)))
+        self._jumps.append(jump(present.t, RELOCALISED, before, pose_in_map(belief)))
         self._found(present.t, belief)
         return present.again(), True
 
-    def _confirmed(self, pose: Pose, belief: JointBelief) -> bool:
+    def _is_confirmed(self, pose: Pose, belief: JointBelief) -> bool:
         """Return whether enough consecutive scans, connected by wheel odometry, agree on the found pose.
 
         A scan of a few walls fits somewhere by chance; several scans from different positions rarely do.
@@ -351,7 +351,7 @@ class Guard:
         self._place = (here, pose, 1)
         return False
 
-    def _moved(self, pose: Pose) -> bool:
+    def _has_moved(self, pose: Pose) -> bool:
         """Return whether the robot moved since the last scan, by wheel odometry."""
         x, y, theta = self._corrected or (math.inf, math.inf, math.inf)
         return math.hypot(pose[0] - x, pose[1] - y) > MIN_MOVED_M or abs(pose[2] - theta) > MIN_TURNED_RAD
@@ -383,7 +383,7 @@ def _forget_since(first: int, present: PresentScan) -> None:
         present.belief.remove(present.lines.drop(gone))
 
 
-def in_map(belief: JointBelief) -> Array:
+def pose_in_map(belief: JointBelief) -> Array:
     """Return the belief's pose (3,) in the map frame, also if the belief uses a local frame."""
     frame, pose = belief.frame_pose(), np.array(belief.pose())
     return pose if frame is None else se2.compose(np.array(frame), pose)

@@ -164,7 +164,7 @@ class LineMap(msgspec.Struct):
             for j, (v, P) in enumerate(zip(self.values(belief), self.covariances(belief), strict=True))
         ]
 
-    def placed_at(self, frame: Array, P: Array) -> list[MapLine]:
+    def lines_in_map(self, frame: Array, P: Array) -> list[MapLine]:
         """Return the frozen lines in the map frame; their local frame has the pose `frame` (3,), covariance P."""
         x, y, theta = map(float, frame)
         joint = np.zeros((5, 5))
@@ -379,7 +379,7 @@ def mount_states_of(mount: Mount | None, belief: JointBelief) -> sight.MountStat
     return sight.MountStates(np.array(mount.configured, np.float64), np.array(mount.free, np.intp), columns)
 
 
-def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
+def line_by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
     """Return the derivative (2, f) of a line with normal angle psi [rad, base frame] by the f mount states."""
     x, y, _ = mount.now(belief)
     c, s = math.cos(psi), math.sin(psi)

@@ -273,10 +273,10 @@ def find_closure(there: FrozenMap, here: FrozenMap, expected: Array, P: Array) -
     rivals = alike - places.poses[places.best]
     turned = np.abs(se2.wrap_all(rivals[:, 2])) > MAP_APART_RAD
     others = distinct(alike[turned])
-    if len(others) > MAX_TURNED_RIVALS or not all(contradicted(there, here, pose) for pose in others):
+    if len(others) > MAX_TURNED_RIVALS or not all(is_contradicted(there, here, pose) for pose in others):
         return None
     found = _refined(places.poses[places.best], scan, there, known, expected, P)
-    if found is None or not _has_enough_walls(found, expected, P) or contradicted(there, here, found.pose):
+    if found is None or not _has_enough_walls(found, expected, P) or is_contradicted(there, here, found.pose):
         return None
     return found._replace(P=found.P + rival_spread(rivals[~turned]))
 
@@ -304,7 +304,7 @@ def rival_spread(rivals: Array) -> Array:
     return P
 
 
-def contradicted(there: FrozenMap, here: FrozenMap, pose: Array) -> bool:
+def is_contradicted(there: FrozenMap, here: FrozenMap, pose: Array) -> bool:
     """Return whether scans of one submap see through walls of the other submap.
 
     They must see through these walls more than through walls of their own submap: map walls extend over their
@@ -405,7 +405,7 @@ class CandidateRuns:
             self._found.pop(anchor, None)
             return False
         before, looks = self._found.get(anchor, (found, 0))
-        self._found[anchor] = found, looks + 1 if _same(before, found) else 1
+        self._found[anchor] = found, looks + 1 if _is_same(before, found) else 1
         if not unknown:
             return self.count(anchor) >= AGREEING_LOOKS
         return self.count(anchor) >= UNKNOWN_LOOKS and not self._has_rival(anchor, anchors)
@@ -420,7 +420,7 @@ class CandidateRuns:
         return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
 
 
-def _same(one: Closure, other: Closure) -> bool:
+def _is_same(one: Closure, other: Closure) -> bool:
     """Return whether two candidates agree within their covariances."""
     return bool(chi2_of(other.pose[None], one.pose, one.P + other.P)[0] < SAME_CHI2)
 

@@ -169,7 +169,7 @@ class Slide:
         self._first_line = 0  # id of the first line added since the slip began
 
     @property
-    def begun(self) -> bool:
+    def has_begun(self) -> bool:
         """Return whether the last scan showed a slip."""
         return self._scans > 0
 
@@ -212,11 +212,11 @@ class Suspicion:
         self._gain += turned - kept
 
     @property
-    def decided(self) -> bool:
+    def is_decided(self) -> bool:
         """Return whether enough scans have been compared."""
         return self.looks >= DECIDING_SCANS
 
-    def confirmed(self, gain: float, by_scans: bool) -> bool:
+    def is_confirmed(self, gain: float, by_scans: bool) -> bool:
         """Return whether scans match the map so much better with the slip that it is confirmed.
 
         `gain` is the increase of the matched share of the last scan. The least increase is

@@ -30,7 +30,7 @@ from locfuse.fusion.data import (
     SeenAgain,
 )
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.map_frame import by_frame
+from locfuse.fusion.ekf.map_frame import pose_by_frame
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
@@ -41,7 +41,7 @@ from locfuse.fusion.scan_matching.solve import NOWHERE
 from locfuse.fusion.sensor import Block, Model
 
 from .anchors import Anchors, Edge, inverted
-from .guard import Guard, in_map, jump
+from .guard import Guard, jump, pose_in_map
 from .line_map import (
     MIN_HITS,
     NO_SHARES,
@@ -50,7 +50,7 @@ from .line_map import (
     LineMap,
     about_middle,
     associate,
-    by_mount,
+    line_by_mount,
     merge_doubles,
     mount_states_of,
     moved_mount,
@@ -302,7 +302,7 @@ class LineTracker(Model):
             self.mount is not None
         ):  # by the mount, the derivative of the predicted measurement is minus that of the line in the base frame
             columns = self.mount.columns(belief)
-            G = np.hstack((G, -G_z @ by_mount(self.mount, belief, psi)))
+            G = np.hstack((G, -G_z @ line_by_mount(self.mount, belief, psi)))
         column, P = -1, np.zeros((2, 2))
         if self.joint:
             column = belief.augment(value, G, noise, columns)
@@ -437,10 +437,10 @@ class AtlasTracker(LineTracker):
         back = se2.inverse(R)
         G = np.array(frame)
         columns = np.arange(belief.frame, belief.frame + 3)
-        belief.transform(columns, se2.compose(G, back), by_frame(G[None], back[None])[0])
+        belief.transform(columns, se2.compose(G, back), pose_by_frame(G[None], back[None])[0])
         belief.know_frame(self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,)))
         belief.transform(np.arange(3), se2.compose(R, q), se2.rotation(R[2]))
-        J = by_frame(R[None], q[None])[0]
+        J = pose_by_frame(R[None], q[None])[0]
         spread = J @ P @ J.T
         at_least = np.abs(spread).sum(axis=1)  # a diagonal covariance that is at least `spread`
         belief.add_variance(np.arange(3), at_least)
@@ -552,9 +552,9 @@ class AtlasTracker(LineTracker):
             here = se2.compose(found.pose, np.array(belief.pose()))
             sight = seen.path.nearest(here[:2])
             self.closed.append(SeenAgain(sight.t, t, se2.between(sight.pose, here)))
-        before_loop = in_map(belief)
+        before_loop = pose_in_map(belief)
         belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
-        self._jumps.append(jump(t, LOOP_TAKEN, before_loop, in_map(belief)))
+        self._jumps.append(jump(t, LOOP_TAKEN, before_loop, pose_in_map(belief)))
         if self.guard is not None and not is_unknown(self._anchors.relative(0, at)[1]):
             self.guard.recognised(t)
 
@@ -570,7 +570,7 @@ class AtlasTracker(LineTracker):
         left: list[MapLine] = []
         for old in self._frozen:
             pose, P = self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,))
-            left += old.lines.placed_at(pose, P)
+            left += old.lines.lines_in_map(pose, P)
         return first, left + now
 
     def notes(self, belief: Any) -> list[str]:

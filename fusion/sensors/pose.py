@@ -39,7 +39,7 @@ from locfuse.fusion.data import (
     Stream,
     plausible,
 )
-from locfuse.fusion.ekf.map_frame import by_frame
+from locfuse.fusion.ekf.map_frame import pose_by_frame
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
@@ -144,7 +144,7 @@ class PoseSensor(Sensor):
         own = np.broadcast_to(np.square((settings.sigma, settings.sigma, turn)), (len(z), 3))
         R, has_covariance = plane_covariance(columns.get("pose.covariance"), keep, settings.covariance, own)
         off = se2.inverse(np.array(self.mount(settings)))
-        J = by_frame(z, np.broadcast_to(off, z.shape))
+        J = pose_by_frame(z, np.broadcast_to(off, z.shape))
         n, frame = len(z), settings.frame or ("drift" if stream.msgtype in DRIFTING else "own")
         return Measurements(
             t=t,

@@ -17,7 +17,7 @@ from locfuse.fusion.scan_matching.clouds import Clouds, Columns, clouds_of, merg
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import good
 
-from .odometry import Odometry, by_lever, moved
+from .odometry import Odometry, add_lever_arm, to_parent_frame
 
 REST_P = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: keeps covariances invertible while the robot is at rest
 GAP_S = 0.09  # least time between two matched scans: matching more scans adds little accuracy
@@ -53,8 +53,8 @@ class Spans(Columns, frozen=True):
         b = np.minimum(a + 1, len(keys) - 1)
         home = se2.inverse(odometry.pose[keys[a]])
         u = se2.compose(home, stamps.pose)
-        C = moved(stamps.C - odometry.C[keys[a]], home)
-        C_ab = moved(odometry.C[keys[b]] - odometry.C[keys[a]], home) + REST_P
+        C = to_parent_frame(stamps.C - odometry.C[keys[a]], home)
+        C_ab = to_parent_frame(odometry.C[keys[b]] - odometry.C[keys[a]], home) + REST_P
         inside, beyond = (k >= keys[a]) & (k < keys[b]), k >= keys[b]
         return cls(a, b, inside[:, None, None], beyond[:, None, None], home, u, C, C_ab)
 
@@ -64,7 +64,7 @@ class Spans(Columns, frozen=True):
         return np.where(self.inside, self.C @ np.linalg.inv(self.C_ab), np.where(self.beyond, np.eye(3), 0.0))
 
 
-class Fixes(Columns, frozen=True):
+class OdometryErrors(Columns, frozen=True):
     """Odometry errors since the previous key, at the update times of the keys and of the scans between them.
 
     Sorted by key, then by time. The first row of every span is its key (zero error), the last row is the next key.
@@ -76,7 +76,7 @@ class Fixes(Columns, frozen=True):
     rest: Array  # (f, 3, 3) covariance of xi if both key poses were exact
 
     @classmethod
-    def of_keys(cls, odometry: Odometry, keys: Ints, x: Array) -> Fixes:
+    def of_keys(cls, odometry: Odometry, keys: Ints, x: Array) -> OdometryErrors:
         """Return the odometry errors from each key to the next: poses x (m, 3) at update times `keys` (m,)."""
         a = np.arange(len(keys) - 1)
         whole = se2.between(odometry.pose[keys[:-1]], odometry.pose[keys[1:]])
@@ -96,8 +96,8 @@ class Fixes(Columns, frozen=True):
         f = np.searchsorted(self.a * size + self.instant, spans.a * size + k, side="right") - 1
         f, g = np.clip(f, 0, last), np.clip(f + 1, 0, last)
         origin = odometry.C[self.instant[np.searchsorted(self.a, spans.a)]]
-        C_f = moved(odometry.C[self.instant[f]] - origin, spans.home)
-        C_fg = moved(odometry.C[self.instant[g]] - origin, spans.home) - C_f + REST_P
+        C_f = to_parent_frame(odometry.C[self.instant[f]] - origin, spans.home)
+        C_fg = to_parent_frame(odometry.C[self.instant[g]] - origin, spans.home) - C_f + REST_P
         since = spans.C - C_f
         share = np.where(spans.inside, since @ np.linalg.inv(C_fg), 0.0)
         xi = self.xi[f] + np.einsum("nij,nj->ni", share, self.xi[g] - self.xi[f])
@@ -107,7 +107,14 @@ class Fixes(Columns, frozen=True):
 
 
 def bridged(
-    odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints, x: Array, P: Array, after: Array, fixes: Fixes
+    odometry: Odometry,
+    stamps: Odometry,
+    k: Ints,
+    keys: Ints,
+    x: Array,
+    P: Array,
+    after: Array,
+    errors: OdometryErrors,
 ) -> tuple[Array, Array]:
     """Interpolate poses (n, 3) and covariances (n, 3, 3) between key poses, at times with odometry `stamps` (n).
 
@@ -116,7 +123,7 @@ def bridged(
     before the first key; after the last key, only odometry is used.
     """
     spans = Spans.of(odometry, stamps, k, keys)
-    xi, rest = fixes.at(odometry, k, spans)
+    xi, rest = errors.at(odometry, k, spans)
     pose = se2.compose(x[spans.a], se2.compose(xi, spans.u))
     return pose, _spread(x, P, after, spans, rest, pose)
 
@@ -126,7 +133,7 @@ def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: A
     a, b = spans.a, spans.b
     arm = x[b, :2] - x[a, :2]
     P_a = P[a]
-    P_b = by_lever(P[b], arm[:, 1], -arm[:, 0])
+    P_b = add_lever_arm(P[b], arm[:, 1], -arm[:, 0])
     cross = after[np.minimum(a, max(len(after) - 1, 0))] if len(after) else np.zeros_like(P_a)
     cross = cross @ se2.lever(arm[:, 1], -arm[:, 0]).transpose(0, 2, 1)
     only_one = (a == b)[:, None, None]
@@ -138,38 +145,38 @@ def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: A
     mixed = own @ cross @ S.transpose(0, 2, 1)
     out += mixed + mixed.transpose(0, 2, 1) + turn @ rest @ turn.transpose(0, 2, 1)
     lever = pose[:, :2] - x[a, :2]
-    out = by_lever(out, -lever[:, 1], lever[:, 0])
+    out = add_lever_arm(out, -lever[:, 1], lever[:, 0])
     return 0.5 * (out + out.transpose(0, 2, 1))
 
 
-def scans_between(
+def errors_at_scans(
     odometry: Odometry, drive: Drive, sensor: str, readings: Ints, clouds: Clouds, x: Array
-) -> Fixes:
+) -> OdometryErrors:
     """Return the odometry errors at the scans between the key scans `readings` (m,) with poses x (m, 3).
 
     `clouds` are the points of the key scans.
     """
     m, instants = drive.measurements[sensor], drive.instant[sensor]
     keys = instants[readings]
-    ends = Fixes.of_keys(odometry, keys, x)
+    key_errors = OdometryErrors.of_keys(odometry, keys, x)
     chosen = moving_scans(odometry, drive.t, instants, readings)
     if not len(chosen):
-        return ends
+        return key_errors
     k = instants[chosen]
     spans = Spans.of(odometry, odometry.at(k), k, keys)
     sources = points_of(m, chosen)
     xi, information = np.zeros((len(k), 3)), np.zeros((len(k), 3, 3))
-    fixes, pending = ends, np.arange(len(k))
+    errors, pending = key_errors, np.arange(len(k))
     for _ in range(ROUND_COUNT):
-        guess = fixes.at(odometry, k[pending], spans.take(pending))[0]
+        guess = errors.at(odometry, k[pending], spans.take(pending))[0]
         u = spans.u[pending]
         found = matched(clouds, x, spans.a[pending], sources, pending, se2.compose(guess, u))
         xi[pending], information[pending] = as_errors(found, u, guess)
-        fixes = smoothed(odometry, ends, spans.a, k, xi, information)
+        errors = smoothed(odometry, key_errors, spans.a, k, xi, information)
         pending = np.flatnonzero(information[:, 2, 2] == 0.0)
         if not len(pending):
             break
-    return fixes
+    return errors
 
 
 def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -> Ints:
@@ -229,20 +236,22 @@ def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
     return xi, np.where(good(found)[:, None, None], L.transpose(0, 2, 1) @ found.information @ L, 0.0)
 
 
-def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, information: Array) -> Fixes:
+def smoothed(
+    odometry: Odometry, key_errors: OdometryErrors, a: Ints, k: Ints, xi: Array, information: Array
+) -> OdometryErrors:
     """Smooth the odometry errors along each span between two keys; return them at the keys and at the scans.
 
-    `ends` are the known errors at the keys. Scan i has update time k[i] and follows key a[i].
+    `key_errors` are the known errors at the keys. Scan i has update time k[i] and follows key a[i].
 
     xi (n, 3) with `information` (n, 3, 3) are the errors measured by the scans.
     """
-    order = np.lexsort((np.concatenate((ends.instant, k)), np.concatenate((ends.a, a))))
-    a, k = np.concatenate((ends.a, a))[order], np.concatenate((ends.instant, k))[order]
-    z = np.concatenate((ends.xi, xi))[order]
-    L = np.concatenate((np.broadcast_to(KEY_INFORMATION, (len(ends.a), 3, 3)), information))[order]
+    order = np.lexsort((np.concatenate((key_errors.instant, k)), np.concatenate((key_errors.a, a))))
+    a, k = np.concatenate((key_errors.a, a))[order], np.concatenate((key_errors.instant, k))[order]
+    z = np.concatenate((key_errors.xi, xi))[order]
+    L = np.concatenate((np.broadcast_to(KEY_INFORMATION, (len(key_errors.a), 3, 3)), information))[order]
     starts = np.flatnonzero(np.diff(a, prepend=-1))
     home = se2.inverse(odometry.pose[k[starts]])[np.searchsorted(a[starts], a)]
-    Q = moved(np.diff(odometry.C[k], axis=0, prepend=odometry.C[k[:1]]), home) + STEP_P
+    Q = to_parent_frame(np.diff(odometry.C[k], axis=0, prepend=odometry.C[k[:1]]), home) + STEP_P
     lengths = np.diff(np.append(starts, len(a)))
     mean, V = z.copy(), np.zeros((len(a), 3, 3))
     for step in range(1, int(lengths.max())):
@@ -257,7 +266,7 @@ def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, infor
         G = V[at] @ np.linalg.inv(predicted)
         mean[at] += np.einsum("nij,nj->ni", G, mean[at + 1] - mean[at])
         V[at] = _symmetric(V[at] + G @ (V[at + 1] - predicted) @ G.transpose(0, 2, 1))
-    return Fixes(a, k, mean, V)
+    return OdometryErrors(a, k, mean, V)
 
 
 def _symmetric(P: Array) -> Array:

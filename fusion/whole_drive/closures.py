@@ -141,7 +141,7 @@ class Peak(msgspec.Struct, frozen=True):
     edge: bool  # whether the best pose lies at the edge of the search window
 
     @property
-    def decided(self) -> bool:
+    def is_decided(self) -> bool:
         """Return whether the best pose is unique: no other pose has a similar score."""
         return not self.edge and self.second < ALIKE_SHARE * self.score
 
@@ -282,7 +282,7 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
         [r < NARROWER_SHARE * loops.searched.get(p, np.inf) for p, r in zip(pairs, reach, strict=True)], bool
     )
     moved = np.array(
-        [_moved(loops.rejected.get(p), guess) for p, guess in zip(pairs, found.guess, strict=True)], bool
+        [_has_moved(loops.rejected.get(p), guess) for p, guess in zip(pairs, found.guess, strict=True)], bool
     )
     known &= moved
     searched = np.flatnonzero(~narrow & (reach < wide) & narrower)
@@ -294,7 +294,7 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
         loops.searches += 1
         pair = pairs[c]
         loops.searched[pair] = float(reach[c])
-        if peak.decided:
+        if peak.is_decided:
             start[c], known[c] = peak.pose, True
         elif not peak.edge:
             loops.undecided[pair] = "two places fit alike"
@@ -302,7 +302,7 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
     return found.take(at), start[at]
 
 
-def _moved(rejected: Array | None, guess: Array) -> bool:
+def _has_moved(rejected: Array | None, guess: Array) -> bool:
     """Return whether the guess of a rejected candidate changed enough to test the candidate again."""
     if rejected is None:
         return True

@@ -38,13 +38,13 @@ class Odometry(msgspec.Struct, frozen=True):
     def with_slip_noise(self) -> Odometry:
         """Add variance for slips and uneven floors (LEFT_OUT_VARIANCES), which wheel noise does not include."""
         u = se2.between(self.pose[:-1], self.pose[1:])
-        more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT_VARIANCES)), axis=0)
+        more = np.cumsum(to_origin(self.pose[:-1], u, even_covariance(u, LEFT_OUT_VARIANCES)), axis=0)
         return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT_VARIANCES)
 
     def between(self, a: Ints, b: Ints) -> tuple[Array, Array]:
         """Return motions (m, 3) from update times a to b, (m,) each, and covariances of xi in the frames at a."""
         u = se2.between(self.pose[a], self.pose[b])
-        return u, moved(self.C[b] - self.C[a], se2.inverse(self.pose[a]))
+        return u, to_parent_frame(self.C[b] - self.C[a], se2.inverse(self.pose[a]))
 
     def grown(self, k: Ints, motions: Motions, wheels: Array | None) -> Odometry:
         """Return the odometry at the ends of m motions that begin at the update times k (m,).
@@ -53,8 +53,8 @@ class Odometry(msgspec.Struct, frozen=True):
         """
         u = motions.corrected(wheels)
         pose = se2.compose(self.pose[k], u)
-        Q = motions.Q if self.left_out is None else motions.Q + evenly(u, self.left_out)
-        return Odometry(pose, self.C[k] + at_origin(self.pose[k], u, Q), self.left_out)
+        Q = motions.Q if self.left_out is None else motions.Q + even_covariance(u, self.left_out)
+        return Odometry(pose, self.C[k] + to_origin(self.pose[k], u, Q), self.left_out)
 
 
 def odometry_of(drive: Drive, lag: float = 0.0, wheels: Array | None = None) -> Odometry:
@@ -69,10 +69,10 @@ def odometry_of(drive: Drive, lag: float = 0.0, wheels: Array | None = None) -> 
         motions = drive.wheels.between(np.append(t[:1], t[:-1]), t, motions.J.shape[2] > 0)
     u = motions.corrected(wheels)
     pose = se2.chain(u)
-    return Odometry(pose[1:], np.cumsum(at_origin(pose[:-1], u, motions.Q), axis=0))
+    return Odometry(pose[1:], np.cumsum(to_origin(pose[:-1], u, motions.Q), axis=0))
 
 
-def evenly(u: Array, variances: Array) -> Array:
+def even_covariance(u: Array, variances: Array) -> Array:
     """Return covariances (n, 3, 3) that grow evenly along motions u (n, 3).
 
     `variances` (3,) of x, y, theta are per metre driven and per radian turned.
@@ -81,21 +81,21 @@ def evenly(u: Array, variances: Array) -> Array:
     return far[:, None, None] * np.diag(variances)
 
 
-def at_origin(start: Array, u: Array, Q: Array) -> Array:
+def to_origin(start: Array, u: Array, Q: Array) -> Array:
     """Convert covariances Q (n, 3, 3) of motions to those of the odometry error xi at the odometry's origin.
 
     The motions are u (n, 3) from poses `start` (n, 3). Q is the covariance of each motion's (x, y, theta) in the
     frame of its start. A small rigid motion about the start moves the end by a lever arm, which is removed first.
     """
-    return moved(by_lever(Q, u[:, 1], -u[:, 0]), start)
+    return to_parent_frame(add_lever_arm(Q, u[:, 1], -u[:, 0]), start)
 
 
-def moved(C: Array, frame: Array) -> Array:
+def to_parent_frame(C: Array, frame: Array) -> Array:
     """Convert covariances C (n, 3, 3) of xi from the frames `frame` (n, 3) to the parent of these frames."""
-    return by_lever(se2.turned_covariance(C, frame[:, 2]), frame[:, 1], -frame[:, 0])
+    return add_lever_arm(se2.turned_covariance(C, frame[:, 2]), frame[:, 1], -frame[:, 0])
 
 
-def by_lever(C: Array, x: Array, y: Array) -> Array:
+def add_lever_arm(C: Array, x: Array, y: Array) -> Array:
     """Return covariances C (n, 3, 3) after adding the heading error times x (n,), y (n,) [m] to x and y."""
     L = se2.lever(x, y)
     out: Array = L @ C @ L.transpose(0, 2, 1)

@@ -19,7 +19,7 @@ from locfuse.fusion.scan_matching.solve import SYSTEMATIC_SIGMAS, Summands
 from locfuse.fusion.sensor import Model, Reading
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .odometry import Odometry, by_lever
+from .odometry import Odometry, add_lever_arm
 
 READINGS_PER_KEY = 4  # used readings of one sensor per key; their weight does not replace the unused readings
 WIDTH_SIGMAS = 3.0  # sigmas at which a reading loses weight (Cauchy)
@@ -129,6 +129,6 @@ def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Int
         ]
         at = instants[picked]
         u, C = odometry.between(np.full(len(at), keys[k]), at)
-        C = by_lever(C, -u[:, 1], u[:, 0])
+        C = add_lever_arm(C, -u[:, 1], u[:, 0])
         found += [SeenReading(sensor, int(r), k, u[n], C[n]) for n, r in enumerate(picked.tolist())]
     return found

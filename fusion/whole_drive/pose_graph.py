@@ -26,9 +26,9 @@ from locfuse.fusion.scan_matching.neighbours import further_scans, good, next_sc
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
 from locfuse.fusion.wheels.states import WHEELS
 
-from .between import Fixes, bridged, scans_between
+from .between import OdometryErrors, bridged, errors_at_scans
 from .closures import KERNEL_WIDTH_FACTORS, Loops, close, recognised, submaps_of
-from .odometry import Odometry, by_lever, odometry_of
+from .odometry import Odometry, add_lever_arm, odometry_of
 from .others import Others
 from .walls import straightened
 
@@ -57,7 +57,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
     odometry: Odometry  # with added variance for slips and uneven floors
     readings: Ints  # (m,) indices of the key scans among the laser's readings
     x: Array  # (m, 3) key poses in the map
-    fixes: Fixes  # odometry errors between the key poses
+    errors: OdometryErrors  # odometry errors between the key poses
     normal: Normal  # normal equations at the key poses
     loops: Loops
     lag: float  # s, delay of the wheels' clock that was corrected
@@ -85,18 +85,18 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return bridged(self.odometry, stamps, k, *self._from_start)
 
     @cached_property
-    def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
+    def _from_start(self) -> tuple[Ints, Array, Array, Array, OdometryErrors]:
         """Return the key poses, after the start pose unless the first key is at the start.
 
         Returns update times, poses, covariances, covariances with the next key pose, and odometry errors.
         """
-        keys, x, (own, after), fixes = self.keys, self.x, self.spread, self.fixes
+        keys, x, (own, after), errors = self.keys, self.x, self.spread, self.errors
         if not keys[0]:
-            return keys, x, own, after, fixes
+            return keys, x, own, after, errors
         pose, P, cross = self.start.smoothed(x[0], own[0])
         keys, x = np.append(0, keys), np.vstack((pose, x))
-        first = Fixes.of_keys(self.odometry, keys[:2], x[:2])
-        joined = Fixes.joined(first, replace(fixes, a=fixes.a + 1))
+        first = OdometryErrors.of_keys(self.odometry, keys[:2], x[:2])
+        joined = OdometryErrors.joined(first, replace(errors, a=errors.a + 1))
         return keys, x, np.concatenate((P[None], own)), np.concatenate((cross[None], after)), joined
 
     @cached_property
@@ -123,14 +123,14 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         e = self.closures.errors(x)
         return float(np.sqrt((e[:, :2] ** 2).sum(axis=1).mean())) if len(e) else 0.0
 
-    def needed(self, filtered: Estimates) -> bool:
+    def is_needed(self, filtered: Estimates) -> bool:
         """Return whether to use the graph: the filter was lost, or its poses contradict the loop closures.
 
         Otherwise the smoother is more accurate than the graph: it uses every line of every scan. The position
         error of the loop closures is compared for the poses of the filter and those of the graph.
         """
-        by_filter, by_graph = self._misfit(filtered.pose[self.keys]), self._misfit(self.x)
-        return bool(filtered.lost) or by_filter > MIN_GAIN * by_graph + MIN_GAIN_M
+        by_filter, with_graph = self._misfit(filtered.pose[self.keys]), self._misfit(self.x)
+        return bool(filtered.lost) or by_filter > MIN_GAIN * with_graph + MIN_GAIN_M
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
         """Return the notes for the user: closed loops with times, undecided loops, whether the graph was used."""
@@ -173,7 +173,7 @@ def whole_drive(
     laser mount if there are any.
     """
     m = drive.measurements.get(LASER)
-    if m is None or m.points is None or not room_for_loops(drive, robot, sensors):
+    if m is None or m.points is None or not may_have_loops(drive, robot, sensors):
         return None
     lag, configured = clock_lag(drive), m.points.mount
     # the clock offset is not a state: with a late clock the filter estimates a mount further ahead (speed * lag)
@@ -209,10 +209,10 @@ def whole_drive(
     hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
     x, closed, loops = close(x, edges, problem, maps, hints)
     if len(loops.edges):
-        closed = Edges.joined(closed, again(scans.targets, scans.sources, x, driven))
+        closed = Edges.joined(closed, match_revisits(scans.targets, scans.sources, x, driven))
     x, normal = problem.solve(x, closed, KERNEL_WIDTH_FACTORS if len(loops.edges) else (1.0,))
     noisier = odometry.with_slip_noise()
-    fixes = scans_between(noisier, drive, LASER, readings, scans.clouds, x)
+    errors = errors_at_scans(noisier, drive, LASER, readings, scans.clouds, x)
     return Graph(
         drive=drive,
         configured_mount=configured,
@@ -221,7 +221,7 @@ def whole_drive(
         odometry=noisier,
         readings=readings,
         x=x,
-        fixes=fixes,
+        errors=errors,
         normal=normal,
         loops=loops,
         lag=lag,
@@ -258,11 +258,11 @@ def _halfway(u: Array) -> Array:
     return se2.rotated(-u[:, 2] / 2.0, u[:, :2])
 
 
-def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
+def may_have_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
     """Return whether a drive may have loops to close: its laser builds a map, larger than one scan shows."""
     m = drive.measurements.get(LASER)
     has_scans = m is not None and m.points is not None
-    return LASER in sensors and has_scans and robot.settings(LASER).map == "grow" and not in_one_view(drive)
+    return LASER in sensors and has_scans and robot.settings(LASER).map == "grow" and not is_in_one_view(drive)
 
 
 def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
@@ -278,7 +278,7 @@ def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
     return robust_sigma(off) ** 2 / claimed if claimed > 0.0 else 1.0
 
 
-def in_one_view(drive: Drive) -> bool:
+def is_in_one_view(drive: Drive) -> bool:
     """Return whether the drive's extent is small beside the laser's range: the filter needs no loop closure."""
     m = drive.measurements[LASER]
     if m.points is None or not len(m.t):
@@ -313,7 +313,7 @@ class GraphStart(msgspec.Struct, frozen=True):
         at_key = se2.compose(pose, u[0])
         turn, (x, y) = se2.rotation(pose[2]), at_key[:2] - pose[:2]
         F = se2.lever(-y, x)
-        P_at_key: Array = F @ P @ F.T + turn @ by_lever(C, -u[:, 1], u[:, 0])[0] @ turn.T
+        P_at_key: Array = F @ P @ F.T + turn @ add_lever_arm(C, -u[:, 1], u[:, 0])[0] @ turn.T
         return cls(pose, P, at_key, P_at_key, P @ F.T)
 
     @property
@@ -351,7 +351,7 @@ def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
     """Return graph edges from each key pose to the next by wheel odometry, at update times `instants` (n,)."""
     a = np.arange(len(instants) - 1)
     u, C = odometry.between(instants[:-1], instants[1:])
-    Q = by_lever(C, -u[:, 1], u[:, 0]) + WHEEL_FLOOR_P
+    Q = add_lever_arm(C, -u[:, 1], u[:, 0]) + WHEEL_FLOOR_P
     aside = SIDEWAYS_SHARE * np.hypot(u[:, 0], u[:, 1])
     Q[:, [0, 1], [0, 1]] += np.square(aside)[:, None]
     edges = Edges.of(a, a + 1, u, np.asarray(np.linalg.inv(Q), np.float64), WHEEL_WIDTH_SIGMAS)
@@ -359,7 +359,7 @@ def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
     return edges
 
 
-def edges_of(i: Ints, j: Ints, found: Matches, driven: Array | None = None) -> Edges:
+def edges_from_matches(i: Ints, j: Ints, found: Matches, driven: Array | None = None) -> Edges:
     """Convert matches of scans i and j to graph edges.
 
     If the path lengths `driven` (n,) [m] are given, the edges allow for a heading drift proportional to them.
@@ -378,18 +378,18 @@ def sequential(
     reliable = good(found)
     step = np.where(reliable[:, None], found.pose, wheels.z)
     x = se2.compose(problem.start.z[0], se2.chain(step))
-    scans = edges_of(wheels.i, wheels.j, found, driven).take(reliable)
+    scans = edges_from_matches(wheels.i, wheels.j, found, driven).take(reliable)
     x, _ = problem.solve(x, Edges.joined(wheels, scans), (100.0, 1.0))
     further = []
     for n in NEIGHBOUR_STEPS:
         i, found = further_scans(targets, clouds, x, n, MAX_NEIGHBOUR_M)
-        further.append(edges_of(i, i + n, found, driven))
+        further.append(edges_from_matches(i, i + n, found, driven))
     edges = Edges.joined(wheels, scans, *further)
     x, _ = problem.solve(x, edges, (100.0, 1.0))
     return x, edges
 
 
-def again(targets: Targets, clouds: Clouds, x: Array, driven: Array) -> Edges:
+def match_revisits(targets: Targets, clouds: Clouds, x: Array, driven: Array) -> Edges:
     """Match each key scan with nearby key scans of earlier visits, after loop closure (Lu and Milios 1997)."""
     from scipy.spatial import cKDTree
 
@@ -411,4 +411,4 @@ def again(targets: Targets, clouds: Clouds, x: Array, driven: Array) -> Edges:
     guess = se2.between(x[i], x[j])
     prior = np.linalg.inv(np.diag([0.1**2, 0.1**2, np.radians(2.0) ** 2]))
     found = match(targets, i, clouds, j, guess, np.broadcast_to(prior, (len(i), 3, 3)), 0.3)
-    return edges_of(i, j, found).take(good(found))
+    return edges_from_matches(i, j, found).take(good(found))

@@ -39,7 +39,7 @@ def refuse(drive: Drive, robot: Robot) -> None:
         )
 
 
-def possible(drive: Drive, robot: Robot) -> bool:
+def may_have_reference(drive: Drive, robot: Robot) -> bool:
     """Return whether a reference can be computed for this log."""
     try:
         refuse(drive, robot)

@@ -31,13 +31,13 @@ from locfuse.fusion.ekf.events import (
     Undone,
     VarianceAdded,
 )
-from locfuse.fusion.ekf.map_frame import in_map_P
+from locfuse.fusion.ekf.map_frame import map_covariance
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.mount import mount_blocks
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.states import WHEELS
 
-from .pose_graph import LASER, Graph, room_for_loops, whole_drive
+from .pose_graph import LASER, Graph, may_have_loops, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
 MAX_WALLS = 300  # of a given map: each is two states, and an update costs the square of their number
@@ -80,12 +80,12 @@ def fuse_and_smooth(
     """Run the filter and the smoother: (filtered, smoothed). Raises UsageError if the gain is not optimal."""
     check_smoothing(robot, sensors)
     graph = None
-    if room_for_loops(drive, robot, sensors):
+    if may_have_loops(drive, robot, sensors):
         # without events: they are large, and only the smoother needs them
         filtered = fuse(drive, robot, sensors, name)
         graph = whole_drive(drive, robot, sensors, filtered)
-        if graph is not None and graph.needed(filtered):
-            return filtered, by_graph(filtered, graph)
+        if graph is not None and graph.is_needed(filtered):
+            return filtered, with_graph(filtered, graph)
     events = Events(backward=True)
     filtered = fuse(drive, robot, sensors, name, events=events)
     found = smoothed(drive, filtered, events)
@@ -93,7 +93,7 @@ def fuse_and_smooth(
     return filtered, replace(found, notes=(*found.notes, *notes))
 
 
-def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
+def with_graph(filtered: Estimates, graph: Graph) -> Estimates:
     """Return the estimates with poses, map and laser mount of the graph; other states are those of the filter."""
     pose, P = graph.poses()
     truth_pose, truth_P = graph.at_truth()
@@ -123,7 +123,7 @@ def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
     return replace(
         filtered,
         pose=back.pose,
-        triangles=upper_triangles(in_map_P(back.frame, back.local, back.P)),
+        triangles=upper_triangles(map_covariance(back.frame, back.local, back.P)),
         blocks=back.blocks,
         block_sigmas=back.block_sigmas,
         truth_pose=truth_pose,
@@ -267,7 +267,7 @@ def between_instants(
     own += share @ back.arrived_P[after, :, :3] @ share.transpose(0, 2, 1)
     own += cross + cross.transpose(0, 2, 1) + Q - share @ on @ Q
     P[:, :3, :3], P[:, :3, 3:], P[:, 3:, :3] = own, to_frame, to_frame.transpose(0, 2, 1)
-    return se2.compose(back.frame[k], out), in_map_P(back.frame[k], out, P)
+    return se2.compose(back.frame[k], out), map_covariance(back.frame[k], out, P)
 
 
 def _apply(M: Array, x: Array) -> Array:

@@ -12,7 +12,7 @@ from rows import Told, correct, matrix_in_map, step
 from textbook import move, numeric_jacobian
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.map_frame import InMap, Triangle, in_map_P
+from locfuse.fusion.ekf.map_frame import InMap, Triangle, map_covariance
 from locfuse.fusion.kernels.ekf import bent
 from locfuse.fusion.map.slips import tried
 from locfuse.fusion.sensor import Block
@@ -72,7 +72,9 @@ def test_the_pose_in_the_map_has_the_covariance_of_finite_differences() -> None:
     expected[:2, :2] += bent(P[5, 5]) * np.outer(r, r)
     np.testing.assert_allclose(InMap(belief).pose(), move(x[3:], x[:3]), atol=1e-14)
     np.testing.assert_allclose(matrix_in_map(belief), expected, atol=1e-9)
-    np.testing.assert_allclose(in_map_P(x[None, 3:], x[None, :3], P[None])[0], matrix_in_map(belief), atol=1e-14)
+    np.testing.assert_allclose(
+        map_covariance(x[None, 3:], x[None, :3], P[None])[0], matrix_in_map(belief), atol=1e-14
+    )
     np.testing.assert_array_equal(belief.covariance, belief.covariance.T)
     assert not np.allclose(matrix_in_map(belief), belief.matrix())
 

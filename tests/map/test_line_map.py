@@ -62,7 +62,7 @@ def test_lines_of_a_frozen_map_are_placed_as_finite_differences_say(seed: int) -
     root = 0.1 * rng.normal(size=(3, 3))
     joint = np.zeros((5, 5))
     joint[2:, 2:] = root @ root.T
-    for j, line in enumerate(lines.placed_at(frame, joint[2:, 2:])):
+    for j, line in enumerate(lines.lines_in_map(frame, joint[2:, 2:])):
         joint[:2, :2] = lines.P[j]
         assert (line.id, line.hits) == (j, 5 + j)
         assert line.P_free is not None
@@ -97,7 +97,7 @@ def test_lines_of_a_growing_map_know_what_they_have_to_do_with_their_frame(seed:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_middle_of_a_line_is_where_its_place_and_angle_are_independent(seed: int) -> None:
-    (line, *_) = three_lines(None, np.random.default_rng(seed)).placed_at(np.array([1.0, 2.0, 0.3]), np.eye(3))
+    (line, *_) = three_lines(None, np.random.default_rng(seed)).lines_in_map(np.array([1.0, 2.0, 0.3]), np.eye(3))
     middle, half, P = about_middle(line)
     n = np.array([math.cos(line.beta), math.sin(line.beta)])
     ends = [line.rho * n + end * np.array([-n[1], n[0]]) for end in line.ends]

@@ -208,7 +208,7 @@ def test_only_slips_that_follow_each_other_one_way_are_a_slip_ahead() -> None:
     assert slide.add(-ahead, 9) is None  # not ahead and back at once
     assert slide.add(-ahead, 9) is None
     slide.reset()
-    assert not slide.begun
+    assert not slide.has_begun
     assert [slide.add(-ahead, 9) for _ in range(DECIDING_SCANS - 1)] == [None] * (DECIDING_SCANS - 1)
 
 
@@ -222,7 +222,7 @@ def test_a_scan_that_fits_ends_a_slip_ahead(monkeypatch: pytest.MonkeyPatch) -> 
     asked: Any = (lines, belief, pytest.fail, pytest.fail)
     found = Association.__new__(Association)
     assert guard.watch(PresentScan(0.1, scan, *asked), 1.0, found) == (found, True)
-    assert not slide.begun
+    assert not slide.has_begun
 
 
 # --- a slip turns the pose only where the next scans and matched scans confirm it; a carried robot slips for ever
@@ -261,12 +261,12 @@ def test_a_slip_that_nothing_but_one_scan_asks_for_does_not_turn_the_pose(monkey
 def test_a_slip_waits_for_scans_and_needs_less_of_them_where_matched_scans_agree() -> None:
     suspicion = Suspicion(math.radians(10.0))
     for _ in range(DECIDING_SCANS):
-        assert not suspicion.decided
+        assert not suspicion.is_decided
         suspicion.add(0.1, 0.1 + 0.5 * (MIN_GAIN_BY_SCANS + MIN_GAIN_BY_MAP))
-    assert suspicion.decided
-    assert suspicion.confirmed(0.5 * (MIN_GAIN_BY_SCANS + MIN_GAIN_BY_MAP), by_scans=True)
-    assert not suspicion.confirmed(0.5 * (MIN_GAIN_BY_SCANS + MIN_GAIN_BY_MAP), by_scans=False)
-    assert not suspicion.confirmed(0.0, by_scans=True)  # the last scan does not ask for it any more
+    assert suspicion.is_decided
+    assert suspicion.is_confirmed(0.5 * (MIN_GAIN_BY_SCANS + MIN_GAIN_BY_MAP), by_scans=True)
+    assert not suspicion.is_confirmed(0.5 * (MIN_GAIN_BY_SCANS + MIN_GAIN_BY_MAP), by_scans=False)
+    assert not suspicion.is_confirmed(0.0, by_scans=True)  # the last scan does not ask for it any more
 
 
 def test_scans_agree_on_a_turn_that_is_nearly_the_same_also_across_half_a_turn() -> None:

@@ -93,11 +93,11 @@ def test_correlation_finds_a_shift_of_metres_and_says_where_two_places_fit() -> 
     theirs = scan(se2.compose(np.array([4.0, 0.0, 0.0]), pose), walls(alike=False), rng)
     peak = correlate(ours, theirs, pose + np.array([1.2, -0.8, 0.15]), np.array([0.8, 0.8, 0.1]))
     assert np.hypot(*(peak.pose - pose)[:2]) < 0.4
-    assert peak.decided
+    assert peak.is_decided
     comb = np.concatenate(
         [np.stack((np.full(30, x), np.linspace(-1.0, 1.0, 30)), axis=-1) for x in range(-6, 7, 2)]
     )
-    assert not correlate(comb, comb[60:150], np.array([0.3, 0.0, 0.0]), np.array([1.5, 0.3, 0.05])).decided
+    assert not correlate(comb, comb[60:150], np.array([0.3, 0.0, 0.0]), np.array([1.5, 0.3, 0.05])).is_decided
 
 
 def test_looking_through_a_wall_is_a_contradiction() -> None:

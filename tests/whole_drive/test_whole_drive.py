@@ -25,12 +25,12 @@ from locfuse.fusion.sensors.gps import GpsSettings
 from locfuse.fusion.whole_drive import between, closures
 from locfuse.fusion.whole_drive.between import (
     STEP_P,
-    Fixes,
+    OdometryErrors,
     Spans,
     bridged,
+    errors_at_scans,
     moving_scans,
     points_of,
-    scans_between,
     smoothed,
 )
 from locfuse.fusion.whole_drive.closures import recognised
@@ -184,8 +184,8 @@ def test_between_key_poses_the_way_leads_from_one_to_the_other() -> None:
     odometry = odometry_of(drive)
     keys = np.arange(0, len(drive.t), 25)
     P = np.tile(np.diag([1e-4, 1e-4, 1e-5]), (len(keys), 1, 1))
-    fixes = Fixes.of_keys(odometry, keys, truth[keys])
-    pose, out = bridged(odometry, odometry, np.arange(len(drive.t)), keys, truth[keys], P, 0.5 * P[1:], fixes)
+    errors = OdometryErrors.of_keys(odometry, keys, truth[keys])
+    pose, out = bridged(odometry, odometry, np.arange(len(drive.t)), keys, truth[keys], P, 0.5 * P[1:], errors)
     np.testing.assert_allclose(pose[keys], truth[keys], atol=1e-6)
     np.testing.assert_allclose(out[keys[:-1]], P[:-1], atol=1e-7)
     assert worst(pose, truth) < 0.05
@@ -201,9 +201,9 @@ def test_turning_both_keys_turns_what_lies_between() -> None:
     P = np.tile(np.eye(3) * 1e-4, (len(keys), 1, 1))
     k = np.arange(len(drive.t))
     G = np.array([3.0, -1.0, 2.0])
-    fixes = Fixes.of_keys(odometry, keys, truth[keys])
-    plain, _ = bridged(odometry, odometry, k, keys, truth[keys], P, P[1:], fixes)
-    turned, _ = bridged(odometry, odometry, k, keys, se2.compose(G, truth[keys]), P, P[1:], fixes)
+    errors = OdometryErrors.of_keys(odometry, keys, truth[keys])
+    plain, _ = bridged(odometry, odometry, k, keys, truth[keys], P, P[1:], errors)
+    turned, _ = bridged(odometry, odometry, k, keys, se2.compose(G, truth[keys]), P, P[1:], errors)
     np.testing.assert_allclose(turned, se2.compose(G, plain), atol=1e-9)
 
 
@@ -249,12 +249,12 @@ def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() 
     P = np.tile(np.diag([1e-6, 1e-6, 1e-8]), (len(keys), 1, 1))
     span = slice(int(keys[20]), int(keys[61]))
 
-    def heading(fixes: Fixes) -> float:
-        at, _ = bridged(slipped, slipped, np.arange(len(drive.t)), keys, truth[keys], P, P[1:], fixes)
+    def heading(errors: OdometryErrors) -> float:
+        at, _ = bridged(slipped, slipped, np.arange(len(drive.t)), keys, truth[keys], P, P[1:], errors)
         return float(np.degrees(np.sqrt((se2.wrap_all(at[span, 2] - truth[span, 2]) ** 2).mean())))
 
-    by_wheels = heading(Fixes.of_keys(slipped, keys, truth[keys]))
-    by_scans = heading(scans_between(slipped, drive, "lrf", readings, clouds, truth[keys]))
+    by_wheels = heading(OdometryErrors.of_keys(slipped, keys, truth[keys]))
+    by_scans = heading(errors_at_scans(slipped, drive, "lrf", readings, clouds, truth[keys]))
     assert by_wheels > 2.0, "the slip does not show: the test shows nothing"
     assert by_scans < 0.5 * by_wheels
 
@@ -265,15 +265,15 @@ def test_one_scan_between_two_keys_weighs_as_least_squares_does(information: tup
     odometry = straight(10, 0.05)
     x = np.array([[0.0, 0.0, 0.0], [0.5, 0.02, 0.03]])
     keys, k = np.array([0, 10]), np.array([4])
-    ends = Fixes.of_keys(odometry, keys, x)
+    ends = OdometryErrors.of_keys(odometry, keys, x)
     z, L = np.array([[0.004, 0.01, -0.02]]), np.diag(information)[None]
-    fixes = smoothed(odometry, ends, np.array([0]), k, z, L)
+    errors = smoothed(odometry, ends, np.array([0]), k, z, L)
     Q1, Q2 = odometry.C[4] + STEP_P, odometry.C[10] - odometry.C[4] + STEP_P
     H = np.linalg.inv(Q1) + np.linalg.inv(Q2) + L[0]
     mean = np.linalg.solve(H, np.linalg.inv(Q2) @ ends.xi[1] + L[0] @ z[0])
-    np.testing.assert_allclose(fixes.xi[1], mean, rtol=1e-3, atol=1e-6)
-    np.testing.assert_allclose(fixes.rest[1], np.linalg.inv(H), rtol=1e-3, atol=1e-9)
-    np.testing.assert_allclose(fixes.xi[2], ends.xi[1], atol=1e-5)
+    np.testing.assert_allclose(errors.xi[1], mean, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(errors.rest[1], np.linalg.inv(H), rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(errors.xi[2], ends.xi[1], atol=1e-5)
 
 
 def test_what_is_known_at_a_fix_is_what_the_bridge_says_there() -> None:
@@ -282,9 +282,9 @@ def test_what_is_known_at_a_fix_is_what_the_bridge_says_there() -> None:
     rest = np.zeros((3, 3, 3))
     rest[1] = np.diag([1e-4, 2e-4, 3e-4])
     xi = np.array([[0.0, 0.0, 0.0], [0.01, 0.02, 0.03], [0.0, 0.0, 0.0]])
-    fixes = Fixes(np.zeros(3, np.int64), np.array([0, 5, 10]), xi, rest)
+    errors = OdometryErrors(np.zeros(3, np.int64), np.array([0, 5, 10]), xi, rest)
     k = np.array([0, 5, 7])
-    at, P = fixes.at(odometry, k, Spans.of(odometry, odometry.at(k), k, keys))
+    at, P = errors.at(odometry, k, Spans.of(odometry, odometry.at(k), k, keys))
     np.testing.assert_allclose(at[1], xi[1], atol=1e-9)
     np.testing.assert_allclose(P[1], rest[1], atol=1e-9)
     np.testing.assert_allclose(at[2], 0.6 * xi[1], atol=1e-4)

@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.data import Array, LocfuseError, Stream, stretches
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import gap_limit, in_turn
 
@@ -206,6 +206,9 @@ def travelled(
     keep = np.flatnonzero(~bad)
     way = np.cumsum(np.hypot(*np.diff(values[keep, :2], axis=0, prepend=values[keep[:1], :2]).T))
     held = held_readings(t[keep], way, max_speed)
+    for first, last in stretches(held):  # a pose that is sent two or three times is a slow one
+        if t[keep[last]] - t[keep[first]] < gap_limit(t):
+            held[first : last + 1] = False
     t, values = t[keep[~held]], values[keep[~held]]
     twist = _steps(values)
     far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)

@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.data import Array, LocfuseError, Stream, stretches
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import gap_limit, in_turn
 
@@ -203,10 +203,13 @@ def travelled(
         return OdometryMotion(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
     two = in_turn(values[:, :2])
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
-    good = np.flatnonzero(~bad)
-    distance = np.cumsum(np.hypot(*np.diff(values[good, :2], axis=0, prepend=values[good[:1], :2]).T))
-    held = held_readings(t[good], distance, max_speed)
-    t, values = t[good[~held]], values[good[~held]]
+    rows = np.flatnonzero(~bad)
+    distance = np.cumsum(np.hypot(*np.diff(values[rows, :2], axis=0, prepend=values[rows[:1], :2]).T))
+    held = held_readings(t[rows], distance, max_speed)
+    for first, last in stretches(held):  # a pose that is sent two or three times is a slow one
+        if t[rows[last]] - t[rows[first]] < gap_limit(t):
+            held[first : last + 1] = False
+    t, values = t[rows[~held]], values[rows[~held]]
     twist = _steps(values)
     far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
     doubt = TWO_SOURCES if two else unlike_a_robot(t, twist, far)
@@ -220,7 +223,7 @@ def travelled(
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
     words += _words(int(bad.sum()), int(held.sum()), t[1:][far].tolist(), int(backing.sum()))
     used = ~bad
-    used[good[held]] = False
+    used[rows[held]] = False
     return OdometryMotion(used, steps, int(bad.sum()), tuple(words), doubt)
 
 

@@ -31,6 +31,7 @@ from locfuse.fusion.checks.laser_ranges import (
     ranges_offset,
     ranges_sigma,
     scatter_more,
+    unreturned,
 )
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, of_handedness, of_rims, turning_along
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
@@ -373,6 +374,14 @@ def test_not_where_the_run_is_not_sure_of_it_and_not_for_a_sensor_without_a_moun
 
 
 # --- angle_max, which nothing uses, beside angle_increment, which gives every beam its direction
+
+
+@pytest.mark.parametrize(
+    ("metres", "said"), [(13.0, "100% beyond range_max"), (1.5e3, "100% far beyond range_max, as in mm")]
+)
+def test_ranges_in_mm_beside_a_range_max_in_m_are_named(metres: float, said: str) -> None:
+    stream = scan_stream(range(5), np.full((5, 360), metres))
+    assert unreturned(stream, 0.0) == said
 
 
 def spanned(beams: int, span_deg: float, step_deg: float) -> ArrayStream:

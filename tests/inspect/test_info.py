@@ -209,7 +209,7 @@ def test_a_dead_encoder_is_named_though_nothing_cures_it(tmp_path: Path) -> None
     dead = field(WHEELS, position=lambda p: np.array([p[0], 1.0]))
     done = locfuse("info", recorded(tmp_path, dead), "--check")
     assert done.exit_code == 3
-    assert re.search(r"wheels: the right wheel never turns while the other rolls [\d.]+ m", done.stdout)
+    assert re.search(r"right wheel stands still from 0.0 s to [\d.]+ s, while the other one rolls", done.stdout)
     assert "fix:" not in done.stdout
 
 

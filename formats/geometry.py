@@ -27,7 +27,7 @@ def quaternions(angle: Array) -> Array:
     return np.column_stack((zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)))
 
 
-def in_space(triangles: Array) -> Array:
+def spatial_covariance(triangles: Array) -> Array:
     """Return covariances (n, 6, 6) of x, y, z, roll, pitch, yaw from triangles (n, 6) of those of x, y, yaw."""
     P = np.zeros((len(triangles), 6, 6))
     P[:, np.array(PLANE_ROWS)[:, None], PLANE_ROWS] = matrices(triangles)

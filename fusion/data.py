@@ -177,6 +177,7 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
     points: Points | None = None  # points of the n scans of a laser
     notes: tuple[str, ...] = ()  # notes on unusual readings
     seen: object = None  # detections in all readings, reused by Sensor.again
+    two_sources: bool = False  # two publishers wrote the readings in turn, by their values
 
     @cached_property
     def R(self) -> Array:

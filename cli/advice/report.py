@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 from msgspec.structs import replace
@@ -275,14 +275,19 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
 
 def _smoothed(report: Mapping[str, Any], best: str, error: float) -> str:
     """Return ", smoothed 4 mm" if smoothing makes the error [m] smaller, else ""."""
-    after = report["configurations"].get(result_name(best, smoothed=True), {}).get("position_rmse_m")
+    after = _smoothed_error(report, best)
     return "" if after is None or after >= error else f", smoothed {length(after)}"
+
+
+def _smoothed_error(report: Mapping[str, Any], name: str) -> float | None:
+    """Return the position error [m] of a configuration after smoothing; None if it was not smoothed or judged."""
+    row = report["configurations"].get(result_name(name, smoothed=True), {})
+    return cast("float | None", row.get("position_rmse_m"))
 
 
 def _smoothed_instead(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
     """Return a sentence on the smoothed result with the smallest error; "" unless it is below `least` [m]."""
-    rows = ((n, report["configurations"].get(result_name(n, smoothed=True), {})) for n in sets if sets[n])
-    found = {n: error for n, row in rows if (error := row.get("position_rmse_m")) is not None}
+    found = {n: error for n in sets if sets[n] and (error := _smoothed_error(report, n)) is not None}
     best = min(found, key=lambda n: found[n], default=None)
     if best is None or found[best] > (1.0 - TIE_SHARE) * least:
         return ""

@@ -32,7 +32,12 @@ JUMP_NS, STEP_NS, MIN_EVEN_STEPS = 10 * 10**9, 10**9, 10
 MIN_PIECE_SHARE = 0.25  # share of messages; a smaller piece on the recording's clock is not preferred
 MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 # small message types with headers that most logs have; their stamps show which clock is used
-SMALL_TYPES = ("nav_msgs/msg/Odometry", *(f"sensor_msgs/msg/{one}" for one in ("JointState", "Imu", "LaserScan")))
+SMALL_TYPES = (
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/LaserScan",
+)
 MIN_MESSAGES, MAX_TOPICS = 20, 3
 SAME_CLOCK_NS = 10**9  # topics use one clock if their stamps' offsets from recording differ by less
 

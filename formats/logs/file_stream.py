@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from locfuse.formats.caps import MAX_TEXT_FILE
-from locfuse.formats.geometry import in_space, quaternions
+from locfuse.formats.geometry import quaternions, spatial_covariance
 from locfuse.formats.inputs import csv_table, read_small
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import END_OF_TIME, Array, Column, Ints, LocfuseError
@@ -147,7 +147,7 @@ def _table_of_poses(
     q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # infinite headings are missing; sin() would warn
     if not set(COVARIANCE_COLUMNS) <= at.keys():
         return _poses(path, times, position, q, None)
-    P = in_space(np.stack([column(name) for name in COVARIANCE_COLUMNS], axis=-1))
+    P = spatial_covariance(np.stack([column(name) for name in COVARIANCE_COLUMNS], axis=-1))
     return _poses(path, times, position, q, P)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from locfuse.formats.columns import nested
 from locfuse.formats.container.mcap_write import CHUNK_BYTES, LogWriter, StandardMessages, add_messages
-from locfuse.formats.geometry import in_space, quaternions
+from locfuse.formats.geometry import quaternions, spatial_covariance
 from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
 from locfuse.formats.messages.fields import resolve
@@ -92,7 +92,7 @@ def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str
         return {
             **stamp_columns("header.stamp", t_ns[rows]),
             **_pose("pose.pose", pose[rows]),
-            "pose.covariance": in_space(triangles[rows]).reshape(-1, 36),
+            "pose.covariance": spatial_covariance(triangles[rows]).reshape(-1, 36),
             "twist.twist.linear.x": twist[rows, 0],
             "twist.twist.linear.y": twist[rows, 1],
             "twist.twist.angular.z": twist[rows, 2],

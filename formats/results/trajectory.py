@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from locfuse.formats.geometry import in_space
+from locfuse.formats.geometry import spatial_covariance
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Truth, upper_triangles
 
 LINES_AT_ONCE = 4096  # lines per block; the Python values of a line take ten times the memory of its text
@@ -84,7 +84,7 @@ def tum_covariance_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
     yield f"{TUM_COVARIANCE_HEADER}\n"
     _, _, triangles = with_truth_rows(drive, estimates)
     rows = "".join(tum_blocks(drive, estimates)).splitlines()
-    for row, upper in zip(rows, in_space(triangles)[:, *np.triu_indices(6)].tolist(), strict=True):
+    for row, upper in zip(rows, spatial_covariance(triangles)[:, *np.triu_indices(6)].tolist(), strict=True):
         yield f"{row} {' '.join(map(repr, upper))}\n"
 
 

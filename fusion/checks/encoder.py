@@ -34,15 +34,16 @@ def of_stuck_wheel(drive: Drive) -> list[Finding]:
     for i, side in enumerate(("left", "right")):
         other = np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled[:, 1 - i]))))
         for first, last in stretches(wheels.rolled[:, i] == 0.0):
-            way, begin, end = float(other[last + 1] - other[first]), wheels.t[first], wheels.t[last + 1]
-            if way > MIN_TURN_RAD * wheels.track and not _turned(drive, float(begin), float(end)):
-                found.append((way, side, float(begin), float(end)))
+            distance = float(other[last + 1] - other[first])
+            begin, end = float(wheels.t[first]), float(wheels.t[last + 1])
+            if distance > MIN_TURN_RAD * wheels.track and not _turned(drive, begin, end):
+                found.append((distance, side, begin, end))
     if not found:
         return []
-    way, side, begin, end = max(found)
+    distance, side, begin, end = max(found)
     words = (
-        f"the {side} wheel stands still from {begin:.1f} s to {end:.1f} s, while the other one rolls {way:.1f} m; "
-        "check its encoder"
+        f"the {side} wheel stands still from {begin:.1f} s to {end:.1f} s, while the other one rolls "
+        f"{distance:.1f} m; check its encoder"
     )
     return [Finding("wheels", STUCK, words, severe=True)]
 
@@ -54,7 +55,7 @@ def _turned(drive: Drive, begin: float, end: float) -> bool:
     if truth is not None and truth.theta is not None:
         sources.append((truth.t, np.unwrap(truth.theta)))
     turns = (float(np.diff(np.interp((begin, end), *source))[0]) for source in sources)
-    return any(turn / by_wheels > MIN_TURNED_SHARE for turn in turns)
+    return any(turn * by_wheels > MIN_TURNED_SHARE * by_wheels**2 for turn in turns)  # by_wheels may be 0
 
 
 def of_degrees(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:

@@ -232,11 +232,14 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
 
     `stream` returns the raw readings of a role, of which columns are read only for a role with a finding.
     """
-    found = of_publishers("wheels", stream("wheels")) if drive.wheels.matched is None else []
-    if (kind := stream("wheels").msgtype) not in BODY_READS and drive.wheels.matched is None:
-        found += of_stuck_wheel(drive) or of_degrees(drive, robot, kind)
+    found = []
+    if drive.wheels.matched is None:
+        wheels = stream("wheels")
+        found += of_publishers("wheels", wheels)
+        if wheels.msgtype not in BODY_READS:
+            found += of_stuck_wheel(drive) or of_degrees(drive, robot, wheels.msgtype)
     for name, m in drive.measurements.items():
-        found += of_publishers(name, stream(name))
+        found += of_publishers(name, stream(name), m.two_sources)
         found += of_range_unit(m, robot.settings("lrf")) if name == "lrf" else []
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
     return [*found, *of_equal_stamps(drive, stream)]

@@ -15,6 +15,7 @@ from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Ints, Ragged
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensor import WheelMotion
+from locfuse.fusion.streams import in_turn
 
 from .extract import (
     Lines,
@@ -36,6 +37,8 @@ LEAST_RANGE_M, LARGEST_RANGE_M = (
     np.finfo(np.float64).max,
 )  # m: limits of a valid range, without 0 and Inf
 MAX_BEAMS = 100_000  # largest number of beams of a scan: no 2D laser has more
+COMPARED_SCANS = 200  # first scans of a topic that are compared with each other
+MAX_SAME_ANGLE_RAD = 0.01  # scans whose first beams differ by less see in the same directions
 MAX_LINES = 500  # largest number of lines of a scan: an update with n lines takes 32 n^2 bytes and n^3 time
 BEAMS_AT_ONCE = 1 << 19  # beams processed at once, to save memory
 KNOTS_PER_SCAN = 5  # times within a scan at which the robot's pose is computed
@@ -190,6 +193,17 @@ def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: W
     return se2.transform(laser.mount, points), t
 
 
+def from_two_lasers(scans: Mapping[str, Any]) -> bool:
+    """Return whether scans in the order of the log come from two lasers in turn, by their ranges.
+
+    Scans that begin in several directions are those of one laser that sends each turn in parts.
+    """
+    if np.ptp(scans["angle_min"]) > MAX_SAME_ANGLE_RAD:
+        return False
+    ranges = scans["ranges"].matrix()
+    return ranges is not None and in_turn(ranges[:COMPARED_SCANS].astype(np.float64))
+
+
 def limited(scans: Mapping[str, Any]) -> NDArray[np.bool_]:
     """Return flags (k,) of the scans with valid limits: range_max is above range_min."""
     return np.asarray(np.asarray(scans["range_max"]) > np.asarray(scans["range_min"]))  # False for NaN
@@ -263,6 +277,7 @@ class Gathered:
         self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
         self._sweep: list[Array] = []
         self.curved = self.straight = 0  # number of walls left out as curved, and number of lines
+        self.two_sources = False  # whether the first scans come from two lasers in turn
         self.giants = self.crowded = 0  # unused scans: over MAX_BEAMS beams; over MAX_LINES lines
 
     def add(self, at: Ints, lines: Lines) -> None:

@@ -22,6 +22,7 @@ from locfuse.fusion.lines.scans import (
     Gathered,
     Laser,
     equal_scans,
+    from_two_lasers,
     frozen,
     lines_in_base,
     repeats,
@@ -120,8 +121,9 @@ class Lrf(Sensor):
         if found.curved > MAX_CURVED_SHARE * walls:
             notes.append(f"curved walls ({100 * found.curved / walls:.0f} % of the walls seen) are not used")
         return Measurements(
-            t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, tuple(notes)
-        )
+            t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, tuple(notes),
+            two_sources=found.two_sources,
+        )  # fmt: skip
 
     def _lines(
         self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion, longest: Longest
@@ -133,6 +135,7 @@ class Lrf(Sensor):
         t, found, same, before = stamps.copy(), Gathered(), np.zeros(len(stamps), bool), b""
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
             found.giants += too_many_beams(columns)
+            found.two_sources |= 0 in rows[:1] and from_two_lasers(columns)
             same[rows], before = repeats(cast("Ragged", columns["ranges"]), before, laser.lines.min_points)
             for group, scans in equal_scans(columns):
                 longest.add(scans)

@@ -17,7 +17,7 @@ from locfuse.fusion.data import Array, LocfuseError, Stream, stretches
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import gap_limit, in_turn
 
-from .repairs import MAX_SPEED_MPS, Mask, held_readings, limits, spikes, times, without_restarts
+from .repairs import MAX_SPEED_MPS, Mask, held_note, held_readings, limits, spikes, times, without_restarts
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -206,8 +206,9 @@ def travelled(
     rows = np.flatnonzero(~bad)
     distance = np.cumsum(np.hypot(*np.diff(values[rows, :2], axis=0, prepend=values[rows[:1], :2]).T))
     held = held_readings(t[rows], distance, max_speed)
+    longest = gap_limit(t)
     for first, last in stretches(held):  # a pose that is sent two or three times is a slow one
-        if t[rows[last]] - t[rows[first]] < gap_limit(t):
+        if t[rows[last]] - t[rows[first]] < longest:
             held[first : last + 1] = False
     t, values = t[rows[~held]], values[rows[~held]]
     twist = _steps(values)
@@ -248,7 +249,7 @@ def _words(spiked: int, held: int, restarts: Sequence[float], turned: int) -> li
     if spiked:
         words.append(f"its pose jumped away and returned (messages not used: {spiked}); {SPEED_SETTING}")
     if held:
-        words.append(f"its pose stood still and then caught up: its {held} equal readings are not used")
+        words.append(held_note("its pose", held))
     if restarts:
         when = ", ".join(f"{t:.1f}" for t in restarts[:3]) + (" ..." if len(restarts) > 3 else "")
         words.append(

@@ -62,10 +62,13 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     jumps = steps[restarts] / metres
     notes = _words(side.name, count, int(bad.sum()), jumps.tolist())
     if held.any():
-        notes.append(
-            f"{side.name} counter stood still and then caught up: its {held.sum()} equal readings are not used"
-        )
+        notes.append(held_note(f"{side.name} counter", int(held.sum())))
     return Repaired(keep, distance, int(bad.sum()), tuple(notes))
+
+
+def held_note(what: str, count: int) -> str:
+    """Return the note on readings of a counter or a pose that were held (`held_readings`)."""
+    return f"{what} stood still and then caught up: its {count} equal readings are not used"
 
 
 def held_readings(t: Array, rolled: Array, max_speed: float | None) -> Mask:

@@ -129,8 +129,8 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         Otherwise the smoother is more accurate than the graph: it uses every line of every scan. The position
         error of the loop closures is compared for the poses of the filter and those of the graph.
         """
-        by_filter, with_graph = self._misfit(filtered.pose[self.keys]), self._misfit(self.x)
-        return bool(filtered.lost) or by_filter > MIN_GAIN * with_graph + MIN_GAIN_M
+        by_filter, by_graph = self._misfit(filtered.pose[self.keys]), self._misfit(self.x)
+        return bool(filtered.lost) or by_filter > MIN_GAIN * by_graph + MIN_GAIN_M
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
         """Return the notes for the user: closed loops with times, undecided loops, whether the graph was used."""

@@ -110,10 +110,7 @@ class Summands(msgspec.Struct, frozen=True):
 
 def _not_fixed(n: int, why: str) -> LocfuseError:
     """Return the error that the matches of scans do not determine the n poses."""
-    return LocfuseError(
-        f"the matches of scans do not fix the {n} poses of the whole drive ({why});",
-        hint="leave smoothing out with --no-smooth",
-    )
+    return LocfuseError(f"the matches of scans do not fix the {n} poses of the whole drive ({why})")
 
 
 class Normal:

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Motions, UsageError, upper_triangles
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, UsageError, upper_triangles
 from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
 from locfuse.fusion.ekf.events import (
     Added,
@@ -79,17 +79,20 @@ def fuse_and_smooth(
 ) -> tuple[Estimates, Estimates]:
     """Run the filter and the smoother: (filtered, smoothed). Raises UsageError if the gain is not optimal."""
     check_smoothing(robot, sensors)
-    graph = None
+    notes: tuple[str, ...] = ()
     if may_have_loops(drive, robot, sensors):
         # without events: they are large, and only the smoother needs them
         filtered = fuse(drive, robot, sensors, name)
-        graph = whole_drive(drive, robot, sensors, filtered)
-        if graph is not None and graph.is_needed(filtered):
-            return filtered, with_graph(filtered, graph)
+        try:
+            graph = whole_drive(drive, robot, sensors, filtered)
+            if graph is not None and graph.is_needed(filtered):
+                return filtered, with_graph(filtered, graph)
+            notes = () if graph is None else graph.notes(used=False)
+        except LocfuseError as no_solution:  # wrong settings, mostly: the filter's result tells which
+            notes = (f"smoothing: no loop was closed: {no_solution}",)
     events = Events(backward=True)
     filtered = fuse(drive, robot, sensors, name, events=events)
     found = smoothed(drive, filtered, events)
-    notes = () if graph is None else graph.notes(used=False)
     return filtered, replace(found, notes=(*found.notes, *notes))
 
 

@@ -14,7 +14,18 @@ from rows import readings
 
 import locfuse
 from locfuse.fusion import se2
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, Ints, UsageError, spaced
+from locfuse.fusion.data import (
+    VERDICTS,
+    Array,
+    Audit,
+    Drive,
+    Estimates,
+    Evaluation,
+    Ints,
+    LocfuseError,
+    UsageError,
+    spaced,
+)
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.evaluate import evaluate
@@ -22,7 +33,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
 from locfuse.fusion.sensors.compass import CompassSettings
 from locfuse.fusion.sensors.gps import GpsSettings
-from locfuse.fusion.whole_drive import between, closures
+from locfuse.fusion.whole_drive import between, closures, smooth
 from locfuse.fusion.whole_drive.between import (
     STEP_P,
     OdometryErrors,
@@ -137,6 +148,20 @@ def test_without_a_search_what_the_filter_recognised_is_closed(monkeypatch: pyte
     assert worst(lone.poses()[0], truth) > 0.25
     assert len(known.closures) >= 3
     assert worst(known.poses()[0], truth) < 0.12
+
+
+def test_where_matches_fix_no_poses_the_backward_pass_smooths_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive, _, _ = solved()
+    fault = LocfuseError("the matches of scans do not fix the 9 poses")
+
+    def no_solution(*_: object) -> None:
+        raise fault
+
+    monkeypatch.setattr(smooth, "whole_drive", no_solution)
+    filtered, found = smooth.fuse_and_smooth(drive, robot(), ["lrf"])
+    assert found.smoothed
+    assert not filtered.smoothed
+    assert found.notes[-1] == f"smoothing: no loop was closed: {fault}"
 
 
 @pytest.mark.parametrize("wrong", [(6.0, 0.0, 0.0), (0.0, 0.0, np.pi), (0.0, -3.0, 0.4)])

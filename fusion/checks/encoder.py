@@ -9,7 +9,6 @@ from msgspec.structs import replace
 
 from locfuse.fusion.data import Drive, stretches
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import counts_ticks
 
 from .finding import Finding
@@ -64,8 +63,7 @@ def of_degrees(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
     speed = float(wheels.driven(wheels.t[-1])) / float(wheels.t[-1] - wheels.t[0])
     if robot.wheels.ticks_per_revolution is not None or counts_ticks(msgtype) or speed < MIN_SPEED_MPS:
         return []
-    left, right = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled / DEGREES, axis=0))).T
-    smaller = replace(drive, wheels=Wheels.from_wheels(wheels.t, left, right, wheels.track, wheels.noise))
+    smaller = replace(drive, wheels=wheels.rerolled(wheels.rolled / DEGREES, wheels.track))
     ratios = {name: (t.a - t.b) * wheels.track / 2.0 for name, t in turnings(smaller).items()}
     if (by_truth := wheels_metre(smaller)) is not None:
         ratios["truth"] = by_truth[0]

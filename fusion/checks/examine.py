@@ -28,7 +28,7 @@ from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_offset, of_range_unit, of_scatter, unreturned
 from .publishers import PUBLISHERS, of_publishers
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
-from .turning import MIRROR, Turning, clock_offset, of_track, of_turning, turnings
+from .turning import MIRROR, Turning, clock_offset, far_by_scans, of_track, of_turning, turnings
 
 MIN_DURATION_S = 5.0  # of a drive by which sensors are judged
 MIN_READINGS = 10  # readings from which a sensor is judged
@@ -81,7 +81,7 @@ def examine(
         found += of_sweep(streams["lrf"], drive, robot, clock_offset("lrf", by_sensor))
     if wrong_wheels:
         return found  # other checks need correct wheels
-    unit = [*of_unit(drive), *of_axes(drive)]
+    unit = of_axes(drive) or of_unit(drive)
     found += unit
     if unit or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared
@@ -122,11 +122,17 @@ def _scales(
 
     Their fixes are computed to be set together: each is right only if the others are set too.
     """
-    motion = None
+    motion, far, turned = None, far_by_scans(drive.wheels.track, by_sensor), drive
+    if far is not None and robot.wheels.radius is not None and robot.wheels.track is not None:
+        wheels = drive.wheels.rerolled(drive.wheels.rolled, far[0] * drive.wheels.track)
+        turned = replace(drive, wheels=wheels)  # by its turns the right walls are paired
     if not any(o.role == "lrf" for o in turning):
-        motion = laser_motion(drive, robot, clock_offset("lrf", by_sensor))
-        t = drive.wheels.t
-        if motion is not None and _straight(drive.wheels.heading(t), drive.wheels.driven(t)):
+        motion = laser_motion(turned, robot, clock_offset("lrf", by_sensor))
+    if motion is not None:
+        t, wheels = turned.wheels.t, turned.wheels
+        if far is not None and turned is not drive:
+            motion = motion._replace(turns=1.0 / far[0], turns_sigma=far[1] / far[0] ** 2)
+        if _straight(wheels.heading(t), wheels.driven(t) / motion.scale):
             motion = motion._replace(scale_sigma=math.inf)
     size = of_size(drive, motion)
     if size:

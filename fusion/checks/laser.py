@@ -204,7 +204,7 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = Non
         return []
     scales = np.array((1.0 / motion.scale, motion.turns))
     # slip may be constant within one drive, and is different on another one
-    sigmas = motion.scale_sigma, max(motion.turns_sigma, motion.by_slips)
+    sigmas = motion.scale_sigma / motion.scale**2, max(motion.turns_sigma, motion.by_slips)
     if not all(math.isfinite(s) and s > 0.0 for s in sigmas):
         return []
     weights = 1.0 / np.square(sigmas)
@@ -217,7 +217,7 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = Non
     if not near or not (alike or tried) or any(off < [least.error + least.sigmas * s for s in known]):
         return []
     if not alike:
-        factor, sigma = 1.0 / motion.scale, motion.scale_sigma
+        factor, sigma = float(scales[0]), sigmas[0]
     words = (
         f"by the laser's walls they measure ways and turns {1.0 / factor:.3f} times as long as these are (1 sigma "
         f"{sigma:.3f}): a wrong radius does both"

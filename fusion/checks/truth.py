@@ -40,7 +40,9 @@ POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked 
 MIN_CREEP, CREEP_SIGMAS = 0.008, 5.0  # m per m; standard errors
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
 MIN_READINGS = 5  # of a truth that is used
-WINDOW_S = 1.0  # s over which distances are compared
+WINDOW_S = 1.0  # s over which steps are compared
+WINDOWS_S = 1.0, 2.0, 4.0, 8.0  # s over which distances are compared: longer where the wheels roll slowly
+MIN_WINDOWS, MAX_BEND_RAD = 20, 0.3  # windows for a ratio of distances; turn by the wheels in a straight window
 STRETCH_COUNT = 8  # of the drive, for the jackknife
 MIN_WAY_M = 0.1  # m per window, by the wheels
 MIN_SEEN_M = 1e-6  # m per window, by the truth: a truth at rest does not show the wheels' scale
@@ -309,10 +311,12 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     if found is None:
         return []
     factor, sigma = float(found.x[2]), float(found.sigma[2])
-    off, apart = abs(factor - 1.0), abs(motion.scale - 1.0)
-    if off < max(MIN_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma) or apart > MAX_APART_SHARE * off:
+    if factor <= 0.0:
         return []
-    if apart + MAX_SIZE_SIGMAS * motion.scale_sigma > off:
+    off, apart = abs(math.log(factor)), abs(math.log(motion.scale))
+    if off < max(MIN_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma / factor) or apart > MAX_APART_SHARE * off:
+        return []
+    if apart + MAX_SIZE_SIGMAS * motion.scale_sigma / motion.scale > off:
         return []  # the laser may agree with the truth instead
     words = (
         f"its distances are {factor:.3f} times those of the wheels and of the laser, which agree to "
@@ -323,7 +327,7 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
 
 def unusable(drive: Drive) -> Finding | None:
     """Return a finding if no error can be computed by this truth (few poses, unit, axes, jumps), else None."""
-    for found in (*of_few(drive), *of_unit(drive), *of_axes(drive)):
+    for found in (*of_few(drive), *of_axes(drive), *of_unit(drive)):
         return found
     jumps = jumps_of(drive)
     if jumps is None or not jumps.unusable:
@@ -335,22 +339,29 @@ def unusable(drive: Drive) -> Finding | None:
 def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     """Return the ratio of truth distances to wheel distances, and its sigma; None for a short path.
 
-    Distances between positions WINDOW_S apart are compared. In shorter windows the truth's noise would increase
-    the distances; in longer windows wrong turns would change them.
+    Distances between positions one of WINDOWS_S apart are compared: the shortest in which the wheels roll far
+    enough. In shorter windows the truth's noise would increase the distances; in longer windows, and where the
+    robot turns, wrong turns would change them.
     """
-    truth, wheels = drive.truth, drive.wheels
+    truth = drive.truth
     if truth is None:
         return None
-    start = truth.t[(truth.t >= wheels.t[0]) & (truth.t + WINDOW_S <= min(wheels.t[-1], truth.t[-1]))]
-    if len(start) < 20:
+    return next((found for w in WINDOWS_S if (found := _metre_over(w, truth, drive.wheels)) is not None), None)
+
+
+def _metre_over(window: float, truth: Truth, wheels: Wheels) -> tuple[float, float] | None:
+    start = truth.t[(truth.t >= wheels.t[0]) & (truth.t + window <= min(wheels.t[-1], truth.t[-1]))]
+    if len(start) < MIN_WINDOWS:
         return None
-    step = np.stack([np.interp(start + WINDOW_S, truth.t, c) - np.interp(start, truth.t, c) for c in truth.xy.T])
-    moved = wheels.relative(start, start + WINDOW_S)
+    step = np.stack([np.interp(start + window, truth.t, c) - np.interp(start, truth.t, c) for c in truth.xy.T])
+    moved = wheels.relative(start, start + window)
     point = np.tile(truth.point, (len(start), 1))
     seen, own = np.hypot(*step), np.hypot(*(moved[:, :2] + se2.rotated(moved[:, 2], point) - point).T)
-    moving = (own > MIN_WAY_M) & (seen > MIN_SEEN_M)
-    ratio = seen[moving] / own[moving]
-    if moving.sum() < 20:
+    used = (own > MIN_WAY_M) & (seen > MIN_SEEN_M)
+    straight = used & (np.abs(moved[:, 2]) < MAX_BEND_RAD)
+    used = straight if straight.sum() >= MIN_WINDOWS else used
+    ratio = seen[used] / own[used]
+    if len(ratio) < MIN_WINDOWS:
         return None
     parts = [float(np.median(part)) for part in np.array_split(ratio, STRETCH_COUNT)]
     return float(np.median(ratio)), 1.25 * float(np.std(parts, ddof=1)) / math.sqrt(STRETCH_COUNT)

@@ -270,7 +270,7 @@ def observed_track(
     turns = turns_by_truth(drive)
     if turns is not None:
         return configured / turns[0], configured * turns[1] / turns[0] ** 2, "the truth"
-    far = _far_by_scans(drive.wheels.track, by_sensor)
+    far = far_by_scans(drive.wheels.track, by_sensor)
     if far is not None:
         return configured * far[0], configured * far[1], "the scans"
     if motion is not None and motion.turns is not None and math.isfinite(motion.turns_sigma):
@@ -284,7 +284,7 @@ def observed_track(
     return None
 
 
-def _far_by_scans(track: float, by_sensor: Mapping[str, Turning]) -> tuple[float, float] | None:
+def far_by_scans(track: float, by_sensor: Mapping[str, Turning]) -> tuple[float, float] | None:
     """Return (track by turns from scan to scan) / `track` and its sigma if this ratio is far from 1; else None.
 
     Walls of two scans are paired by the turn of the wheels. If the error of this turn is too large, the pairs with

@@ -265,8 +265,7 @@ def adjusted(wheels: Wheels, moved: Array) -> Wheels:
     """Return the wheels with left scale, right scale and track changed by `moved` (3,), relative."""
     if not moved.any():
         return wheels
-    left, right = (np.append(0.0, np.cumsum(side)) for side in (wheels.rolled * (1.0 + moved[:2])).T)
-    return Wheels.from_wheels(wheels.t, left, right, wheels.track * (1.0 + float(moved[2])), wheels.noise)
+    return wheels.rerolled(wheels.rolled * (1.0 + moved[:2]), wheels.track * (1.0 + float(moved[2])))
 
 
 def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:

@@ -49,6 +49,11 @@ class Wheels(msgspec.Struct, frozen=True):
         twist = np.column_stack((ds, np.zeros_like(ds), turn))
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise, gap_uncertainties(t, rolled, turn))
 
+    def rerolled(self, rolled: Array, track: float) -> Wheels:
+        """Return wheels that rolled (n-1, 2) [m] from reading to reading of these, `track` [m] apart."""
+        left, right = np.vstack(([0.0, 0.0], np.cumsum(rolled, axis=0))).T
+        return Wheels.from_wheels(self.t, left, right, track, self.noise)
+
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
         """Build from body twists (n-1, 3) between times t (n,). Gaps add no noise: the twist is valid in gaps too.

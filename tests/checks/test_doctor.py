@@ -12,7 +12,7 @@ import pytest
 from bags import real_log
 from msgspec.structs import replace
 from present import present
-from small_drive import NOISE, START, TRACK, drive, path, robot
+from small_drive import START, TRACK, drive, path, robot
 
 import locfuse
 from locfuse.cli.analysis.load import load
@@ -61,8 +61,7 @@ def with_truth(drive: Drive, **fields: Any) -> Drive:
 
 def rolled(drive: Drive, ways: Array, track: float = TRACK) -> Drive:
     """The drive of wheels that rolled (n, 2) m from reading to reading and are said to stand `track` apart."""
-    left, right = np.vstack(([0.0, 0.0], np.cumsum(ways, axis=0))).T
-    return replace(drive, wheels=Wheels.from_wheels(drive.wheels.t, left, right, track, NOISE))
+    return replace(drive, wheels=drive.wheels.rerolled(ways, track))
 
 
 def seen(drive: Drive, m: Measurements | None = None) -> WallMotion | None:
@@ -158,6 +157,18 @@ def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float
     right = drive(4, robot())
     found = of_radius(seen(rolled(right, factor * right.wheels.rolled)), robot(), least=Least(0.005, 2.0))
     assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
+
+
+@pytest.mark.parametrize("truth", [True, False])
+@pytest.mark.parametrize("factor", [0.3, 4.0])
+def test_a_radius_that_is_far_off_is_named_and_the_track_is_left(factor: float, truth: bool) -> None:
+    """Wheels that seem to roll less than 0.1 m in a second, or to turn so far that a chord is much shorter."""
+    right = drive(4, robot(), truth=truth)
+    wrong = rolled(right, factor * right.wheels.rolled)
+    found = told(_scales(wrong, robot(), turnings(wrong), (), None))
+    assert found.pop("wheels.radius") == pytest.approx(0.05 / factor, rel=0.05)
+    assert found.pop("wheels.track", TRACK) == pytest.approx(TRACK, rel=0.05)
+    assert not found
 
 
 def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:

@@ -80,6 +80,7 @@ FAULTS: dict[str, Fault] = {
     "track + 3 %": _wrong("wheels.track=0.618"),
     "track - 10 %": _wrong("wheels.track=0.54"),
     "radius + 6 %": _wrong("wheels.radius=0.053", also=("wheels.track",)),
+    "right wheel + 2 %": _wrong("wheels.ratio=0.98"),
     "wheel mirrored": _wrong("wheels.mirrored=left"),
     "camera zero + 5": _wrong("camera.zero_deg=5"),
     "camera mirrored": _wrong("camera.clockwise=true", also=("camera.zero_deg",)),

@@ -15,7 +15,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Stream
+from locfuse.fusion.change import jackknife
+from locfuse.fusion.data import Array, Drive, Ints, Stream
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
@@ -26,10 +27,15 @@ from locfuse.fusion.wheels.sources import joint_names
 from .finding import Finding, Least
 from .lag import headings
 from .laser import MAX_WALL_TURN_RAD, PAIR_TURN_RAD, WallMotion, laser_motion
+from .truth import robust
 
 MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth, on wheels
 JOINT_STATE = "sensor_msgs/msg/JointState"
-WINDOW_S = 1.0  # s
+WINDOW_S, MIN_WINDOWS = 1.0, 20  # s over which turns are compared; their least number
+RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is compared; parts of the jackknife
+# error of the wheels' ratio: smallest reported, severe; standard errors
+MIN_RATIO_ERROR, SEVERE_RATIO_ERROR, RATIO_SIGMAS = 0.01, 0.03, 4.0
+RATES = ("gyro", "twist")  # sensors that measure a rate: their bias looks like wheels of different size
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
 MIN_RMS_TURN_RAD = math.radians(5.0)  # least rms turn of a window
 MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turns that the wheels must explain, with either sign
@@ -54,6 +60,10 @@ class Turning(msgspec.Struct, frozen=True):
     sigma: float  # standard error of a - b
     explained: float  # share of its variance
     offset: float  # s to add to its stamps
+    ratio: float = (
+        1.0  # per metre of the right wheel / per metre of the left one, of headings whose rate has no bias
+    )
+    ratio_sigma: float = math.inf
 
 
 def turnings(drive: Drive) -> dict[str, Turning]:
@@ -70,13 +80,8 @@ def turnings(drive: Drive) -> dict[str, Turning]:
 
 def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> Turning | None:
     """Return the fit of turns by wheel distances at the best clock offset; None if they do not fit."""
-    start = t[(t >= wheels.t[0] + MAX_LAG_S) & (t <= wheels.t[-1] - MAX_LAG_S - WINDOW_S)]
-    start = start[start + WINDOW_S <= t[-1]]
-    start = start[np.interp(start + WINDOW_S, t, without_lines) == np.interp(start, t, without_lines)]
-    if len(start) < 20:
-        return None
-    own = np.interp(start + WINDOW_S, t, heading) - np.interp(start, t, heading)
-    if math.sqrt(float((own**2).mean())) < MIN_RMS_TURN_RAD:
+    start, own = _turns(t, heading, wheels, without_lines, WINDOW_S)
+    if len(start) < MIN_WINDOWS or math.sqrt(float((own**2).mean())) < MIN_RMS_TURN_RAD:
         return None
     way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))
     best: Turning | None = None
@@ -84,7 +89,30 @@ def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> T
         fit = _fit(own, _way(wheels, way, start + offset + WINDOW_S) - _way(wheels, way, start + offset), offset)
         if fit is not None and (best is None or fit.explained > best.explained):
             best = fit
-    return best if best is not None and best.explained > MIN_EXPLAINED_SHARE else None
+    if best is None or best.explained <= MIN_EXPLAINED_SHARE:
+        return None
+    start, own = _turns(t, heading, wheels, without_lines, RATIO_WINDOW_S)
+    left, right = (
+        _way(wheels, way, start + best.offset + RATIO_WINDOW_S) - _way(wheels, way, start + best.offset)
+    ).T
+    A = np.stack((right - left, right + left), axis=-1).astype(np.complex128)
+
+    def ratio(some: Ints) -> float | None:
+        turn, drift = robust(A[some], own[some].astype(np.complex128)).real.tolist()
+        return (turn + drift) / (turn - drift) if abs(drift) < abs(turn) else None
+
+    rows = np.arange(len(start))
+    if len(rows) < MIN_WINDOWS or (found := ratio(rows)) is None:
+        return best
+    return replace(best, ratio=found, ratio_sigma=float(jackknife(ratio, len(rows), RATIO_STRETCHES)))
+
+
+def _turns(t: Array, heading: Array, wheels: Wheels, without_lines: Array, span: float) -> tuple[Array, Array]:
+    """Return the starts (n,) [s] of windows of `span` seconds with lines throughout, and the turns (n,) [rad]."""
+    start = t[(t >= wheels.t[0] + MAX_LAG_S) & (t <= wheels.t[-1] - MAX_LAG_S - span)]
+    start = start[start + span <= t[-1]]
+    start = start[np.interp(start + span, t, without_lines) == np.interp(start, t, without_lines)]
+    return start, np.interp(start + span, t, heading) - np.interp(start, t, heading)
 
 
 def _way(wheels: Wheels, way: Array, t: Array) -> Array:
@@ -257,10 +285,38 @@ def of_track(
         words = f"they turn {abs(off):.1%} too {'far' if off > 0.0 else 'little'} by {by} (1 sigma {sigma:.1%})"
         return [Finding("wheels", "track", words, ("wheels.estimate=true",), sure)]
     words = (
-        f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
+        f"by the turning of {by} the track is {track:.3f} m (1 sigma {sigma:.3f}), configured {configured:g} m; "
         "or let the filter find it (wheels.estimate=true)"
     )
     return [Finding("wheels", "track", words, (f"wheels.track={track:.4g}",), sure)]
+
+
+def of_ratio(
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], least: Least | None = None
+) -> list[Finding]:
+    """Return a finding if headings drift with the distance, by truth or a sensor: one wheel is larger."""
+    wheels, truth = robot.wheels, drive.truth
+    if wheels.radius is None or wheels.track is None or wheels.estimate or wheels.is_of_driver:
+        return []
+    by = {name: t for name, t in by_sensor.items() if name not in RATES}
+    if truth is not None and truth.theta is not None:
+        t = explain(truth.t, np.unwrap(truth.theta), drive.wheels, np.zeros(len(truth.t)))
+        by = {"truth": t, **by} if t is not None else by
+    least = least or Least(MIN_RATIO_ERROR, RATIO_SIGMAS)
+    for name, t in by.items():
+        off = t.ratio - 1.0
+        if not math.isfinite(t.ratio_sigma):
+            continue
+        if abs(off) < least.error + least.sigmas * t.ratio_sigma:
+            return []
+        ratio, source = wheels.ratio * t.ratio, "the scans" if name == "lrf" else f"the {name}"
+        words = (
+            f"by the headings of {source} the right wheel's radius is {ratio:.3f} times the left one's (1 sigma "
+            f"{t.ratio_sigma:.3f}), configured {wheels.ratio:g}"
+        )
+        severe = abs(off) > SEVERE_RATIO_ERROR + RATIO_SIGMAS * t.ratio_sigma
+        return [Finding("wheels", "ratio", words, (f"wheels.ratio={ratio:.4g}",), severe)]
+    return []
 
 
 def observed_track(

@@ -37,7 +37,7 @@ from locfuse.fusion.checks.truth import (
     unusable,
     wheels_metre,
 )
-from locfuse.fusion.checks.turning import explain, of_track, turnings
+from locfuse.fusion.checks.turning import explain, of_ratio, of_track, turnings
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.se2 import rotation_3d
@@ -169,6 +169,20 @@ def test_a_radius_that_is_far_off_is_named_and_the_track_is_left(factor: float, 
     assert found.pop("wheels.radius") == pytest.approx(0.05 / factor, rel=0.05)
     assert found.pop("wheels.track", TRACK) == pytest.approx(TRACK, rel=0.05)
     assert not found
+
+
+@pytest.mark.parametrize("by", ["truth", "compass", "lrf"])
+def test_a_larger_wheel_is_named_by_headings_and_not_by_rates(by: str) -> None:
+    right = drive(5, robot(), truth=by == "truth")
+    larger = rolled(right, right.wheels.rolled * [1.0, 0.94])  # the right wheel is larger than it is said to be
+    shown = {name: turnings(larger)["lrf" if by == "truth" else by] for name in (by, "gyro")}
+    (found,) = of_ratio(larger, robot(), {} if by == "truth" else shown)
+    assert told([found])["wheels.ratio"] == pytest.approx(1.0 / 0.94, rel=0.015)
+    assert of_ratio(right, robot(), turnings(right)) == []
+    nothing = replace(larger, truth=None)
+    assert of_ratio(nothing, robot(), {"gyro": shown["gyro"]}) == []
+    states = replace(robot(), wheels=replace(robot().wheels, estimate=True))
+    assert of_ratio(larger, states, shown) == []
 
 
 def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:

@@ -61,7 +61,7 @@ from locfuse.fusion.checks.truth import (
     of_ways,
     swing,
 )
-from locfuse.fusion.checks.turning import MIRROR, SWAPPED
+from locfuse.fusion.checks.turning import MIRROR, RATIO, SWAPPED
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against
 from locfuse.fusion.judge.innovations import compare_readings
@@ -256,7 +256,7 @@ class Evidence(NoiseFindings):
         if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
             ways.append(finding.fixes[:1])  # the radius alone, without the track
         ways += self._with_camera_offset(finding)
-        one = self._candidate(finding, tuple(ways), not (finding.severe or measured))
+        one = self._candidate(finding, tuple(ways), not (finding.severe or measured or finding.code == RATIO))
         return replace(one, measured=measured, by_shape=one.key in SIGN_FAULTS)
 
     def slips(self) -> list[Candidate]:

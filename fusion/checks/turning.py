@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Drive, Ints, Stream
+from locfuse.fusion.data import Array, Drive, Ints, Stream, Truth
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
@@ -33,8 +33,10 @@ MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth,
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WINDOW_S, MIN_WINDOWS = 1.0, 20  # s over which turns are compared; their least number
 RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is compared; parts of the jackknife
-# error of the wheels' ratio: smallest reported, severe; standard errors
-MIN_RATIO_ERROR, SEVERE_RATIO_ERROR, RATIO_SIGMAS = 0.01, 0.03, 4.0
+RATIO = "ratio"  # code of the finding on wheels of different size
+RATIO_ERRORS = Least(0.01, 4.0), Least(0.005, 3.0)  # smallest error of the ratio: reported, tried
+SEVERE_RATIO_ERROR, RATIO_SIGMAS = 0.03, 4.0
+MAX_HEADINGS = 5000  # of the truth, for the wheels' ratio
 RATES = ("gyro", "twist")  # sensors that measure a rate: their bias looks like wheels of different size
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
 MIN_RMS_TURN_RAD = math.radians(5.0)  # least rms turn of a window
@@ -299,24 +301,41 @@ def of_ratio(
     if wheels.radius is None or wheels.track is None or wheels.estimate or wheels.is_of_driver:
         return []
     by = {name: t for name, t in by_sensor.items() if name not in RATES}
-    if truth is not None and truth.theta is not None:
-        t = explain(truth.t, np.unwrap(truth.theta), drive.wheels, np.zeros(len(truth.t)))
-        by = {"truth": t, **by} if t is not None else by
-    least = least or Least(MIN_RATIO_ERROR, RATIO_SIGMAS)
-    for name, t in by.items():
-        off = t.ratio - 1.0
-        if not math.isfinite(t.ratio_sigma):
+    if truth is not None:
+        t, heading = _directions(truth, drive.wheels)
+        some = np.arange(0, len(t), 1 + len(t) // MAX_HEADINGS)
+        shown = explain(t[some], heading[some], drive.wheels, np.zeros(len(some))) if len(some) else None
+        named = {} if shown is None else {"truth": shown}
+        by = {**by, **named} if truth.theta is None else {**named, **by}  # directions of travel are least exact
+    least = RATIO_ERRORS[least is not None]
+    for name, fit in by.items():
+        off = fit.ratio - 1.0
+        if not math.isfinite(fit.ratio_sigma):
             continue
-        if abs(off) < least.error + least.sigmas * t.ratio_sigma:
+        if abs(off) < least.error + least.sigmas * fit.ratio_sigma:
             return []
-        ratio, source = wheels.ratio * t.ratio, "the scans" if name == "lrf" else f"the {name}"
+        ratio, source = wheels.ratio * fit.ratio, "the scans" if name == "lrf" else f"the {name}"
         words = (
             f"by the headings of {source} the right wheel's radius is {ratio:.3f} times the left one's (1 sigma "
-            f"{t.ratio_sigma:.3f}), configured {wheels.ratio:g}"
+            f"{fit.ratio_sigma:.3f}), configured {wheels.ratio:g}"
         )
-        severe = abs(off) > SEVERE_RATIO_ERROR + RATIO_SIGMAS * t.ratio_sigma
-        return [Finding("wheels", "ratio", words, (f"wheels.ratio={ratio:.4g}",), severe)]
+        severe = abs(off) > SEVERE_RATIO_ERROR + RATIO_SIGMAS * fit.ratio_sigma
+        return [Finding("wheels", RATIO, words, (f"wheels.ratio={ratio:.4g}",), severe)]
     return []
+
+
+def _directions(truth: Truth, wheels: Wheels) -> tuple[Array, Array]:
+    """Return times (n,) [s] and headings (n,) [rad] of the truth, or without them its directions of travel."""
+    if truth.theta is not None:
+        return truth.t, np.unwrap(truth.theta)
+    inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+    t, xy = truth.t[inside], truth.xy[inside]
+    way = wheels.driven(t)
+    end = np.searchsorted(way, way + CHORD_M)
+    first = np.flatnonzero(end < len(t))
+    ahead = (xy[end[first]] - xy[first]).T
+    middle, kept = np.unique(0.5 * (t[first] + t[end[first]]), return_index=True)
+    return middle, np.unwrap(np.arctan2(ahead[1], ahead[0])[kept])
 
 
 def observed_track(

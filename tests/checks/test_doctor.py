@@ -171,16 +171,17 @@ def test_a_radius_that_is_far_off_is_named_and_the_track_is_left(factor: float, 
     assert not found
 
 
-@pytest.mark.parametrize("by", ["truth", "compass", "lrf"])
+@pytest.mark.parametrize("by", ["truth", "positions", "compass", "lrf"])
 def test_a_larger_wheel_is_named_by_headings_and_not_by_rates(by: str) -> None:
-    right = drive(5, robot(), truth=by == "truth")
+    right = drive(5, robot(), truth=by in {"truth", "positions"})
+    right = with_truth(right, theta=None) if by == "positions" else right
     larger = rolled(right, right.wheels.rolled * [1.0, 0.94])  # the right wheel is larger than it is said to be
-    shown = {name: turnings(larger)["lrf" if by == "truth" else by] for name in (by, "gyro")}
-    (found,) = of_ratio(larger, robot(), {} if by == "truth" else shown)
+    shown = turnings(larger)
+    (found,) = of_ratio(larger, robot(), {by: shown[by]} if by in shown else {})
     assert told([found])["wheels.ratio"] == pytest.approx(1.0 / 0.94, rel=0.015)
     assert of_ratio(right, robot(), turnings(right)) == []
     nothing = replace(larger, truth=None)
-    assert of_ratio(nothing, robot(), {"gyro": shown["gyro"]}) == []
+    assert of_ratio(nothing, robot(), {"gyro": shown["lrf"]}) == []
     states = replace(robot(), wheels=replace(robot().wheels, estimate=True))
     assert of_ratio(larger, states, shown) == []
 

@@ -26,7 +26,7 @@ from .data import END_OF_TIME, Array, Drive, LocfuseError, Measurements, Stream,
 from .robot import Robot, StartSettings
 from .sensor import FoundStart
 from .streams import count_dropped, gap_limit, outside
-from .truth import body_poses, read_truth
+from .truth import body_poses, heading_notes, read_truth
 
 MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # jittered drives: largest shift of a time [s], share of readings left out
 MAX_SENSOR_GAP_S = 0.2  # s: in longer gaps without sensor readings, wheel readings are update times
@@ -85,6 +85,7 @@ def measure(
     if "truth" in streams:
         truth, drops["truth"] = read_truth(streams["truth"], robot.truth, epoch_ns)
         truth = _thawed(truth, wheels, drops["truth"])
+    of_truth = () if truth is None else heading_notes(truth, streams["truth"].msgtype)
     repairs = (*notes, *_gap_notes(wheels))
     of_sensors = (f"{name}: {note}" for name, m in measurements.items() for note in m.notes)
     return Drive(
@@ -94,7 +95,7 @@ def measure(
         truth=truth,
         dropped=drops,
         wheels=wheels,
-        notes=(*(f"wheels: {note}" for note in repairs), *of_sensors),
+        notes=(*(f"wheels: {note}" for note in repairs), *of_sensors, *(f"truth: {note}" for note in of_truth)),
         repairs=repairs,
         fixes=fixes,
         **cut(wheels, robot, measurements, truth),

@@ -106,6 +106,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     east_deg: float = 0.0  # for satellite fixes: direction of east in the map, counter-clockwise from its x axis
     x: float = 0.0  # m, position of the tracked point on the base
     y: float = 0.0  # m, position of the tracked point on the base
+    yaw_deg: float = 0.0  # direction of the tracked body on the base, counter-clockwise from forward
     time_offset: float = 0.0  # s, added to the truth's stamps
     sigma: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # m, standard deviation per axis
     sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # standard deviation of the truth's heading

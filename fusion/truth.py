@@ -31,13 +31,13 @@ SEVERAL: Mapping[str, tuple[str, ...]] = {
     )
 }
 KNOWN_TRUTH = (BODIES, "gazebo_msgs/msg/ModelStates")  # types that count as truth under any topic name
-TRUTH_READS: Mapping[str, tuple[str, ...]] = {
-    **POSE,
+POINTS: Mapping[str, tuple[str, ...]] = {
     "geometry_msgs/msg/PointStamped": ("point.x", "point.y"),
-    **SEVERAL,
     FIX: ("latitude", "longitude"),
 }
+TRUTH_READS: Mapping[str, tuple[str, ...]] = {**POSE, **SEVERAL, **POINTS}
 MIN_MOVED_M = 0.1  # m: a body that moves less cannot be the robot
+MAX_BEND_SHARE = 0.05  # largest standard deviation across a path without bends, as share of that along it
 TRUTH_NAMES = (  # must not match /odom or /amcl_pose
     *("ground_truth", "groundtruth", "gt", "mocap"),
     *("vicon", "optitrack", "vrpn", "qualisys", "natnet", "leica"),
@@ -74,8 +74,8 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
         words = f"{stream.topic} has no usable reading of {len(stream.t_ns)}"
         hint = f"(to judge without it: --set {NO_TRUTH})"
         raise LocfuseError(words, role="truth", fixes=(NO_TRUTH,), hint=hint)
-    # all zero: no heading was recorded
-    theta = se2.yaw(*values[rows, 2:].T) if values.shape[1] == 6 and values[rows, 2:].any() else None
+    headings = _has_headings(values[rows])
+    theta = se2.yaw(*values[rows, 2:].T) - math.radians(settings.yaw_deg) if headings else None
     return (
         Truth(
             topic=stream.topic,
@@ -89,6 +89,18 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
         ),
         dropped,
     )
+
+
+def _has_headings(values: Array) -> bool:
+    """Return whether (n, 2) or (n, 6) hold headings: a path that bends cannot have one heading throughout.
+
+    Drivers without a heading fill in zeros or the identity.
+    """
+    place, quaternion = values[:, :2], values[:, 2:]
+    if np.ptp(quaternion, axis=0).any():
+        return True
+    narrow, wide = np.linalg.eigvalsh(np.cov(place.T)).tolist() if len(place) > 1 else (0.0, 0.0)
+    return bool(quaternion.any()) and narrow <= MAX_BEND_SHARE**2 * wide
 
 
 def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) -> Array:
@@ -144,6 +156,13 @@ def _in_plane(where: Array, settings: TruthSettings) -> Array:
     origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
     xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))
     return se2.rotated(np.array(math.radians(settings.east_deg)), xy)
+
+
+def heading_notes(truth: Truth, msgtype: str) -> tuple[str, ...]:
+    """Return a note on headings that messages of this type have, and that were not recorded."""
+    if truth.theta is not None or msgtype in POINTS:
+        return ()
+    return ("its heading never changes: only its positions are used",)
 
 
 def body_poses(truth: Truth, t: Array) -> Array:

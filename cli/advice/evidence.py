@@ -56,6 +56,7 @@ from locfuse.fusion.checks.truth import (
     STEP,
     UNIT,
     WHEEL_SCALE,
+    YAW,
     of_point,
     of_truth,
     of_ways,
@@ -78,7 +79,7 @@ SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious wit
 
 
 # codes of findings with a measured value: by truth, magnetic field, stamps or straight walls
-MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
+MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, YAW, "iron", ROOM, CREEP, RIMS)
 MAX_SCAN_PERIOD_S = 0.4  # with a longer one the laser's path follows the wheels between scans
 KEYLESS = {OPEN_SCALE, CREEP, BUMP, SWAPPED, UNEVEN}  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment

@@ -26,7 +26,7 @@ from locfuse.fusion.paper.preset import fuser
 
 MAX_INSTANTS = 2400  # update times: 4 min of a 10 Hz laser
 # keys that do not change estimates
-SEEN_AFTERWARDS = {"truth.x", "truth.y", "truth.sigma", "truth.sigma_theta_deg"}
+SEEN_AFTERWARDS = {"truth.x", "truth.y", "truth.yaw_deg", "truth.sigma", "truth.sigma_theta_deg"}
 TRIED, WHOLE, SMOOTHED = "trying", "trying on the whole drive", "smoothing"  # kinds of figures
 MAX_FUSIONS = 60  # runs of the filter for one log's advice
 

@@ -17,6 +17,7 @@ from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_LINES
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.truth import heading_notes
 from locfuse.fusion.wheels.odometry import BODY_READS
 from locfuse.fusion.wheels.repairs import gaps_of
 
@@ -60,6 +61,8 @@ def examine(
     each check uses its own, larger limit.
     """
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
+    if drive.truth is not None and "truth" in streams:
+        found += [Finding("truth", "seen", note) for note in heading_notes(drive.truth, streams["truth"].msgtype)]
     found += _refused(drive)
     found += of_data(drive, robot, streams.__getitem__)
     if any(f.code in MIXED for f in found):

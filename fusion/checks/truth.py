@@ -37,7 +37,8 @@ MIN_SCALE_SHARE = 0.05  # least share of a path's squared steps that no tracked 
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: plausible range of the 99th percentile of a robot's speeds
 STEP = "step"  # code of the finding on sideways steps
 POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on sideways motion
-MIN_CREEP, CREEP_SIGMAS = 0.008, 5.0  # m per m; standard errors
+YAW = "body yaw"  # code of the finding on the direction of the tracked body
+MIN_CREEP, CREEP_SIGMAS, MIN_YAW_ERROR_RAD = 0.008, 5.0, math.radians(5.0)  # m per m; standard errors
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
 MIN_READINGS = 5  # of a truth that is used
 WINDOW_S = 1.0  # s over which steps are compared
@@ -70,13 +71,17 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
         return few
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive)
+    yaw = of_yaw(swings, robot)
+    if yaw and swings is not None and truth.theta is not None:
+        truth = replace(truth, theta=truth.theta + swings.aside)
+        swings = swing(truth, drive)
     point = of_point(truth, swings)
     # jumps would look like noise; they and a wrong tracked point would look like a wrong start
     creep = of_creep(swings)
-    aside = abs(float(swings.x[3])) if swings is not None and creep else 0.0
+    aside = abs(swings.aside) if swings is not None and creep else 0.0
     start = [] if jumps or point else of_start(truth, drive, robot, aside)
     noise = [] if jumps else _noise(truth, drive)
-    return [*jumps, *_gaps(truth), *noise, *point, *start, *creep]
+    return [*yaw, *jumps, *_gaps(truth), *noise, *point, *start, *creep]
 
 
 def with_headings(truth: Truth, wheels: Wheels) -> Truth:
@@ -310,9 +315,7 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     found = swing(truth, drive)
     if found is None:
         return []
-    factor, sigma = float(found.x[2]), float(found.sigma[2])
-    if factor <= 0.0:
-        return []
+    factor, sigma = found.scale, float(found.sigma[2])
     off, apart = abs(math.log(factor)), abs(math.log(motion.scale))
     if off < max(MIN_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma / factor) or apart > MAX_APART_SHARE * off:
         return []
@@ -405,6 +408,16 @@ class Swing(NamedTuple):
     x: Array  # (4,) tracked point (x, y) [m], scale of the path, sideways motion [m per m]
     sigma: Array  # (4,)
 
+    @property
+    def aside(self) -> float:
+        """Angle from the truth's headings to the directions of travel [rad]."""
+        return math.atan2(self.x[3], self.x[2])
+
+    @property
+    def scale(self) -> float:
+        """Length of the truth's steps / length of the path's steps; wrong headings only turn the steps."""
+        return math.hypot(*self.x[2:])
+
 
 def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None:
     """Fit tracked point, path scale and sideways motion to the truth; None if the robot hardly turns.
@@ -456,16 +469,29 @@ def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
     return [Finding("truth", POINT, words, (f"truth.x={x:.3f}", f"truth.y={y:.3f}"), away > SEVERE_POINT_ERROR_M)]
 
 
+def of_yaw(found: Swing | None, robot: Robot) -> list[Finding]:
+    """Return a finding if the truth's headings are not the directions of travel, by more than wheels can creep."""
+    if found is None or abs(found.aside) < MIN_YAW_ERROR_RAD + CREEP_SIGMAS * float(found.sigma[3]):
+        return []
+    yaw = math.degrees(se2.wrap(math.radians(robot.truth.yaw_deg) - found.aside))
+    words = f"{_sideways(found)}, more than wheels can creep: the tracked body is turned on the robot"
+    return [Finding("truth", YAW, words, (f"truth.yaw_deg={yaw:.1f}",), True)]
+
+
 def of_creep(found: Swing | None) -> list[Finding]:
     """Return a finding if, by the truth, the robot drives sideways to its heading."""
-    if found is None or abs(found.x[3]) < max(MIN_CREEP, CREEP_SIGMAS * found.sigma[3]):
+    if found is None or abs(found.aside) < max(MIN_CREEP, CREEP_SIGMAS * float(found.sigma[3])):
         return []
-    aside, sigma = (math.degrees(float(v)) for v in (found.x[3], found.sigma[3]))
-    words = (
-        f"by the truth the robot drives {abs(aside):.1f}° to the {'left' if aside > 0.0 else 'right'} of where it "
-        f"points (1 sigma {sigma:.1g}°): wheels that creep sideways, or a truth whose headings are off by that"
-    )
+    words = f"{_sideways(found)}: wheels that creep sideways, or a truth whose headings are off by that"
     return [Finding("wheels", CREEP, words)]
+
+
+def _sideways(found: Swing) -> str:
+    aside, sigma = math.degrees(found.aside), math.degrees(float(found.sigma[3]))
+    return (
+        f"by the truth the robot drives {abs(aside):.1f}° to the {'left' if aside > 0.0 else 'right'} of where it "
+        f"points (1 sigma {sigma:.1g}°)"
+    )
 
 
 def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:

@@ -87,6 +87,7 @@ MAX_FRAME_SHARE = 0.5
 MIN_BODY_MISFIT = 0.3  # least misfit to the body's axes, as share of the distance, for speeds in the poses' frame
 MAX_SIDEWAYS_MPS = 3.0  # m/s, limit of the 95th percentile of the sideways speed
 MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and largest share of jumps among the steps
+MIN_ALONG, MIN_MIRROR_GAIN = 0.9, 0.3  # of mean cos(2 angle to the body's x axis): mirrored y; more than as it is
 MAX_REVERSE_SHARE = 0.1  # largest ratio of steps that are reverse in pose and speed to those reverse in speed only
 
 
@@ -201,6 +202,11 @@ def travelled(
         notes = ("its pose never changes: its twist is used",) if posed else ()
         keep = possible(values[:, 3:], max_speed)
         return OdometryMotion(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
+    mirror = mirrored(values[:, :3])
+    if mirror:
+        # the turning rates show which of both is right
+        turned = se2.wrap_all(np.diff(values[:, 2])) @ (values[1:, 4] + values[:-1, 4])
+        values = values * ((1.0, 1.0, -1.0, 1.0, 1.0) if turned < 0.0 else (1.0, -1.0, 1.0, 1.0, 1.0))
     two = in_turn(values[:, :2])
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
     rows = np.flatnonzero(~bad)
@@ -221,6 +227,10 @@ def travelled(
     backing = backing_up(steps, by_speed) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0
     words = [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
+    side = "headings" if mirror and turned < 0.0 else "y axis"
+    words += (
+        [f"its path is a mirror image of its headings: its {side} is taken with the other sign"] if mirror else []
+    )
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
     words += _words(int(bad.sum()), int(held.sum()), t[1:][far].tolist(), int(backing.sum()))
     used = ~bad
@@ -262,6 +272,22 @@ def _words(spiked: int, held: int, restarts: Sequence[float], turned: int) -> li
             "(wheels.reverse_by_twist=false keeps them)"
         )
     return words
+
+
+def mirrored(poses: Array) -> bool:
+    """Return whether poses (n, 3) go along the body's x axis only if their y had the other sign."""
+    step = np.diff(poses[:, :2] @ (1.0, 1.0j))
+    ahead = np.exp(-1.0j * (poses[:-1, 2] + 0.5 * se2.wrap_all(np.diff(poses[:, 2]))))
+    moving = np.abs(step) > MIN_STEP_M
+    if not moving.any():
+        return False
+    size = np.abs(step[moving])
+    size = np.minimum(size, MAX_STEP_RATIO * float(np.median(size)))  # limits the effect of jumps
+    own, other = (
+        float((np.cos(2.0 * np.angle(way)) @ size) / size.sum())  # 1: along the x axis, -1: along the y axis
+        for way in ((step * ahead)[moving], (step.conj() * ahead)[moving])
+    )
+    return other > MIN_ALONG and own < other - MIN_MIRROR_GAIN
 
 
 def backing_up(steps: Array, by_speed: Array) -> Mask:

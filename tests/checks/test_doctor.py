@@ -279,12 +279,12 @@ def test_headings_that_the_robot_does_not_drive_along_do_not_tell_where_it_start
     healthy = drive(16, robot(), laps=1.5)
     truth = truth_of(healthy)
     assert truth.theta is not None
-    turned = with_truth(healthy, theta=truth.theta + math.radians(8.0))
+    turned = with_truth(healthy, theta=truth.theta + math.radians(4.0))
     elsewhere = replace(robot(), start=replace(robot().start, theta_deg=math.degrees(START[2]) + 20.0))
     found = of_truth(turned, elsewhere)
     fixes = told([f for f in found if f.code == "start"])
     assert fixes["start.theta_deg"] == pytest.approx(math.degrees(START[2]), abs=4.0)
-    assert fixes["start.sigma_theta_deg"] == pytest.approx(8.0, abs=0.5)
+    assert fixes["start.sigma_theta_deg"] == pytest.approx(4.0, abs=0.5)
 
 
 def test_a_start_by_points_does_not_depend_on_the_wheels_metre() -> None:
@@ -339,6 +339,17 @@ def test_wheels_that_creep_sideways_are_named_by_the_truth() -> None:
     aside_deg = float(found.message.partition("drives ")[2].partition("°")[0])
     assert aside_deg == pytest.approx(math.degrees(0.02), abs=0.1)
     assert "to the left of where it points" in found.message
+
+
+@pytest.mark.parametrize("off_deg", [-8.0, 90.0, 180.0])
+def test_a_tracked_body_that_is_turned_on_the_robot_is_named_and_its_scale_is_not(off_deg: float) -> None:
+    healthy = drive(18, robot(), laps=1.5)
+    truth = truth_of(healthy)
+    turned = with_truth(healthy, theta=present(truth.theta) + math.radians(off_deg))
+    (found,) = of_truth(turned, robot())
+    assert (found.role, found.code, found.severe) == ("truth", "body yaw", True)
+    assert math.cos(math.radians(told([found])["truth.yaw_deg"] - off_deg)) == pytest.approx(1.0, abs=2e-4)
+    assert of_size(turned, seen(turned)) == []
 
 
 def test_a_truth_that_steps_aside_once_is_named_and_one_whose_reading_jumps_and_returns_is_not() -> None:

@@ -154,6 +154,11 @@ def blind_to_reverse(drive: Drive) -> None:
     only_odometry(drive, reckoned(np.column_stack((np.hypot(step[:, 0], step[:, 1]), step[:, 2]))))
 
 
+def mirror_image(drive: Drive) -> None:
+    """The driver puts y into the pose with the wrong sign; its headings are right."""
+    only_odometry(drive, dead_reckoning(drive) * [1.0, -1.0, 1.0])
+
+
 def relocalised(drive: Drive) -> None:
     """The odometry's pose is reset to 0 half-way."""
     poses = dead_reckoning(drive)
@@ -200,6 +205,7 @@ WHEEL_TRAPS = (
     Trap("a pair of Int16 counters", tick_pair, "/odom was made with these"),
     Trap("odometry instead of wheels", only_odometry),
     Trap("an odometry blind to reverse", blind_to_reverse, "while its velocity says reverse"),
+    Trap("an odometry with y to the right", mirror_image, "its path is a mirror image of its headings"),
     Trap("an odometry without poses", twist_only, "its pose never changes: its twist is used"),
     Trap("an odometry that jumps", relocalised, "its pose jumped once"),
     Trap("two odometries", two_odometries, "2 topics that fit", spoils=True, refused=True),
@@ -525,6 +531,11 @@ def jump(m: RawMessage) -> RawMessage:
     return changed(m, **{"pose.position.x": m.fields["pose.position.x"] + 4.0 * away})
 
 
+def no_heading(m: RawMessage) -> RawMessage:
+    """The tracker knows no heading: the identity stands in its place."""
+    return changed(m, **{"pose.orientation.z": 0.0, "pose.orientation.w": 1.0})
+
+
 def elsewhere(drive: Drive) -> None:
     """The drive starts somewhere else than nothing says: at 0."""
     del drive.tables["start"]
@@ -546,6 +557,7 @@ TRUTH_TRAPS = (
          "2 gaps, the longest 2.1 s: no errors are computed there"),
     Trap("a truth that freezes while the robot drives", freezes(TRUTH), "repeat the one before"),
     Trap("a truth on a clock of its own", late(TRUTH, 0.5), "stamps look 0.5", spoils=True),
+    Trap("a truth without headings", each(TRUTH, no_heading), "its heading never changes"),
     Trap("jumps of metres in the truth", each(TRUTH, jump), "by more than the wheels rolled", spoils=True),
     Trap("a start that is not set", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),
     Trap("a start by points only", points_only, "from where the drive starts", spoils=True),

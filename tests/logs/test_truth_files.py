@@ -15,6 +15,7 @@ from evo.core import metrics, sync
 from evo.tools import file_interface
 from hostile import sample
 from hostile import write as sample_write
+from present import present
 from wheel_bags import custom, log_of, stamps
 
 from locfuse.cli.analysis.choose import choose_truth
@@ -111,7 +112,8 @@ geometry_msgs/Point translation
 
 
 def body(name: str, xy: Array, markers: int) -> dict[str, Any]:
-    pose = {"position": {"x": xy[0], "y": xy[1]}, "orientation": {"z": math.sin(0.3), "w": math.cos(0.3)}}
+    half = 0.5 * float(xy[0])  # its heading is its x
+    pose = {"position": {"x": xy[0], "y": xy[1]}, "orientation": {"z": math.sin(half), "w": math.cos(half)}}
     return {"rigid_body_name": name, "pose": pose, "markers": [{"marker_name": "m"}] * markers}
 
 
@@ -127,7 +129,7 @@ def test_one_of_several_mocap_bodies_is_read_by_its_name(tmp_path: Path) -> None
     seen = np.arange(len(T)) % 7 > 0
     np.testing.assert_allclose(truth.xy, PATH[seen], atol=1e-12)
     assert truth.theta is not None
-    np.testing.assert_allclose(truth.theta, 0.6, atol=1e-12)
+    np.testing.assert_allclose(np.cos(truth.theta - PATH[seen, 0]), 1.0, atol=1e-12)
     assert dropped == {"other_bodies": int((~seen).sum())}
     with pytest.raises(LocfuseError, match=r"tracks a cart, robot\.(.|\n)*--set 'truth\.body=a cart'"):
         read_truth(stream, TruthSettings(), 0)
@@ -148,6 +150,21 @@ def test_of_what_gazebo_simulates_the_model_that_moves_is_the_robot(tmp_path: Pa
     np.testing.assert_allclose(truth.xy, PATH, atol=1e-12)
     with pytest.raises(LocfuseError, match="not cart"):
         read_truth(stream, TruthSettings(body="cart"), 0)
+
+
+@pytest.mark.parametrize(("bends", "w"), [(0.2, 1.0), (0.2, 0.0), (0.0, 1.0)])
+def test_one_heading_for_a_path_that_bends_is_none(tmp_path: Path, bends: float, w: float) -> None:
+    x = np.linspace(0.0, 2.0, 20).tolist()
+    rows = "".join(f"{i},{v},{bends * v * v},0,0,0,0,{w}\n" for i, v in enumerate(x))
+    truth, _ = read_truth(streamed(tmp_path / "t.csv", f"t,x,y,z,qx,qy,qz,qw\n{rows}"), TruthSettings(), 0)
+    assert (truth.theta is None) == bool(bends)
+
+
+def test_the_heading_of_a_tracked_body_that_is_turned_on_the_robot_is_set_right(tmp_path: Path) -> None:
+    rows = "".join(f"{i},{i},0,0,0,0,{math.sin(0.05 * i)},{math.cos(0.05 * i)}\n" for i in range(9))
+    stream = streamed(tmp_path / "t.csv", f"t,x,y,z,qx,qy,qz,qw\n{rows}")
+    truth, _ = read_truth(stream, TruthSettings(yaw_deg=90.0), 0)
+    np.testing.assert_allclose(present(truth.theta), 0.1 * np.arange(9) - 0.5 * math.pi, atol=1e-9)
 
 
 def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path: Path) -> None:

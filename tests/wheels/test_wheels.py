@@ -33,6 +33,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, WheelSettings
+from locfuse.fusion.wheels.odometry import mirrored
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.repairs import unrolled
 
@@ -460,6 +461,28 @@ def test_a_twist_along_the_frame_of_the_poses_turns_nothing_round(start: float) 
         assert "backward" not in words(reading)
         assert len(reading.notes) == notes
         assert final(reading)[:2] == pytest.approx(pose[-1, :2], abs=0.06)
+
+
+@pytest.mark.parametrize("wrong", ["y", "headings", "neither"])
+@pytest.mark.parametrize("start", [0.0, 1.0, 2.5])
+def test_a_path_that_is_a_mirror_image_of_its_headings_is_turned_back(wrong: str, start: float) -> None:
+    """The turning rates show whether y or the headings have the wrong sign; a step sideways is no mirror image."""
+    t = np.arange(0, 60, 0.1)
+    speed, turn = np.full(len(t), 0.4), 0.3 + 0.2 * np.sin(0.3 * t)
+    pose = se2.compose(np.array([0.0, 0.0, start]), driven(speed[:-1], turn[:-1], 0.1))
+    sign = {"y": [1.0, -1.0, 1.0], "headings": [1.0, 1.0, -1.0], "neither": [1.0, 1.0, 1.0]}[wrong]
+    reading = read_wheels(odometry(t, pose * sign, speed, turn), WheelSettings())
+    assert ("mirror image" in words(reading)) == (wrong != "neither")
+    right = se2.between(pose[0], pose[-1])
+    assert final(reading)[:2] == pytest.approx(right[:2], abs=0.02)
+
+
+def test_a_body_that_drives_in_all_directions_is_no_mirror_image() -> None:
+    t = np.arange(0, 60, 0.1)
+    pose = np.stack((np.sin(0.2 * t), np.cos(0.3 * t), 0.1 * t), axis=-1)
+    assert not mirrored(pose)
+    assert not mirrored(pose * [1.0, -1.0, 1.0])
+    assert not mirrored(np.zeros((5, 3)))
 
 
 def test_a_twist_along_the_frame_is_known_though_every_other_stamp_is_late() -> None:

@@ -252,7 +252,7 @@ class Evidence(NoiseFindings):
 
     def _seen(self, finding: Finding) -> Candidate:
         """Return the candidate for a finding of `doctor`, with variants of its fix."""
-        measured = finding.code in MEASURED
+        measured = finding.code in MEASURED and (finding.severe or finding.code != OFFSET)
         ways = [finding.fixes] if finding.fixes else []
         if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
             ways.append(finding.fixes[:1])  # the radius alone, without the track

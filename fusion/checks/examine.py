@@ -72,7 +72,7 @@ def examine(
         found += of_uneven_stamps(name, m.t)
     if "lrf" in drive.measurements:
         lrf = streams["lrf"], robot.settings("lrf")
-        found += [*of_scatter(*lrf), *of_offset(*lrf)]
+        found += [*of_scatter(*lrf), *of_offset(*lrf, least is not None)]
     by_sensor = turnings(drive)
     turning = of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)

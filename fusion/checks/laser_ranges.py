@@ -35,7 +35,8 @@ HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
 CHECKED_BEAMS = 16  # on either side of the middle one
 MAX_OFF_WALL_M = 0.1  # m: largest distance of the beams in between from a straight wall
 MIN_STRETCH_TRIPLES, STRETCH_COUNT = 200, 8  # in each stretch; stretches for the jackknife
-MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: limits of a finding; sigmas
+# limits of a finding: m; standard errors, without and with a trial of its fix
+MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS, TRIED_SIGMAS = 0.02, 0.03, 5.0, 3.0
 SPAN_FIELDS = ("angle_min", "angle_max", "angle_increment", "ranges")
 MAX_OFF_STEPS = 3.0  # increments: smaller differences are wrong counts of beams
 
@@ -104,10 +105,13 @@ def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
     return [Finding("lrf", "noise", words, (f"lrf.sigma_range={sigma:.2g}",))]
 
 
-def of_offset(stream: Stream, settings: LrfSettings) -> list[Finding]:
-    """Return a finding if a constant error of the ranges makes straight walls look bent."""
+def of_offset(stream: Stream, settings: LrfSettings, tried: bool = False) -> list[Finding]:
+    """Return a finding if a constant error of the ranges makes straight walls look bent.
+
+    If the caller tries the fix (`tried`), less evidence is enough.
+    """
     found = ranges_offset(stream, settings)
-    if found is None or abs(found[0]) < max(MIN_OFFSET_M, OFFSET_SIGMAS * found[1]):
+    if found is None or abs(found[0]) < max(MIN_OFFSET_M, (TRIED_SIGMAS if tried else OFFSET_SIGMAS) * found[1]):
         return []
     add, sigma = found
     words = (
@@ -115,7 +119,7 @@ def of_offset(stream: Stream, settings: LrfSettings) -> list[Finding]:
         f"(1 sigma {sigma:.1g})"
     )
     fix = f"lrf.range_offset={settings.range_offset + add:z.3f}"
-    return [Finding("lrf", OFFSET, words, (fix,), abs(add) > SEVERE_OFFSET_M)]
+    return [Finding("lrf", OFFSET, words, (fix,), abs(add) > max(SEVERE_OFFSET_M, OFFSET_SIGMAS * sigma))]
 
 
 def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] | None:

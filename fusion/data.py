@@ -216,7 +216,7 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
     def take(self, readings: Ints) -> Measurements:
         """Return the readings with these indices, in this order."""
         counts = np.diff(self.first)[readings]
-        first = np.concatenate(([0], np.cumsum(counts)))
+        first = totals(counts)
         rows = np.repeat(self.first[readings] - first[:-1], counts) + np.arange(first[-1])
         return Measurements(
             t=self.t[readings],
@@ -478,6 +478,31 @@ def spaced(*series: tuple[Array, float]) -> Ints:
             chosen.append(k)
             last = now
     return np.array(chosen, np.int64)
+
+
+def evenly(n: int, limit: int) -> Ints:
+    """Return at most `limit` evenly spaced indices of 0 .. n - 1, including both ends."""
+    if n <= limit:
+        return np.arange(n)
+    return np.unique(np.rint(np.linspace(0, n - 1, limit)).astype(np.int64))
+
+
+def totals(steps: Any, dtype: Any = None) -> NDArray[Any]:
+    """Return the running sums (n + 1, ...) of steps (n, ...); the first is zero."""
+    sums = np.cumsum(steps, axis=0, dtype=dtype)
+    return np.concatenate((np.zeros((1, *sums.shape[1:]), sums.dtype), sums))
+
+
+def interpolate(at: Array, t: Array, columns: Array) -> Array:
+    """Return columns (n, k), known at times t (n,), at the times `at` (...): an array (..., k)."""
+    return np.stack([np.interp(at, t, column) for column in columns.T], axis=-1)
+
+
+def changes(start: Array, length: float, t: Array, values: Array) -> Array:
+    """Return how values (n, ...), known at times t (n,), change in a time of `length` after each time `start`."""
+    if values.ndim > 1:
+        return interpolate(start + length, t, values) - interpolate(start, t, values)
+    return np.interp(start + length, t, values) - np.interp(start, t, values)
 
 
 def result_name(configuration: str, smoothed: bool) -> str:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream
+from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream, totals
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # a gap is longer than both: s, median periods
 MIN_BLANK_STEPS = 20.0  # median steps: from a larger value, a step to zero is no motion
@@ -28,7 +28,7 @@ def concat(parts: Sequence[Column]) -> Column:
         ragged = [part for part in parts if isinstance(part, Ragged)]
         lengths = np.concatenate([part.lengths for part in ragged])
         values = np.concatenate([part.values[part.first[0] : part.first[-1]] for part in ragged])
-        return Ragged(values, np.concatenate(([0], np.cumsum(lengths))))
+        return Ragged(values, totals(lengths))
     if isinstance(head, list):
         return [value for part in parts if isinstance(part, list) for value in part]
     return np.concatenate([part for part in parts if isinstance(part, np.ndarray)])
@@ -46,7 +46,7 @@ def take(column: Column, rows: NDArray[Any]) -> Column:
         n = matrix.shape[1]
         return Ragged(matrix[rows].ravel(), np.arange(len(rows) + 1) * n)
     lengths = column.lengths[rows]
-    first = np.concatenate(([0], np.cumsum(lengths)))
+    first = totals(lengths)
     at = np.repeat(column.first[rows] - first[:-1], lengths) + np.arange(first[-1])
     return Ragged(column.values[at], first)
 
@@ -191,7 +191,7 @@ def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
     held = np.where(gap, 0.0, np.diff(t)).reshape(-1, *[1] * (rates.ndim - 1))
     total = np.zeros_like(rates)
     np.cumsum(0.5 * (rates[1:] + rates[:-1]) * held, axis=0, out=total[1:])
-    return total, np.concatenate(([0], np.cumsum(gap)))[: len(t)]
+    return total, totals(gap)[: len(t)]
 
 
 def last_of_periods(t: Array, period: float) -> Ints:

@@ -19,7 +19,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Stream, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Stream, Truth, changes
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import parts_of
@@ -390,12 +390,11 @@ def far_lag(truth: Truth, wheels: Wheels) -> Lag | None:
     )
     if min(len(own), len(theirs)) < MIN_FAR_STEPS:
         return None
-    xy = np.stack([np.interp(own + WINDOW_S, truth.t, c) - np.interp(own, truth.t, c) for c in truth.xy.T])
+    xy = changes(own, WINDOW_S, truth.t, truth.xy).T
     moved = wheels.relative(theirs, theirs + WINDOW_S)
     pairs = [(np.hypot(*xy), np.hypot(*moved[:, :2].T))]
     if truth.theta is not None:
-        theta = np.unwrap(truth.theta)
-        turned = np.interp(own + WINDOW_S, truth.t, theta) - np.interp(own, truth.t, theta)
+        turned = changes(own, WINDOW_S, truth.t, np.unwrap(truth.theta))
         pairs.insert(0, (turned, moved[:, 2]))
     least = min(len(own), len(theirs)) // 2  # of the steps that overlap
     # step i of the wheels is compared with step i + shift of the truth
@@ -424,8 +423,7 @@ def way_lag(truth: Truth, drive: Drive) -> Lag | None:
     start = truth.t[inside & (truth.t + WINDOW_S <= truth.t[-1])]
     if len(start) < 20:
         return None
-    ends = [np.stack([np.interp(start + s, truth.t, c) for c in truth.xy.T], axis=-1) for s in (0.0, WINDOW_S)]
-    own = np.hypot(*(ends[1] - ends[0]).T)
+    own = np.hypot(*changes(start, WINDOW_S, truth.t, truth.xy).T)
     if own.std() < 0.02 or own.std() < 0.1 * own.mean():
         return None
     lags = np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S)

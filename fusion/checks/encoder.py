@@ -7,7 +7,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import Drive, stretches
+from locfuse.fusion.data import Drive, stretches, totals
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import counts_ticks
@@ -32,7 +32,7 @@ def of_stuck_wheel(drive: Drive) -> list[Finding]:
     """
     wheels, found = drive.wheels, []
     for i, side in enumerate(("left", "right")):
-        other = np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled[:, 1 - i]))))
+        other = totals(np.abs(wheels.rolled[:, 1 - i]))
         for first, last in stretches(wheels.rolled[:, i] == 0.0):
             distance = float(other[last + 1] - other[first])
             begin, end = float(wheels.t[first]), float(wheels.t[last + 1])
@@ -64,7 +64,7 @@ def of_degrees(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
     speed = float(wheels.driven(wheels.t[-1])) / float(wheels.t[-1] - wheels.t[0])
     if robot.wheels.ticks_per_revolution is not None or counts_ticks(msgtype) or speed < MIN_SPEED_MPS:
         return []
-    left, right = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled / DEGREES, axis=0))).T
+    left, right = totals(wheels.rolled / DEGREES).T
     smaller = replace(drive, wheels=Wheels.from_wheels(wheels.t, left, right, wheels.track, wheels.noise))
     ratios = {name: (t.a - t.b) * wheels.track / 2.0 for name, t in turnings(smaller).items()}
     if (by_truth := wheels_metre(smaller)) is not None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Drive, Ints, Measurements, Stream
+from locfuse.fusion.data import Array, Drive, Ints, Measurements, Stream, totals
 from locfuse.fusion.lines.scans import SCAN_FIELDS
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
@@ -360,7 +360,7 @@ def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
     wheels = drive.wheels
     way = np.hypot(*wheels.twist[:, :2].T)
     step = np.maximum(way / PAIR_DISTANCE_M, np.abs(wheels.twist[:, 2]) / PAIR_TURN_RAD)
-    gone = np.interp(t, wheels.t, np.concatenate(([0.0], np.cumsum(step))))
+    gone = np.interp(t, wheels.t, totals(step))
     second = np.searchsorted(gone, gone + 1.0)
     first = np.flatnonzero(second < len(t))
     first = first[t[second[first]] - t[first] < MAX_PAIR_TIME_S]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, stretches
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, changes, interpolate, stretches, totals
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
 from locfuse.fusion.truth import NO_TRUTH
@@ -100,8 +100,8 @@ def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
     theta = np.interp(wheels.t, truth.t, np.unwrap(truth.theta))
     turn = np.diff(theta)
     chord = wheels.twist[:, :2] * np.sinc(turn / (2.0 * np.pi))[:, None]
-    path = np.concatenate((np.zeros((1, 2)), np.cumsum(se2.rotated(theta[:-1] + 0.5 * turn, chord), axis=0)))
-    return np.stack([np.interp(truth.t, wheels.t, column) for column in path.T], axis=-1)
+    path = totals(se2.rotated(theta[:-1] + 0.5 * turn, chord))
+    return interpolate(truth.t, wheels.t, path)
 
 
 def _inside(truth: Truth, wheels: Wheels) -> Mask:
@@ -344,7 +344,7 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     start = truth.t[(truth.t >= wheels.t[0]) & (truth.t + WINDOW_S <= min(wheels.t[-1], truth.t[-1]))]
     if len(start) < 20:
         return None
-    step = np.stack([np.interp(start + WINDOW_S, truth.t, c) - np.interp(start, truth.t, c) for c in truth.xy.T])
+    step = changes(start, WINDOW_S, truth.t, truth.xy).T
     moved = wheels.relative(start, start + WINDOW_S)
     point = np.tile(truth.point, (len(start), 1))
     seen, own = np.hypot(*step), np.hypot(*(moved[:, :2] + se2.rotated(moved[:, 2], point) - point).T)

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Stream
+from locfuse.fusion.data import Array, Drive, Stream, changes, totals
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
@@ -75,21 +75,16 @@ def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> T
     start = start[np.interp(start + WINDOW_S, t, without_lines) == np.interp(start, t, without_lines)]
     if len(start) < 20:
         return None
-    own = np.interp(start + WINDOW_S, t, heading) - np.interp(start, t, heading)
+    own = changes(start, WINDOW_S, t, heading)
     if math.sqrt(float((own**2).mean())) < MIN_RMS_TURN_RAD:
         return None
-    way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))
+    way = totals(wheels.rolled)
     best: Turning | None = None
     for offset in np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S).tolist():
-        fit = _fit(own, _way(wheels, way, start + offset + WINDOW_S) - _way(wheels, way, start + offset), offset)
+        fit = _fit(own, changes(start + offset, WINDOW_S, wheels.t, way), offset)
         if fit is not None and (best is None or fit.explained > best.explained):
             best = fit
     return best if best is not None and best.explained > MIN_EXPLAINED_SHARE else None
-
-
-def _way(wheels: Wheels, way: Array, t: Array) -> Array:
-    """Return the distances (n, 2) [m] that left and right wheel rolled until times t (n,) [s]."""
-    return np.stack([np.interp(t, wheels.t, column) for column in way.T], axis=-1)
 
 
 def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:

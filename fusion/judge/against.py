@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Truth, matrices
+from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Truth, interpolate, matrices
 from locfuse.fusion.streams import gap_limit
 
 from .credit import Effect
@@ -103,7 +103,7 @@ def interpolated(stamps: Array, t: Array, pose: Array, triangles: Array) -> tupl
     after = np.minimum(before + 1, len(t) - 1)
     exact = np.abs(stamps - t[before]) < 1e-9
     near = (stamps >= t[0]) & (stamps <= t[-1] + 1e-9) & (exact | (t[after] - t[before] <= gap_limit(t)))
-    out = np.stack([np.interp(stamps, t, column) for column in pose.T], axis=-1)
+    out = interpolate(stamps, t, pose)
     out[~near] = np.nan
     spread = matrices(triangles[before])
     spread[~near] = np.nan

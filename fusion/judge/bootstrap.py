@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import CONFIDENCE
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, totals
 
 RESAMPLE_COUNT = 2000
 STARTS_AT_ONCE = 1 << 20  # block starts in memory at once
@@ -153,7 +153,7 @@ def student_t(freedom: float) -> float:
     """Return the two-sided quantile of Student's t at CONFIDENCE, with `freedom` degrees of freedom."""
     a, cosine = _quarter_turn()  # with x = sqrt(f) tan(a) the density is cos(a)^(f - 1) da
     density = cosine ** (freedom - 1.0)
-    mass = np.concatenate(([0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))))
+    mass = totals(0.5 * (density[1:] + density[:-1]))
     return math.sqrt(freedom) * math.tan(float(np.interp(CONFIDENCE * mass[-1], mass, a)))
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, totals
 from locfuse.fusion.kernels import line_fits, places, segments
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.sensor import WheelMotion
@@ -222,7 +222,7 @@ def lines_of(scans: RawScans, settings: LineSettings, motion: BeamMotion | None)
     n = found.count
     R, points, span = np.asarray(found.R)[:n], np.asarray(found.points)[:n], np.asarray(found.span)[:n]
     return Lines(
-        first=np.concatenate(([0], np.cumsum(found.counts))).astype(np.int64),
+        first=totals(found.counts).astype(np.int64),
         z=np.asarray(found.z)[:n],
         R_unit=R[:, (0, 1, 1, 2)].reshape(n, 2, 2),
         ends=np.asarray(found.ends)[:n],
@@ -238,4 +238,4 @@ def _joined(parts: list[Lines]) -> Lines:
     """Join the lines of all batches."""
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Lines.__struct_fields__}
     counts = np.concatenate([np.diff(part.first) for part in parts])
-    return Lines(**(columns | {"first": np.concatenate(([0], np.cumsum(counts)))}))
+    return Lines(**(columns | {"first": totals(counts)}))

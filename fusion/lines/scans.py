@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Ints, Ragged
+from locfuse.fusion.data import Array, Ints, Ragged, totals
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensor import WheelMotion
 from locfuse.fusion.streams import in_turn
@@ -305,7 +305,7 @@ class Gathered:
         at, counts = (np.concatenate([np.empty(0, np.int64), *pieces]) for pieces in (self._at, self._counts))
         of_reading = np.zeros(n, dtype=np.int64)
         of_reading[at] = counts
-        first = np.concatenate(([0], np.cumsum(of_reading)))
+        first = totals(of_reading)
         rows = None
         if (np.diff(at) < 0).any():
             rows = np.repeat(first[at] - np.cumsum(counts) + counts, counts) + np.arange(first[-1])
@@ -431,7 +431,7 @@ def _changes(
     `wall_floor`.
     """
     exact = variance < MAX_SIGMA_RAD**2
-    first = np.concatenate(([0], np.cumsum(exact)))[first]  # from here on, only lines with an exact angle are used
+    first = totals(exact)[first]  # from here on, only lines with an exact angle are used
     z, variance, sweep = z[exact], variance[exact], sweep[exact]
     several = np.diff(first) >= 2
     before = (

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, LocfuseError, Points
+from locfuse.fusion.data import Array, Ints, LocfuseError, Points, evenly, totals
 from locfuse.fusion.wheels.motion import Wheels
 
 from .given_walls import Grid
@@ -96,10 +96,10 @@ class _Places:
         """Score all candidates with a scan (k, 2) [m], after a wheel-odometry motion (3,) since the last scan."""
         cell = self._grid.cell
         if step is None:
-            self._begin(_subsampled(scan, FIRST_BEAMS) / cell)
+            self._begin(scan[evenly(len(scan), FIRST_BEAMS)] / cell)
         else:
             self._poses = se2.compose(self._poses, np.broadcast_to(step / (cell, cell, 1.0), self._poses.shape))
-        share = self._improve(_subsampled(scan, MAX_BEAMS) / cell)
+        share = self._improve(scan[evenly(len(scan), MAX_BEAMS)] / cell)
         if step is None:
             self._first = self._poses
         self._sums, self.seen = self._sums + share, self.seen + 1
@@ -228,7 +228,7 @@ def _field(grid: Grid) -> Array:
 def _rows(t: Array, wheels: Wheels) -> Ints:
     """Return the indices of the used scans: STRIDE_M or TURN_RAD apart, within DRIVING_S seconds of driving."""
     moving = np.hypot(*wheels.twist[:, :2].T) + np.abs(wheels.twist[:, 2]) > MIN_SPEED * np.diff(wheels.t)
-    driven = np.concatenate(([0.0], np.cumsum(np.where(moving, np.diff(wheels.t), 0.0))))
+    driven = totals(np.where(moving, np.diff(wheels.t), 0.0))
     pose = wheels.at(t)[2]
     inside = np.flatnonzero(np.interp(t, wheels.t, driven) <= DRIVING_S)
     rows: list[int] = []
@@ -237,10 +237,3 @@ def _rows(t: Array, wheels: Wheels) -> Ints:
         if step is None or math.hypot(step[0], step[1]) >= STRIDE_M or abs(se2.wrap(float(step[2]))) >= TURN_RAD:
             rows.append(row)
     return np.array(rows, np.int64)
-
-
-def _subsampled(scan: Array, count: int) -> Array:
-    """Return at most `count` points of a scan (k, 2), evenly spaced."""
-    if len(scan) <= count:
-        return scan
-    return np.asarray(scan[np.linspace(0, len(scan) - 1, count).round().astype(np.int64)])

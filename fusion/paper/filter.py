@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, interpolate, totals, upper_triangles
 from locfuse.fusion.ekf.record import Record
 from locfuse.fusion.fuse import BLOCK_INSTANTS, configuration_name
 from locfuse.fusion.progress import report_progress
@@ -60,7 +60,7 @@ class Counts:
 
     def __init__(self, wheels: Wheels) -> None:
         self.t = wheels.t
-        self.rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))  # (n, 2) left, right
+        self.rolled = totals(wheels.rolled)  # (n, 2) left, right
 
     def latest(self, t: Array) -> Array:
         """Return the distances (..., 2) [m] from the newest reading before each time t (...) [s]."""
@@ -70,7 +70,7 @@ class Counts:
 
     def interpolated(self, t: Array) -> Array:
         """Return the distances (..., 2) [m], interpolated at times t (...) [s]."""
-        return np.stack([np.interp(t, self.t, side) for side in self.rolled.T], axis=-1)
+        return interpolate(t, self.t, self.rolled)
 
 
 def _grid(end: float, period: float) -> Array:

@@ -18,7 +18,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Block, Column, Ints, Stream
+from locfuse.fusion.data import Array, Block, Column, Ints, Stream, interpolate
 from locfuse.fusion.se2 import rotated_3d
 
 IMU = "sensor_msgs/msg/Imu"
@@ -54,7 +54,7 @@ class LevelledField:
         self._stream = stream
         zero = self.t_ns[0] if len(self.t_ns) else 0
         t, at = (self.t_ns - zero) * 1e-9, (tilt.t_ns - zero) * 1e-9
-        up = np.stack([np.interp(t, at, column) for column in tilt.up.T], axis=-1)
+        up = interpolate(t, at, tilt.up)
         self.up: Array = up / np.linalg.norm(up, axis=1, keepdims=True)  # (n, 3) in the base's axes
         degrees = math.degrees(float(np.quantile(_angles_to(self.up, np.array([0.0, 0.0, 1.0])), 0.95)))
         self.note = f"the robot tilts by up to {degrees:.0f}° by {tilt.words}: the field is levelled by that"
@@ -136,7 +136,7 @@ def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
     ts, a, w = t[first], np.add.reduceat(a[good], first) / n[:, None], np.add.reduceat(w[good], first) / n[:, None]
     found = _complementary(ts, a, w - _bias(a, w), usual)
     out = np.full((len(t_ns), 3), np.nan)
-    out[good] = np.stack([np.interp(t, ts, column) for column in found.T], axis=-1)
+    out[good] = interpolate(t, ts, found)
     return out
 
 

@@ -14,7 +14,7 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Colour, Component, Measurements, Ragged, Stream
+from locfuse.fusion.data import Array, Colour, Component, Measurements, Ragged, Stream, totals
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, ScanPoints, left_out
 from locfuse.fusion.lines.scans import (
@@ -98,7 +98,7 @@ class Lrf(Sensor):
         if gone.any():
             kept = np.repeat(~gone, np.diff(first))
             z, R_unit, ends, sweep = z[kept], R_unit[kept], ends[kept], sweep[kept]
-            first, t = np.concatenate(([0], np.cumsum(np.diff(first)[~gone]))), t[~gone]
+            first, t = totals(np.diff(first)[~gone]), t[~gone]
         uneven = np.zeros(2)  # variances of r [m^2] and psi [rad^2] from uneven walls
         if settings.walls == "found":
             own = settings.sigma_range**2 * R_unit[:, 1, 1]

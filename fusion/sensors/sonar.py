@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Measurements, Stream, totals
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.map.line_map import LineMap
@@ -81,7 +81,7 @@ class Sonar(Sensor):
         mounts = places[stream.source[rows] if isinstance(stream, MergedStream) else np.zeros_like(rows)]
         return Measurements(
             t=t[known],
-            first=np.concatenate(([0], np.cumsum(echo[known], dtype=np.int64))),
+            first=totals(echo[known], np.int64),
             z=distance[rows, None],
             R_unit=np.ones((len(rows), 1, 1)),
             scale=settings.sigma,

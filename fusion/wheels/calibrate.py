@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import CONFIDENCE, chi_square
-from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, stretches
+from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, interpolate, stretches, totals
 from locfuse.fusion.scan_matching.clouds import Columns
 
 from .motion import STANDS_M, Wheels
@@ -265,7 +265,7 @@ def adjusted(wheels: Wheels, moved: Array) -> Wheels:
     """Return the wheels with left scale, right scale and track changed by `moved` (3,), relative."""
     if not moved.any():
         return wheels
-    left, right = (np.append(0.0, np.cumsum(side)) for side in (wheels.rolled * (1.0 + moved[:2])).T)
+    left, right = totals(wheels.rolled * (1.0 + moved[:2])).T
     return Wheels.from_wheels(wheels.t, left, right, wheels.track * (1.0 + float(moved[2])), wheels.noise)
 
 
@@ -356,11 +356,8 @@ def find_runs(wheels: Wheels) -> list[Run]:
 def _labels(wheels: Wheels) -> Ints:
     """Label each wheel interval: +-1 straight forward/backward, +-2 left/right turn, 0 other motion or rest."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
-    travelled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.twist[:, [0, 2]], axis=0)))
-    before, after = (
-        np.stack([np.interp(middle + h, wheels.t, column) for column in travelled.T], axis=-1)
-        for h in (-0.5 * WINDOW_S, 0.5 * WINDOW_S)
-    )
+    travelled = totals(wheels.twist[:, [0, 2]])
+    before, after = (interpolate(middle + h, wheels.t, travelled) for h in (-0.5 * WINDOW_S, 0.5 * WINDOW_S))
     ds, turn = (after - before).T
     rim = 0.5 * wheels.track * turn
     moving = np.abs(ds) + np.abs(rim) > STANDSTILL_MPS * WINDOW_S
@@ -379,8 +376,7 @@ def cut_runs(
 
     Returns (kind, index of first stamp, index of last stamp) of each piece, (k,) each; pieces do not overlap.
     """
-    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(np.abs(wheels.twist[:, [0, 2]]), axis=0)))
-    travelled = [np.interp(stamps, wheels.t, column) for column in rolled.T]
+    travelled = interpolate(stamps, wheels.t, totals(np.abs(wheels.twist[:, [0, 2]]))).T
     pieces = [np.zeros((0, 3), np.int64)]
     for kind, start, end in runs:
         a, b = np.searchsorted(stamps, start).item(), np.searchsorted(stamps, end, side="right").item() - 1

@@ -16,7 +16,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import SIGMAS_95
-from locfuse.fusion.data import Array, LocfuseError, Truth
+from locfuse.fusion.data import Array, LocfuseError, Truth, interpolate, totals
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 
@@ -97,7 +97,7 @@ def calibrate_tricycle(
         ds = np.diff(found.rolled) * p[SCALE]
         angle = (found.steering - settings.servo_offset) * p[GAIN] + p[ZERO]
         path = dead_reckoning(rolled_by(ds, angle, p[BASE]))
-        body = np.stack([np.interp(stamps + p[DELAY], t, column) for column in path.T], axis=-1)
+        body = interpolate(stamps + p[DELAY], t, path)
         return se2.compose(body, np.broadcast_to(p[POINT], body.shape))
 
     def of_windows(p: Array) -> Array:
@@ -158,7 +158,7 @@ def nominal(
         max_speed=math.inf,  # of a wheel of unknown size
     )
     found = read_encoders(stream, assumed)
-    counted = np.append(0.0, np.cumsum(np.abs(np.diff(found.rolled))))
+    counted = totals(np.abs(np.diff(found.rolled)))
     rolled = np.ptp(np.interp(reference.t, found.t + shift, counted))
     low, middle, high = np.percentile(found.steering, (5.0, 50.0, 95.0)).tolist()
     return msgspec.structs.replace(

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.data import Array, LocfuseError, Stream, changes
 from locfuse.fusion.robot import Mirrored, WheelSettings
 
 from .read import SIGNS, WheelReading, read_wheels
@@ -58,7 +58,7 @@ def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -
         return None
     # as twists, since the wheels roll along the arc, not along its chord
     moved = se2.log(theirs.wheels.relative(start - offset, start - offset + WINDOW_S))
-    rolled = [np.interp(start + WINDOW_S, t, side) - np.interp(start, t, side) for side in (left, right)]
+    rolled = [changes(start, WINDOW_S, t, side) for side in (left, right)]
     return _best(rolled[0], rolled[1], moved)
 
 

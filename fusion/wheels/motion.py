@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, Motions
+from locfuse.fusion.data import Array, Ints, Motions, changes, interpolate, totals
 from locfuse.fusion.streams import gap_limit
 
 INTERVALS_PER_BLOCK = 2048  # intervals processed at once, to save memory
@@ -107,7 +107,7 @@ class Wheels(msgspec.Struct, frozen=True):
     def driven(self, t: Array) -> Array:
         """Return the distance (...) [m, never decreasing] that the faster wheel rolled until times t (...) [s]."""
         steps = np.abs(self.rolled).max(axis=1)
-        return np.interp(t, self.t, np.concatenate(([0.0], np.cumsum(steps))))
+        return np.asarray(np.interp(t, self.t, totals(steps)))
 
     def slips(self, t: Array) -> Array:
         """Return the variances (..., k - 1, 2) [m^2] of each wheel's distance between times t (..., k) [s]."""
@@ -115,8 +115,7 @@ class Wheels(msgspec.Struct, frozen=True):
             steps = self.noise * np.abs(self.rolled)
         else:  # the variance of wheels that would cause the same variance of the turn
             steps = np.repeat(0.5 * self.track**2 * self.matched[:, 2, 2, None], 2, axis=1)
-        travelled = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
-        return np.diff(np.stack([np.interp(t, self.t, column) for column in travelled.T], axis=-1), axis=-2)
+        return np.diff(interpolate(t, self.t, totals(steps)), axis=-2)
 
     def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
         """Pre-integrate n intervals [t_from, t_to], (n,) s each.
@@ -248,7 +247,7 @@ def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
     `heading` (n,) [rad], not wrapped, is the sensor's heading at times t (n,) [s] on the clock of the motion.
     """
     start = np.arange(t[0], t[-1] - TURN_WINDOW_S, TURN_WINDOW_S)
-    seen = np.interp(start + TURN_WINDOW_S, t, heading) - np.interp(start, t, heading)
+    seen = changes(start, TURN_WINDOW_S, t, heading)
     if len(start) < MIN_WINDOWS or np.sqrt(np.mean(seen**2)) < MIN_TURN_RAD:
         return None
 
@@ -273,8 +272,7 @@ def distances_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_
 
 
 def _far(start: Array, t: Array, xy: Array) -> Array:
-    ends = [np.stack([np.interp(at, t, column) for column in xy.T]) for at in (start, start + DISTANCE_WINDOW_S)]
-    return np.asarray(np.hypot(*(ends[1] - ends[0])))
+    return np.asarray(np.hypot(*changes(start, DISTANCE_WINDOW_S, t, xy).T))
 
 
 def _explained(seen: Array, start: Array, motion: Callable[[Array], Array]) -> float:

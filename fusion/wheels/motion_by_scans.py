@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, LocfuseError, Stream, spaced
+from locfuse.fusion.data import Array, Ints, LocfuseError, Stream, spaced, totals
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, left_out
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser, equal_scans, points_in_base
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
@@ -262,7 +262,7 @@ def _match_with_keys(
     later = np.arange(1, len(rows))
     mine = key[later]
     guess = se2.between(chain[mine], chain[later])
-    total = np.concatenate((np.zeros((1, 3, 3)), np.cumsum(se2.turned_covariance(spread, chain[:-1, 2]), axis=0)))
+    total = totals(se2.turned_covariance(spread, chain[:-1, 2]))
     P = se2.turned_covariance(total[later] - total[mine], -chain[mine, 2]) + FLOOR
     found = match(targets, mine, sources, later, guess, PAIRING_PRIOR_SHARE * inverse(P), REACH_M / 2.0)
     pose, C = _updated(guess, inverse(P), found)

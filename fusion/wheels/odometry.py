@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, LocfuseError, Stream, stretches
+from locfuse.fusion.data import Array, LocfuseError, Stream, stretches, totals
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import gap_limit, in_turn
 
@@ -144,7 +144,7 @@ def _poses_by_heading(t: Array, speed: Array, heading: Array) -> Array:
     turn = se2.wrap_all(np.diff(heading))
     chord, middle = arc * np.sinc(turn / (2.0 * np.pi)), heading[:-1] + 0.5 * turn
     steps = np.stack((chord * np.cos(middle), chord * np.sin(middle)), axis=-1)
-    places = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))[: len(t)]
+    places = totals(steps)[: len(t)]
     out[finite] = np.column_stack((places, heading))
     return out
 

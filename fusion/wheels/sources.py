@@ -8,7 +8,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
+from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream, totals
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream, blank, count_dropped
 
@@ -132,7 +132,7 @@ def _of_array(stream: Stream, settings: WheelSettings) -> Array:
 def _rolled_by(t: Array, speeds: Array) -> Array:
     """Integrate wheel speeds (n, 2) [rad/s] to angles (n, 2) [rad] by the trapezoidal rule."""
     steps = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(t)[:, None]
-    return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+    return totals(steps)
 
 
 class _Found(NamedTuple):

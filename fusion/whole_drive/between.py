@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, Measurements, spaced
+from locfuse.fusion.data import Array, Drive, Ints, Measurements, spaced, totals
 from locfuse.fusion.scan_matching.clouds import Clouds, Columns, clouds_of, merged
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import good
@@ -184,7 +184,7 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
 
     t (N,) are all update times [s]. The robot moved if the wheels turned within REST_S of the scan.
     """
-    distance, turned = odometry.path_length(), np.append(0.0, np.cumsum(np.abs(np.diff(odometry.pose[:, 2]))))
+    distance, turned = odometry.path_length(), totals(np.abs(np.diff(odometry.pose[:, 2])))
     before = np.searchsorted(t, t[instants] - REST_S)
     after = np.searchsorted(t, t[instants] + REST_S, side="right") - 1
     moved = (distance[after] > distance[before]) | (turned[after] > turned[before])
@@ -198,7 +198,7 @@ def points_of(m: Measurements, chosen: Ints) -> Clouds:
     cuts = np.arange(SCANS_AT_ONCE, len(chosen), SCANS_AT_ONCE)
     parts = [sources_of(clouds_of(m, part), MAX_POINTS) for part in np.split(chosen, cuts)]
     counts = np.concatenate([np.diff(part.first) for part in parts])
-    first = np.concatenate(([0], np.cumsum(counts)))
+    first = totals(counts)
     return Clouds(
         first, np.concatenate([part.xy for part in parts]), np.concatenate([part.normal for part in parts])
     )

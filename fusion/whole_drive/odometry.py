@@ -13,7 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, Motions
+from locfuse.fusion.data import Array, Drive, Ints, Motions, totals
 
 # m^2, rad^2 per metre driven and per radian turned: slips, uneven floors. The noise of the wheels alone is zero
 # in some directions, and an error in these directions would be interpolated badly between key poses.
@@ -29,7 +29,7 @@ class Odometry(msgspec.Struct, frozen=True):
 
     def path_length(self) -> Array:
         """Return the path length driven until each update time, (n,) [m]."""
-        return np.append(0.0, np.cumsum(np.hypot(*np.diff(self.pose[:, :2], axis=0).T)))
+        return totals(np.hypot(*np.diff(self.pose[:, :2], axis=0).T))
 
     def at(self, k: Ints) -> Odometry:
         """Return the odometry at the update times with indices k (m,)."""

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Ints
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Ints, evenly
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.solve import SYSTEMATIC_SIGMAS, Summands
@@ -124,9 +124,7 @@ def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Int
     found = []
     for k in np.unique(key[key >= 0]).tolist():
         rows = used[key == k]
-        picked = rows[
-            np.unique(np.linspace(0, len(rows) - 1, min(len(rows), READINGS_PER_KEY)).round().astype(int))
-        ]
+        picked = rows[evenly(len(rows), READINGS_PER_KEY)]
         at = instants[picked]
         u, C = odometry.between(np.full(len(at), keys[k]), at)
         C = add_lever_arm(C, -u[:, 1], u[:, 0])

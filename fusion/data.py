@@ -426,9 +426,8 @@ class Estimates(msgspec.Struct, frozen=True):
     lost: tuple[tuple[float, float], ...] = ()  # s: intervals in which the robot was lost
     # (m, 2) s: time of the earlier visit, and of its recognition; sorted by the second
     loops: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    loop_poses: Array = field(
-        default_factory=lambda: np.zeros((0, 3))
-    )  # (m, 3) pose at the later time relative to the pose at the earlier time
+    # (m, 3) pose at the later time relative to the pose at the earlier time
+    loop_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     smoothed: bool = False  # whether each pose uses the whole drive; the audits are those of the filter
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz: sensor -> rate, if lower than that of the log
 

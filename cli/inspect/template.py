@@ -48,8 +48,7 @@ HOW_TO_MEASURE = {
             "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", needed=True
         ),
         "track": Ask(
-            "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it",
-            needed=True,
+            "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it", needed=True
         ),
         "wheelbase": Ask("m: not in this log. Between the front and the rear axle", needed=True),
         "erpm_per_mps": Ask(

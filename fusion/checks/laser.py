@@ -227,11 +227,7 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = Non
 
 
 def of_laser(
-    motion: WallMotion | None,
-    robot: Robot,
-    metre: float = 1.0,
-    least: Least | None = None,
-    by_truth: bool = False,
+    motion: WallMotion | None, robot: Robot, metre: float = 1.0, least: Least | None = None, by_truth: bool = False
 ) -> list[Finding]:
     """Return findings on the laser's distance scale and yaw.
 

@@ -32,10 +32,8 @@ from .extract import (
 # of a LaserScan
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 CELLS_AT_ONCE = 1 << 18  # pairs of lines compared at once, to save memory
-LEAST_RANGE_M, LARGEST_RANGE_M = (
-    np.nextafter(0.0, 1.0),
-    np.finfo(np.float64).max,
-)  # m: limits of a valid range, without 0 and Inf
+# m: limits of a valid range, without 0 and Inf
+LEAST_RANGE_M, LARGEST_RANGE_M = np.nextafter(0.0, 1.0), np.finfo(np.float64).max
 MAX_BEAMS = 100_000  # largest number of beams of a scan: no 2D laser has more
 COMPARED_SCANS = 200  # first scans of a topic that are compared with each other
 MAX_SAME_ANGLE_RAD = 0.01  # scans whose first beams differ by less see in the same directions

@@ -126,11 +126,7 @@ class LineMap(msgspec.Struct):
         return line
 
     def raise_variances(
-        self,
-        belief: JointBelief,
-        least: Array,
-        most: Array | None = None,
-        which: Ints | slice = np.s_[:],
+        self, belief: JointBelief, least: Array, most: Array | None = None, which: Ints | slice = np.s_[:]
     ) -> None:
         """Raise the variances [m^2, rad^2] of the lines `which` to `least` (2,), but by at most `most` (2,)."""
         at = self.states(which)

@@ -59,14 +59,7 @@ from .line_map import (
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, find_closure, is_unknown
 from .scan import LineReader, Scan, Standing
 from .slips import PresentScan
-from .small_maps import (
-    FrozenMap,
-    begin_submap,
-    frozen,
-    heading_among,
-    shared_walls,
-    thaw,
-)
+from .small_maps import FrozenMap, begin_submap, frozen, heading_among, shared_walls, thaw
 from .submap_path import ScanMatchedPath, SubmapPath
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
@@ -298,9 +291,8 @@ class LineTracker(Model):
         G_z = np.array([[1.0, u], [0.0, 1.0]])
         noise = G_z @ scan.R[k] @ G_z.T
         columns: tuple[int, ...] = ()
-        if (
-            self.mount is not None
-        ):  # by the mount, the derivative of the predicted measurement is minus that of the line in the base frame
+        # by the mount, the derivative of the predicted measurement is minus that of the line in the base frame
+        if self.mount is not None:
             columns = self.mount.columns(belief)
             G = np.hstack((G, -G_z @ line_by_mount(self.mount, belief, psi)))
         column, P = -1, np.zeros((2, 2))

@@ -95,7 +95,7 @@ class Compass(Sensor):
         "offset_deg": Ask("left out, it is estimated from the drive; locfuse calibrate finds iron"),
     }
     guesses: ClassVar[Mapping[str, str]] = {
-        "convention": "guess: radians, 0 is east and counter-clockwise (enu_deg, compass_rad, compass_deg)",
+        "convention": "guess: radians, 0 is east and counter-clockwise (enu_deg, compass_rad, compass_deg)"
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y", "magnetic_field.z"),
@@ -137,9 +137,8 @@ class Compass(Sensor):
         usual = float(np.median(strength)) if n else 0.0  # other strengths are disturbed by steel and motors
         strength = strength / usual if usual > 0 else np.ones_like(strength)
         steps = np.abs(np.diff(strength))
-        white = (
-            float(np.median(steps)) / (MAD_OF_NORMAL * math.sqrt(2.0)) if len(steps) else 0.0
-        )  # white noise of the strength, without slow changes
+        # white noise of the strength, without slow changes
+        white = float(np.median(steps)) / (MAD_OF_NORMAL * math.sqrt(2.0)) if len(steps) else 0.0
         explained = FIELD_SIGMAS * max(sigma, white)
         rest = np.square(np.maximum(np.abs(strength - 1.0) - explained, 0.0))
         return Measurements(

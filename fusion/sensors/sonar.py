@@ -63,7 +63,7 @@ class Sonar(Sensor):
         "mounts": Ask(f'{{ "/topic" = [m, m, degrees] }}: {ASK_MOUNT}', blank=True)
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "sensor_msgs/msg/Range": ("field_of_view", "min_range", "max_range", "range"),
+        "sensor_msgs/msg/Range": ("field_of_view", "min_range", "max_range", "range")
     }
 
     def measure(self, stream: Stream, settings: SonarSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:

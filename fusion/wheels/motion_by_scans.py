@@ -373,6 +373,5 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -
             xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
             for row, p in zip(at.tolist(), xy, strict=True):
                 points[row] = few(p, laser.mount[:2], MAX_POINTS).astype(np.float32)
-    return ThinnedScans(
-        np.maximum.accumulate(t), points, laser.mount[:2], skewed
-    )  # scans of different durations overlap
+    # scans of different durations overlap
+    return ThinnedScans(np.maximum.accumulate(t), points, laser.mount[:2], skewed)

@@ -24,9 +24,7 @@ TICKS: Mapping[str, tuple[str, str]] = {
 }
 TICK_BITS = {KOBUKI: 16}  # of the counters; 32 by default
 # Message type -> fields of the left and the right wheel's speed [rad/s].
-SPEEDS: Mapping[str, tuple[str, str]] = {
-    "irobot_create_msgs/msg/WheelVels": ("velocity_left", "velocity_right"),
-}
+SPEEDS: Mapping[str, tuple[str, str]] = {"irobot_create_msgs/msg/WheelVels": ("velocity_left", "velocity_right")}
 # Message type with one wheel per topic -> bits of the counter; 0: the number may be an angle.
 NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Int16": 16,
@@ -243,8 +241,7 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
     found = []
     if settings.left is not None and settings.left == settings.right:
         raise LocfuseError(
-            f"wheels.left and wheels.right both name {settings.left!r}: name two joints of {topic}",
-            role="wheels",
+            f"wheels.left and wheels.right both name {settings.left!r}: name two joints of {topic}", role="wheels"
         )
     for side, given in (("left", settings.left), ("right", settings.right)):
         if given is not None and given not in known:

@@ -26,10 +26,7 @@ from .odometry import STEERED, wheelbase_of
 from .repairs import Side, repaired, unrolled
 
 # Message type -> field of the motor speed [erpm].
-MOTOR: Mapping[str, str] = {
-    "vesc_msgs/msg/VescStateStamped": "state.speed",
-    "vesc_msgs/msg/VescState": "speed",
-}
+MOTOR: Mapping[str, str] = {"vesc_msgs/msg/VescStateStamped": "state.speed", "vesc_msgs/msg/VescState": "speed"}
 SERVO = "std_msgs/msg/Float64"  # servo position, 0 to 1
 GAIN_HINT = "speed_to_erpm_gain of vesc.yaml"
 COUNTER_RANGES = (2.0**16, 2.0**32)  # possible moduli of traction counters, independent of the message type

@@ -302,6 +302,12 @@ MAX_MAGNITUDE = 1e12  # m: a light hour; larger coordinates are invalid
 VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost", "repeated")
 
 
+class RowVerdict:
+    """Indices into VERDICTS, as in `Audit.verdict`."""
+
+    ACCEPTED, GATE, AMBIGUOUS, UNMATCHED, NEW, DISTURBED, LOST, REPEATED = range(len(VERDICTS))
+
+
 class Audit(msgspec.Struct, frozen=True):
     """Record of one sensor's measurements in one run: k rows with prediction, innovation and verdict.
 

@@ -23,10 +23,10 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, matrices
+from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, RowVerdict, matrices
 from .progress import report_progress
 from .robot import Robot
-from .sensor import GATE, Model, Reading
+from .sensor import Model, Reading
 
 BLOCK_INSTANTS = 256
 Due = tuple[str, int]  # sensor, reading
@@ -277,7 +277,8 @@ def inflate(seen: Innovation, state: State) -> None:
     For a sensor with heavy-tailed errors, this keeps information that a rejection would lose; it is the weight of
     Huber's estimator at this innovation. Other innovations are not changed.
     """
-    if seen.verdict != GATE or seen.numbers != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
+    far = seen.verdict == RowVerdict.GATE and math.isfinite(seen.nis)
+    if not far or seen.numbers != 1 or seen.threshold <= 0.0:
         return
     needed = seen.y[0] ** 2 / seen.threshold
     state.add_row_noise(seen.first, needed - seen.sigma[0] ** 2)

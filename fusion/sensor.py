@@ -12,21 +12,8 @@ import msgspec
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import AuditColumns
 
-from .data import (
-    VERDICTS,
-    Array,
-    Colour,
-    Component,
-    Ints,
-    Jump,
-    LocfuseError,
-    MapLine,
-    Measurements,
-    SeenAgain,
-    Stream,
-)
+from .data import Array, Colour, Component, Ints, Jump, LocfuseError, MapLine, Measurements, SeenAgain, Stream
 
-GATE = VERDICTS.index("gate")
 Row = tuple[float, ...]
 Matrix = tuple[Row, ...]
 NO_COLUMNS: tuple[int, ...] = ()  # state columns of a measurement that depends only on the pose

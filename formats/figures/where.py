@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.formats.geometry import walls
-from locfuse.fusion.data import VERDICTS, Array, Estimates, Evaluation, evenly, interpolate
+from locfuse.fusion.data import Array, Estimates, Evaluation, RowVerdict, evenly, interpolate
 
 from .palette import LEVELS
 from .panels import Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces, values_of
@@ -143,7 +143,6 @@ def _curve(name: str, xy: Array, most: int) -> Curve:
 
 COLOURED_STRETCHES = 240  # pieces of a path, each in one colour
 MAX_POINTS_ON_SMALL_MAP = 1500  # points of a path on a small map
-GATE = VERDICTS.index("gate")
 REFUSAL_CELL = 0.025  # cell size as a share of the map's extent: rejected readings in one cell share a cross
 TINY_M = 1e-6  # m: smaller values count as 0
 LIMITS = 10.0 ** np.arange(-6, 7)[:, None] * np.array([1.0, 2.0, 5.0])  # m, the possible limits between colours
@@ -179,7 +178,7 @@ def where(scene: Scene) -> Section:
 
 
 def _route(e: Estimates, judged: Evaluation, has_truth: bool) -> Route:
-    refused = [e.t[audit.instant[audit.verdict == GATE]] for audit in e.audits.values()]
+    refused = [e.t[audit.instant[audit.verdict == RowVerdict.GATE]] for audit in e.audits.values()]
     times = np.unique(np.concatenate([np.zeros(0), *refused]))
     if has_truth:
         return Route(e.name, judged.t, judged.estimate_xy, np.hypot(*judged.deviation.T), times)

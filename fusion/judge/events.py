@@ -19,7 +19,6 @@ from locfuse.fusion.data import (
     RELOCALISED,
     REST,
     SLIP,
-    VERDICTS,
     Array,
     Audit,
     Drive,
@@ -27,6 +26,7 @@ from locfuse.fusion.data import (
     Event,
     Jump,
     Measurements,
+    RowVerdict,
     stretches,
 )
 
@@ -35,7 +35,7 @@ REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # motion in one interval of the wheels;
 SAME_LOOP_S = 5.0  # loop closures in closer succession are reported as one event
 MIN_REFUSED = 5  # consecutive rejected readings; fewer are single outliers
 JUMPS = {SLIP: "wheel slip undone", RELOCALISED: "lost robot found", LOOP_TAKEN: "loop closed"}
-USED_VERDICTS = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
+USED_VERDICTS = (RowVerdict.ACCEPTED, RowVerdict.NEW, RowVerdict.REPEATED)
 
 
 def events_of_drive(drive: Drive) -> list[Event]:

@@ -405,7 +405,8 @@ class CandidateRuns:
             self._found.pop(anchor, None)
             return False
         before, looks = self._found.get(anchor, (found, 0))
-        self._found[anchor] = found, looks + 1 if _is_same(before, found) else 1
+        is_same = chi2_of(found.pose[None], before.pose, before.P + found.P)[0] < SAME_CHI2
+        self._found[anchor] = found, looks + 1 if is_same else 1
         if not unknown:
             return self.count(anchor) >= AGREEING_LOOKS
         return self.count(anchor) >= UNKNOWN_LOOKS and not self._has_rival(anchor, anchors)
@@ -418,11 +419,6 @@ class CandidateRuns:
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()
         return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
-
-
-def _is_same(one: Closure, other: Closure) -> bool:
-    """Return whether two candidates agree within their covariances."""
-    return bool(chi2_of(other.pose[None], one.pose, one.P + other.P)[0] < SAME_CHI2)
 
 
 def is_unknown(P: Array) -> bool:

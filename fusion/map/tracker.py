@@ -20,13 +20,13 @@ from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import (
     LOOP_TAKEN,
-    VERDICTS,
     Array,
     Ints,
     Jump,
     LocfuseError,
     MapLine,
     Measurements,
+    RowVerdict,
     SeenAgain,
 )
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -62,9 +62,6 @@ from .slips import PresentScan
 from .small_maps import FrozenMap, begin_submap, frozen, heading_among, shared_walls, thaw
 from .submap_path import ScanMatchedPath, SubmapPath
 
-UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
-    VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
-)
 REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next submap begins
 # the next submap begins where the heading relative to the seen walls is this certain (1 sigma), or beyond this
 # factor times REACH_M. A heading error at the begin would be a permanent error of the new submap's frame.
@@ -98,8 +95,8 @@ class LineTracker(Model):
         self.guard = Guard(self._jumps) if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
         self.gate = chi_square(gate, 2)
-        new = NEW if mode == "grow" else UNMATCHED
-        self.rules = Rules(self.gate, self.joint, mode == "grow", UNMATCHED, AMBIGUOUS, new)
+        new = RowVerdict.NEW if mode == "grow" else RowVerdict.UNMATCHED
+        self.rules = Rules(self.gate, self.joint, mode == "grow", RowVerdict.UNMATCHED, RowVerdict.AMBIGUOUS, new)
         self._scan = 0
         self._scans = LineReader()
         self._standing = Standing()
@@ -159,11 +156,11 @@ class LineTracker(Model):
         rows = self._standing.take(self._scans.read(m, first, last))
         if rows is None:
             self._usable = False
-            return [Innovation.unpredicted(row, REPEATED, 2, self.gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, RowVerdict.REPEATED, 2, self.gate) for row in range(first, last)]
         self._rows = rows
         if len(self.map.ids) == 0:
             self._seen = self._scan_in_base(belief)
-            return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, RowVerdict.NEW, 2, self.gate) for row in range(first, last)]
         if self._sight is None:
             self._sight = Association(self.rules, mount_states_of(self.mount, belief))
         shared = self._shared(m, first, last)
@@ -177,7 +174,7 @@ class LineTracker(Model):
             found, self._usable = self.guard.watch(present, share, found)
         if not self._usable:
             self._standing.forget()
-            return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, RowVerdict.LOST, 2, self.gate) for row in range(first, last)]
         if self.mode == "grow":
             found.refuse_alone()
         self._found, self._fitted = found, i
@@ -430,7 +427,7 @@ class AtlasTracker(LineTracker):
         G = np.array(frame)
         columns = np.arange(belief.frame, belief.frame + 3)
         belief.transform(columns, se2.compose(G, back), pose_by_frame(G[None], back[None])[0])
-        belief.know_frame(self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,)))
+        belief.know_frame(self._anchors.pose[old.anchor], self._anchors.covariance(old.anchor))
         belief.transform(np.arange(3), se2.compose(R, q), se2.rotation(R[2]))
         J = pose_by_frame(R[None], q[None])[0]
         spread = J @ P @ J.T
@@ -476,7 +473,7 @@ class AtlasTracker(LineTracker):
         if frame is None:
             return
         at = self._at
-        before, now = self._anchors.covariance((at,)), belief.frame_covariance()
+        before, now = self._anchors.covariance(at), belief.frame_covariance()
         if (np.diagonal(now) > (1.0 - MIN_GAIN_SHARE) * np.diagonal(before)).all():
             return
         L = inverted(now)
@@ -545,7 +542,7 @@ class AtlasTracker(LineTracker):
             sight = seen.path.nearest(here[:2])
             self.closed.append(SeenAgain(sight.t, t, se2.between(sight.pose, here)))
         before_loop = pose_in_map(belief)
-        belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
+        belief.know_frame(self._anchors.pose[at], self._anchors.covariance(at))
         self._jumps.append(jump(t, LOOP_TAKEN, before_loop, pose_in_map(belief)))
         if self.guard is not None and not is_unknown(self._anchors.relative(0, at)[1]):
             self.guard.recognised(t)
@@ -561,7 +558,7 @@ class AtlasTracker(LineTracker):
         first, now = super().lines(belief)
         left: list[MapLine] = []
         for old in self._frozen:
-            pose, P = self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,))
+            pose, P = self._anchors.pose[old.anchor], self._anchors.covariance(old.anchor)
             left += old.lines.lines_in_map(pose, P)
         return first, left + now
 

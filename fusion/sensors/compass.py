@@ -14,7 +14,7 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 
 from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
 from locfuse.fusion.se2 import rotated_3d, rotation_3d, wrap, wrap_all
@@ -37,7 +37,6 @@ from .level import LevelledField, levelled
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
-DISTURBED = VERDICTS.index("disturbed")
 H_HEADING = ((0.0, 0.0, 1.0),)
 H_OFFSET = ((1.0,),)
 # A disturbance changes the field's strength (relative) about as much as its direction [rad]: a deviation of the
@@ -203,7 +202,7 @@ class CompassModel(Model):
         y, R = wrap(z[i] - belief.theta - offset), ((variances[i],),)
         seen = belief.compare(i, (y,), H_HEADING, R, self.threshold, columns, H_block)
         if abs(m.plain["strength"][i] - 1.0) > self.tolerance:
-            seen.verdict = DISTURBED
+            seen.verdict = RowVerdict.DISTURBED
         return [seen]
 
 

@@ -24,7 +24,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
 from locfuse.fusion.se2 import rotation_3d
@@ -33,7 +33,6 @@ from locfuse.fusion.streams import count_dropped, last_of_periods, summed
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # in a standstill: encoders flicker by a tick
 MAX_BIAS_SIGMAS = 4.0  # prior sigmas: with a larger bias at rest, the robot was turned by hand
-REPEATED = VERDICTS.index("repeated")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 H_BEFORE: Matrix = ((-1.0,),)
@@ -166,7 +165,7 @@ class GyroModel(Model):
         t, angle = columns_of["t"], m.scalars[0]
         before, now = t[last], t[i]
         if self.rest is not None and self.rest.begin <= before and now <= self.rest.end:
-            return [Innovation.unpredicted(i, REPEATED, 1, self.threshold)]  # already used for the bias
+            return [Innovation.unpredicted(i, RowVerdict.REPEATED, 1, self.threshold)]  # already used for the bias
         dt, turned = now - before, angle[i] - angle[last]
         column = belief.column(BEFORE)
         columns: tuple[int, ...] = (column,)

@@ -154,12 +154,8 @@ class Lrf(Sensor):
 
     def model(self, settings: LrfSettings) -> AtlasTracker:
         """Return the filter model of the laser for a new run."""
-        return AtlasTracker(
-            settings.map,
-            settings.gate,
-            settings.recover,
-            Mount(self.name, settings, observable=settings.map in ESTIMATING_MAPS),
-        )
+        mount = Mount(self.name, settings, observable=settings.map in ESTIMATING_MAPS)
+        return AtlasTracker(settings.map, settings.gate, settings.recover, mount)
 
 
 def laser_of(settings: LrfSettings) -> Laser:

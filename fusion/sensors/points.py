@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, Measurements
+from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, sight
 from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
@@ -17,7 +17,6 @@ from locfuse.fusion.streams import count_dropped
 
 Point = tuple[float, float]
 Row = tuple[float, float, float]
-NEW = VERDICTS.index("new")
 MIN_DISTANCE_M = 1e-3  # m: nearer than this a bearing has no direction
 GROW = "grow"
 MIN_SEEN = 3  # readings of an id from which its point is added to an estimated map
@@ -213,14 +212,14 @@ class GrowingPoints(PointsModel):
         for row in rows_of(m, i):
             point = int(ids[row])
             if point not in self._known:
-                found.append(Innovation.unpredicted(row, NEW, m.z.shape[1], self._gate))
+                found.append(Innovation.unpredicted(row, RowVerdict.NEW, m.z.shape[1], self._gate))
                 continue
             column = belief.column(state_of(point, self._table))
             place = belief.value(column), belief.value(column + 1)
             seen = self.compared(m, row, point, place, (column, column + 1), belief)
             if seen is not None:
                 found.append(seen)
-                self._refused[point] += seen.verdict != 0
+                self._refused[point] += seen.verdict != RowVerdict.ACCEPTED
         return found
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:

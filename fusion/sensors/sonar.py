@@ -19,16 +19,15 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Measurements, Stream, totals
+from locfuse.fusion.data import Array, Colour, Component, Measurements, RowVerdict, Stream, totals
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import GATE, Ask, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import Ask, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import MergedStream, count_dropped, parts_of
 
-UNMATCHED = VERDICTS.index("unmatched")
 CLUTTER_SHARE = 0.25  # share of echoes from unmapped objects, anywhere before the wall
 Mount = tuple[float, float, float]
 MAX_OVERHANG_M = 0.05  # m that a wall may extend beyond its seen part
@@ -126,12 +125,12 @@ class SonarModel(Model):
         z, variances = m.scalars
         echo = nearest_echo(lines, belief, cone, math.sqrt(variances[row]))
         if echo is None:
-            return [Innovation.unpredicted(row, UNMATCHED, 1, self.threshold)]
+            return [Innovation.unpredicted(row, RowVerdict.UNMATCHED, 1, self.threshold)]
         y, R = z[row] - echo.distance, ((variances[row] + echo.map_variance,),)
         seen = belief.compare(row, (y,), echo.H, R, self.threshold, echo.columns, echo.H_block)
         seen.landmark = echo.line
         seen.threshold = min(self.threshold, likelier(echo.distance, seen.sigma[0]))
-        seen.verdict = 0 if seen.nis <= seen.threshold else GATE
+        seen.verdict = 0 if seen.nis <= seen.threshold else RowVerdict.GATE
         return [seen]
 
 

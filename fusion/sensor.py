@@ -218,6 +218,14 @@ class Model:
         return []
 
 
+def given_or_state(given: float | None, state: str, belief: Belief) -> tuple[float, tuple[int, ...]]:
+    """Return a value and the columns of its state: `given` and none if it is configured, else the estimate."""
+    if given is not None:
+        return given, NO_COLUMNS
+    column = belief.column(state)
+    return belief.value(column), (column,)
+
+
 class Ask(NamedTuple):
     """Text of `locfuse init` for a setting that a log does not contain: how to find its value."""
 

@@ -51,6 +51,22 @@ def take(column: Column, rows: NDArray[Any]) -> Column:
     return Ragged(column.values[at], first)
 
 
+def seconds(t_ns: Ints, zero_ns: int, offset: float = 0.0) -> Array:
+    """Return stamps (n,) [ns] as seconds since `zero_ns`, plus an offset [s]."""
+    return (t_ns - zero_ns) * np.float64(1e-9) + offset
+
+
+def arrays(stream: Stream, *fields: str) -> dict[str, Array]:
+    """Return the columns of these fields, which hold one number or as many numbers in every reading."""
+    return cast("dict[str, Array]", stream.columns(*fields))
+
+
+def numbers(stream: Stream, *fields: str) -> Array:
+    """Return the numbers of these fields, (n, fields), in all readings of a stream."""
+    columns = arrays(stream, *fields)
+    return np.stack([columns[name] for name in fields], axis=-1).astype(np.float64)
+
+
 def taken(stream: Stream, rows: Ints, *fields: str) -> ArrayStream:
     """Return a stream of the rows with these indices (k,), at least one, with these fields in memory."""
     parts: list[Block] = []
@@ -153,8 +169,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def t_ns(self) -> Ints:
         """Stamps of the readings, (n,) ns, never decreasing."""
-        times: Ints = np.concatenate([part.t_ns for part in self.parts])[self._order]
-        return times
+        return np.concatenate([part.t_ns for part in self.parts])[self._order]
 
     @cached_property
     def source(self) -> Ints:
@@ -164,7 +179,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return the numbers of all n rows for each of these fields, by dotted field path."""
-        found = [cast("dict[str, Array]", part.columns(*fields)) for part in self.parts]
+        found = [arrays(part, *fields) for part in self.parts]
         return {name: np.concatenate([columns[name] for columns in found])[self._order] for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:

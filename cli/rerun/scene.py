@@ -55,6 +55,7 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
+from locfuse.fusion.streams import seconds
 from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.odometry import POSE
 
@@ -165,7 +166,7 @@ def _raw_topics(loaded: Loaded) -> list[RawTopic]:
     for role in loaded.choice.topics:
         stream = _stream(loaded, role)
         fields = common_fields(role, stream.msgtype)
-        t: Array = (stream.t_ns - loaded.drive.epoch_ns) * np.float64(1e-9)
+        t = seconds(stream.t_ns, loaded.drive.epoch_ns)
         found.append(RawTopic(stream.topic, t, _curves(stream.columns(*fields) if fields else {})))
     return found
 
@@ -266,7 +267,7 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
     first = next(iter(tracks.values()))
     epoch_ns = int(first.t_ns[0])
     still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
-    t = (first.t_ns - epoch_ns) * np.float64(1e-9)
+    t = seconds(first.t_ns, epoch_ns)
     drive = Drive(epoch_ns, t, still, {}, {}, {}, _truth(folder, report, epoch_ns))
     estimates = [_estimates(track, drive, rows[name]) for name, track in tracks.items()]
     return RerunScene(

@@ -16,6 +16,7 @@ from locfuse.fusion.data import BASES, PLANE_ROWS, Array, Drive, Estimates, Locf
 from locfuse.fusion.judge.against import interpolated
 from locfuse.fusion.sensors.pose import WITH_COVARIANCE
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import seconds
 from locfuse.fusion.wheels.odometry import POSE
 
 ESTIMATE_NAME = re.compile(r"[A-Za-z][\w.-]*")
@@ -66,7 +67,7 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
     stream = log.stream(topic)
     found = estimates_in(stream, drive, name)
     if found is None:
-        t = (stream.t_ns - drive.epoch_ns) * np.float64(1e-9)
+        t = seconds(stream.t_ns, drive.epoch_ns)
         span = f"{t[0]:.1f} to {t[-1]:.1f} s" if len(t) else "nothing"
         raise LocfuseError(
             f"--estimate {name}: {source} covers {span} of a drive from 0 to {drive.t[-1]:.1f} s: another clock?"
@@ -106,4 +107,4 @@ def _columns(stream: Stream, epoch_ns: int) -> tuple[Array, Array, Array]:
         P = P[:, PLANE_ROWS][:, :, PLANE_ROWS]
         given = np.isfinite(P).all(axis=(1, 2)) & (np.diagonal(P, axis1=1, axis2=2) > 0.0).all(axis=1)
         triangles[given] = P[given][:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
-    return (stream.t_ns - epoch_ns) * np.float64(1e-9), pose, triangles
+    return seconds(stream.t_ns, epoch_ns), pose, triangles

@@ -176,8 +176,7 @@ def spread(scene: Scene) -> Section:
 
 def _sizes(errors: Array, least: float) -> Array:
     """Return the absolute values (k,) of the finite `errors` (n,); values below `least` are raised to `least`."""
-    found: Array = np.maximum(np.abs(errors[np.isfinite(errors)]), least)
-    return found
+    return np.maximum(np.abs(errors[np.isfinite(errors)]), least)
 
 
 def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str) -> Panel | None:
@@ -216,8 +215,7 @@ def _bins(errors: Array) -> Array:
     high = np.ceil(BINS_PER_DECADE * np.log10(errors.max()) + 1e-9)
     low = np.floor(BINS_PER_DECADE * np.log10(errors.min()) - 1e-9)
     low = max(low, high - MAX_DECADES * BINS_PER_DECADE)
-    edges: Array = 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE)
-    return edges
+    return 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE)
 
 
 # --- Effect of each sensor on the position error: alone, added to the others, and on average

@@ -244,8 +244,7 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: HeadingRefe
 def _without(column: Array, others: Array) -> Array:
     """Return a column (n,) minus the least-squares fit by other columns (n, k)."""
     x, *_ = np.linalg.lstsq(others, column, rcond=None)
-    rest: Array = column - others @ x
-    return rest
+    return column - others @ x
 
 
 def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ from locfuse.fusion.lines.scans import SCAN_FIELDS
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
-from locfuse.fusion.streams import taken
+from locfuse.fusion.streams import seconds, taken
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding, Least
@@ -421,7 +421,7 @@ def of_sweep(stream: Stream, drive: Drive, robot: Robot, offset: float) -> list[
     if not settings.deskew or not len(drive.measurements["lrf"].t) or not increment.any():
         return []
     settings = replace(settings, time_offset=settings.time_offset + offset)
-    pairs = _places((stream.t_ns - drive.epoch_ns) * np.float64(1e-9) + settings.time_offset, drive)
+    pairs = _places(seconds(stream.t_ns, drive.epoch_ns, settings.time_offset), drive)
     rows = np.unique(np.concatenate([_evenly(scans) for scans in pairs]))  # only these scans are compared
     if not len(rows):
         return []

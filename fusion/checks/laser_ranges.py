@@ -222,8 +222,7 @@ def scatter(columns: dict[str, Any]) -> Array:
 
 def _bend(before: Array, here: Array, after: Array, cos: Array | float) -> Array:
     """Return range `here` [m] minus the range to the line through the other two ends; cos: of the beam spacing."""
-    bend: Array = here - 2.0 * cos * before * after / (before + after)
-    return bend
+    return here - 2.0 * cos * before * after / (before + after)
 
 
 def _sample(stream: Stream, last: int) -> Iterator[dict[str, Any]]:

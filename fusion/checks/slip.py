@@ -160,8 +160,7 @@ def _distances(wheels: Wheels, begin: Array, t: Array, pose: Array, window: floa
 def _ahead(t: Array, pose: Array, begin: Array, window: float) -> Array:
     """Return the forward distances (m,) [m] of a path (n, 3) in the windows [s] after times `begin` (m,)."""
     first, last = (interpolate(at, t, pose) for at in (begin, begin + window))
-    ahead: Array = se2.between(first, last)[:, 0]
-    return ahead
+    return se2.between(first, last)[:, 0]
 
 
 def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:

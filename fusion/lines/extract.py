@@ -67,8 +67,7 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
     slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * PIECE_EDGES))[scan]  # (m, pieces, 2) m
     turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, pieces)
     left, right = (move - turn) * slip[:, None, :, 0], (move + turn) * slip[:, None, :, 1]
-    G: Array = np.concatenate((left, right), axis=2).astype(np.float32)
-    return G
+    return np.concatenate((left, right), axis=2).astype(np.float32)
 
 
 def in_base(loads: Array, z: Array, mount: Array) -> Array:

@@ -65,8 +65,7 @@ class Counts:
     def latest(self, t: Array) -> Array:
         """Return the distances (..., 2) [m] from the newest reading before each time t (...) [s]."""
         newest = np.searchsorted(self.t, t + MAX_STAMP_ROUNDING_S, side="right") - 1
-        distances: Array = self.rolled[np.maximum(newest, 0)]
-        return distances
+        return self.rolled[np.maximum(newest, 0)]
 
     def interpolated(self, t: Array) -> Array:
         """Return the distances (..., 2) [m], interpolated at times t (...) [s]."""
@@ -187,5 +186,4 @@ def newest(grid: Array, t: Array) -> Ints:
     """
     last = np.searchsorted(t, grid + MAX_STAMP_ROUNDING_S, side="right") - 1
     before = np.concatenate(([-1], last[:-1]))
-    found: Ints = np.where(last > before, last, -1)
-    return found
+    return np.where(last > before, last, -1)

@@ -21,6 +21,7 @@ from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import sight, wrap
 from locfuse.fusion.sensor import NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
+from locfuse.fusion.streams import seconds
 
 Point = tuple[float, float]
 MIN_DISTANCE_M = 0.05  # m: nearer than this the camera is inside the landmark
@@ -214,7 +215,7 @@ def _collect(seen: SeenLandmarks, settings: CameraSettings, epoch_ns: int) -> Me
     # the paper's var(gamma) has no term for the pixels
     rest = np.zeros(len(theta)) if settings.bearing == "absolute" else explained
     return Measurements(
-        t=(seen.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset,
+        t=seconds(seen.t_ns, epoch_ns, settings.time_offset),
         first=seen.first,
         z=bearing(theta, detector(settings).optics(seen.shape)).reshape(-1, 1),
         R_unit=(1.0 + rest / sigma**2).reshape(-1, 1, 1),

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from locfuse.fusion.sensor import (
     SensorSettings,
     WheelMotion,
 )
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import arrays, count_dropped, seconds
 
 from .points import detector_at
 
@@ -90,7 +90,7 @@ class Gps(Sensor):
 
     def measure(self, stream: Stream, settings: GpsSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Measure positions z (n, 2) [m]: east and north of the configured origin, else of the first fix."""
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         where = np.column_stack((columns["latitude"], columns["longitude"])).astype(np.float64)
         dropped = dict(stream.dropped)
         good = _usable(where, columns.get("status.status"), dropped)
@@ -102,7 +102,7 @@ class Gps(Sensor):
         where = where[good]
         origin = settings.origin or (float(where[0, 0]), float(where[0, 1]))
         n = len(where)
-        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         return Measurements(
             t=t[good],
             first=np.arange(n + 1),

@@ -26,7 +26,7 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -46,8 +46,8 @@ from locfuse.fusion.data import (
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import direction, wrap, wrap_all
-from locfuse.fusion.sensor import NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
-from locfuse.fusion.streams import parts_of
+from locfuse.fusion.sensor import NO_BLOCK, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion, given_or_state
+from locfuse.fusion.streams import arrays, parts_of
 
 from .points import (
     MIN_JUDGED,
@@ -144,7 +144,7 @@ class Sighted(NamedTuple):
 def sighted(stream: Stream, looks: CameraView) -> Sighted:
     """Return the landmark detections of a stream. Raises LocfuseError for pixels without a focal length."""
     if stream.msgtype == DETECTIONS:
-        columns = cast("dict[str, Array]", stream.columns(*READS[DETECTIONS]))
+        columns = arrays(stream, *READS[DETECTIONS])
         ranges: Array = np.asarray(columns["range"], np.float64)
         ids = np.asarray(columns["id"]).astype(np.int64)
         given = None if len(ranges) and np.isnan(ranges).all() else ranges
@@ -472,14 +472,9 @@ class LandmarksModel(PointsModel):
 
     def _ranging(self, belief: Belief) -> Ranging:
         """Return the range model with the present estimates of offset and depth share."""
-        offset, depth, columns = self.given, self.depth, NO_COLUMNS
-        if offset is None:
-            column = belief.column(OFFSET)
-            offset, columns = belief.value(column), (column,)
-        if depth is None:
-            column = belief.column(DEPTH)
-            depth, columns = belief.value(column), (*columns, column)
-        return Ranging(offset, depth, columns, (self.given is None, self.depth is None))
+        offset, of_offset = given_or_state(self.given, OFFSET, belief)
+        depth, of_depth = given_or_state(self.depth, DEPTH, belief)
+        return Ranging(offset, depth, of_offset + of_depth, (bool(of_offset), bool(of_depth)))
 
     def _mount_of(self, m: Measurements, row: int) -> Row:
         """Return the detector's mount (x [m], y [m], yaw [rad]) for a row."""

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion.data import Array, Block, Column, Ints, Stream, interpolate
 from locfuse.fusion.se2 import rotated_3d
+from locfuse.fusion.streams import arrays
 
 IMU = "sensor_msgs/msg/Imu"
 FIELD = "sensor_msgs/msg/MagneticField"
@@ -74,7 +75,7 @@ def tilt_of(stream: Stream, R: Array) -> Tilt | None:
     R (3, 3) is the rotation from IMU axes to base axes. Also None if the IMU has neither an orientation nor
     accelerations and rates, or if up contradicts the configured mount (`locfuse info` reports that).
     """
-    columns = cast("dict[str, Array]", stream.columns(*READS))
+    columns = arrays(stream, *READS)
     up, words = by_orientation(columns), "the orientation"
     if up is None:
         up, words = by_gravity(stream.t_ns, columns), "gravity and turning rates"

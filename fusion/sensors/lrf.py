@@ -33,6 +33,7 @@ from locfuse.fusion.lines.scans import (
 from locfuse.fusion.map.tracker import AtlasTracker
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
+from locfuse.fusion.streams import seconds
 
 ESTIMATING_MAPS = ("refine", "grow")  # maps whose lines are states: the mount can be estimated too
 MAX_CURVED_SHARE = 0.05  # of all walls; a larger share gives a note
@@ -89,7 +90,7 @@ class Lrf(Sensor):
 
     def measure(self, stream: Stream, settings: LrfSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Extract the lines of every scan, in the base frame at the middle of the scan (deskewed)."""
-        stamps: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        stamps = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         (t, found, same), laser, unseen = left_out(
             laser_of(settings), lambda laser, longest: self._lines(stream, stamps, laser, wheels, longest)
         )

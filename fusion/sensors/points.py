@@ -13,7 +13,7 @@ from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, RowVerd
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, sight
 from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import count_dropped, seconds
 
 Point = tuple[float, float]
 Row = tuple[float, float, float]
@@ -110,8 +110,7 @@ def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int])
     twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
     count_dropped(dropped, not_finite=~valid, no_id=valid & (ids < 0), ignored=valid & unwanted)
     count_dropped(dropped, not_in_map=valid & numbered & ~known, same_id=valid & known & twice)
-    keep: NDArray[np.bool_] = valid & known & ~twice
-    return keep
+    return valid & known & ~twice
 
 
 def _often_seen(
@@ -144,7 +143,7 @@ def _often_seen(
 def by_instant(t_ns: Ints, epoch_ns: int, time_offset: float) -> tuple[Array, Ints]:
     """Return the distinct times (k,) [s] of sorted readings, and the first row of each time (k + 1,)."""
     instants, first = np.unique(t_ns, return_index=True)
-    t: Array = (instants - epoch_ns) * np.float64(1e-9) + time_offset
+    t = seconds(instants, epoch_ns, time_offset)
     return t, np.append(first, len(t_ns)).astype(np.int64)
 
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ from locfuse.fusion.sensor import (
     SensorSettings,
     WheelMotion,
 )
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import arrays, count_dropped, seconds
 from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
 
 CLONE = "_pose_before"
@@ -130,11 +130,11 @@ class PoseSensor(Sensor):
         Raises LocfuseError if no message has a pose, or if the pose does not change while the robot drives.
         """
         fields = POSE[stream.msgtype]
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         values = np.stack([np.asarray(columns[name], np.float64) for name in fields], axis=-1)
         dropped = dict(stream.dropped)
         keep = _usable(values, stream, settings, dropped)
-        values, t = values[keep], (stream.t_ns[keep] - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        values, t = values[keep], seconds(stream.t_ns[keep], epoch_ns, settings.time_offset)
         # several readings have the same error: with this factor on their variances they count as one reading
         shared = max(1.0, settings.correlated / float(np.median(np.diff(t)))) if len(t) > 1 else 1.0
         theta = se2.yaw(*values[:, 2:].T) if settings.heading else np.zeros(len(values))

@@ -13,20 +13,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, Measurements, RowVerdict, Stream, totals
+from locfuse.fusion.data import Colour, Component, Measurements, RowVerdict, Stream, totals
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import Ask, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import MergedStream, count_dropped, parts_of
+from locfuse.fusion.streams import MergedStream, arrays, count_dropped, parts_of, seconds
 
 CLUTTER_SHARE = 0.25  # share of echoes from unmapped objects, anywhere before the wall
 Mount = tuple[float, float, float]
@@ -67,9 +67,9 @@ class Sonar(Sensor):
 
     def measure(self, stream: Stream, settings: SonarSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Measure distances z (m, 1) [m]; a reading without an echo has no row."""
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         distance = columns["range"].astype(np.float64)
-        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         known = ~np.isnan(distance)
         dropped = dict(stream.dropped)
         count_dropped(dropped, not_finite=~known)

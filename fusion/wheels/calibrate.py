@@ -80,10 +80,8 @@ class Residuals(msgspec.Struct, frozen=True):
         from scipy.optimize import minimize_scalar
 
         bounds = tuple(map(math.log, S_BOUNDS))
-        tight = {"xatol": LN_S_TOLERANCE}
-        found = minimize_scalar(
-            lambda x: -self.ln_likelihood(math.exp(x)), bounds=bounds, method="bounded", options=tight
-        )
+        how = {"bounds": bounds, "method": "bounded", "options": {"xatol": LN_S_TOLERANCE}}
+        found = minimize_scalar(lambda x: -self.ln_likelihood(math.exp(x)), **how)
         return math.exp(found.x), -float(found.fun)
 
     def fit(self) -> tuple[Figure, float]:
@@ -186,7 +184,12 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
         found = Pieces.joined(*(find_pieces(drive, moved) for drive in drives))
         used = without_outliers(found)
         if len(used.e) < MIN_PIECES:
-            raise LocfuseError(_too_few(len(used.e)), role="calibrate")
+            least = f"{MIN_RUNS[STRAIGHT]:g} m straight or {math.degrees(MIN_RUNS[TURN]):.0f} degrees on the spot"
+            raise LocfuseError(
+                f"{len(used.e)} usable pieces of straight runs and turns on the spot; at least {MIN_PIECES} of "
+                f"{least} are needed. See how such a drive looks: locfuse simulate straight_runs",
+                role="calibrate",
+            )
         residuals = used.residuals(used.Q)
         step, spread = residuals.parameters(residuals.best()[0])
         moved = (1.0 + moved) * (1.0 + FROM_PARAMETERS @ step) - 1.0
@@ -325,14 +328,6 @@ def _lengths(seen: Array, u: Array, sigma: Sigma) -> tuple[Array, Array]:
     return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN_VARIANCE, UNSEEN_VARIANCE]), (len(u), 1, 1))
 
 
-def _too_few(n: int) -> str:
-    least = f"{MIN_RUNS[STRAIGHT]:g} m straight or {math.degrees(MIN_RUNS[TURN]):.0f} degrees on the spot"
-    return (
-        f"{n} usable pieces of straight runs and turns on the spot; at least {MIN_PIECES} of {least} are needed. "
-        "See how such a drive looks: locfuse simulate straight_runs"
-    )
-
-
 # ---- straight runs and turns on the spot ----
 
 
@@ -361,9 +356,8 @@ def _labels(wheels: Wheels) -> Ints:
     ds, turn = (after - before).T
     rim = 0.5 * wheels.track * turn
     moving = np.abs(ds) + np.abs(rim) > STANDSTILL_MPS * WINDOW_S
-    straight = (np.abs(rim) <= MAX_OTHER_SHARE * np.abs(ds)) & (
-        np.abs(turn) <= MAX_CURVATURE_RAD_PER_M * np.abs(ds)
-    )
+    straight = np.abs(rim) <= MAX_OTHER_SHARE * np.abs(ds)
+    straight &= np.abs(turn) <= MAX_CURVATURE_RAD_PER_M * np.abs(ds)
     label = np.where(straight, np.sign(ds), 0.0)
     label = np.where(np.abs(ds) <= MAX_OTHER_SHARE * np.abs(rim), 2.0 * np.sign(rim), label)
     return np.where(moving, label, 0.0).astype(np.int64)

@@ -131,13 +131,10 @@ def calibrate_tricycle(
         rest = of_path(best).reshape(-1, 3)
     # residuals of neighbours are correlated, so only as many degrees of freedom as free parameters count
     sigmas = np.zeros(len(best))
-    sigmas[free] = np.sqrt(
-        np.diag(np.linalg.pinv(solved.jac.T @ solved.jac)) * 2.0 * float(solved.cost) / len(free)
-    )
-    places = rest[:, : 1 if by == "gyro" else 2]
-    return TricycleCalibration(
-        _wheels(best, sigmas, settings), by, _mount(by, best, sigmas), float(np.sqrt((places**2).sum(1).mean()))
-    )
+    inverse = np.linalg.pinv(solved.jac.T @ solved.jac)
+    sigmas[free] = np.sqrt(np.diag(inverse) * 2.0 * float(solved.cost) / len(free))
+    rms = float(np.sqrt((rest[:, : 1 if by == "gyro" else 2] ** 2).sum(1).mean()))
+    return TricycleCalibration(_wheels(best, sigmas, settings), by, _mount(by, best, sigmas), rms)
 
 
 def nominal(
@@ -199,8 +196,5 @@ def _mount(by: By, p: Array, sigmas: Array) -> dict[str, Figure]:
     """Return the fitted mount of tracked point or laser, and the laser's delay, with intervals, by their keys."""
     found = {"x": (4, 1.0), "y": (5, 1.0), "yaw_deg": (6, math.degrees(1.0)), "time_offset": (DELAY, 1.0)}
     keys = {"truth": ("x", "y"), "lrf": (*found,), "gyro": ()}[by]
-    return {
-        key: _figure(float(p[i]) * unit, float(sigmas[i]) * unit)
-        for key, (i, unit) in found.items()
-        if key in keys
-    }
+    fitted = ((key, *found[key]) for key in keys)
+    return {key: _figure(float(p[i]) * unit, float(sigmas[i]) * unit) for key, i, unit in fitted}

@@ -65,16 +65,11 @@ def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -
 def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Array]:
     """Return times (n,) [s] and the repaired angles of both wheels (n,) [rad]."""
     turn = 2.0 * np.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
-    left, right = (
-        repaired(s, ASSUMED_RADIUS_M * turn, settings.rollover, settings.max_speed)
-        for s in (both.left, both.right)
-    )
+    how = ASSUMED_RADIUS_M * turn, settings.rollover, settings.max_speed
+    left, right = (repaired(side, *how) for side in (both.left, both.right))
     t = both.left.t[left.keep]
-    return (
-        t,
-        left.rolled / ASSUMED_RADIUS_M,
-        np.interp(t, both.right.t[right.keep], right.rolled / ASSUMED_RADIUS_M),
-    )
+    at_left = np.interp(t, both.right.t[right.keep], right.rolled / ASSUMED_RADIUS_M)
+    return t, left.rolled / ASSUMED_RADIUS_M, at_left
 
 
 def _best(left: Array, right: Array, moved: Array) -> Geometry | None:

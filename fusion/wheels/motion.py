@@ -169,9 +169,8 @@ class Wheels(msgspec.Struct, frozen=True):
         by_turn = np.stack((-0.5 * chord[:, 1] - lever[:, 1], 0.5 * chord[:, 0] + lever[:, 0], one), axis=-1)
         direction = middle + _travel_direction(ahead, left)
         by_distance = np.stack((np.cos(direction), np.sin(direction), 0.0 * direction), axis=-1)
-        by_wheels = np.stack(
-            (0.5 * by_distance - by_turn / self.track, 0.5 * by_distance + by_turn / self.track), axis=-1
-        )
+        half, turning = 0.5 * by_distance, by_turn / self.track
+        by_wheels = np.stack((half - turning, half + turning), axis=-1)
         if self.matched is None:
             noise = (by_wheels * (self.noise * np.abs(rolled))[:, None]) @ np.swapaxes(by_wheels, 1, 2)
             variance, rate = self.gap_uncertainty[k].T
@@ -186,9 +185,8 @@ class Wheels(msgspec.Struct, frozen=True):
             noise = share[:, None, None] * (lever_of @ self.matched[k] @ np.swapaxes(lever_of, 1, 2))
         if not parameters:
             return noise, np.zeros((len(k), 3, 0))
-        return noise, np.concatenate(
-            (by_wheels * rolled[:, None], (-turned[:, None] * by_turn)[..., None]), axis=-1
-        )
+        by_track = (-turned[:, None] * by_turn)[..., None]
+        return noise, np.concatenate((by_wheels * rolled[:, None], by_track), axis=-1)
 
 
 def _travel_direction(ahead: Array, left: Array) -> Array:

@@ -31,6 +31,7 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
 from locfuse.fusion.scan_matching.clouds import Clouds, few
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, overlap, sources_of
 from locfuse.fusion.sensor import WheelMotion
+from locfuse.fusion.streams import seconds
 
 from .motion import Wheels
 from .read import WheelReading
@@ -221,10 +222,8 @@ def constrained(information: Array) -> Array:
     In a corridor, the noise of the wall directions would otherwise count as information that there is no motion.
     """
     across = information[:, :2, 2]
-    place = (
-        information[:, :2, :2]
-        - across[:, :, None] * across[:, None, :] / np.maximum(information[:, 2, 2], 1e-9)[:, None, None]
-    )
+    of_turn = across[:, :, None] * across[:, None, :] / np.maximum(information[:, 2, 2], 1e-9)[:, None, None]
+    place = information[:, :2, :2] - of_turn
     values, vectors = np.linalg.eigh(place)
     d = np.concatenate((vectors[:, :, 0], np.zeros((len(place), 1))), axis=1)  # direction of least information
     Hd = np.einsum("nij,nj->ni", information, d)
@@ -361,7 +360,7 @@ def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> ThinnedScan
 
 def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -> ThinnedScans:
     """Read the scans of a stream; `longest` collects the ranges of all scans."""
-    stamps: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9)
+    stamps = seconds(stream.t_ns, stream.t_ns[0])
     t = stamps.copy()
     points: list[NDArray[np.float32]] = [np.zeros((0, 2), np.float32)] * len(t)
     skewed = False

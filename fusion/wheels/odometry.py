@@ -8,14 +8,14 @@ messages).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, Stream, stretches, totals
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.streams import gap_limit, in_turn
+from locfuse.fusion.streams import arrays, gap_limit, in_turn
 
 from .repairs import MAX_SPEED_MPS, Mask, held_note, held_readings, limits, spikes, times, without_restarts
 
@@ -106,7 +106,7 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
     Raises LocfuseError if a steering angle needs a wheelbase that is not configured.
     """
     kind = stream.msgtype
-    columns = cast("dict[str, Array]", stream.columns(*BODY_READS[kind]))
+    columns = arrays(stream, *BODY_READS[kind])
     values = np.zeros((len(stream.t_ns), 5))
     if kind in POSE:
         x, y, *q = (columns[name].astype(np.float64) for name in POSE[kind])
@@ -280,8 +280,7 @@ def backing_up(steps: Array, by_speed: Array) -> Mask:
     reverse = moving & (by_speed < 0.0) & (ahead < 0.0)
     reliable = agrees.sum() >= MIN_AGREEING_SHARE * moving.sum() and forward.sum() > wrong.sum()
     no_reverse = reverse.sum() <= MAX_REVERSE_SHARE * wrong.sum()
-    found: Mask = (by_speed < 0.0) & (ahead > 0.0) & bool(reliable and no_reverse and wrong.any())
-    return found
+    return (by_speed < 0.0) & (ahead > 0.0) & bool(reliable and no_reverse and wrong.any())
 
 
 def along_the_frame(ahead: Array, dx: Array, by_speed: Array) -> bool:
@@ -299,8 +298,7 @@ def along_the_frame(ahead: Array, dx: Array, by_speed: Array) -> bool:
 def _steps(values: Array) -> Array:
     step = se2.between(values[:-1, :3], values[1:, :3])
     step[:, 2] = se2.wrap_all(step[:, 2])
-    twist: Array = se2.log(step)
-    return twist
+    return se2.log(step)
 
 
 def _limits(t: Array, values: Array, max_speed: float | None) -> Array:

@@ -106,9 +106,8 @@ def _rolled(
     counters: Counters, metres: float, settings: WheelSettings
 ) -> tuple[Array, Array, Array, tuple[str, ...]]:
     """Return times (n,) and the repaired distances of left and right wheel (n,) [m] at these times, and notes."""
-    left, right = (
-        repaired(side, metres, settings.rollover, settings.max_speed) for side in (counters.left, counters.right)
-    )
+    how = metres, settings.rollover, settings.max_speed
+    left, right = (repaired(side, *how) for side in (counters.left, counters.right))
     count_dropped(counters.dropped, spike=left.spikes + right.spikes)
     t_left, t_right = counters.left.t[left.keep], counters.right.t[right.keep]
     if counters.left.t is counters.right.t:

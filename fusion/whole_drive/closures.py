@@ -384,5 +384,4 @@ def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
 def _nearest(keys: Ints, at: Ints) -> Ints:
     """Return the index of the nearest key for each update time `at` (k, 2); `keys` (m,) are increasing."""
     after = np.clip(np.searchsorted(keys, at), 1, len(keys) - 1)
-    nearest: Ints = np.where(at - keys[after - 1] <= keys[after] - at, after - 1, after)
-    return nearest
+    return np.where(at - keys[after - 1] <= keys[after] - at, after - 1, after)

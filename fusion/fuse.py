@@ -96,9 +96,8 @@ class Filter:
         self._wheels = robot.wheels
         self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
         self._listens = {s: flags.tolist() for s, flags in (listen or {}).items()}
-        self.models: dict[str, Model] = {
-            s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
-        }
+        modelled = [s for s in REGISTRY if s in sensors or s in self._listens]
+        self.models: dict[str, Model] = {s: REGISTRY[s].model(robot.settings(s)) for s in modelled}
         self.belief = _begin(robot, list(self.models.values()))
         # these states correlate the innovations of one reading, so their joint NIS is recorded
         self._joint = any(model.joint for model in self.models.values())

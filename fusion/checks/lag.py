@@ -254,9 +254,8 @@ def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> NDArray
     change = np.abs(after - 2.0 * now + before)
     if not len(change):
         return np.zeros(0, bool)
-    kept: NDArray[np.bool_] = change >= min(
-        math.sqrt((change**2).mean()), float(np.quantile(change, MAX_LEFT_OUT_SHARE))
-    )
+    limit = float(np.quantile(change, MAX_LEFT_OUT_SHARE))
+    kept: NDArray[np.bool_] = change >= min(math.sqrt((change**2).mean()), limit)
     return kept
 
 

@@ -374,11 +374,8 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[f
     r, psi = a[:, 0] - n @ moved[:2], a[:, 1] - moved[2]
     turn = np.abs(se2.wrap_all(psi[:, None] - b[None, :, 1]))
     shift = np.abs(r[:, None] - b[None, :, 0])
-    cost = np.where(
-        (turn < MAX_WALL_TURN_RAD) & (shift < MAX_WALL_SHIFT_M),
-        turn / MAX_WALL_TURN_RAD + shift / MAX_WALL_SHIFT_M,
-        np.inf,
-    )
+    near = (turn < MAX_WALL_TURN_RAD) & (shift < MAX_WALL_SHIFT_M)
+    cost = np.where(near, turn / MAX_WALL_TURN_RAD + shift / MAX_WALL_SHIFT_M, np.inf)
     nearest = cost.argmin(axis=1)
     best = cost[np.arange(len(a)), nearest]
     # only unambiguous pairs are used

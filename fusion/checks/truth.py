@@ -414,9 +414,8 @@ def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None
         return None
     last = last[first]
     # with points as complex numbers a step is turned * l + rolled * (scale + i sideways)
-    turned, rolled, y = (
-        c[last] - c[first] for c in (np.exp(1.0j * truth.theta), path @ (1.0, 1.0j), truth.xy @ (1.0, 1.0j))
-    )
+    columns = np.exp(1.0j * truth.theta), path @ (1.0, 1.0j), truth.xy @ (1.0, 1.0j)
+    turned, rolled, y = (c[last] - c[first] for c in columns)
     if 2.0 * np.vdot(turned, turned).real < 1.0:
         return None
     alone = rolled - turned * (np.vdot(turned, rolled) / np.vdot(turned, turned))
@@ -595,6 +594,5 @@ def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> TruthStart
         heading_sigma = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))
     spread = float(np.hypot(*(places - place).std(axis=0))) / math.sqrt(len(points))
     moved = float(wheels.driven(first) - wheels.driven(wheels.t[0])) > POSE_WAY_M
-    return TruthStart(
-        np.array([*place, se2.wrap(turn)]), way, heading_sigma, spread, first if moved else float(wheels.t[0])
-    )
+    at = first if moved else float(wheels.t[0])
+    return TruthStart(np.array([*place, se2.wrap(turn)]), way, heading_sigma, spread, at)

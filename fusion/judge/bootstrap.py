@@ -43,14 +43,8 @@ class Errors(msgspec.Struct, frozen=True):
         squares = (deviation**2).sum(axis=2)
         samples = np.array([effective_samples(d) for d in deviation])
         block = max(math.ceil(q / MAX_BLOCKS), min(q, math.ceil(2.0 * q / float(samples.min()))))
-        return cls(
-            deviation,
-            _ln_rms(squares.mean(axis=1)),
-            samples,
-            _correlation(deviation, samples),
-            _ln_rms(block_means(squares, block)),
-            block,
-        )
+        ln_rms, ln_blocks = (_ln_rms(means) for means in (squares.mean(axis=1), block_means(squares, block)))
+        return cls(deviation, ln_rms, samples, _correlation(deviation, samples), ln_blocks, block)
 
     def interval(self, weights: Array) -> tuple[float, float]:
         """Return the confidence interval of sum(weights * ln_rmse), for weights (k,) that sum to zero."""

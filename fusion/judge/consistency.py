@@ -402,10 +402,8 @@ class NoiseEvidence:
     def _healthy(self, run: RunInnovations, but: str = "") -> bool:
         """Return whether every sensor of a run, except `but`, has plausible noise and few rejections."""
         found = [run.own[s] for s in run.estimates.sensors if s != but]
-        return all(
-            o is not None and o.scale < MAX_REFERENCE_NIS_RATIO and o.refused < MAX_REFUSED_LINE_SHARE
-            for o in found
-        )
+        nis, share = MAX_REFERENCE_NIS_RATIO, MAX_REFUSED_LINE_SHARE
+        return all(o is not None and o.scale < nis and o.refused < share for o in found)
 
     def _purest(self, sensor: str) -> RunInnovations | None:
         """Return the run with `sensor` and the smallest number of other sensors; None if there is none.

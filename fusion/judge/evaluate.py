@@ -232,9 +232,8 @@ def _pairs(estimates: Estimates, truth: Truth) -> _PosePairs:
     found = np.isfinite(estimates.truth_pose[:, 0])
     inside = slice(None) if found.all() else found  # a slice does not copy
     theta = None if truth.theta is None else truth.theta[inside]
-    return _PosePairs(
-        truth.t[inside], estimates.truth_pose[inside], estimates.truth_P[inside], truth.xy[inside], theta
-    )
+    pose, P = estimates.truth_pose[inside], estimates.truth_P[inside]
+    return _PosePairs(truth.t[inside], pose, P, truth.xy[inside], theta)
 
 
 def aligned(pairs: _PosePairs, truth: Truth, align: Align) -> _PosePairs:

@@ -180,9 +180,8 @@ def extract_lines(
     """
     scans = RawScans(ranges, angles, offsets)
     batch = min(_SCANS_AT_ONCE, max(_BEAMS_AT_ONCE // max(ranges.shape[1], 1), 1))
-    parts = [
-        lines_of(scans.take(slice(i, i + batch)), settings, motion) for i in range(0, max(len(ranges), 1), batch)
-    ]
+    blocks = (slice(i, i + batch) for i in range(0, max(len(ranges), 1), batch))
+    parts = [lines_of(scans.take(rows), settings, motion) for rows in blocks]
     return _joined(parts)
 
 

@@ -214,9 +214,8 @@ def limits(scans: Mapping[str, Any]) -> tuple[Array, Array]:
     """
     near, far = (np.asarray(scans[name], np.float64) for name in ("range_min", "range_max"))
     known = limited(scans)
-    return np.where(known, np.maximum(near, LEAST_RANGE_M), LEAST_RANGE_M), np.where(
-        known, np.minimum(far, LARGEST_RANGE_M), LARGEST_RANGE_M
-    )
+    least = np.where(known, np.maximum(near, LEAST_RANGE_M), LEAST_RANGE_M)
+    return least, np.where(known, np.minimum(far, LARGEST_RANGE_M), LARGEST_RANGE_M)
 
 
 def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
@@ -308,9 +307,8 @@ class Gathered:
         if (np.diff(at) < 0).any():
             rows = np.repeat(first[at] - np.cumsum(counts) + counts, counts) + np.arange(first[-1])
         self._sweep = _as_wide(self._sweep) or [np.empty((0, 2, 0), np.float32)]
-        z, R_unit, ends, sweep = (
-            _joined(pieces, rows) for pieces in (self._z, self._R_unit, self._ends, self._sweep)
-        )
+        columns = self._z, self._R_unit, self._ends, self._sweep
+        z, R_unit, ends, sweep = (_joined(pieces, rows) for pieces in columns)
         return first, z, R_unit, ends, sweep
 
 

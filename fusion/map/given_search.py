@@ -41,9 +41,8 @@ MOVE_DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # of the 
 MOVES_M_RAD = ((0.1, math.radians(2.0)), (0.05, math.radians(1.0)))  # step sizes
 ROUNDS_PER_SIZE = 2  # steps of each size
 MIN_SPEED = 1e-3  # m/s, rad/s
-START_HINT = "say where the drive begins: " + " ".join(
-    f"--set start.{key}" for key in ("x=...", "y=...", "theta_deg=...", "sigma_xy=0.5")
-)
+START_HINT = "say where the drive begins: --set start.x=... --set start.y=... --set start.theta_deg=... "
+START_HINT += "--set start.sigma_xy=0.5"
 
 
 class StartPose(NamedTuple):
@@ -122,9 +121,8 @@ class _Places:
         """Score all free positions and headings, and keep the FIRST_PLACES best."""
         places = self._lattice
         headings = np.arange(HEADING_COUNT) * (math.tau / HEADING_COUNT)
-        share = np.stack(
-            [self._share(np.column_stack((places, np.full(len(places), a))), beams) for a in headings.tolist()]
-        )
+        tried = (np.column_stack((places, np.full(len(places), a))) for a in headings.tolist())
+        share = np.stack([self._share(poses, beams) for poses in tried])
         best = np.argsort(-share, axis=None, kind="stable")[:FIRST_PLACES]
         heading, place = np.unravel_index(best, share.shape)
         self._poses = np.column_stack((places[place], headings[heading]))
@@ -153,11 +151,8 @@ class _Places:
         share = self._share(self._poses, beams)
         for metres, turn in MOVES_M_RAD:
             for _ in range(ROUNDS_PER_SIZE):
-                tried = self._poses + MOVE_DIRECTIONS[:, None] * (
-                    metres / self._grid.cell,
-                    metres / self._grid.cell,
-                    turn,
-                )
+                cells = metres / self._grid.cell
+                tried = self._poses + MOVE_DIRECTIONS[:, None] * (cells, cells, turn)
                 shares = np.stack([self._share(one, beams) for one in tried])
                 best = shares.argmax(axis=0)
                 better = shares.max(axis=0) > share + 1e-9

@@ -60,9 +60,8 @@ def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
         border = grid.occupied & _shifted(grid.free, rows, columns)
         count += int(np.count_nonzero(border))
         if count > MAX_SIDES:
-            raise LocfuseError(
-                f"walls have more than {MAX_SIDES} sides of cells next to free cells: no map but noise", role="map"
-            )
+            words = f"walls have more than {MAX_SIDES} sides of cells next to free cells: no map but noise"
+            raise LocfuseError(words, role="map")
         j, i = np.nonzero(border)
         at = np.stack((i, j), axis=-1)
         starts.append(at + np.array(a))

@@ -424,9 +424,8 @@ def _sees_through(present: PresentScan) -> bool:
     scan, walls = present.scan, walls_of(present.lines, present.lines.values(present.belief))
     behind = behind_walls(scan, walls, present.belief.pose())
     length = scan.ends[:, 1] - scan.ends[:, 0]
-    return bool(
-        (behind * length).sum() >= MIN_THROUGH_SHARE * length.sum() and (behind > 0.5).sum() >= MIN_WALLS_BEHIND
-    )
+    much = (behind * length).sum() >= MIN_THROUGH_SHARE * length.sum()
+    return bool(much and (behind > 0.5).sum() >= MIN_WALLS_BEHIND)
 
 
 def _add_lost_noise(belief: JointBelief, dt: float) -> None:

@@ -114,11 +114,9 @@ def search(
 def hypotheses(scan: Scan, walls: Array, most: int = LONGEST_WALLS) -> Array:
     """Return poses (h, 3) that align pairs of the scan's longest walls with map walls at the same angle."""
     longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
-    pairs = [
-        (a, b)
-        for a, b in combinations(longest.tolist(), 2)
-        if abs(math.sin(scan.z.item(b, 1) - scan.z.item(a, 1))) >= math.sin(MIN_SKEW_RAD)
-    ]
+    psi = scan.z[:, 1].tolist()
+    pairs = list(combinations(longest.tolist(), 2))
+    pairs = [(a, b) for a, b in pairs if abs(math.sin(psi[b] - psi[a])) >= math.sin(MIN_SKEW_RAD)]
     poses, found = np.empty((len(pairs) * len(walls) ** 2, 3)), 0
     rows, out = view(scan.rows), view(poses)
     for a, b in pairs:
@@ -128,9 +126,8 @@ def hypotheses(scan: Scan, walls: Array, most: int = LONGEST_WALLS) -> Array:
 
 def distinct(poses: Array) -> Array:
     """Return one pose (h, 3) per grid cell, whose size is half of APART_M and APART_RAD."""
-    cells = np.floor(
-        np.column_stack((poses[:, :2] / (0.5 * APART_M), se2.wrap_all(poses[:, 2]) / (0.5 * APART_RAD)))
-    )
+    headings = se2.wrap_all(poses[:, 2])
+    cells = np.floor(np.column_stack((poses[:, :2] / (0.5 * APART_M), headings / (0.5 * APART_RAD))))
     return poses[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 

@@ -135,9 +135,8 @@ def end_pose(steps: Array, matches: Edges) -> tuple[Array, Array]:
     k = np.arange(n)
     loose = Edges.of(k, k + 1, steps, by_wheels(steps), np.inf)
     begin = Edges.known(0, np.zeros(3), inverted(np.zeros((3, 3))))
-    x, normal = Problem(begin).solve(
-        se2.chain(steps), Edges.joined(loose, matches), KERNEL_WIDTH_FACTORS, MIN_STEP
-    )
+    edges = Edges.joined(loose, matches)
+    x, normal = Problem(begin).solve(se2.chain(steps), edges, KERNEL_WIDTH_FACTORS, MIN_STEP)
     z, R = relative(x[[0, n]], normal.joint(np.array([0, n])), np.array([0]), np.array([1]))
     drift = _end_with_drift(x) - z[0]
     return z[0], R[0] + np.outer(drift, drift)
@@ -168,10 +167,8 @@ def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None,
         return se2.between(aside, se2.compose(se2.between(begin, se2.compose(x[:3], back)), aside))
 
     x = np.append(place, mounted[free])
-    H = np.stack(
-        [(motion(x + d) - motion(x - d)) / (2.0 * DERIVATIVE_STEP) for d in DERIVATIVE_STEP * np.eye(len(x))],
-        axis=-1,
-    )
+    steps = DERIVATIVE_STEP * np.eye(len(x))
+    H = np.stack([(motion(x + d) - motion(x - d)) / (2.0 * DERIVATIVE_STEP) for d in steps], axis=-1)
     y = z - motion(x)
     y[2] = se2.wrap(float(y[2]))
     return Equation(y, np.array((0, 1, 2, *columns)), H, R)

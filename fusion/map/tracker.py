@@ -124,9 +124,8 @@ class LineTracker(Model):
         if self.mode != "given":
             return
         if not given:
-            raise LocfuseError(
-                "lrf.map = given needs a map: add --map FILE, written by locfuse run LOG --save-map FILE"
-            )
+            fix = "add --map FILE, written by locfuse run LOG --save-map FILE"
+            raise LocfuseError(f"lrf.map = given needs a map: {fix}")
         for line in given:
             anchor, half, P = about_middle(line)
             column = belief.augment(np.array([0.0, line.beta]), np.zeros((2, 3)), P)
@@ -393,10 +392,8 @@ class AtlasTracker(LineTracker):
         MAX_REACH_FACTOR * REACH_M from the begin of the present submap, this is not required.
         """
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
-        return (
-            math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
-            or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD
-        )
+        far = math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
+        return far or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD
 
     def _neighbour(self, belief: JointBelief) -> FrozenMap | None:
         """Return the neighbouring frozen submap in which the robot is; None without one."""

@@ -43,9 +43,8 @@ def fuse_as_printed(
         if sensor not in drive.measurements:
             raise drive.lacks(sensor)
         if sensor not in PARTS:
-            raise LocfuseError(
-                "the paper has no equation for it;", role=sensor, hint="leave it out, or use --preset default"
-            )
+            hint = "leave it out, or use --preset default"
+            raise LocfuseError("the paper has no equation for it;", role=sensor, hint=hint)
     run = PrintedFilter(drive, robot, sensors, listen)
     for k in range(len(run.grid)):
         if k % BLOCK_INSTANTS == 0:

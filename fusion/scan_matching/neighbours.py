@@ -43,9 +43,8 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
         return found
     again, tries = np.repeat(bad, len(SLIPS_RAD)), np.tile(SLIPS_RAD, len(bad))
     guess = wheels[again] + np.outer(tries, (0.0, 0.0, 1.0))
-    slips = match(
-        targets, i[again], clouds, j[again], guess, np.broadcast_to(LOOSE_INFORMATION, (len(again), 3, 3))
-    )
+    prior = np.broadcast_to(LOOSE_INFORMATION, (len(again), 3, 3))
+    slips = match(targets, i[again], clouds, j[again], guess, prior)
     score = (slips.inliers * (slips.overlap > MIN_OVERLAP)).reshape(len(bad), -1)
     best = score.argmax(axis=1)
     take = score.max(axis=1) > found.inliers[bad] + SLIP_GAIN

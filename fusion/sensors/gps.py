@@ -96,9 +96,8 @@ class Gps(Sensor):
         good = _usable(where, columns.get("status.status"), dropped)
         if not good.any():
             reasons = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in dropped.items())
-            raise LocfuseError(
-                f"{stream.topic} has no fix in {len(good)} messages ({reasons or 'none'})", role="gps"
-            )
+            words = f"{stream.topic} has no fix in {len(good)} messages ({reasons or 'none'})"
+            raise LocfuseError(words, role="gps")
         where = where[good]
         origin = settings.origin or (float(where[0, 0]), float(where[0, 1]))
         n = len(where)

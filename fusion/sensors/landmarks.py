@@ -207,9 +207,8 @@ def _values(column: Any, row: Ints, topic: str) -> Array:
     """
     values = np.asarray(column.values[column.first[0] : column.first[-1]], np.float64)
     if not np.array_equal(np.bincount(row, minlength=len(column)), column.lengths):
-        raise LocfuseError(
-            f"{topic} has {len(row)} ids and {len(values)} places: no way to tell which is whose", role="landmarks"
-        )
+        words = f"{topic} has {len(row)} ids and {len(values)} places: no way to tell which is whose"
+        raise LocfuseError(words, role="landmarks")
     return values
 
 
@@ -282,12 +281,8 @@ class Landmarks(Sensor):
 
     def concerns(self, key: str, msgtype: str) -> bool:
         """Return whether a setting applies to a message type: range settings do not apply to pixels."""
-        return msgtype not in PIXELS or key not in {
-            "sigma_range",
-            "range_offset",
-            "sigma_range_offset",
-            "range_depth",
-        }
+        of_ranges = {"sigma_range", "range_offset", "sigma_range_offset", "range_depth"}
+        return msgtype not in PIXELS or key not in of_ranges
 
     def measure(
         self, stream: Stream, settings: LandmarksSettings, wheels: WheelMotion, epoch_ns: int

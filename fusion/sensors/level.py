@@ -121,9 +121,8 @@ def by_orientation(columns: dict[str, Array]) -> Array | None:
 
 def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
     """Return up (n, 3) in the IMU frame from accelerations and turning rates; None if either is missing."""
-    a, w = (
-        np.stack([columns[name] for name in names], axis=-1).astype(np.float64) for names in (ACCELERATIONS, RATES)
-    )
+    vectors = ([columns[name] for name in names] for names in (ACCELERATIONS, RATES))
+    a, w = (np.stack(axes, axis=-1).astype(np.float64) for axes in vectors)
     good = np.isfinite(a).all(axis=1) & np.isfinite(w).all(axis=1)
     if not good.any() or (columns["angular_velocity_covariance"][good, 0] == -1.0).all() or not w[good].any():
         return None

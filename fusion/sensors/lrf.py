@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import ClassVar, Literal, cast
 
 import numpy as np
@@ -91,9 +92,8 @@ class Lrf(Sensor):
     def measure(self, stream: Stream, settings: LrfSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Extract the lines of every scan, in the base frame at the middle of the scan (deskewed)."""
         stamps = seconds(stream.t_ns, epoch_ns, settings.time_offset)
-        (t, found, same), laser, unseen = left_out(
-            laser_of(settings), lambda laser, longest: self._lines(stream, stamps, laser, wheels, longest)
-        )
+        read = partial(self._lines, stream, stamps, wheels)
+        (t, found, same), laser, unseen = left_out(laser_of(settings), read)
         first, z, R_unit, ends, sweep = found.in_order(len(t))
         gone = frozen(same, t, wheels)
         if gone.any():
@@ -127,7 +127,7 @@ class Lrf(Sensor):
         )  # fmt: skip
 
     def _lines(
-        self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion, longest: Longest
+        self, stream: Stream, stamps: Array, wheels: WheelMotion, laser: Laser, longest: Longest
     ) -> tuple[Array, Gathered, NDArray[np.bool_]]:
         """Return scan times (n,) [s], the lines of the scans, and which scans are copies of the scan before (n,).
 

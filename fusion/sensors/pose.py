@@ -225,10 +225,8 @@ def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
         return
     distance = np.hypot(*wheels.relative(np.full(len(t), t[0]), t)[:, :2].T).max()
     if distance > STUCK_M:
-        raise LocfuseError(
-            f"{topic} says the same pose in all {len(t)} messages while the wheels drove {distance:.1f} m",
-            role="pose",
-        )
+        words = f"{topic} says the same pose in all {len(t)} messages while the wheels drove {distance:.1f} m"
+        raise LocfuseError(words, role="pose")
 
 
 class InMapModel(Model):

@@ -216,9 +216,8 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
     """
     truth = drive.truth
     if truth is None:
-        raise LocfuseError(
-            "no truth to compare the wheels with", role="calibrate", hint="(--set truth.topic=/TOPIC names it)"
-        )
+        hint = "(--set truth.topic=/TOPIC names it)"
+        raise LocfuseError("no truth to compare the wheels with", role="calibrate", hint=hint)
     wheels = adjusted(drive.wheels, moved)
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
     theta = np.zeros(len(truth.t)) if truth.theta is None else truth.theta

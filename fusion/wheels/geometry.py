@@ -78,13 +78,11 @@ def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
     The configured directions are kept if they agree equally well. Wheel angles left, right (n,) [rad]; body twists
     `moved` (n, 3).
     """
-    agrees = {
-        mirrored: _correlation(0.5 * (s_left * left + s_right * right), moved[:, 0])
-        for mirrored, (s_left, s_right) in SIGNS.items()
-    }
+    means = {mirrored: 0.5 * (a * left + b * right) for mirrored, (a, b) in SIGNS.items()}
+    agrees = {mirrored: _correlation(mean, moved[:, 0]) for mirrored, mean in means.items()}
     best = max(agrees, key=lambda mirrored: agrees[mirrored] + (EQUAL_CORRELATION if mirrored == "none" else 0.0))
     s_left, s_right = SIGNS[best]
-    found = _fitted(0.5 * (s_left * left + s_right * right), s_right * right - s_left * left, moved)
+    found = _fitted(means[best], s_right * right - s_left * left, moved)
     return None if found is None else found._replace(mirrored=best)
 
 

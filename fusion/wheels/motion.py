@@ -136,10 +136,8 @@ class Wheels(msgspec.Struct, frozen=True):
         count = np.where(t_to > t_from, last - first + 1, 0)
         of = np.repeat(np.arange(len(count)), count)
         k = np.arange(len(of)) - np.repeat(np.cumsum(count) - count - first, count)
-        share = [
-            np.where(k == edge[of], self._passed(k, t[of]), whole)
-            for edge, t, whole in ((first, t_from, 0.0), (last, t_to, 1.0))
-        ]
+        edges = (first, t_from, 0.0), (last, t_to, 1.0)
+        share = [np.where(k == edge[of], self._passed(k, t[of]), whole) for edge, t, whole in edges]
         with np.errstate(invalid="ignore", over="ignore"):
             noise, J = self._pieces(k, share[0], share[1] - share[0], end[of], parameters)
             back = np.swapaxes(se2.rotation(begin[:, 2]), 1, 2)

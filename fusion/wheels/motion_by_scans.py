@@ -204,9 +204,8 @@ def _neighbours(targets: Targets, sources: Clouds, i: Ints, j: Ints, known: Velo
         return found
     n = len(TURNS_RAD)
     guesses = guess + np.outer(TURNS_RAD, (0.0, 0.0, 1.0))
-    turned = match(
-        targets, i.repeat(n), sources, j.repeat(n), guesses, np.broadcast_to(FIRST_PRIOR, (n, 3, 3)), REACH_M
-    )
+    weak = np.broadcast_to(FIRST_PRIOR, (n, 3, 3))
+    turned = match(targets, i.repeat(n), sources, j.repeat(n), guesses, weak, REACH_M)
     score = turned.inliers * np.sqrt(turned.overlap)
     better = score.max() > found.inliers[0] * np.sqrt(found.overlap[0]) + TURN_GAIN
     return turned.take(np.array([int(score.argmax())])) if better else found

@@ -25,10 +25,8 @@ TRANSFORM = "geometry_msgs/msg/TransformStamped"
 
 def pose_fields(prefix: str, position: str = "position", orientation: str = "orientation") -> tuple[str, ...]:
     """Return the names of the six fields of a planar pose: x, y, and a quaternion x, y, z, w."""
-    return (
-        *(f"{prefix}.{position}.{axis}" for axis in "xy"),
-        *(f"{prefix}.{orientation}.{axis}" for axis in "xyzw"),
-    )
+    axes = [*(f"{position}.{axis}" for axis in "xy"), *(f"{orientation}.{axis}" for axis in "xyzw")]
+    return tuple(f"{prefix}.{axis}" for axis in axes)
 
 
 TURTLESIM = "turtlesim/msg/Pose"
@@ -43,10 +41,7 @@ POSE: Mapping[str, tuple[str, ...]] = {
     "foxglove_msgs/msg/PoseInFrame": pose_fields("pose"),
 }
 # Message type -> fields of x, y [m] and the heading [rad].
-PLANAR: Mapping[str, tuple[str, str, str]] = {
-    "geometry_msgs/msg/Pose2D": ("x", "y", "theta"),
-    TURTLESIM: ("x", "y", "theta"),
-}
+PLANAR: Mapping[str, tuple[str, ...]] = dict.fromkeys(("geometry_msgs/msg/Pose2D", TURTLESIM), ("x", "y", "theta"))
 # Message type -> fields of the forward speed [m/s] and the turning rate [rad/s].
 SPEED: Mapping[str, tuple[str, str]] = {
     ODOMETRY: ("twist.twist.linear.x", "twist.twist.angular.z"),

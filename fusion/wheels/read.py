@@ -75,10 +75,8 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
         return _from_tricycle(stream, settings)
     if stream.msgtype in MOTOR:
         if not isinstance(stream, MergedStream):
-            raise LocfuseError(
-                f"{stream.topic} says how fast the motor turns, and no topic says how the car was steered",
-                role="wheels",
-            )
+            words = f"{stream.topic} says how fast the motor turns, and no topic says how the car was steered"
+            raise LocfuseError(words, role="wheels")
         return _from_body(stream.parts[0], motor_speeds(stream, settings), settings, False, False)
     radius, track = _geometry(settings, stream)
     counters = read_counters(stream, settings)
@@ -131,9 +129,8 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
         )
     radius, track = float(settings.radius or 0.0), float(settings.track or 0.0)
     if min(radius, track) < MIN_LENGTH_M:
-        raise LocfuseError(
-            f"radius {radius:g} m and track {track:g} m must both be at least {MIN_LENGTH_M:g} m", role="wheels"
-        )
+        words = f"radius {radius:g} m and track {track:g} m must both be at least {MIN_LENGTH_M:g} m"
+        raise LocfuseError(words, role="wheels")
     if settings.ratio <= 0.0:
         raise LocfuseError(
             f"ratio {settings.ratio:g} must be positive: right radius over left radius", role="wheels"

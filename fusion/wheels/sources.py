@@ -37,9 +37,7 @@ NUMBERS: Mapping[str, int] = {
     "duckietown_msgs/msg/WheelEncoderStamped": 32,
 }
 # Message type with both wheels in an array -> bits of the counters; 0: the numbers may be angles.
-ARRAYS: Mapping[str, int] = {
-    f"{kind}MultiArray": bits for kind, bits in NUMBERS.items() if kind.startswith("std_msgs/msg/")
-}
+ARRAYS: Mapping[str, int] = {f"{kind}MultiArray": n for kind, n in NUMBERS.items() if kind.startswith("std_msgs/")}
 USUAL_TICKS = {
     "irobot_create_msgs/msg/WheelTicks": 508.8,  # Create 3, and the TurtleBot 4 on it
     "turtlebot3_msgs/msg/SensorState": 4096.0,  # the TurtleBot 3's Dynamixels
@@ -94,9 +92,8 @@ def _found(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> 
     fields = SPEEDS.get(stream.msgtype)
     if fields is not None:
         return _Found(stream.t_ns, numbers(stream, *fields), speeds=True)
-    return _Found(
-        stream.t_ns, numbers(stream, *TICKS[stream.msgtype]), (2.0 ** TICK_BITS.get(stream.msgtype, 32),)
-    )
+    modulus = 2.0 ** TICK_BITS.get(stream.msgtype, 32)
+    return _Found(stream.t_ns, numbers(stream, *TICKS[stream.msgtype]), (modulus,))
 
 
 def _of_array(stream: Stream, settings: WheelSettings) -> Array:
@@ -235,9 +232,8 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
         sides = {side: [j for j in guesses if _is_rear(j)] or guesses for side, guesses in sides.items()}
     found = []
     if settings.left is not None and settings.left == settings.right:
-        raise LocfuseError(
-            f"wheels.left and wheels.right both name {settings.left!r}: name two joints of {topic}", role="wheels"
-        )
+        words = f"wheels.left and wheels.right both name {settings.left!r}: name two joints of {topic}"
+        raise LocfuseError(words, role="wheels")
     for side, given in (("left", settings.left), ("right", settings.right)):
         if given is not None and given not in known:
             raise LocfuseError(

@@ -199,9 +199,8 @@ def points_of(m: Measurements, chosen: Ints) -> Clouds:
     parts = [sources_of(clouds_of(m, part), MAX_POINTS) for part in np.split(chosen, cuts)]
     counts = np.concatenate([np.diff(part.first) for part in parts])
     first = totals(counts)
-    return Clouds(
-        first, np.concatenate([part.xy for part in parts]), np.concatenate([part.normal for part in parts])
-    )
+    xy, normal = (np.concatenate(column) for column in zip(*((p.xy, p.normal) for p in parts), strict=True))
+    return Clouds(first, xy, normal)
 
 
 def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: Array) -> Matches:
@@ -220,9 +219,8 @@ def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: 
 def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
     """Return one point cloud per key: the points of the key scan and of the next one, in the key's frame."""
     steps = se2.between(x[keys], x[keys + 1])
-    return merged(
-        clouds, [np.array([k, k + 1]) for k in keys.tolist()], [np.vstack((np.zeros(3), step)) for step in steps]
-    )
+    poses = [np.vstack((np.zeros(3), step)) for step in steps]
+    return merged(clouds, [np.array([k, k + 1]) for k in keys.tolist()], poses)
 
 
 def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:

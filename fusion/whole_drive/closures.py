@@ -225,9 +225,8 @@ def close(x: Array, edges: Edges, problem: Problem, maps: Submaps, hints: Edges)
             loops.edges = Edges.joined(loops.edges, new)
             loops.edges = loops.edges.take(loops.edges.weights(x) > MIN_KEPT_WEIGHT)
             index = {int(k): s for s, k in enumerate(maps.middle.tolist())}
-            loops.pair = {
-                (index[i], index[j]) for i, j in zip(loops.edges.i.tolist(), loops.edges.j.tolist(), strict=True)
-            }
+            ends = zip(loops.edges.i.tolist(), loops.edges.j.tolist(), strict=True)
+            loops.pair = {(index[i], index[j]) for i, j in ends}
         if loops.pair == before and wide == SEARCH_SIGMAS_M[-1]:
             break
     return x, Edges.joined(edges, loops.edges), loops
@@ -275,9 +274,7 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
     known &= np.fromiter(moved, bool)
     searched = np.flatnonzero(~narrow & (reach < wide) & narrower)
     for c in searched[np.argsort(reach[searched], kind="stable")][:MAX_SEARCHES].tolist():
-        ours, theirs = (
-            maps.clouds.xy[maps.clouds.first[s] : maps.clouds.first[s + 1]] for s in (found.a[c], found.b[c])
-        )
+        ours, theirs = (maps.clouds.xy[maps.clouds.rows(one[[c]])[0]] for one in (found.a, found.b))
         peak = correlate(ours, theirs, found.guess[c], sigma[c])
         loops.searches += 1
         pair = pairs[c]

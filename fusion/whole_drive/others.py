@@ -100,9 +100,8 @@ class Others:
         rows = [Summands(*(np.array(part) for part in zip(*block, strict=True))) for block in blocks.values()]
         if self.states:
             H = np.diag(self._prior)[None]
-            rows.append(
-                Summands((n + np.arange(self.states))[None], H, (self._prior * (self.start - self.values))[None])
-            )
+            g = self._prior * (self.start - self.values)
+            rows.append(Summands((n + np.arange(self.states))[None], H, g[None]))
         return rows
 
 

@@ -129,11 +129,8 @@ class References(msgspec.Struct, frozen=True):
         A reference that shares no sensor with the estimate is preferred, that with the least sigma first. If none
         can evaluate it, the reference of all sensors is used.
         """
-        others = [
-            r
-            for r in self.solved.values()
-            if e.sensors and not set(r.sensors) & set(e.sensors) and self.contradiction(r, e.sensors) is None
-        ]
+        others = [r for r in self.solved.values() if e.sensors and not set(r.sensors) & set(e.sensors)]
+        others = [r for r in others if self.contradiction(r, e.sensors) is None]
         for reference in sorted(others, key=lambda r: r.sigma):
             found = reference.judge(judged, e, align)
             if reference.can_judge(found.figures["position_rmse_m"]):

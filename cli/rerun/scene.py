@@ -126,9 +126,8 @@ def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
 def _look_of(name: str, settings: Any) -> SensorLook:
     sensor = REGISTRY[name]
     low, high = (chi_square(share, len(sensor.components)) for share in (NIS_LOW, NIS_HIGH))
-    return SensorLook(
-        sensor.components, (low, high), sensor.drawn, sensor.mount(settings), sensor.landmark(settings)
-    )
+    mount, landmark = sensor.mount(settings), sensor.landmark(settings)
+    return SensorLook(sensor.components, (low, high), sensor.drawn, mount, landmark)
 
 
 def _stream(loaded: Loaded, role: str) -> Stream:
@@ -289,9 +288,8 @@ def _trajectory(folder: Path, name: str, by_run: bool) -> MadeStream:
     endings = (".csv", ".tum") if by_run else (".tum",)
     found = [read_file(str(path)) for e in endings if (path := folder / f"{name}{e}").is_file()]
     if not found:
-        raise LocfuseError(
-            f"{folder} lacks {name}.tum, so there is no trajectory to show; make it again without --write"
-        )
+        words = "so there is no trajectory to show; make it again without --write"
+        raise LocfuseError(f"{folder} lacks {name}.tum, {words}")
     if len(found) > 1 and not _same_path(*found):
         raise ValueError(f"{name}.csv and {name}.tum are of different runs")
     return found[0]
@@ -299,9 +297,8 @@ def _trajectory(folder: Path, name: str, by_run: bool) -> MadeStream:
 
 def _same_path(one: MadeStream, other: MadeStream) -> bool:
     """Return whether two trajectories have the same stamps and positions."""
-    mine, others = (
-        [np.asarray(c) for c in track.columns(*POSE[track.msgtype][:2]).values()] for track in (one, other)
-    )
+    places = (track.columns(*POSE[track.msgtype][:2]).values() for track in (one, other))
+    mine, others = ([np.asarray(c) for c in columns] for columns in places)
     return np.array_equal(one.t_ns, other.t_ns) and np.array_equal(mine, others)
 
 

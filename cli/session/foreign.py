@@ -29,9 +29,8 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
 
     Raises UsageError if a source is missing, or if a name is invalid, reserved for a configuration, or used twice.
     """
-    pairs = (
-        list(words.items()) if isinstance(words, Mapping) else [tuple(word.partition("=")[::2]) for word in words]
-    )
+    given = list(words.items()) if isinstance(words, Mapping) else None
+    pairs = [tuple(word.partition("=")[::2]) for word in words] if given is None else given
     found: dict[str, str] = {}
     for name, source in pairs:
         if not ESTIMATE_NAME.fullmatch(name) or not source:
@@ -57,9 +56,8 @@ def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collect
 
 def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
     if log.find(source) is None:
-        raise LocfuseError(
-            f"--estimate {name}: {log.name} has no topic {source}, nor is there a .tum or .csv file"
-        )
+        words = f"{log.name} has no topic {source}, nor is there a .tum or .csv file"
+        raise LocfuseError(f"--estimate {name}: {words}")
     try:
         topic = checked(log, "pose", source, POSE)
     except LocfuseError as problem:
@@ -69,9 +67,8 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
     if found is None:
         t = seconds(stream.t_ns, drive.epoch_ns)
         span = f"{t[0]:.1f} to {t[-1]:.1f} s" if len(t) else "nothing"
-        raise LocfuseError(
-            f"--estimate {name}: {source} covers {span} of a drive from 0 to {drive.t[-1]:.1f} s: another clock?"
-        )
+        words = f"{source} covers {span} of a drive from 0 to {drive.t[-1]:.1f} s: another clock?"
+        raise LocfuseError(f"--estimate {name}: {words}")
     return found
 
 

@@ -140,9 +140,8 @@ def uncertainty(scene: Scene) -> Section:
     for column, what in enumerate(COMPONENTS):
         sigmas = [BAND_SIGMAS * np.sqrt(np.maximum(e.P[:, column, column], 0.0)) for e in scene.estimates]
         scale, unit = (180.0 / np.pi, "°") if what == "heading" else metres(sigmas)
-        marks = tuple(
-            Curve(e.name, e.t, scale * s) for e, s in zip(scene.estimates, sigmas, strict=True) if e.name in names
-        )
+        drawn = [(e, s) for e, s in zip(scene.estimates, sigmas, strict=True) if e.name in names]
+        marks = tuple(Curve(e.name, e.t, scale * s) for e, s in drawn)
         label = f"3 sigma of {what}, {unit}"
         panels.append(Panel(f"sigma_{what}", f"Claimed 3 sigma of {what}", label, TIME, marks, label))
     text = "No truth in this log: this is what the filters claim, not their error."

@@ -470,6 +470,11 @@ def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
 
 
+def consecutive(labels: Array | Ints) -> list[Ints]:
+    """Return the indices of each group of consecutive equal labels (n,)."""
+    return np.split(np.arange(len(labels)), np.flatnonzero(np.diff(labels)) + 1)
+
+
 def spaced(*series: tuple[Array, float]) -> Ints:
     """Return the indices of chosen values; each differs from the chosen one before it by a limit or more.
 
@@ -567,9 +572,8 @@ class Evaluation(msgspec.Struct, frozen=True):
     estimate_xy: Array = NO_POINTS  # (q, 2) m, estimate of the tracked point, after alignment (if any)
     align: str = "none"
     smoothed: bool = False
-    lost: tuple[
-        tuple[float, float], ...
-    ] = ()  # s: intervals in which the robot was lost; all figures include them
+    # s: intervals in which the robot was lost; all figures include them
+    lost: tuple[tuple[float, float], ...] = ()
     notes: tuple[str, ...] = ()  # notes of the filter on the run
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz, those of the estimates
     reference: bool = False  # whether the reference solution replaces truth (judge.against)

@@ -31,9 +31,7 @@ from .sensor import Model, Reading
 BLOCK_INSTANTS = 256
 Due = tuple[str, int]  # sensor, reading
 STAMPS_AT_ONCE = 4096  # stamps of the truth in one step, to limit memory
-Passed = tuple[
-    Sequence[Innovation | Reading], int
-]  # accepted innovations of one reading, and their number of rows
+Passed = tuple[Sequence[Innovation | Reading], int]  # accepted innovations of a reading, their number of rows
 Fit = tuple[Record, int, float]  # for one reading: record of its sensor, degrees of freedom, joint NIS
 
 

@@ -339,8 +339,7 @@ def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> WallPai
     """Return walls seen in two scans, paired by the wheels' motion between the scans."""
     first, second = map(_evenly, _places(t, drive))
     moved = drive.wheels.relative(t[first], t[second])
-    c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
-    swing = np.stack((c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]), axis=-1) - mount
+    swing = se2.rotated(moved[:, 2], mount) - mount
     rows: list[WallPairs] = []
     for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
         a, b = m.z[m.first[i] : m.first[i + 1]], m.z[m.first[j] : m.first[j + 1]]

@@ -223,9 +223,8 @@ def changing(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | N
 
     The change must exceed half of the noise of a reading.
     """
-    if h.change is None or abs(h.change.amount) < max(
-        MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.standard_error
-    ):
+    least = max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.standard_error)
+    if h.change is None or abs(h.change.amount) < least:
         return None
     amount, sign = _human(h.change.amount, sensor)[0], _sign(sensor)
     if h.change.step_s is None:

@@ -268,7 +268,7 @@ def _expected(pairs: _PosePairs, deviation: Array, heading: Array | None, truth:
     sigma, found = np.empty((len(pairs.t), 3)), np.empty(len(pairs.t))
     for at in (slice(a, a + ERRORS_AT_ONCE) for a in range(0, len(pairs.t), ERRORS_AT_ONCE)):
         G = pose_by_frame(pairs.pose[at], lever[at])
-        P = G @ pairs.P[at] @ G.transpose(0, 2, 1)
+        P = se2.propagated(G, pairs.P[at])
         sigma[at] = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
         found[at] = nees(e[at], (P + own)[:, :dof, :dof])
     return sigma, found

@@ -27,6 +27,7 @@ from locfuse.fusion.data import (
     Jump,
     Measurements,
     RowVerdict,
+    consecutive,
     stretches,
 )
 
@@ -67,7 +68,7 @@ def _loops(e: Estimates) -> Iterator[Event]:
     if not len(e.loops):
         return
     then, now = e.loops.T
-    for some in np.split(np.arange(len(now)), np.flatnonzero(np.diff(now) > SAME_LOOP_S) + 1):
+    for some in consecutive(np.cumsum(np.diff(now, prepend=now[0]) > SAME_LOOP_S)):
         a, b = float(then[some].min()), float(then[some].max())
         place = f"the place of {a:.0f} s" if b - a < 1.0 else f"places of {a:.0f} to {b:.0f} s"
         yield Event(float(now[some[0]]), float(now[some[-1]]), LOOP, f"{place} recognised", e.name)

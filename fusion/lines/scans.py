@@ -393,10 +393,8 @@ def wall_floor(
     [rad] on psi of wheel slip within a scan, which its lines share (lines.extract).
     """
     change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
-    if (
-        len(change) < MIN_PAIRS
-        or float(np.median(np.abs(change) / np.sqrt(noise))) < MAD_OF_NORMAL * MIN_MISFIT_RATIO
-    ):
+    least = MAD_OF_NORMAL * MIN_MISFIT_RATIO
+    if len(change) < MIN_PAIRS or float(np.median(np.abs(change) / np.sqrt(noise))) < least:
         return 0.0, 0.0
     low, high = 0.0, math.radians(2.0)
     for _ in range(30):  # bisection: median of change^2 / variance = CHI_SQUARE_MEDIAN

@@ -112,7 +112,7 @@ def inverted(P: Array) -> Array:
 
     P is scaled to a correlation matrix first: the sigmas of position and heading may differ by a factor of 10^9.
     """
-    P = 0.5 * (P + P.T) + EXACT_VARIANCE * np.eye(3)
+    P = se2.symmetric(P) + EXACT_VARIANCE * np.eye(3)
     scale = np.sqrt(np.diagonal(P))
     values, vectors = np.linalg.eigh(P / np.outer(scale, scale))
     half = vectors / np.sqrt(np.maximum(values, MIN_EIGENVALUE)) / scale[:, None]

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import astuple
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, consecutive
 
 from .clouds import Clouds, Columns
 
@@ -90,8 +90,7 @@ def match(
     not match.
     """
     counts = np.diff(sources.first)[j]
-    cuts = np.flatnonzero(np.diff(np.cumsum(counts) // POINTS_AT_ONCE)) + 1
-    parts = np.split(np.arange(len(i)), cuts)
+    parts = consecutive(np.cumsum(counts) // POINTS_AT_ONCE)
     return Matches.joined(*(_match(targets, i[at], sources, j[at], guess[at], prior[at], reach) for at in parts))
     return Matches.joined(*parts)
 
@@ -132,8 +131,7 @@ def floored(information: Array) -> Array:
     Singular matrices stay singular.
     """
     floor = np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
-    out: Array = information @ np.linalg.inv(np.eye(3) + floor @ information)
-    return 0.5 * (out + out.transpose(0, 2, 1))
+    return se2.symmetric(information @ np.linalg.inv(np.eye(3) + floor @ information))
 
 
 class _PointPairs(msgspec.Struct, frozen=True):

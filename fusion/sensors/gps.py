@@ -137,7 +137,7 @@ def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
     known = np.asarray(columns["position_covariance_type"]) > 0
     known &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
     known &= np.linalg.det(np.where(known[:, None, None], own, np.eye(2))) > 0.0
-    return np.where(known[:, None, None], 0.5 * (own + own.transpose(0, 2, 1)), sigma**2 * np.eye(2))
+    return np.where(known[:, None, None], se2.symmetric(own), sigma**2 * np.eye(2))
 
 
 def _flat_covariances(column: Array | Ragged) -> Array:

@@ -45,7 +45,7 @@ from locfuse.fusion.data import (
 )
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.se2 import direction, wrap, wrap_all
+from locfuse.fusion.se2 import direction, transform, wrap, wrap_all
 from locfuse.fusion.sensor import NO_BLOCK, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion, given_or_state
 from locfuse.fusion.streams import arrays, parts_of
 
@@ -325,12 +325,10 @@ class Landmarks(Sensor):
         if settings.grows:
             return None
         places = settings.places
-        x, y, theta = np.repeat(poses, np.diff(m.first), axis=0).T
-        c, s = np.cos(theta), np.sin(theta)
-        ahead, left = mounts_of(m, self.mount(settings))[:, :2].T
-        seen_from = np.stack((x + c * ahead - s * left, y + s * ahead + c * left), axis=-1)
+        pose = np.repeat(poses, np.diff(m.first), axis=0)
+        seen_from = transform(pose, mounts_of(m, self.mount(settings))[:, :2])
         at = np.array([places[int(i)] for i in m.extra["id"]]).reshape(-1, 2) - seen_from
-        turned = theta + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # one camera: its yaw does not change the spread
+        turned = pose[:, 2] + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # one camera: its yaw does not change the spread
         off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + turned)
         off = wrap_all(off - np.median(off))
         return robust_sigma(off) if len(off) >= MIN_FIT else None

@@ -150,7 +150,7 @@ class PoseSensor(Sensor):
             t=t,
             first=np.arange(n + 1),
             z=se2.compose(z, off),
-            R_unit=J @ R @ J.transpose(0, 2, 1) * shared / settings.sigma**2,
+            R_unit=se2.propagated(J, R) * shared / settings.sigma**2,
             scale=settings.sigma,
             floor=np.diag([MIN_SIGMAS[0] ** 2, MIN_SIGMAS[0] ** 2, MIN_SIGMAS[1] ** 2]),
             extra={
@@ -211,7 +211,7 @@ def plane_covariance(
     limit = np.array(MAX_SIGMA)[[0, *([0] * (d - 2)), 1]] ** 2
     shrink = np.sqrt(np.minimum(1.0, limit / np.where(has_covariance[:, None], diagonal, 1.0)))
     scaled = np.where(has_covariance[:, None, None], full, np.eye(d)) * shrink[:, :, None] * shrink[:, None, :]
-    scaled = 0.5 * (scaled + scaled.transpose(0, 2, 1))
+    scaled = se2.symmetric(scaled)
     has_covariance = has_covariance & (np.linalg.eigvalsh(scaled)[:, 0] > 0.0)
     P[has_covariance] = scaled[has_covariance]
     unused = own[:, -1] >= MAX_SIGMA[1] ** 2  # the heading is not used

@@ -124,7 +124,7 @@ class Intervals(msgspec.Struct, frozen=True):
         found = wheels.between(self.t_from + p[6], self.t_to + p[6])
         x, y = se2.rotated(found.u[:, 2], np.broadcast_to(p[3:5], (len(found.u), 2))).T
         J = se2.rotation(np.array(-p[5])) @ se2.lever(-y, x)
-        return J @ found.Q @ J.transpose(0, 2, 1)
+        return se2.propagated(J, found.Q)
 
     def take(self, keep: NDArray[np.bool_]) -> Intervals:
         """Return the intervals selected by a mask (n,)."""

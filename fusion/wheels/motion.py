@@ -141,8 +141,8 @@ class Wheels(msgspec.Struct, frozen=True):
         with np.errstate(invalid="ignore", over="ignore"):
             noise, J = self._pieces(k, share[0], share[1] - share[0], end[of], parameters)
             back = np.swapaxes(se2.rotation(begin[:, 2]), 1, 2)
-            Q = back @ _sums(noise, count) @ np.swapaxes(back, 1, 2)
-            return se2.between(begin, end), 0.5 * (Q + np.swapaxes(Q, 1, 2)), back @ _sums(J, count)
+            Q = se2.symmetric(se2.propagated(back, _sums(noise, count)))
+            return se2.between(begin, end), Q, back @ _sums(J, count)
 
     def _passed(self, k: Ints, t: Array) -> Array:
         """Return the share of wheel intervals k (...) passed at times t (...): 0 at their start, 1 at their end.
@@ -180,7 +180,7 @@ class Wheels(msgspec.Struct, frozen=True):
         else:
             lever_of = se2.rotation(middle)
             lever_of[:, :2, 2] = by_turn[:, :2]
-            noise = share[:, None, None] * (lever_of @ self.matched[k] @ np.swapaxes(lever_of, 1, 2))
+            noise = share[:, None, None] * se2.propagated(lever_of, self.matched[k])
         if not parameters:
             return noise, np.zeros((len(k), 3, 0))
         by_track = (-turned[:, None] * by_turn)[..., None]

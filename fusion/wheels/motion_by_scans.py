@@ -312,7 +312,7 @@ class Velocity(NamedTuple):
         """Correct the velocity by a motion `twist` (3,) over dt [s] with information (3, 3)."""
         prior = inverse(self.P)
         P = inverse(prior + dt * dt * information)
-        return Velocity(P @ (prior @ self.v + dt * (information @ twist)), 0.5 * (P + P.T))
+        return Velocity(P @ (prior @ self.v + dt * (information @ twist)), se2.symmetric(P))
 
     def spread(self, before: Velocity, dt: float) -> Array:
         """Return the covariance (3, 3) of the motion over dt [s] that ended with this velocity.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, Measurements, spaced, totals
+from locfuse.fusion.data import Array, Drive, Ints, Measurements, consecutive, spaced, totals
 from locfuse.fusion.scan_matching.clouds import Clouds, Columns, clouds_of, merged
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import good
@@ -139,14 +139,14 @@ def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: A
     only_one = (a == b)[:, None, None]
     cross = np.where(only_one, P_a, cross)
     turn = se2.rotation(x[a, 2])
-    S = turn @ spans.share @ turn.transpose(0, 2, 1)
+    S = se2.propagated(turn, spans.share)
     own = np.eye(3) - S
-    out = own @ P_a @ own.transpose(0, 2, 1) + S @ P_b @ S.transpose(0, 2, 1)
+    out = se2.propagated(own, P_a) + se2.propagated(S, P_b)
     mixed = own @ cross @ S.transpose(0, 2, 1)
-    out += mixed + mixed.transpose(0, 2, 1) + turn @ rest @ turn.transpose(0, 2, 1)
+    out += mixed + mixed.transpose(0, 2, 1) + se2.propagated(turn, rest)
     lever = pose[:, :2] - x[a, :2]
     out = add_lever_arm(out, -lever[:, 1], lever[:, 0])
-    return 0.5 * (out + out.transpose(0, 2, 1))
+    return se2.symmetric(out)
 
 
 def errors_at_scans(
@@ -209,7 +209,7 @@ def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: 
     `a` must be sorted. Keys are processed in groups: one search tree of all keys would take hundreds of MB.
     """
     prior, parts = np.broadcast_to(PRIOR_INFORMATION, (len(a), 3, 3)), []
-    for at in np.split(np.arange(len(a)), np.flatnonzero(np.diff(a // KEYS_AT_ONCE)) + 1):
+    for at in consecutive(a // KEYS_AT_ONCE):
         first, last = int(a[at[0]]), int(a[at[-1]])
         targets = Targets(both_ends(clouds, x, np.arange(first, last + 1)))
         parts.append(match(targets, a[at] - first, sources, j[at], guess[at], prior[at], REACH_M))
@@ -255,7 +255,7 @@ def smoothed(
     for step in range(1, int(lengths.max())):
         at = starts[lengths > step] + step
         predicted = V[at - 1] + Q[at]
-        V[at] = _symmetric(np.linalg.solve(np.eye(3) + predicted @ L[at], predicted))
+        V[at] = se2.symmetric(np.linalg.solve(np.eye(3) + predicted @ L[at], predicted))
         gain = V[at] @ L[at]
         mean[at] = mean[at - 1] + np.einsum("nij,nj->ni", gain, z[at] - mean[at - 1])
     for step in range(int(lengths.max()) - 2, 0, -1):
@@ -263,9 +263,5 @@ def smoothed(
         predicted = V[at] + Q[at + 1]
         G = V[at] @ np.linalg.inv(predicted)
         mean[at] += np.einsum("nij,nj->ni", G, mean[at + 1] - mean[at])
-        V[at] = _symmetric(V[at] + G @ (V[at + 1] - predicted) @ G.transpose(0, 2, 1))
+        V[at] = se2.symmetric(V[at] + se2.propagated(G, V[at + 1] - predicted))
     return OdometryErrors(a, k, mean, V)
-
-
-def _symmetric(P: Array) -> Array:
-    return 0.5 * (P + P.transpose(0, 2, 1))

@@ -97,5 +97,4 @@ def to_parent_frame(C: Array, frame: Array) -> Array:
 
 def add_lever_arm(C: Array, x: Array, y: Array) -> Array:
     """Return covariances C (n, 3, 3) after adding the heading error times x (n,), y (n,) [m] to x and y."""
-    L = se2.lever(x, y)
-    return L @ C @ L.transpose(0, 2, 1)
+    return se2.propagated(se2.lever(x, y), C)

@@ -393,9 +393,8 @@ def match_revisits(targets: Targets, clouds: Clouds, x: Array, driven: Array) ->
         i = i[np.argsort(np.hypot(*(x[i, :2] - x[j, :2]).T), kind="stable")]
         visits: list[int] = []
         for k in i.tolist():
-            if len(visits) < MAX_VISITS_AGAIN and all(
-                abs(driven[k] - driven[v]) > MIN_LENGTH_AGAIN_M for v in visits
-            ):
+            apart = all(abs(driven[k] - driven[v]) > MIN_LENGTH_AGAIN_M for v in visits)
+            if apart and len(visits) < MAX_VISITS_AGAIN:
                 visits.append(k)
         pairs += [(k, j) for k in visits]
     if not pairs:

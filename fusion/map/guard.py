@@ -398,9 +398,8 @@ def jump(t: float, kind: str, before: Array, after: Array) -> Jump:
 def _walls_jumped(before: Sequence[Seen], now: Seen) -> bool:
     """Return whether the robot was moved: no recent scan predicts the walls of the scan `now`.
 
-    A predicted scan may have slipped in heading. Without a recent scan with a wide view the answer is False.
-
-    An exploring robot sees new walls, but some known ones too. In clutter, lines appear and disappear from scan to
+    A predicted scan may have slipped in heading. Without a recent scan with a wide view the answer is False. An
+    exploring robot sees new walls, but some known ones too. In clutter, lines appear and disappear from scan to
     scan, but one of the last scans had them.
     """
     recent = [one for one in before if now[0] - one[0] <= MAX_GAP_S]

@@ -96,10 +96,8 @@ def search(
 ) -> Places | None:
     """Return poses of a scan in a map, with scores; None if no pose is good enough.
 
-    Each pose aligns two of the `most` longest walls of the scan with map walls.
-
-    `allowed` selects poses (h, 3) before the scoring; `enough` selects poses by matched share (h,) and number of
-    walls (h,).
+    Each pose aligns two of the `most` longest walls of the scan with map walls. `allowed` selects poses (h, 3)
+    before the scoring; `enough` selects poses by matched share (h,) and number of walls (h,).
     """
     poses = hypotheses(scan, walls, most)
     poses = poses[allowed(poses)]

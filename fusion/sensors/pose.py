@@ -195,11 +195,9 @@ def plane_covariance(
     """Return planar covariances (n, d, d), and which of them are from the messages (n,).
 
     The other ones are diagonal, with the variances `own` (n, d). `column` has 6 x 6 matrices of x, y, z, roll,
-    pitch, yaw; their rows and columns `axes` (d,) are returned.
-
-    Covariances with zeros or NaN, or that are not positive definite, are not used. Variances above MAX_SIGMA^2
-    were not measured: they are reduced to this value with the same correlations, so that rounding errors cannot
-    make the matrix indefinite.
+    pitch, yaw; their rows and columns `axes` (d,) are returned. Covariances with zeros or NaN, or that are not
+    positive definite, are not used. Variances above MAX_SIGMA^2 were not measured: they are reduced to this value
+    with the same correlations, so that rounding errors cannot make the matrix indefinite.
     """
     n, d = own.shape
     P = own[:, :, None] * np.eye(d)

@@ -42,9 +42,8 @@ def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> 
 def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -> Geometry | None:
     """Fit wheel radius and track to wheel angles and a body motion `theirs`.
 
-    None if wheels and body motion disagree or overlap too little in time.
-
-    Raises LocfuseError if the counters cannot be read.
+    None if wheels and body motion disagree or overlap too little in time. Raises LocfuseError if the counters
+    cannot be read.
     """
     known = msgspec.structs.replace(settings, ticks_per_revolution=settings.ticks_per_revolution or None)
     both = read_counters(counters, known)

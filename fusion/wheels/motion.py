@@ -256,9 +256,8 @@ def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
 def distances_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_DISTANCE_M) -> float | None:
     """Return how much of the distance between positions a motion explains, as a share in [0, 1].
 
-    None if there are too few positions, or less than `least` [m] between them in total.
-
-    `xy` (n, 2) [m] are the positions at times t (n,) [s] on the clock of the motion.
+    None if there are too few positions, or less than `least` [m] between them in total. `xy` (n, 2) [m] are the
+    positions at times t (n,) [s] on the clock of the motion.
     """
     start = np.arange(t[0], t[-1] - DISTANCE_WINDOW_S, DISTANCE_WINDOW_S)
     seen = _far(start, t, xy)

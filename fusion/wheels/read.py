@@ -157,9 +157,8 @@ def _from_body(
 ) -> WheelReading:
     """Read the body's motion from values (n, 5): x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s].
 
-    Without a configured track, VIRTUAL_TRACK is used; it affects only the noise.
-
-    `posed` is whether the messages have poses, `commands` whether the speeds are commands.
+    Without a configured track, VIRTUAL_TRACK is used; it affects only the noise. `posed` is whether the messages
+    have poses, `commands` whether the speeds are commands.
     """
     dropped = dict(stream.dropped)
     keep = usable(stream.t_ns, values, dropped)

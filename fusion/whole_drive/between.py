@@ -239,9 +239,8 @@ def smoothed(
 ) -> OdometryErrors:
     """Smooth the odometry errors along each span between two keys; return them at the keys and at the scans.
 
-    `key_errors` are the known errors at the keys. Scan i has update time k[i] and follows key a[i].
-
-    xi (n, 3) with `information` (n, 3, 3) are the errors measured by the scans.
+    `key_errors` are the known errors at the keys. Scan i has update time k[i] and follows key a[i]. xi (n, 3) with
+    `information` (n, 3, 3) are the errors measured by the scans.
     """
     order = np.lexsort((np.concatenate((key_errors.instant, k)), np.concatenate((key_errors.a, a))))
     a, k = np.concatenate((key_errors.a, a))[order], np.concatenate((key_errors.instant, k))[order]

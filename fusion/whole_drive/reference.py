@@ -51,9 +51,8 @@ def may_have_reference(drive: Drive, robot: Robot) -> bool:
 def sets(drive: Drive) -> list[tuple[str, ...]]:
     """Return the sets of sensors for which a reference is computed: all sensors, and all without one sensor.
 
-    The sensors that need the left-out one are left out with it.
-
-    A set is left out if none of its sensors measures the position: its distance scale would be that of the wheels.
+    The sensors that need the left-out one are left out with it. A set is left out if none of its sensors measures
+    the position: its distance scale would be that of the wheels.
     """
     present = _present(drive)
     found = [present, *(_without(s, present) for s in present)]

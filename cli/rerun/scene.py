@@ -39,7 +39,6 @@ from locfuse.fusion.data import (
     Column,
     Drive,
     Estimates,
-    Ints,
     LocfuseError,
     Motions,
     Ragged,
@@ -67,7 +66,7 @@ SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "r
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # quantiles of the band of consistent NIS
 JPEG_QUALITY = 80  # of panoramas and raw Image messages
 MEDIA_TYPES = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
-NO_ROWS: Ints = np.zeros(0, np.int64)
+NO_ROWS = np.zeros(0, np.int64)
 
 
 def make_scene(result: Result, images: int | None = None, full: bool = False) -> RerunScene:

@@ -27,17 +27,7 @@ from locfuse.fusion.chi_square import chi_square, robust_sigma
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.sensor import (
-    NO_BLOCK,
-    Ask,
-    Bias,
-    Block,
-    FoundStart,
-    Model,
-    Sensor,
-    WheelMotion,
-    given_or_state,
-)
+from locfuse.fusion.sensor import Ask, Bias, Block, FoundStart, Model, Sensor, WheelMotion, given_or_state
 from locfuse.fusion.streams import arrays, count_dropped, seconds
 
 from .points import (
@@ -370,7 +360,7 @@ class RangesModel(PointsModel):
         columns = at + of_offset
         # the derivative by the anchor's position is minus that by the robot's
         of_place = (-by_range[0], -by_range[1]) if at else ()
-        H_block = ((*of_place, *(1.0,) * len(of_offset)),) if columns else NO_BLOCK
+        H_block = ((*of_place, *(1.0,) * len(of_offset)),) if columns else ()
         y, R = z[row] - distance - longer - offset, variances[row] + 2.0 * longer * longer
         seen: Innovation = belief.compare(row, (y,), (by_range,), ((R,),), self.threshold, columns, H_block)
         seen.landmark = anchor

@@ -14,13 +14,6 @@ MAX_CURVE_POINTS = 4000
 MAX_SCANS = 2000
 
 
-def evenly(n: int, limit: int) -> Ints:
-    """Return at most `limit` evenly spaced indices of 0 .. n - 1, including both ends."""
-    if n <= limit:
-        return np.arange(n)
-    return np.unique(np.rint(np.linspace(0, n - 1, limit)).astype(np.int64))
-
-
 def extremes(values: Array, limit: int) -> Ints:
     """Return at most `limit` indices (p,), increasing, of a curve (n,) or of curves (n, k).
 

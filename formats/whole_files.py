@@ -128,9 +128,8 @@ def _prepare(folder: Path, overwrite: bool) -> list[Path]:
         present = list(folder.iterdir()) if folder.is_dir() else []
         others = {p.name for p in present if not p.name.endswith(TEMPORARY)}
         if others and not overwrite and not others.intersection(RESULTS):
-            raise LocfuseError(
-                f"{folder} is not empty and holds no locfuse result: choose another with -o, or add --overwrite"
-            )
+            fix = "choose another with -o, or add --overwrite"
+            raise LocfuseError(f"{folder} is not empty and holds no locfuse result: {fix}")
         missing = [p for p in (folder, *folder.parents) if not p.exists()]
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
@@ -173,9 +172,8 @@ def _locked(path: Path, patience_s: float) -> int | None:
             if time.monotonic() > end:
                 who = os.read(handle, 20).decode("ascii", "replace")
                 os.close(handle)
-                raise LocfuseError(
-                    f"{path.parent} is being written by process {who}: wait for it, or choose another -o"
-                ) from None
+                fix = "wait for it, or choose another -o"
+                raise LocfuseError(f"{path.parent} is being written by process {who}: {fix}") from None
             time.sleep(0.02)
         except OSError:  # a file system without locks
             os.close(handle)

@@ -216,7 +216,7 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
     def take(self, readings: Ints) -> Measurements:
         """Return the readings with these indices, in this order."""
         counts = np.diff(self.first)[readings]
-        first = np.concatenate(([0], np.cumsum(counts)))
+        first = totals(counts)
         rows = np.repeat(self.first[readings] - first[:-1], counts) + np.arange(first[-1])
         return Measurements(
             t=self.t[readings],
@@ -300,6 +300,12 @@ class Drive(msgspec.Struct, frozen=True):
 
 MAX_MAGNITUDE = 1e12  # m: a light hour; larger coordinates are invalid
 VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost", "repeated")
+
+
+class RowVerdict:
+    """Indices into VERDICTS, as in `Audit.verdict`."""
+
+    ACCEPTED, GATE, AMBIGUOUS, UNMATCHED, NEW, DISTURBED, LOST, REPEATED = range(len(VERDICTS))
 
 
 class Audit(msgspec.Struct, frozen=True):
@@ -426,9 +432,8 @@ class Estimates(msgspec.Struct, frozen=True):
     lost: tuple[tuple[float, float], ...] = ()  # s: intervals in which the robot was lost
     # (m, 2) s: time of the earlier visit, and of its recognition; sorted by the second
     loops: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    loop_poses: Array = field(
-        default_factory=lambda: np.zeros((0, 3))
-    )  # (m, 3) pose at the later time relative to the pose at the earlier time
+    # (m, 3) pose at the later time relative to the pose at the earlier time
+    loop_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     smoothed: bool = False  # whether each pose uses the whole drive; the audits are those of the filter
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz: sensor -> rate, if lower than that of the log
 
@@ -465,6 +470,11 @@ def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
 
 
+def consecutive(labels: Array | Ints) -> list[Ints]:
+    """Return the indices of each group of consecutive equal labels (n,)."""
+    return np.split(np.arange(len(labels)), np.flatnonzero(np.diff(labels)) + 1)
+
+
 def spaced(*series: tuple[Array, float]) -> Ints:
     """Return the indices of chosen values; each differs from the chosen one before it by a limit or more.
 
@@ -478,6 +488,31 @@ def spaced(*series: tuple[Array, float]) -> Ints:
             chosen.append(k)
             last = now
     return np.array(chosen, np.int64)
+
+
+def evenly(n: int, limit: int) -> Ints:
+    """Return at most `limit` evenly spaced indices of 0 .. n - 1, including both ends."""
+    if n <= limit:
+        return np.arange(n)
+    return np.unique(np.rint(np.linspace(0, n - 1, limit)).astype(np.int64))
+
+
+def totals(steps: Any, dtype: Any = None) -> NDArray[Any]:
+    """Return the running sums (n + 1, ...) of steps (n, ...); the first is zero."""
+    sums = np.cumsum(steps, axis=0, dtype=dtype)
+    return np.concatenate((np.zeros((1, *sums.shape[1:]), sums.dtype), sums))
+
+
+def interpolate(at: Array, t: Array, columns: Array) -> Array:
+    """Return columns (n, k), known at times t (n,), at the times `at` (...): an array (..., k)."""
+    return np.stack([np.interp(at, t, column) for column in columns.T], axis=-1)
+
+
+def changes(start: Array, length: float, t: Array, values: Array) -> Array:
+    """Return how values (n, ...), known at times t (n,), change in a time of `length` after each time `start`."""
+    if values.ndim > 1:
+        return interpolate(start + length, t, values) - interpolate(start, t, values)
+    return np.interp(start + length, t, values) - np.interp(start, t, values)
 
 
 def result_name(configuration: str, smoothed: bool) -> str:
@@ -537,9 +572,8 @@ class Evaluation(msgspec.Struct, frozen=True):
     estimate_xy: Array = NO_POINTS  # (q, 2) m, estimate of the tracked point, after alignment (if any)
     align: str = "none"
     smoothed: bool = False
-    lost: tuple[
-        tuple[float, float], ...
-    ] = ()  # s: intervals in which the robot was lost; all figures include them
+    # s: intervals in which the robot was lost; all figures include them
+    lost: tuple[tuple[float, float], ...] = ()
     notes: tuple[str, ...] = ()  # notes of the filter on the run
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz, those of the estimates
     reference: bool = False  # whether the reference solution replaces truth (judge.against)

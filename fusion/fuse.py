@@ -23,17 +23,15 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, matrices
+from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, RowVerdict, matrices
 from .progress import report_progress
 from .robot import Robot
-from .sensor import GATE, Model, Reading
+from .sensor import Model, Reading
 
 BLOCK_INSTANTS = 256
 Due = tuple[str, int]  # sensor, reading
 STAMPS_AT_ONCE = 4096  # stamps of the truth in one step, to limit memory
-Passed = tuple[
-    Sequence[Innovation | Reading], int
-]  # accepted innovations of one reading, and their number of rows
+Passed = tuple[Sequence[Innovation | Reading], int]  # accepted innovations of a reading, their number of rows
 Fit = tuple[Record, int, float]  # for one reading: record of its sensor, degrees of freedom, joint NIS
 
 
@@ -96,9 +94,8 @@ class Filter:
         self._wheels = robot.wheels
         self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
         self._listens = {s: flags.tolist() for s, flags in (listen or {}).items()}
-        self.models: dict[str, Model] = {
-            s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
-        }
+        modelled = [s for s in REGISTRY if s in sensors or s in self._listens]
+        self.models: dict[str, Model] = {s: REGISTRY[s].model(robot.settings(s)) for s in modelled}
         self.belief = _begin(robot, list(self.models.values()))
         # these states correlate the innovations of one reading, so their joint NIS is recorded
         self._joint = any(model.joint for model in self.models.values())
@@ -277,7 +274,8 @@ def inflate(seen: Innovation, state: State) -> None:
     For a sensor with heavy-tailed errors, this keeps information that a rejection would lose; it is the weight of
     Huber's estimator at this innovation. Other innovations are not changed.
     """
-    if seen.verdict != GATE or seen.numbers != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
+    far = seen.verdict == RowVerdict.GATE and math.isfinite(seen.nis)
+    if not far or seen.numbers != 1 or seen.threshold <= 0.0:
         return
     needed = seen.y[0] ** 2 / seen.threshold
     state.add_row_noise(seen.first, needed - seen.sigma[0] ** 2)

@@ -17,9 +17,8 @@ def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -
     Heights are set to 0, so that a receiver's vertical error has no effect.
     """
     phi, lam = np.radians(origin)
-    d = _earth_centred(np.radians(latitude), np.radians(longitude)) - _earth_centred(
-        np.asarray(phi), np.asarray(lam)
-    )
+    there, here = (np.radians(latitude), np.radians(longitude)), (np.asarray(phi), np.asarray(lam))
+    d = _earth_centred(*there) - _earth_centred(*here)
     s, c, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
     east = -sl * d[..., 0] + cl * d[..., 1]
     north = -s * cl * d[..., 0] - s * sl * d[..., 1] + c * d[..., 2]
@@ -29,6 +28,5 @@ def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -
 def _earth_centred(phi: Array, lam: Array) -> Array:
     """Return earth-centred coordinates (..., 3) [m] of latitudes phi and longitudes lam [rad] at height 0."""
     n = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - E2 * np.sin(phi) ** 2)
-    return np.stack(
-        (n * np.cos(phi) * np.cos(lam), n * np.cos(phi) * np.sin(lam), n * (1.0 - E2) * np.sin(phi)), axis=-1
-    )
+    along = n * np.cos(phi)
+    return np.stack((along * np.cos(lam), along * np.sin(lam), n * (1.0 - E2) * np.sin(phi)), axis=-1)

@@ -155,9 +155,8 @@ def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robo
     x, y, theta = se2.compose(np.array(start.pose), back).tolist()
     of_heading = start.variances[2]
     place = start.sigma_xy**2 + 0.5 * (P[0, 0] + P[1, 1] + float(back[:2] @ back[:2]) * of_heading)
-    found = replace(robot, start=replace(start, at=at)).begun_at(
-        (x, y, theta), math.sqrt(place), math.sqrt(of_heading + P[2, 2])
-    )
+    begun = replace(robot, start=replace(start, at=at))
+    found = begun.begun_at((x, y, theta), math.sqrt(place), math.sqrt(of_heading + P[2, 2]))
     words = f"start: the pose is that at {at:.1f} s; the wheels lead back from it by {np.hypot(*back[:2]):.2f} m"
     return found, replace(drive, notes=(*drive.notes, words))
 

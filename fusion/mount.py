@@ -91,10 +91,8 @@ class Mount:
 
     def blocks(self) -> list[Block]:
         """Return the state blocks of the uncertain components."""
-        return [
-            Block(name, np.array([self.configured[i]]), np.array([[self._variances[i]]]), np.zeros(1))
-            for i, name in self._names.items()
-        ]
+        states = ((name, self.configured[i], self._variances[i]) for i, name in self._names.items())
+        return [Block(name, np.array([x]), np.array([[P]]), np.zeros(1)) for name, x, P in states]
 
     def now(self, belief: Belief) -> tuple[float, float, float]:
         """Return the present mount: x [m], y [m], yaw [rad]."""

@@ -134,12 +134,6 @@ class Robot(msgspec.Struct, frozen=True):
     def begun_at(self, pose: Sequence[float], sigma_xy: float, sigma_theta: float) -> Robot:
         """Return the robot with a start pose x, y [m], theta [rad] and standard deviations [m, rad]."""
         x, y, theta = map(float, pose)
-        found = replace(
-            self.start,
-            x=x,
-            y=y,
-            theta_deg=math.degrees(theta),
-            sigma_xy=sigma_xy,
-            sigma_theta_deg=math.degrees(sigma_theta),
-        )
+        turn, spread = math.degrees(theta), math.degrees(sigma_theta)
+        found = replace(self.start, x=x, y=y, theta_deg=turn, sigma_xy=sigma_xy, sigma_theta_deg=spread)
         return replace(self, start=found, start_given=True)

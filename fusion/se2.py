@@ -135,10 +135,19 @@ def rotation(theta: Array) -> Array:
     return out
 
 
+def symmetric(P: Array) -> Array:
+    """Return the symmetric part of matrices P (..., n, n): rounding errors make a covariance asymmetric."""
+    return 0.5 * (P + np.swapaxes(P, -1, -2))
+
+
+def propagated(J: Array, P: Array) -> Array:
+    """Return J P J' (..., m, m): the covariance of numbers with derivatives J (..., m, n), for P (..., n, n)."""
+    return np.asarray(J @ P @ np.swapaxes(J, -1, -2))
+
+
 def turned_covariance(P: Array, theta: Array) -> Array:
     """Return covariances P (n, 3, 3) of (x, y, theta) in axes that are rotated by -theta (n,) [rad]."""
-    R = rotation(theta)
-    return np.asarray(R @ P @ R.transpose(0, 2, 1))
+    return propagated(rotation(theta), P)
 
 
 def lever(x: Array, y: Array) -> Array:

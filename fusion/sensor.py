@@ -12,21 +12,8 @@ import msgspec
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import AuditColumns
 
-from .data import (
-    VERDICTS,
-    Array,
-    Colour,
-    Component,
-    Ints,
-    Jump,
-    LocfuseError,
-    MapLine,
-    Measurements,
-    SeenAgain,
-    Stream,
-)
+from .data import Array, Colour, Component, Ints, Jump, LocfuseError, MapLine, Measurements, SeenAgain, Stream
 
-GATE = VERDICTS.index("gate")
 Row = tuple[float, ...]
 Matrix = tuple[Row, ...]
 NO_COLUMNS: tuple[int, ...] = ()  # state columns of a measurement that depends only on the pose
@@ -229,6 +216,14 @@ class Model:
     def notes(self, belief: Any) -> list[str]:
         """Return notes on this run for the report; `belief` is the last one."""
         return []
+
+
+def given_or_state(given: float | None, state: str, belief: Belief) -> tuple[float, tuple[int, ...]]:
+    """Return a value and the columns of its state: `given` and none if it is configured, else the estimate."""
+    if given is not None:
+        return given, NO_COLUMNS
+    column = belief.column(state)
+    return belief.value(column), (column,)
 
 
 class Ask(NamedTuple):

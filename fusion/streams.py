@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream
+from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream, totals
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # a gap is longer than both: s, median periods
 MIN_BLANK_STEPS = 20.0  # median steps: from a larger value, a step to zero is no motion
@@ -28,7 +28,7 @@ def concat(parts: Sequence[Column]) -> Column:
         ragged = [part for part in parts if isinstance(part, Ragged)]
         lengths = np.concatenate([part.lengths for part in ragged])
         values = np.concatenate([part.values[part.first[0] : part.first[-1]] for part in ragged])
-        return Ragged(values, np.concatenate(([0], np.cumsum(lengths))))
+        return Ragged(values, totals(lengths))
     if isinstance(head, list):
         return [value for part in parts if isinstance(part, list) for value in part]
     return np.concatenate([part for part in parts if isinstance(part, np.ndarray)])
@@ -46,9 +46,25 @@ def take(column: Column, rows: NDArray[Any]) -> Column:
         n = matrix.shape[1]
         return Ragged(matrix[rows].ravel(), np.arange(len(rows) + 1) * n)
     lengths = column.lengths[rows]
-    first = np.concatenate(([0], np.cumsum(lengths)))
+    first = totals(lengths)
     at = np.repeat(column.first[rows] - first[:-1], lengths) + np.arange(first[-1])
     return Ragged(column.values[at], first)
+
+
+def seconds(t_ns: Ints, zero_ns: int, offset: float = 0.0) -> Array:
+    """Return stamps (n,) [ns] as seconds since `zero_ns`, plus an offset [s]."""
+    return (t_ns - zero_ns) * np.float64(1e-9) + offset
+
+
+def arrays(stream: Stream, *fields: str) -> dict[str, Array]:
+    """Return the columns of these fields, which hold one number or as many numbers in every reading."""
+    return cast("dict[str, Array]", stream.columns(*fields))
+
+
+def numbers(stream: Stream, *fields: str) -> Array:
+    """Return the numbers of these fields, (n, fields), in all readings of a stream."""
+    columns = arrays(stream, *fields)
+    return np.stack([columns[name] for name in fields], axis=-1).astype(np.float64)
 
 
 def taken(stream: Stream, rows: Ints, *fields: str) -> ArrayStream:
@@ -153,8 +169,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def t_ns(self) -> Ints:
         """Stamps of the readings, (n,) ns, never decreasing."""
-        times: Ints = np.concatenate([part.t_ns for part in self.parts])[self._order]
-        return times
+        return np.concatenate([part.t_ns for part in self.parts])[self._order]
 
     @cached_property
     def source(self) -> Ints:
@@ -164,7 +179,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return the numbers of all n rows for each of these fields, by dotted field path."""
-        found = [cast("dict[str, Array]", part.columns(*fields)) for part in self.parts]
+        found = [arrays(part, *fields) for part in self.parts]
         return {name: np.concatenate([columns[name] for columns in found])[self._order] for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
@@ -191,7 +206,7 @@ def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
     held = np.where(gap, 0.0, np.diff(t)).reshape(-1, *[1] * (rates.ndim - 1))
     total = np.zeros_like(rates)
     np.cumsum(0.5 * (rates[1:] + rates[:-1]) * held, axis=0, out=total[1:])
-    return total, np.concatenate(([0], np.cumsum(gap)))[: len(t)]
+    return total, totals(gap)[: len(t)]
 
 
 def last_of_periods(t: Array, period: float) -> Ints:

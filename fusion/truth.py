@@ -16,7 +16,7 @@ from . import se2
 from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible
 from .geodesy import east_north
 from .robot import TruthSettings
-from .streams import blank, count_dropped
+from .streams import blank, count_dropped, seconds
 
 BODIES = "mocap4r2_msgs/msg/RigidBodies"
 FIX = "sensor_msgs/msg/NavSatFix"
@@ -65,7 +65,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     count_dropped(dropped, zeros=lost)
     rows = rows[~lost]
     if settings.max_speed is not None and len(rows) > 2:
-        t = (stream.t_ns[rows] - stream.t_ns[rows[0]]) * np.float64(1e-9)
+        t = seconds(stream.t_ns[rows], stream.t_ns[rows[0]])
         xy = values[rows, :2]
         away = spikes(t, xy, limits(t, np.hypot(*np.diff(xy, axis=0).T), settings.max_speed))
         count_dropped(dropped, jump=away)
@@ -79,7 +79,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     return (
         Truth(
             topic=stream.topic,
-            t=(stream.t_ns[rows] - epoch_ns) * np.float64(1e-9) + settings.time_offset,
+            t=seconds(stream.t_ns[rows], epoch_ns, settings.time_offset),
             xy=values[rows, :2],
             theta=theta,
             point=(settings.x, settings.y),

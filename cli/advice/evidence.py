@@ -348,11 +348,8 @@ class Evidence(NoiseFindings):
     @cached_property
     def _mounts_found(self) -> list[Finding]:
         """Findings on mounts that the run with this sensor alone estimates differently than configured."""
-        return [
-            finding
-            for e in self.runs_alone()
-            for finding in of_mount(self.loaded.robot, e.sensors[0], e, self.loaded.drive.truth is not None)
-        ]
+        robot, judged = self.loaded.robot, self.loaded.drive.truth is not None
+        return [f for e in self.runs_alone() for f in of_mount(robot, e.sensors[0], e, judged)]
 
     @cached_property
     def _other_mounts(self) -> set[str]:
@@ -387,9 +384,8 @@ class Evidence(NoiseFindings):
             options = [] if either else list(self.constant(verdict))
             wrong = {"biased", "outliers", "contradicts", "understated"}
             if sensor == "camera" and verdict.verdict in wrong and self._may_be_mirrored:
-                options.append(
-                    (f"camera.clockwise={str(not self.loaded.robot.settings('camera').clockwise).lower()}",)
-                )
+                turned = not self.loaded.robot.settings("camera").clockwise
+                options.append((f"camera.clockwise={str(turned).lower()}",))
             if options:
                 finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(self._candidate(finding, tuple(options)))
@@ -419,17 +415,15 @@ class Evidence(NoiseFindings):
         if any(REGISTRY[s].locates and not model.local for s, model in models.items()):
             return [self._candidate(Finding("start", "heading", words), (fixes,), True)]
         either = f"compass.offset_deg={verdict.fix_values['compass.offset_deg']:g} or {fixes[0]}"
-        return [
-            self._candidate(Finding("start", "heading", f"{words}. Nothing in this log says which: {either}"), ())
-        ]
+        message = f"{words}. Nothing in this log says which: {either}"
+        return [self._candidate(Finding("start", "heading", message), ())]
 
     @cached_property
     def _biases_again(self) -> dict[str, Consistency]:
         """Verdicts "biased" on offsets set by an earlier fix: a later fix may have changed them."""
         keys = [fix.partition("=")[0] for fix in self.fixes]
-        fixed = [
-            s for s in self.consistency if (b := REGISTRY[s].bias) is not None and f"{s}.{b.key}" in keys[:-1]
-        ]
+        biases = {s: REGISTRY[s].bias for s in self.consistency}
+        fixed = [s for s, b in biases.items() if b is not None and f"{s}.{b.key}" in keys[:-1]]
         if not fixed:
             return {}
         found_noise = NoiseEvidence(self.compared.runs, self.loaded.robot, self.overconfident)
@@ -454,8 +448,5 @@ class Evidence(NoiseFindings):
         scans = drive.measurements.get(LASER)
         if scans is None or len(scans.t) < 2 or np.median(np.diff(scans.t, append=np.inf)) > MAX_SCAN_PERIOD_S:
             return []
-        return [
-            f
-            for e in self.runs_alone(LASER)
-            for f in of_spins(drive, e.t, e.pose, "laser's path", [j.t for j in e.jumps if j.step[2]])
-        ]
+        turns = ((e, [j.t for j in e.jumps if j.step[2]]) for e in self.runs_alone(LASER))
+        return [f for e, turned in turns for f in of_spins(drive, e.t, e.pose, "laser's path", turned)]

@@ -208,9 +208,9 @@ class NoiseFindings(Judged):
             f"lines scatter {own_run.nis**0.5:.2g} times as far as the noise of their beams says: beams of a line "
             "share their error (a depth camera, walls that are not flat)"
         )
+        now = {key: getattr(settings, key) for key in FLOORS}
         options = tuple(
-            tuple(f"{LASER}.{key}={getattr(settings, key) * factor:.2g}" for key in FLOORS)
-            for factor in FLOOR_FACTORS
+            tuple(f"{LASER}.{key}={v * factor:.2g}" for key, v in now.items()) for factor in FLOOR_FACTORS
         )
         return [self._candidate(Finding(LASER, "floor", words), options, True)]
 

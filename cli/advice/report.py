@@ -340,9 +340,8 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
     if anees <= MAX_ANEES or truth.get("sigma") or truth.get("sigma_theta_deg"):
         times = f"{'still ' if any(shown) else ''}{anees**0.5:.1f} times too small"
         return f" The covariance ({name}) is {times}, and no setting explains it."
-    cause = (
-        f"most likely due to the finding on the {open_[0]}" if open_ else "set truth.sigma, the truth's own noise"
-    )
+    other = f"most likely due to the finding on the {open_[0]}" if open_ else ""
+    cause = other or "set truth.sigma, the truth's own noise"
     return f" ANEES ({name}) is over {MAX_ANEES:g}: {cause}{'' if open_ else ', to judge it'}."
 
 
@@ -463,6 +462,5 @@ def _remove_mount_notes(report: dict[str, Any]) -> None:
     """Remove notes on a mount if a finding has a fix for it, so that the report proposes only one value."""
     mounts = {f["role"] for f in report["findings"] or () if f["code"] == MOUNT and f["fixes"]}
     for values in report["configurations"].values():
-        values["notes"] = [
-            note for note in values["notes"] if not any(note.startswith(f"{s}: {OTHER_MOUNT}") for s in mounts)
-        ]
+        superseded = tuple(f"{s}: {OTHER_MOUNT}" for s in mounts)
+        values["notes"] = [note for note in values["notes"] if not note.startswith(superseded)]

@@ -65,9 +65,8 @@ def ask(logs: Mapping[str, Mapping[str, Any]], look: LooksOf) -> dict[str, Any]:
     """
     step = max(1.0, len(logs) / MAX_TRIED_LOGS)
     chosen = [list(logs)[int(i * step)] for i in range(min(len(logs), MAX_TRIED_LOGS))]
-    found = asked(
-        {log: msgspec.convert(values, LogEstimates) for log, values in logs.items()}, partial(look, chosen)
-    )
+    estimates = {log: msgspec.convert(values, LogEstimates) for log, values in logs.items()}
+    found = asked(estimates, partial(look, chosen))
     return {
         "logs": list(logs),
         "values": [{**msgspec.to_builtins(c), "off": c.off, "words": c.words} for c in found.common],

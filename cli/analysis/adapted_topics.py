@@ -79,9 +79,8 @@ def not_read(log: Log, role: str) -> str:
     kinds = NOT_READ.get(role, {})
     for topic, info in sorted(log.topics.items()):
         if info.msgtype in kinds and info.count:
-            return (
-                f"{topic} ({info.msgtype.replace('/msg/', '/')}) holds {kinds[info.msgtype].format(topic=topic)}"
-            )
+            msgtype = info.msgtype.replace("/msg/", "/")
+            return f"{topic} ({msgtype}) holds {kinds[info.msgtype].format(topic=topic)}"
     return ""
 
 

@@ -295,9 +295,8 @@ def nothing_moves(log: Log) -> NoWheelsError:
     others = [other for role in ("wheels", "lrf") if (other := not_read(log, role))]
     beside = filled(log, *ONLY_CORRECT)
     corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
-    return NoWheelsError(
-        ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".", role="wheels", hint=f"It has {have}"
-    )
+    message = ". ".join([f"{words}{corrects if beside else ''}", *others]) + "."
+    return NoWheelsError(message, role="wheels", hint=f"It has {have}")
 
 
 # ---- a car's motor controller: topics of motor and steering, and missing settings ----

@@ -278,10 +278,8 @@ def predict(
     densities: dict[str, float | None] = {}
     if not drive.measurements:
         return [], densities
-    sets = [
-        ((), configuration_name((), drive)),
-        *((c.sensors, c.name) for c in configurations if c.sensors and not c.rates),
-    ]
+    full = (c for c in configurations if c.sensors and not c.rates)
+    sets = [((), configuration_name((), drive)), *((c.sensors, c.name) for c in full)]
 
     def tried() -> Iterator[Estimates]:
         for sensors, name in sets:
@@ -305,9 +303,8 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     sets = compared.sets
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets, base=compared.base)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
-    report["prediction"] = (
-        prediction_values(compared.scores, list(sets), compared.base) if compared.scores else None
-    )
+    scores, base = compared.scores, compared.base
+    report["prediction"] = prediction_values(scores, list(sets), base) if scores else None
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_reference(report, compared)
     slower = {c.name: c.sensors for c in compared.configurations if c.rates}

@@ -175,9 +175,8 @@ def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> l
     named = [parse(w, drive) for w in words]
     if every:
         if len(present) > MAX_SUBSET_SENSORS:
-            raise UsageError(
-                f"--all-subsets: {len(present)} sensors have {2 ** len(present)} subsets; leave it out"
-            )
+            n = len(present)
+            raise UsageError(f"--all-subsets: {n} sensors have {2**n} subsets; leave it out")
         named = [plain(s, drive) for s in subsets(present)] + named
     if not named:
         alone = [tuple(s for s in present if s in (name, *needed(name))) for name in present]

@@ -32,12 +32,8 @@ if TYPE_CHECKING:
 EXIT_GATE_FAILED = 4
 OF_REFERENCE = "reference."  # prefix of errors against a reference, in a log without truth
 OF_FLEET = "fleet."  # prefix of figures over all logs
-OPERATORS: dict[str, Callable[[float, float], bool]] = {
-    ">=": operator.ge,
-    "<=": operator.le,
-    ">": operator.gt,
-    "<": operator.lt,
-}
+Operator = Callable[[float, float], bool]
+OPERATORS: dict[str, Operator] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 TOLERANCE_UNITS = {
     "": ("share", 1.0),
     "%": ("share", 0.01),
@@ -193,9 +189,8 @@ def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baselin
         errors = _error_figures(values["configurations"], of_fleet)
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         wanted = ("summary.json", "fleet LOGS...") if of_fleet else ("report.json", "compare LOG")
-        raise LocfuseError(
-            f"--baseline {path}: not a {wanted[0]} of locfuse; make one with: locfuse {wanted[1]} -o DIR"
-        ) from None
+        words = f"not a {wanted[0]} of locfuse; make one with: locfuse {wanted[1]} -o DIR"
+        raise LocfuseError(f"--baseline {path}: {words}") from None
     return Baseline(path, values, errors, parse_tolerance(tolerance), of_fleet)
 
 

@@ -185,9 +185,8 @@ def _once(words: Sequence[str]) -> list[str]:
         here = not is_url(word) and Path(word).exists()
         first.setdefault(Path(word).resolve() if here else word, word)
     parts = {path.parent for path in first if isinstance(path, Path) and path.name != METADATA_FILE}
-    return [
-        w for p, w in first.items() if not (isinstance(p, Path) and p.name == METADATA_FILE and p.parent in parts)
-    ]
+    bags = {p for p in first if isinstance(p, Path) and p.name == METADATA_FILE and p.parent in parts}
+    return [w for p, w in first.items() if p not in bags]
 
 
 def _split(parts: list[str]) -> list[list[str]]:

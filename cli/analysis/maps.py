@@ -55,20 +55,16 @@ def give_topic(loaded: Loaded) -> Loaded:
     if info is None or info.msgtype != GRID:
         what = "is not there" if info is None else f"is {info.msgtype}"
         raise LocfuseError(f"lrf.map_topic: {topic} {what}; it takes a {GRID}", role="lrf")
-    columns = loaded.log.stream(topic, loaded.robot.order).columns(
-        "info.resolution", "info.width", "info.height", *ORIGIN, "data"
-    )
+    stream, shape = loaded.log.stream(topic, loaded.robot.order), ("info.resolution", "info.width", "info.height")
+    columns = stream.columns(*ORIGIN, *shape, "data")
     cells = columns["data"]
     if not isinstance(cells, Ragged) or not len(cells):
         raise LocfuseError(f"lrf.map_topic: {topic} holds no map", role="lrf")
-    x, y, qz, qw, cell, width, height = (
-        float(np.asarray(columns[name])[-1]) for name in (*ORIGIN, "info.resolution", "info.width", "info.height")
-    )
+    x, y, qz, qw, cell, width, height = (float(np.asarray(columns[name])[-1]) for name in (*ORIGIN, *shape))
     origin = np.array([x, y, 2.0 * math.atan2(qz, qw)])
     last = cells.values[cells.first[-2] : cells.first[-1]]
-    return _give_grid(
-        loaded, Grid(*map_image.of_message(last, int(width), int(height), cell, origin, topic)), topic
-    )
+    image = map_image.of_message(last, int(width), int(height), cell, origin, topic)
+    return _give_grid(loaded, Grid(*image), topic)
 
 
 def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:

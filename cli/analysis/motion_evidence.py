@@ -246,17 +246,15 @@ class MotionSensors:
                 distances_explained(own.wheels, t, motion.wheels.pose[:, :2], MIN_OTHER_WAY_M),
             )
             if (share := min((s for s in shares if s is not None), default=1.0)) < MIN_EXPLAINED_SHARE:
-                return (
-                    f"it explains {share:.0%} of the motion by {' and '.join(other)}; nothing shows which is right"
-                )
+                whose = " and ".join(other)
+                return f"it explains {share:.0%} of the motion by {whose}; nothing shows which is right"
         return ""
 
     @cached_property
     def _readable(self) -> dict[Topics, WheelReading]:
         """Readable motions by their topics; {} if the log has only one candidate."""
-        read = {
-            t: motion_of(self._log, self._robot, t, self._read) for t in self._motions if len(self._motions) > 1
-        }
+        several = self._motions if len(self._motions) > 1 else ()
+        read = {t: motion_of(self._log, self._robot, t, self._read) for t in several}
         return {topics: motion for topics, motion in read.items() if motion is not None}
 
     @cached_property

@@ -106,10 +106,8 @@ def _view(mount: FrameMount) -> dict[str, Any]:
     ahead = rotation_3d(*(math.degrees(angle) for angle in (mount.roll, mount.pitch, mount.yaw)))[:, 2]
     if abs(ahead[2]) > MAX_VERTICAL:
         return {}
-    return {
-        "yaw_deg": math.degrees(math.atan2(ahead[1], ahead[0])),
-        "pitch_deg": math.degrees(math.asin(-ahead[2])) + 0.0,
-    }
+    yaw, pitch = math.atan2(ahead[1], ahead[0]), math.asin(-ahead[2])
+    return {"yaw_deg": math.degrees(yaw), "pitch_deg": math.degrees(pitch) + 0.0}
 
 
 def on_moving_parts(
@@ -242,9 +240,8 @@ def _imu_rotation(
     """Return the rotation (3, 3) from IMU axes to base axes: as configured, else by /tf_static."""
     gyro = streams.get("gyro")
     mount = mount_of(transforms, imu.frame_id)
-    roll, pitch, yaw = (
-        (math.degrees(a) for a in (mount.roll, mount.pitch, mount.yaw)) if mount else (0.0, 0.0, 0.0)
-    )
+    angles = (mount.roll, mount.pitch, mount.yaw) if mount else (0.0, 0.0, 0.0)
+    roll, pitch, yaw = map(math.degrees, angles)
     if imu.frame_id and imu.frame_id == field.frame_id:
         compass = robot.settings("compass")
         roll, pitch, yaw = compass.roll_deg, compass.pitch_deg, compass.yaw_deg

@@ -170,5 +170,4 @@ def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dic
 def _twist(drive: Drive) -> Array:
     """Return the mean body twist (n, 3) [m/s, m/s, rad/s] by the wheels over the interval that ends at each t."""
     dt = np.diff(drive.t, prepend=drive.t[0])
-    twist: Array = se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]
-    return twist
+    return se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]

@@ -33,11 +33,8 @@ UNREADABLE = (
     f"its settings (attachment {ATTACHMENT}) cannot be read: {{}}; its topics and defaults are used instead. Give "
     "settings with --robot FILE; locfuse init LOG -o FILE writes one"
 )
-BASE_TABLES: dict[str, type[msgspec.Struct]] = {
-    "wheels": WheelSettings,
-    "start": StartSettings,
-    "truth": TruthSettings,
-}
+Tables = dict[str, type[msgspec.Struct]]
+BASE_TABLES: Tables = {"wheels": WheelSettings, "start": StartSettings, "truth": TruthSettings}
 
 
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:

@@ -120,9 +120,8 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
         near = did_you_mean(topic, of_type(log, reads))  # only topics of a fitting type are suggested
-        raise LocfuseError(
-            f"{log.name} has no topic {topic}; {f'{near} It' if near else 'it'} has {have}.", role=role
-        )
+        it = f"{near} It" if near else "it"
+        raise LocfuseError(f"{log.name} has no topic {topic}; {it} has {have}.", role=role)
     other = presented_name(topic, info.msgtype)
     if other is not None and PRESENTED[info.msgtype].msgtype in reads:
         return checked(log, role, other, reads)

@@ -131,10 +131,8 @@ def verdicts(
     configuration without a sensor.
     """
     if credit is not None:
-        return {
-            s: {"verdict": c.verdict, "words": _credit_words(c, credit, over, base)}
-            for s, c in credit.sensors.items()
-        }
+        of = credit.sensors.items()
+        return {s: {"verdict": c.verdict, "words": _credit_words(c, credit, over, base)} for s, c in of}
     return _predicted_verdicts(found, sets, base)
 
 

@@ -79,9 +79,8 @@ def unused_words(choice: Choice) -> str:
 
 
 def _of_wheels(counters: Sequence[str], lacks: str) -> str:
-    return (
-        f"wheel angles are in {' and '.join(counters)} but {lacks} {'are' if ' and ' in lacks else 'is'} unknown"
-    )
+    verb = "are" if " and " in lacks else "is"
+    return f"wheel angles are in {' and '.join(counters)} but {lacks} {verb} unknown"
 
 
 def _named(log: Log, robot: Robot, name: str) -> list[str]:
@@ -140,11 +139,8 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
     for side in ("left", "right"):
         topic = getattr(robot.wheels, f"{side}_topic")
         if topic is None:
-            raise LocfuseError(
-                "one wheel has its topic;",
-                role="wheels",
-                hint=f"name the other with --set wheels.{side}_topic=<topic>",
-            )
+            hint = f"name the other with --set wheels.{side}_topic=<topic>"
+            raise LocfuseError("one wheel has its topic;", role="wheels", hint=hint)
         pair.append(checked(log, "wheels", topic, NUMBERS))
     return pair
 

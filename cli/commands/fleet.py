@@ -87,10 +87,8 @@ def many(words: Sequence[str], options: o.Options) -> int:
         _refuse_misuse(found, ended, todo)
         if ended.by is not None and not any(e.state == "done" for e in found.entries):
             raise ended.by
-        summary = {
-            **summarised(found.entries),
-            "robots": _robots(todo, found, options) if ended.by is None else [],
-        }
+        robots = _robots(todo, found, options) if ended.by is None else []
+        summary = {**summarised(found.entries), "robots": robots}
         keys = tuple(swept(fleet.sweep))
         written = write_summary(folder, summary, found.entries, outputs.write, keys)
         (folder / UNFINISHED).unlink(missing_ok=True)

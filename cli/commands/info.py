@@ -159,8 +159,5 @@ def _topic_of_pictures(overview: Overview) -> str:
     if not fit:
         raise LocfuseError(f"--preview: no topic of {overview.log.name} holds pictures")
     fix = f"camera.topic={fit[0]}"
-    raise LocfuseError(
-        f"--preview: {overview.log.name} has {len(fit)} topics of pictures;",
-        fixes=(fix,),
-        hint=f"choose one with --set {fix}",
-    )
+    words = f"--preview: {overview.log.name} has {len(fit)} topics of pictures;"
+    raise LocfuseError(words, fixes=(fix,), hint=f"choose one with --set {fix}")

@@ -130,10 +130,8 @@ class Tools:
         words, how = [str(self._below(log))], self._how(settings)
         found = inspected(words, how, silent)
         tried = tried_by_fusing(words, how, silent) if check else {}
-        topics = {
-            name: f"{t['type']}, {t['messages']} messages, {t['rate_hz'] or 0:.3g} Hz"
-            for name, t in found["topics"].items()
-        }
+        kinds = found["topics"].items()
+        topics = {name: f"{t['type']}, {t['messages']} messages, {t['rate_hz'] or 0:.3g} Hz" for name, t in kinds}
         state = "an estimate would be spoiled" if found["severe"] else "nothing speaks against a run"
         headline = tried.get("headline") or f"{found['name']}: {found['duration_s'] or 0:.1f} s; {state}."
         brief = {key: found[key] for key in ("duration_s", "roles", "absent", "configurations", "severe")}
@@ -195,9 +193,8 @@ class Tools:
         values = self._write(f"{name}.json", found.values())
         files = [str(found.write(self._out / f"{name}.robot.toml", overwrite=True)), values]
         rows = [dict(zip(found.titles, row, strict=True)) for row in found.rows()]
-        return ToolAnswer(
-            headline, [], {"settings": found.tables(), "found": rows, "notes": list(found.notes)}, files
-        )
+        answer = {"settings": found.tables(), "found": rows, "notes": list(found.notes)}
+        return ToolAnswer(headline, [], answer, files)
 
     def _listed(self) -> ToolAnswer:
         there = (path for folder in self._folders for ending in ENDINGS for path in folder.rglob(ending))

@@ -152,8 +152,7 @@ def _scene(
 
     if len(what) == 1 and (report := result_file(what[0])) is not None:
         return scene_of(report)
-    result = opened(what, options.how, progress, read_again=True).compare(
-        options.asked.sensors or None, reference=False
-    )
+    session = opened(what, options.how, progress, read_again=True)
+    result = session.compare(options.asked.sensors or None, reference=False)
     progress("recording")
     return make_scene(result, images, full)

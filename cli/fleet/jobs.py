@@ -197,9 +197,8 @@ def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
     except re.error as problem:
         raise UsageError(f"--robot-from {text!r}: not a regular expression: {problem}") from None
     if not pattern.groups:
-        raise UsageError(
-            f"--robot-from {text!r}: put the robot's name in a group, such as 'fleet/(?P<robot>[^/]+)/'"
-        )
+        fix = "put the robot's name in a group, such as 'fleet/(?P<robot>[^/]+)/'"
+        raise UsageError(f"--robot-from {text!r}: {fix}")
     return pattern
 
 

@@ -48,8 +48,7 @@ HOW_TO_MEASURE = {
             "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", needed=True
         ),
         "track": Ask(
-            "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it",
-            needed=True,
+            "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it", needed=True
         ),
         "wheelbase": Ask("m: not in this log. Between the front and the rear axle", needed=True),
         "erpm_per_mps": Ask(
@@ -209,10 +208,8 @@ def found(overview: Overview) -> Known:
     wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
     if wheels and overview.log.topics[wheels[0]].msgtype == JOINTS and overview.robot_facts.joints is not None:
         why = "guess: the wheels' joints, by their names or because only they turn"
-        known |= {
-            f"wheels.{side}": (joint, why)
-            for side, joint in zip(("left", "right"), overview.robot_facts.joints, strict=True)
-        }
+        joints = zip(("left", "right"), overview.robot_facts.joints, strict=True)
+        known |= {f"wheels.{side}": (joint, why) for side, joint in joints}
     return known | _mounts(overview)
 
 
@@ -229,10 +226,8 @@ def _topics(overview: Overview, role: str) -> Known:
     if len(topics) == 1:
         return {f"{role}.topic": (topics[0], words)}
     if role == "wheels" and overview.log.topics[topics[0]].msgtype in MOTOR:
-        return {
-            "wheels.topic": (topics[0], words),
-            "wheels.steering_topic": (topics[1], "how the car was steered"),
-        }
+        steered = "how the car was steered"
+        return {"wheels.topic": (topics[0], words), "wheels.steering_topic": (topics[1], steered)}
     if role == "wheels":
         return {"wheels.left_topic": (topics[0], words), "wheels.right_topic": (topics[1], words)}
     return {f"{role}.topics": (list(topics), words)}

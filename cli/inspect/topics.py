@@ -18,6 +18,7 @@ from locfuse.fusion.checks.publishers import PUBLISHERS
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import seconds
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -102,7 +103,7 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         problem = e.problem if isinstance(e, UnreadableTopicError) else str(e)
         return TopicFacts(name, topic.msgtype, topic.count, problem=problem)
     begin = (log.time_span_ns or (0, 0))[0]
-    t = (t_ns - begin) * np.float64(1e-9)
+    t = seconds(t_ns, begin)
     dt = np.diff(t)
     moving = dt[dt > 0]
     return TopicFacts(

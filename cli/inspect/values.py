@@ -80,11 +80,5 @@ def wheels_missing(overview: Overview) -> str | None:
 
 
 def _finding(f: Finding) -> dict[str, Any]:
-    return {
-        "role": f.role,
-        "code": f.code,
-        "message": f.sentence,
-        "fixes": list(f.fixes),
-        "source": f.source or None,
-        "severe": f.severe,
-    }
+    words = {"role": f.role, "code": f.code, "message": f.sentence}
+    return words | {"fixes": list(f.fixes), "source": f.source or None, "severe": f.severe}

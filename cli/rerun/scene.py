@@ -32,10 +32,20 @@ from locfuse.formats.rerun.scene import (
     Rgb,
     SensorLook,
 )
-from locfuse.formats.thin import evenly
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Column, Drive, Estimates, Ints, LocfuseError, Motions, Ragged, Stream, Truth
+from locfuse.fusion.data import (
+    Array,
+    Column,
+    Drive,
+    Estimates,
+    LocfuseError,
+    Motions,
+    Ragged,
+    Stream,
+    Truth,
+    evenly,
+)
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import points_in_base
@@ -44,6 +54,7 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
+from locfuse.fusion.streams import seconds
 from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.odometry import POSE
 
@@ -55,7 +66,7 @@ SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "r
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # quantiles of the band of consistent NIS
 JPEG_QUALITY = 80  # of panoramas and raw Image messages
 MEDIA_TYPES = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
-NO_ROWS: Ints = np.zeros(0, np.int64)
+NO_ROWS = np.zeros(0, np.int64)
 
 
 def make_scene(result: Result, images: int | None = None, full: bool = False) -> RerunScene:
@@ -114,9 +125,8 @@ def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
 def _look_of(name: str, settings: Any) -> SensorLook:
     sensor = REGISTRY[name]
     low, high = (chi_square(share, len(sensor.components)) for share in (NIS_LOW, NIS_HIGH))
-    return SensorLook(
-        sensor.components, (low, high), sensor.drawn, sensor.mount(settings), sensor.landmark(settings)
-    )
+    mount, landmark = sensor.mount(settings), sensor.landmark(settings)
+    return SensorLook(sensor.components, (low, high), sensor.drawn, mount, landmark)
 
 
 def _stream(loaded: Loaded, role: str) -> Stream:
@@ -154,7 +164,7 @@ def _raw_topics(loaded: Loaded) -> list[RawTopic]:
     for role in loaded.choice.topics:
         stream = _stream(loaded, role)
         fields = common_fields(role, stream.msgtype)
-        t: Array = (stream.t_ns - loaded.drive.epoch_ns) * np.float64(1e-9)
+        t = seconds(stream.t_ns, loaded.drive.epoch_ns)
         found.append(RawTopic(stream.topic, t, _curves(stream.columns(*fields) if fields else {})))
     return found
 
@@ -255,7 +265,7 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
     first = next(iter(tracks.values()))
     epoch_ns = int(first.t_ns[0])
     still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
-    t = (first.t_ns - epoch_ns) * np.float64(1e-9)
+    t = seconds(first.t_ns, epoch_ns)
     drive = Drive(epoch_ns, t, still, {}, {}, {}, _truth(folder, report, epoch_ns))
     estimates = [_estimates(track, drive, rows[name]) for name, track in tracks.items()]
     return RerunScene(
@@ -277,9 +287,8 @@ def _trajectory(folder: Path, name: str, by_run: bool) -> MadeStream:
     endings = (".csv", ".tum") if by_run else (".tum",)
     found = [read_file(str(path)) for e in endings if (path := folder / f"{name}{e}").is_file()]
     if not found:
-        raise LocfuseError(
-            f"{folder} lacks {name}.tum, so there is no trajectory to show; make it again without --write"
-        )
+        words = "so there is no trajectory to show; make it again without --write"
+        raise LocfuseError(f"{folder} lacks {name}.tum, {words}")
     if len(found) > 1 and not _same_path(*found):
         raise ValueError(f"{name}.csv and {name}.tum are of different runs")
     return found[0]
@@ -287,9 +296,8 @@ def _trajectory(folder: Path, name: str, by_run: bool) -> MadeStream:
 
 def _same_path(one: MadeStream, other: MadeStream) -> bool:
     """Return whether two trajectories have the same stamps and positions."""
-    mine, others = (
-        [np.asarray(c) for c in track.columns(*POSE[track.msgtype][:2]).values()] for track in (one, other)
-    )
+    places = (track.columns(*POSE[track.msgtype][:2]).values() for track in (one, other))
+    mine, others = ([np.asarray(c) for c in columns] for columns in places)
     return np.array_equal(one.t_ns, other.t_ns) and np.array_equal(mine, others)
 
 

@@ -35,9 +35,8 @@ def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     """
     wheels = found.loaded.drive.wheels
     if wheels.matched is not None or found.robot.wheels.wheelbase is not None:
-        raise LocfuseError(
-            "this log shows no two driven wheels (scan matching, or a steered wheel)", role="diff_drive"
-        )
+        words = "this log shows no two driven wheels (scan matching, or a steered wheel)"
+        raise LocfuseError(words, role="diff_drive")
     nominal = (("wheel_separation", found.nominal.track), ("wheel_radius", found.nominal.radius))
     made = [Setting(key, value, f"{key} as it was set [m]", KEPT) for key, value in nominal if value is not None]
     odometry = found.nominal.radius is None or found.topic("wheels")[1] == ODOMETRY
@@ -56,10 +55,8 @@ def _of_wheels(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     why, origin = found.why("wheels.radius"), found.origin("wheels.radius")
     if origin == FOUND:
         radii = {key: now.radius * share for key, share in zip(RADII, now.shares, strict=True)}
-        sides = [
-            Setting(key, own / radius, f"{own:.4g} m over {radius:.4g} m; {why}", origin)
-            for key, own in radii.items()
-        ]
+        of = radii.items()
+        sides = [Setting(key, own / radius, f"{own:.4g} m over {radius:.4g} m; {why}", origin) for key, own in of]
         scale = 1.0
     else:  # only the ratio of radius to track was estimated
         old = {key: positive(there, key) or 1.0 for key in RADII}

@@ -123,9 +123,8 @@ def _input(name: str, source: FilterInput, there: Mapping[str, Any]) -> Iterator
             distance = math.sqrt(chi_square(gate, size))
             yield Setting(key, distance, f"gate {gate:g}, {size} number{'s' * (size > 1)}; {words}")
     for words in source.covariances:
-        yield Setting(
-            f"{name} covariance", None, f"it comes with the messages, so the driver must set it: {words}"
-        )
+        what = f"it comes with the messages, so the driver must set it: {words}"
+        yield Setting(f"{name} covariance", None, what)
 
 
 def _sources(found: FoundRobot) -> Iterator[FilterInput]:

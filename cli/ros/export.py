@@ -67,9 +67,8 @@ def edited(found: FoundRobot, targets: Sequence[str], before: RosFile, node: str
         text, absent = changed(now, section, settings)
         reasons += [line for s in settings if (line := _reason(s, absent))]
         now = parsed(now.path, text)
-    lines = difflib.unified_diff(
-        before.text.splitlines(), now.text.splitlines(), str(before.path), str(before.path), lineterm=""
-    )
+    old, new, name = before.text.splitlines(), now.text.splitlines(), str(before.path)
+    lines = difflib.unified_diff(old, new, name, name, lineterm="")
     return Made(now.text, tuple(map(visible, lines)), tuple(reasons))
 
 

@@ -117,9 +117,8 @@ def gather(
     words, how, by_result = _of_result(log, given)
     loaded = opened(words, how, progress).loaded
     if loaded.motion_faults:
-        raise LocfuseError(
-            f"{loaded.log.name}: {loaded.motion_faults[0].words}: nothing is exported from it", role="wheels"
-        )
+        words = f"{loaded.motion_faults[0].words}: nothing is exported from it"
+        raise LocfuseError(f"{loaded.log.name}: {words}", role="wheels")
     by_settings = {key: f"{key} by {source}" for key, source in loaded.sources.items()}
     sources = {**(by_result or by_settings), **_by_files(given)}
     nominal = loaded.robot.wheels
@@ -191,11 +190,8 @@ def _calibrated(found: Calibration) -> dict[str, str]:
 def _tuned(found: Tuning) -> dict[str, str]:
     """Return the source of each tuned setting in words; settings that the log does not show are left out."""
     rows = () if found.refused else found.tuned.rows
-    return {
-        row.key: f"{row.key} {row.after:.4g} ± {row.after * row.error:.2g}, locfuse tune"
-        for row in rows
-        if row.identifiable
-    }
+    shown = (row for row in rows if row.identifiable)
+    return {r.key: f"{r.key} {r.after:.4g} ± {r.after * r.error:.2g}, locfuse tune" for r in shown}
 
 
 def _by_files(how: LogOptions) -> dict[str, str]:
@@ -203,9 +199,8 @@ def _by_files(how: LogOptions) -> dict[str, str]:
     words: dict[str, str] = {}
     for file in how.robots:
         text = read_small(file, MAX_ROBOT_TOML).decode("utf-8", "replace")
-        by = next(
-            (f" (locfuse {name})" for name in ("tune", "calibrate", "compare") if f"locfuse {name}" in text), ""
-        )
+        names = (name for name in ("tune", "calibrate", "compare") if f"locfuse {name}" in text)
+        by = next((f" (locfuse {name})" for name in names), "")
         words |= {key: f"{key} by {file.name}{by}" for key in flat(parse(text, str(file)))}
     return words
 

@@ -76,11 +76,8 @@ def _compass(found: FoundRobot) -> list[Setting]:
     ]
 
 
-SENSORS: Mapping[str, Callable[[FoundRobot], list[Setting]]] = {
-    "gyro": _gyro,
-    "gps": _satellites,
-    "compass": _compass,
-}
+Settings = Callable[[FoundRobot], list[Setting]]
+SENSORS: Mapping[str, Settings] = {"gyro": _gyro, "gps": _satellites, "compass": _compass}
 REASONS = {  # of sensors that stay unmapped
     "lrf": "FusionCore reads no laser: give it the pose of AMCL as vslam.topic",
     "compass": f"the magnetometer of FusionCore reads {FIELD} only",

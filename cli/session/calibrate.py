@@ -100,9 +100,8 @@ class Calibration(Found, frozen=True, kw_only=True):
         if found is None or old.radius is None or old.track is None:
             return {}
         mean, difference, track = found[0].tolist()
-        left, right = (
-            share * (1.0 + mean + side * difference) for share, side in zip(old.shares, (-0.5, 0.5), strict=True)
-        )
+        halves = zip(old.shares, (-0.5, 0.5), strict=True)
+        left, right = (share * (1.0 + mean + half * difference) for share, half in halves)
         values = np.array([old.radius * 0.5 * (left + right), right / left, old.track * (1.0 + track)])
         return _figures(GEOMETRY, values, found[1] * values)
 
@@ -311,10 +310,8 @@ def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
 
 
 def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool) -> list[str]:
-    pieces = {
-        "straight": f"straight runs ({found.straight_m:.1f} m)",
-        "turn": f"turns on the spot ({math.degrees(found.turned_rad):.0f} degrees)",
-    }
+    degrees = f"{math.degrees(found.turned_rad):.0f} degrees"
+    pieces = {"straight": f"straight runs ({found.straight_m:.1f} m)", "turn": f"turns on the spot ({degrees})"}
     used = (f"{n} pieces of {what}" for kind, what in pieces.items() if (n := found.pieces[kind]))
     notes = [f"wheels: {', '.join(used)}"]
     if found.outliers:
@@ -330,10 +327,8 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool
         ]
     if abs(found.prefers_k) > MIN_LN_RATIO:
         better, worse = ("noise per metre", "the paper's delta")[:: 1 if found.prefers_k > 0 else -1]
-        notes.append(
-            f"wheels: {better} explains these drives better than {worse} "
-            f"(ln of the likelihoods' ratio: {abs(found.prefers_k):.1f})"
-        )
+        ratio = f"ln of the likelihoods' ratio: {abs(found.prefers_k):.1f}"
+        notes.append(f"wheels: {better} explains these drives better than {worse} ({ratio})")
     return notes
 
 

@@ -16,6 +16,7 @@ from locfuse.fusion.data import BASES, PLANE_ROWS, Array, Drive, Estimates, Locf
 from locfuse.fusion.judge.against import interpolated
 from locfuse.fusion.sensors.pose import WITH_COVARIANCE
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import seconds
 from locfuse.fusion.wheels.odometry import POSE
 
 ESTIMATE_NAME = re.compile(r"[A-Za-z][\w.-]*")
@@ -28,9 +29,8 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
 
     Raises UsageError if a source is missing, or if a name is invalid, reserved for a configuration, or used twice.
     """
-    pairs = (
-        list(words.items()) if isinstance(words, Mapping) else [tuple(word.partition("=")[::2]) for word in words]
-    )
+    given = list(words.items()) if isinstance(words, Mapping) else None
+    pairs = [tuple(word.partition("=")[::2]) for word in words] if given is None else given
     found: dict[str, str] = {}
     for name, source in pairs:
         if not ESTIMATE_NAME.fullmatch(name) or not source:
@@ -56,9 +56,8 @@ def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collect
 
 def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
     if log.find(source) is None:
-        raise LocfuseError(
-            f"--estimate {name}: {log.name} has no topic {source}, nor is there a .tum or .csv file"
-        )
+        words = f"{log.name} has no topic {source}, nor is there a .tum or .csv file"
+        raise LocfuseError(f"--estimate {name}: {words}")
     try:
         topic = checked(log, "pose", source, POSE)
     except LocfuseError as problem:
@@ -66,11 +65,10 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
     stream = log.stream(topic)
     found = estimates_in(stream, drive, name)
     if found is None:
-        t = (stream.t_ns - drive.epoch_ns) * np.float64(1e-9)
+        t = seconds(stream.t_ns, drive.epoch_ns)
         span = f"{t[0]:.1f} to {t[-1]:.1f} s" if len(t) else "nothing"
-        raise LocfuseError(
-            f"--estimate {name}: {source} covers {span} of a drive from 0 to {drive.t[-1]:.1f} s: another clock?"
-        )
+        words = f"{source} covers {span} of a drive from 0 to {drive.t[-1]:.1f} s: another clock?"
+        raise LocfuseError(f"--estimate {name}: {words}")
     return found
 
 
@@ -106,4 +104,4 @@ def _columns(stream: Stream, epoch_ns: int) -> tuple[Array, Array, Array]:
         P = P[:, PLANE_ROWS][:, :, PLANE_ROWS]
         given = np.isfinite(P).all(axis=(1, 2)) & (np.diagonal(P, axis1=1, axis2=2) > 0.0).all(axis=1)
         triangles[given] = P[given][:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
-    return (stream.t_ns - epoch_ns) * np.float64(1e-9), pose, triangles
+    return seconds(stream.t_ns, epoch_ns), pose, triangles

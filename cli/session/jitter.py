@@ -100,7 +100,5 @@ def _if_stable(verdict: Mapping[str, Any], seen: Counter[str]) -> dict[str, Any]
         return dict(verdict)
     counted = ", ".join(f"{word} {n}" for word, n in sorted(seen.items(), key=lambda pair: (-pair[1], pair[0])))
     own = "" if verdict["verdict"] == NO_EFFECT else f"As recorded: {verdict['verdict']}. "
-    return {
-        "verdict": NO_EFFECT,
-        "words": f"The verdict is chance: it changes under jitter ({counted}). {own}{verdict['words']}",
-    }
+    words = f"The verdict is chance: it changes under jitter ({counted}). {own}{verdict['words']}"
+    return {"verdict": NO_EFFECT, "words": words}

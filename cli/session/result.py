@@ -142,10 +142,8 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
             "threshold": audit.threshold,
         }
         for i, component in enumerate(REGISTRY[sensor].components):
-            columns |= {
-                f"innovation_{component.name}": audit.y[:, i],
-                f"sigma_{component.name}": audit.sigma[:, i],
-            }
+            of = component.name
+            columns |= {f"innovation_{of}": audit.y[:, i], f"sigma_{of}": audit.sigma[:, i]}
         return columns
 
     def plot(self, axes: Any = None) -> Any:
@@ -283,15 +281,13 @@ class Run(Result, frozen=True, eq=False):
 
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
-                raise UsageError(
-                    "save_map: this run placed no landmarks", hint="--set landmarks.map=grow makes a map of them"
-                )
+                hint = "--set landmarks.map=grow makes a map of them"
+                raise UsageError("save_map: this run placed no landmarks", hint=hint)
             write_text(path_of(file), landmark_map.encode(self.filtered.points))
             return
         if "lrf" not in self.filtered.sensors:
-            raise UsageError(
-                "save_map: only the laser has a map, and this run did not use it; add lrf to its sensors"
-            )
+            words = "only the laser has a map, and this run did not use it; add lrf to its sensors"
+            raise UsageError(f"save_map: {words}")
         write_text(path_of(file), line_map.encode(self.filtered.final_map, self.loaded.log.name))
 
 

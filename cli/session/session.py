@@ -258,9 +258,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         wanted = asked.reference
         if wanted and asked.jitter:
-            raise UsageError(
-                f"--reference --jitter {asked.jitter}: of a jittered drive there is no reference; use one"
-            )
+            words = "of a jittered drive there is no reference; use one"
+            raise UsageError(f"--reference --jitter {asked.jitter}: {words}")
         short = asked.smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
         if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
@@ -383,9 +382,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """Return the log's name, duration and measured sensors as text."""
         sensors = ", ".join(("wheels", *self.drive.measurements))
         truth = "no truth" if self.drive.truth is None else f"truth {self.drive.truth.topic}"
-        return visible(
-            f"<Session of {self.log.name}: {self.drive.t[-1] - self.drive.t[0]:.1f} s, {sensors}; {truth}>"
-        )
+        lasts = f"{self.drive.t[-1] - self.drive.t[0]:.1f} s"
+        return visible(f"<Session of {self.log.name}: {lasts}, {sensors}; {truth}>")
 
 
 @speaks_python

@@ -134,9 +134,8 @@ class Localiser:
         self._epoch_ns = 0
         self._at = 0.0  # s: the time that the filter has reached
         if robot.start.at:
-            raise LocfuseError(
-                "start.at is for recorded logs: while a robot drives, its later pose is unknown; remove start.at"
-            )
+            words = "while a robot drives, its later pose is unknown; remove start.at"
+            raise LocfuseError(f"start.at is for recorded logs: {words}")
         self._pose = np.array(robot.start.pose)
 
     def __call__(self, messages: list[RawMessage]) -> tuple[float, float, float]:

@@ -191,12 +191,8 @@ def write_summary(
 def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
     """Return the summary over logs: mean figures, and each sensor's effect."""
     done = [e for e in entries if e.state == "done"]
-    summary = {
-        "locfuse": own(),
-        **over.summarise({e.name: e.report for e in done}),
-        "credit": None,
-        "verdicts": {},
-    }
+    over_all = over.summarise({e.name: e.report for e in done})
+    summary = {"locfuse": own(), **over_all, "credit": None, "verdicts": {}}
     keys = ("robot", "state", "reason", "void", "losses")
     standing = {e.name: {**{key: getattr(e, key) for key in keys}, "reason": e.reason or None} for e in entries}
     summary["logs"] = {name: {**summary["logs"].get(name, {}), **found} for name, found in standing.items()}

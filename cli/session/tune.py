@@ -209,10 +209,8 @@ def tune_logs(
         progress(f"again, with the sigma of {' and '.join(sorted(left))} left as it was")
         tuned, judged, worse = tuned_by(others)
         notes = [f"{note}. It is left out, and its sigma left as it was" for note in notes]
-    again = [
-        f"{s} was measured again: where one of its lines ends and the next begins is judged by its noise"
-        for s in tuned.measured_again
-    ]
+    why = "was measured again: where one of its lines ends and the next begins is judged by its noise"
+    again = [f"{s} {why}" for s in tuned.measured_again]
     found = tuned.held_out
     if found is not None and found[0] - MAX_LOSS_NATS <= found[1] < found[0]:
         again.append(f"{_less_likely(*found)}, by no more than chance: a longer log would settle it")

@@ -40,11 +40,8 @@ def settings(context: click.Context, parameter: click.Parameter, begun: str) -> 
         found = topics(context) if key.rpartition(".")[2].endswith("topic") else []
         return [CompletionItem(f"{key}={topic}") for topic in found if topic.startswith(word)]
     every = ((table, f.encode_name) for table, kind in table_types().items() for f in fields(kind))
-    return [
-        CompletionItem(f"{table}.{name}=", help=units.of(table, name))
-        for table, name in every
-        if f"{table}.{name}".startswith(begun)
-    ]
+    fits = [(table, name) for table, name in every if f"{table}.{name}".startswith(begun)]
+    return [CompletionItem(f"{table}.{name}=", help=units.of(table, name)) for table, name in fits]
 
 
 def topics(context: click.Context) -> list[str]:

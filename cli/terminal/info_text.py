@@ -126,10 +126,8 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
             role.setdefault(topic, []).append(name)
     full = [f for f in overview.facts if f.count and f.problem is None]
     full.sort(key=lambda f: f.topic not in role)
-    rows = [
-        {**f.values(), "topic": f.topic, "clock": clock_word(f), "roles": ", ".join(role.get(f.topic, ()))}
-        for f in full
-    ]
+    roles = {f.topic: ", ".join(role.get(f.topic, ())) for f in full}
+    rows = [{**f.values(), "topic": f.topic, "clock": clock_word(f), "roles": roles[f.topic]} for f in full]
     yield from _table(rows, width)
     if rows:
         gap = GAP_NOTE if any(row["longest_gap_s"] is not None for row in rows) else ""
@@ -246,9 +244,8 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
         return [shlex.join(("locfuse", "info", *kept, *options))]
     if overview.loaded is not None:  # without the robot's motion nothing can be compared
         return [shlex.join(("locfuse", "compare", *typed))]
-    return (
-        [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if overview.choice.of("wheels") else [RECORD]
-    )
+    command = shlex.join(("locfuse", "init", *typed))
+    return [f"{command} > robot.toml"] if overview.choice.of("wheels") else [RECORD]
 
 
 def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:

@@ -189,9 +189,7 @@ READING = (
         shell_complete=completion.settings,
     ),
     option(
-        "--order",
-        "Clock to use where stamps run backwards.  [default: auto]",
-        type=click.Choice(settings.ORDERS),
+        "--order", "Clock to use where stamps run backwards.  [default: auto]", type=click.Choice(settings.ORDERS)
     ),
     option(
         "--truth",

@@ -93,9 +93,8 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     """
     how, outputs, lost = options.how, options.outputs, found.losses(options.how.strict)
     notes = notes_in_words(found.report)
-    unusable = [
-        f"not used: {s}: {why}" for s, why in found.report["absent"].items() if not why.startswith(NO_TOPIC)
-    ]
+    absent = found.report["absent"].items()
+    unusable = [f"not used: {s}: {why}" for s, why in absent if not why.startswith(NO_TOPIC)]
     if outputs.as_json:
         put(json_report.encode(found.report))
     else:

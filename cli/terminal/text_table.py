@@ -39,10 +39,8 @@ def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
 
     A column whose cells are all empty is left out.
     """
-    strips = [
-        Strip(c, (heading(c, brief=True), *(visible(_text(c, row[i])) for row in table.rows)))
-        for i, c in enumerate(table.columns)
-    ]
+    texts = ([visible(_text(c, row[i])) for row in table.rows] for i, c in enumerate(table.columns))
+    strips = [Strip(c, (heading(c, brief=True), *cells)) for c, cells in zip(table.columns, texts, strict=True)]
     strips = [s for s in strips if any(s.cells[1:])]
     fitted = strips if width is None else _fitted(strips, width, len(gap))
     return [gap.join(row) for row in zip(*(s.padded() for s in fitted), strict=True)]

@@ -135,9 +135,8 @@ class McapSource(ChunkedSource):
         found: dict[int, ChannelInfo] = {}
         for ident, c in self._survey.channels.items():
             schema = self._survey.schemas.get(c.schema_id, nothing)
-            found[ident] = ChannelInfo(
-                c.topic, schema.name, c.message_encoding, schema.encoding, schema.data, counts[ident]
-            )
+            how = c.message_encoding, schema.encoding, schema.data
+            found[ident] = ChannelInfo(c.topic, schema.name, *how, counts[ident])
         for ident in counts.keys() - found.keys():
             self.data.lose("messages of an undefined channel", ident, 0, counts[ident])
         return found

@@ -126,9 +126,8 @@ class SqliteSource(Source):
                 what = kind if kind != "table" else "virtual table"
                 raise LocfuseError(f"{self.path}: its {name} is a {what}; only plain tables are read")
             if any(column[-1] for column in database.execute(f"PRAGMA table_xinfo({name})")):
-                raise LocfuseError(
-                    f"{self.path}: its table {name} has computed columns; only stored ones are read"
-                )
+                words = f"its table {name} has computed columns; only stored ones are read"
+                raise LocfuseError(f"{self.path}: {words}")
 
     def _check(self, database: sqlite3.Connection) -> None:
         """Check the database for damage, and record damage as a loss.
@@ -221,9 +220,8 @@ def _channels(database: sqlite3.Connection, limit: TimeLimit) -> tuple[dict[int,
     database.text_factory = lambda text: text.decode("utf-8", "replace")
     # since ROS 2 Iron
     defined = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-    texts = {
-        str(name): (str(language), str(text)) for name, language, text in limit.rows(database, defined) if text
-    }
+    rows = limit.rows(database, defined)
+    texts = {str(name): (str(language), str(text)) for name, language, text in rows if text}
     counts = dict(limit.rows(database, f"SELECT {TOPIC}, count(*) FROM messages GROUP BY 1"))
     first_messages = (
         f"SELECT {TOPIC}, CAST(data AS BLOB) FROM messages WHERE rowid IN "

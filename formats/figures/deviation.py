@@ -140,9 +140,8 @@ def uncertainty(scene: Scene) -> Section:
     for column, what in enumerate(COMPONENTS):
         sigmas = [BAND_SIGMAS * np.sqrt(np.maximum(e.P[:, column, column], 0.0)) for e in scene.estimates]
         scale, unit = (180.0 / np.pi, "°") if what == "heading" else metres(sigmas)
-        marks = tuple(
-            Curve(e.name, e.t, scale * s) for e, s in zip(scene.estimates, sigmas, strict=True) if e.name in names
-        )
+        drawn = [(e, s) for e, s in zip(scene.estimates, sigmas, strict=True) if e.name in names]
+        marks = tuple(Curve(e.name, e.t, scale * s) for e, s in drawn)
         label = f"3 sigma of {what}, {unit}"
         panels.append(Panel(f"sigma_{what}", f"Claimed 3 sigma of {what}", label, TIME, marks, label))
     text = "No truth in this log: this is what the filters claim, not their error."
@@ -176,8 +175,7 @@ def spread(scene: Scene) -> Section:
 
 def _sizes(errors: Array, least: float) -> Array:
     """Return the absolute values (k,) of the finite `errors` (n,); values below `least` are raised to `least`."""
-    found: Array = np.maximum(np.abs(errors[np.isfinite(errors)]), least)
-    return found
+    return np.maximum(np.abs(errors[np.isfinite(errors)]), least)
 
 
 def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str) -> Panel | None:
@@ -216,8 +214,7 @@ def _bins(errors: Array) -> Array:
     high = np.ceil(BINS_PER_DECADE * np.log10(errors.max()) + 1e-9)
     low = np.floor(BINS_PER_DECADE * np.log10(errors.min()) - 1e-9)
     low = max(low, high - MAX_DECADES * BINS_PER_DECADE)
-    edges: Array = 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE)
-    return edges
+    return 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE)
 
 
 # --- Effect of each sensor on the position error: alone, added to the others, and on average

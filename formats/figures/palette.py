@@ -99,9 +99,9 @@ def traces_of(estimates: Iterable[Estimates]) -> dict[str, Trace]:
 
 def traces_in(report: Mapping[str, Any]) -> dict[str, Trace]:
     """Return name -> style of the curve of each result of a report."""
+    of = report["configurations"].items()
     return {
-        name: Trace(v["configuration"], tuple(v["sensors"]), bool(v["rates_hz"]), v["smoothed"])
-        for name, v in report["configurations"].items()
+        name: Trace(v["configuration"], tuple(v["sensors"]), bool(v["rates_hz"]), v["smoothed"]) for name, v in of
     }
 
 

@@ -241,10 +241,8 @@ def _frame(panel: Panel, x: Axis, y: Axis) -> str:
     beside = [f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{label}</text>' for p, label in rows]
     below = [f'<text class="m" x="{p:.1f}" y="{bottom + 14}">{label}</text>' for p, label in columns]
     middles = y.px(np.arange(0.5, len(panel.lanes))).tolist()
-    words = [
-        f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{escape(lane)}</text>'
-        for p, lane in zip(middles, panel.lanes, strict=True)
-    ]
+    lanes = zip(middles, panel.lanes, strict=True)
+    words = [f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{escape(lane)}</text>' for p, lane in lanes]
     words.append(f'<text class="l" x="2" y="11">{escape(panel.y_label)}</text>')
     words.append(f'<text class="e l" x="{right}" y="{bottom + 29}">{escape(panel.x_label)}</text>')
     ticked = (

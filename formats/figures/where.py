@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.formats.geometry import walls
-from locfuse.formats.thin import evenly
-from locfuse.fusion.data import VERDICTS, Array, Estimates, Evaluation
+from locfuse.fusion.data import Array, Estimates, Evaluation, RowVerdict, evenly, interpolate
 
 from .palette import LEVELS
 from .panels import Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces, values_of
@@ -38,7 +37,7 @@ def spots(t: Array, xy: Array) -> list[Spots]:
     t, xy = t[good], xy[good]
     if len(t) == 0:
         return []
-    at = between(t, xy, np.arange(t[0] + step(t), t[-1], step(t)))
+    at = interpolate(np.arange(t[0] + step(t), t[-1], step(t)), t, xy)
     return [Spots("time", *at.T), Spots("end", *xy[-1:].T), Spots("start", *xy[:1].T)]
 
 
@@ -56,11 +55,6 @@ def step(t: Array) -> float:
     return next((s for s in STEPS_S if span <= s * MAX_SPOTS), max(STEPS_S[-1], span / MAX_SPOTS))
 
 
-def between(t: Array, xy: Array, times: Array) -> Array:
-    """Return the interpolated positions (k, 2) of a path at `times` (k,)."""
-    return np.stack([np.interp(times, t, column) for column in xy.T], axis=-1)
-
-
 def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
     """Return a path's positions at evenly spaced times; [] for fewer than two positions."""
     good = np.isfinite(xy).all(axis=1)
@@ -69,7 +63,7 @@ def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
         return []
     start, end = float(t[0]), float(t[-1])
     times = np.linspace(start, end, int(np.clip((end - start) / TRACK_STEP_S, 2, MAX_TRACK)))
-    return [TimedPlaces(of, start, end, *between(t, xy, times).T)]
+    return [TimedPlaces(of, start, end, *interpolate(times, t, xy).T)]
 
 
 # --- Trajectories over the line map
@@ -149,7 +143,6 @@ def _curve(name: str, xy: Array, most: int) -> Curve:
 
 COLOURED_STRETCHES = 240  # pieces of a path, each in one colour
 MAX_POINTS_ON_SMALL_MAP = 1500  # points of a path on a small map
-GATE = VERDICTS.index("gate")
 REFUSAL_CELL = 0.025  # cell size as a share of the map's extent: rejected readings in one cell share a cross
 TINY_M = 1e-6  # m: smaller values count as 0
 LIMITS = 10.0 ** np.arange(-6, 7)[:, None] * np.array([1.0, 2.0, 5.0])  # m, the possible limits between colours
@@ -185,7 +178,7 @@ def where(scene: Scene) -> Section:
 
 
 def _route(e: Estimates, judged: Evaluation, has_truth: bool) -> Route:
-    refused = [e.t[audit.instant[audit.verdict == GATE]] for audit in e.audits.values()]
+    refused = [e.t[audit.instant[audit.verdict == RowVerdict.GATE]] for audit in e.audits.values()]
     times = np.unique(np.concatenate([np.zeros(0), *refused]))
     if has_truth:
         return Route(e.name, judged.t, judged.estimate_xy, np.hypot(*judged.deviation.T), times)
@@ -238,7 +231,7 @@ def _panel(scene: Scene, route: Route, edges: Array, what: str, legend: dict[str
 
 def _coloured(route: Route, edges: Array) -> list[Curve]:
     """Return the path as one curve per colour; the rms value of each piece determines its colour."""
-    ends = np.unique(np.rint(np.linspace(0, len(route.t) - 1, COLOURED_STRETCHES + 1)).astype(int))
+    ends = evenly(len(route.t), COLOURED_STRETCHES + 1)
     pieces: dict[int, list[Array]] = {}
     for first, last in pairwise(ends):
         stretch = route.value[first : last + 1]
@@ -263,7 +256,7 @@ def _extend(found: list[Array], stretch: Array) -> None:
 
 def _crosses(route: Route) -> Array:
     """Return the positions (k, 2) [m] on the path at the times of rejected readings, at most one per map cell."""
-    places = between(route.t, route.xy, route.refused)
+    places = interpolate(route.refused, route.t, route.xy)
     places = places[np.isfinite(places).all(axis=1)]
     if len(places) == 0:
         return places

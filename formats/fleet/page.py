@@ -230,12 +230,8 @@ def findings(entries: Sequence[Entry]) -> Table:
 
 def _without_figure(entries: Sequence[Entry]) -> Table:
     """Return the table of logs without an error figure: the state (failed, void, no truth) and the reason."""
-    columns = (
-        LOG,
-        ROBOT,
-        Column("state", "state", kind="text"),
-        Column("reason", "reason", kind="long", missing=""),
-    )
+    status, why = Column("state", "state", kind="text"), Column("reason", "reason", kind="long", missing="")
+    columns = LOG, ROBOT, status, why
     rows = []
     for e in entries:
         unjudged = all(_error(e, name) is None for name in e.report.get("configurations", {}))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from locfuse.formats.geometry import quaternions
-from locfuse.fusion.data import Array, Column, Ints, Ragged
+from locfuse.fusion.data import Array, Column, Ints, Ragged, totals
 from locfuse.fusion.se2 import rotated_3d
 from locfuse.fusion.se2 import yaw as yaw_of
 
@@ -53,7 +53,7 @@ DRIVERS = ("left_wheel", "right_wheel")
 def as_joints(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Convert DynamicJointState columns to JointState; missing values are NaN."""
     names = cast("list[tuple[str, ...]]", columns["joint_names"])
-    first = np.concatenate(([0], np.cumsum([len(row) for row in names], dtype=np.int64)))
+    first = totals([len(row) for row in names], np.int64)
     made = {field: Ragged(_interface(columns, names, field), first) for field in fields if field != "name"}
     return {"name": names, **made}
 

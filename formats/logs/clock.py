@@ -168,13 +168,8 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
     left = np.flatnonzero((stamp > 0) & ~off)
     if (np.diff(stamp[left]) < 0).any():  # rare, and the search is slow
         backwards[left], unsteady[left] = _out_of_order(log_time[left], stamp[left])
-    return {
-        "zero": stamp == 0,
-        "negative": stamp < 0,
-        "off the stream's clock": off,
-        "backwards": backwards,
-        "off the beat": unsteady,
-    }
+    of_clock = {"off the stream's clock": off, "backwards": backwards, "off the beat": unsteady}
+    return {"zero": stamp == 0, "negative": stamp < 0, **of_clock}
 
 
 def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:

@@ -110,9 +110,8 @@ def _csv(path: Path) -> MadeStream:
         idents = [_ident(path, number, row[at["id"]]) for number, row in body]
         return _detections(path, times, idents, at, column)
     if not {"x", "y"} <= at.keys():
-        raise LocfuseError(
-            f"{path}: x and y of poses, or id, range and bearing of landmarks are read, not {_few(names)}"
-        )
+        read = "x and y of poses, or id, range and bearing of landmarks are read"
+        raise LocfuseError(f"{path}: {read}, not {_few(names)}")
     return _table_of_poses(path, times, at, column)
 
 
@@ -137,9 +136,8 @@ def _table_of_poses(
     position = np.stack((column("x"), column("y")), axis=-1)
     heading = next((name for name in HEADINGS if name in at), None)
     if heading is None and "qw" in at:
-        q = np.stack(
-            [column(name) if name in at else np.zeros(len(times)) for name in ("qx", "qy", "qz", "qw")], -1
-        )
+        none, parts = np.zeros(len(times)), ("qx", "qy", "qz", "qw")
+        q = np.stack([column(name) if name in at else none for name in parts], -1)
         return _poses(path, times, position, q, None)
     if heading is None:
         return _points(path, times, position)

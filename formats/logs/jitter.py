@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, totals
 
 MAX_BACK_NS = 2 * 10**9  # a larger step back is no jitter: the clock or the order of files has changed
 MAX_BACK_SHARE = 0.25  # largest share of times in the wrong order; with more, the right times are unknown
@@ -84,7 +84,7 @@ def in_order(times: Ints) -> Ints:
     steps = np.diff(t)
     half = 0.5 * float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     apart = np.where((steps > 0) | (np.diff(times) == 0), np.minimum(half, np.maximum(steps, 0)), half)
-    room = np.concatenate(([0.0], np.cumsum(apart)))
+    room = totals(apart)
     level = isotonic_regression(t - t[0] - room, weights=weights).x
     out: Ints = t[0] + np.rint(level + room).astype(np.int64)
     return out

@@ -370,11 +370,8 @@ class Log:
         span = self.time_span_ns
         try:
             for source in self._sources:
-                wanted = {
-                    ident: (topic, decoder)
-                    for topic in topics
-                    for ident, decoder in self._channels[topic].of(source).items()
-                }
+                readers = ((topic, self._channels[topic].of(source)) for topic in topics)
+                wanted = {ident: (topic, decoder) for topic, of in readers for ident, decoder in of.items()}
                 for ident, data, messages in _unpacked(source, wanted.keys()):
                     topic, decoder = wanted[ident]
                     _report_progress(messages, span)

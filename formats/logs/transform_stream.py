@@ -28,7 +28,7 @@ from locfuse.formats.robot.transforms import (
     path_between,
     quaternions_of,
 )
-from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged
+from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged, interpolate
 
 from . import clock as clocks
 
@@ -156,7 +156,7 @@ def _at(edge: FrameEdge, t_ns: Ints) -> Array:
     values[1:, 3:] *= np.cumprod(signs)[:, None]  # q and -q are one rotation: interpolate along the shorter way
     zero = at[0]
     grid, times = (at - zero) * 1e-9, (t_ns - zero) * 1e-9
-    return matrices_of(np.stack([np.interp(times, grid, column) for column in values.T], axis=-1))
+    return matrices_of(interpolate(times, grid, values))
 
 
 def loop_in(edges: Sequence[FrameEdge]) -> tuple[str, ...]:

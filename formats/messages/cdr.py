@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
 from locfuse.formats.columns import nested, view
-from locfuse.fusion.data import Column, Ints, Ragged
+from locfuse.fusion.data import Column, Ints, Ragged, totals
 from locfuse.fusion.streams import concat, take
 
 from .fields import FieldPart, resolve
@@ -425,7 +425,7 @@ def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: FieldPart) 
     if (counts == n).all():
         values = _matrix(data, at, n, element, little)
         return _rows(values) if node.count is None else values
-    first = np.concatenate(([0], np.cumsum(counts)))
+    first = totals(counts)
     inside = np.arange(first[-1]) - np.repeat(first[:-1], counts)
     return Ragged(_numbers(data, np.repeat(at, counts) + element.size * inside, element.dtype, little), first)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_DEPTH, MAX_MESSAGE
 from locfuse.formats.visible import writable
-from locfuse.fusion.data import Column, Ints, Ragged
+from locfuse.fusion.data import Column, Ints, Ragged, totals
 
 from .fields import FieldPart, resolve
 from .schema import (
@@ -142,7 +142,7 @@ def _floats(row: list[Any]) -> NDArray[Any]:
 
 
 def _ragged(rows: list[NDArray[Any]], dtype: str) -> Ragged:
-    first = np.concatenate(([0], np.cumsum([len(row) for row in rows], dtype=np.int64)))
+    first = totals([len(row) for row in rows], np.int64)
     return Ragged(np.concatenate([np.empty(0, dtype), *rows]).astype(dtype), first)
 
 

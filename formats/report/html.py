@@ -102,13 +102,8 @@ def _compiled(source: str) -> Template:
     """Return a compiled template. It is cached, since compiling takes as long as rendering a page."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(
-        loader=PackageLoader(__package__, ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    loader, how = PackageLoader(__package__, ""), StrictUndefined
+    environment = Environment(loader=loader, autoescape=True, undefined=how, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(source)
 
 
@@ -154,10 +149,8 @@ def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     """Return template values of a section: its panels drawn as SVG, by row, and its legend."""
     width, height = FIRST_SIZE if section.name == FIRST_SECTION else SIZES[section.columns]
     idents = (f"{section.name}-{i}" for i in range(len(section.panels)))  # they contain no text from a log
-    drawn = [
-        (p, Markup(svg(p, ident, swatches.slugs, width, height, swatches.looks)))
-        for p, ident in zip(section.panels, idents, strict=True)
-    ]
+    named = zip(section.panels, idents, strict=True)
+    drawn = [(p, Markup(svg(p, ident, swatches.slugs, width, height, swatches.looks))) for p, ident in named]
     per_row = section.columns if section.rows else max(1, len(drawn))
     rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
     keys = {k: p.legend.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}

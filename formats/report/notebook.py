@@ -76,7 +76,5 @@ def render_summary(summary: Mapping[str, Any]) -> str:
 
 
 def _verdicts(found: Mapping[str, Mapping[str, Any]]) -> str:
-    return "".join(
-        f"<p><b>{html_text(sensor)} {html_text(v['verdict'])}.</b> {html_text(v['words'])}</p>"
-        for sensor, v in found.items()
-    )
+    texts = [map(html_text, (sensor, v["verdict"], v["words"])) for sensor, v in found.items()]
+    return "".join("<p><b>{} {}.</b> {}</p>".format(*text) for text in texts)

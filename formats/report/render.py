@@ -77,10 +77,8 @@ def html(
     value. `tinted`: names of rows with a coloured background.
     """
     classes = ("", *(_class(c, head=True) for c in table.columns[1:]))
-    heads = "".join(
-        f'<th scope="col"{own}>{UNIT.sub(NBSP, html_text(heading(c)))}</th>'
-        for own, c in zip(classes, table.columns, strict=True)
-    )
+    titles = ((own, UNIT.sub(NBSP, html_text(heading(c)))) for own, c in zip(classes, table.columns, strict=True))
+    heads = "".join(f'<th scope="col"{own}>{title}</th>' for own, title in titles)
     rows = "".join(_html_row(table.columns, row, swatches, bars or {}, tinted) for row in table.rows)
     label = f' tabindex="0" role="region" aria-label="{html_text(table.label)}"' if table.label else ""
     return (

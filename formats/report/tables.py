@@ -72,12 +72,8 @@ SCORES = (
     Column("high", "to", form="{:+.3f}"),
     Column("by", "left out in", kind="text"),
 )
-CONSISTENCY = (
-    CONFIGURATION,
-    ANEES,
-    Column("bounds", "consistent range", form="{:.2f}"),
-    Column("words", "result", kind="long"),
-)
+RANGE = Column("bounds", "consistent range", form="{:.2f}")
+CONSISTENCY = (CONFIGURATION, ANEES, RANGE, Column("words", "result", kind="long"))
 JITTER = (
     Column("configuration", "under jitter", kind="text"),
     RMSE,
@@ -327,10 +323,8 @@ def streams(report: Report) -> Table:
 
 def changed_settings(report: Report) -> Table:
     """Return the settings that differ from their defaults, with unit and source."""
-    rows = (
-        ({**v, "key": key, "value": _number_or_text(v["value"])}, ("changed_settings", key))
-        for key, v in report["changed_settings"].items()
-    )
+    changed = report["changed_settings"].items()
+    rows = (({**v, "key": k, "value": _number_or_text(v["value"])}, ("changed_settings", k)) for k, v in changed)
     return of_values(CHANGED, rows, "Settings that were changed")
 
 

@@ -135,10 +135,8 @@ def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: l
     views = []
     for i, (component, (unit, _)) in enumerate(list(series.DEVIATIONS.items())[:count]):
         origin = f"/deviation/{component}"
-        bands = {
-            f"{origin}/{part(e.name)}/three_sigma": [rrb.EntityBehavior(visible=e.name == scene.best.name)]
-            for e in judged
-        }
+        shown = {part(e.name): rrb.EntityBehavior(visible=e.name == scene.best.name) for e in judged}
+        bands = {f"{origin}/{name}/three_sigma": [behaviour] for name, behaviour in shown.items()}
         low, high = ticked(*((-close[i], close[i]) if close else _deviation_range(scene, judged, i)))
         views.append(_plot(f"{component} [{unit}]", origin, high, low, legend=i == 0, overrides=bands))
     label = f"{name} (reference)" if judged[0].reference else name

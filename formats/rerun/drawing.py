@@ -61,11 +61,8 @@ class TimelineRecorder:
         dated = self._epoch_ns >= MIN_DATE_NS
         when = {"timestamp": ns.astype("datetime64[ns]")} if dated else {"duration": ns.astype("timedelta64[ns]")}
         step = np.maximum(np.searchsorted(self._updates, t, side="right") - 1, 0)
-        times = [
-            rr.TimeColumn(DRIVE, duration=since_ns.astype("timedelta64[ns]")),
-            rr.TimeColumn(TIME, **when),
-            rr.TimeColumn(STEP, sequence=step),
-        ]
+        since = rr.TimeColumn(DRIVE, duration=since_ns.astype("timedelta64[ns]"))
+        times = [since, rr.TimeColumn(TIME, **when), rr.TimeColumn(STEP, sequence=step)]
         self._stream.send_columns(path, times, parts, strict=True)
 
     def static(self, path: str, *archetypes: Any) -> None:
@@ -85,9 +82,8 @@ def screen_radius(points: float) -> Any:
 
 def lines(colour: Rgb, width: float, order: float | None = None, alpha: int = 255) -> rr.LineStrips2D:
     """Return the style of line strips: colour, width [screen points], draw order, opacity 0 to 255."""
-    return rr.LineStrips2D.from_fields(
-        colors=[(*colour, alpha)], radii=[screen_radius(width)], draw_order=order, show_labels=False
-    )
+    colors, radii = [(*colour, alpha)], [screen_radius(width)]
+    return rr.LineStrips2D.from_fields(colors=colors, radii=radii, draw_order=order, show_labels=False)
 
 
 def points(colour: Rgb, width: float, alpha: int = 255) -> rr.Points2D:

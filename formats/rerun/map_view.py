@@ -12,8 +12,8 @@ import rerun as rr
 from msgspec.structs import asdict
 
 from locfuse.formats.geometry import ellipses, quaternions, segments, wall_band, walls
-from locfuse.formats.thin import evenly, extremes
-from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, MapLine, Measurements, matrices
+from locfuse.formats.thin import extremes
+from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, MapLine, Measurements, evenly, matrices
 from locfuse.fusion.se2 import compose, transform
 
 from . import drawing as ink

@@ -9,7 +9,7 @@ import rerun as rr
 
 from locfuse.formats.thin import extremes
 from locfuse.fusion import data
-from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Event, Ints, Measurements
+from locfuse.fusion.data import Array, Audit, Estimates, Evaluation, Event, Ints, Measurements, RowVerdict
 
 from . import drawing as ink
 from .drawing import TimelineRecorder, part
@@ -21,7 +21,6 @@ DEVIATION_BAND_SIGMAS = 3.0  # sigmas of a deviation
 INNOVATION_BAND_SIGMAS = 2.0  # sigmas of an innovation
 EVENTS = "events"
 LEVELS = {data.LOST: "ERROR", data.FAULT: "WARN", data.REFUSED: "WARN"}  # others are INFO
-ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 class Pen(NamedTuple):
@@ -139,8 +138,9 @@ def reading_states(m: Measurements, audit: Audit) -> Ints:
     def any_of(rows: Any) -> Any:
         return np.bincount(owner[rows], minlength=len(m.t)) > 0
 
-    accepted, new = any_of(np.isin(audit.verdict, (ACCEPTED, REPEATED))), any_of(audit.verdict == NEW)
-    refused = any_of(~np.isin(audit.verdict, (ACCEPTED, NEW, REPEATED)))
+    accepted = any_of(np.isin(audit.verdict, (RowVerdict.ACCEPTED, RowVerdict.REPEATED)))
+    new = any_of(audit.verdict == RowVerdict.NEW)
+    refused = any_of(~np.isin(audit.verdict, (RowVerdict.ACCEPTED, RowVerdict.NEW, RowVerdict.REPEATED)))
     cases = {"rejected": refused & ~accepted, "partly": refused, "accepted": accepted, "new": new}
     order = list(ink.STATES)
     return np.select(list(cases.values()), [order.index(name) for name in cases], order.index("unusable"))

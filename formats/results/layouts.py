@@ -49,9 +49,8 @@ def _foxglove(shown: Sequence[ShownTopic], paths: Sequence[str]) -> str:
     """Return a Foxglove layout as JSON, for "Import from file"."""
     colour = {s.topic.rpartition("/")[0]: s.colour for s in shown}
     drawn: dict[str, Any] = {s.topic: {"visible": True} for s in shown}
-    drawn |= {
-        p: {"visible": True, "lineWidth": 0.03, "gradient": [colour[p.rpartition("/")[0]]] * 2} for p in paths
-    }
+    shades = {p: [colour[p.rpartition("/")[0]]] * 2 for p in paths}
+    drawn |= {p: {"visible": True, "lineWidth": 0.03, "gradient": shade} for p, shade in shades.items()}
     panels: dict[str, Any] = {
         "3D!map": {
             "cameraState": {"perspective": False, "distance": 20, "phi": 0, "thetaOffset": 90},

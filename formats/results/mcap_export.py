@@ -24,8 +24,7 @@ from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
 from locfuse.formats.messages.fields import resolve
 from locfuse.formats.messages.schema import Many, Node, Scalar, parse
-from locfuse.formats.thin import evenly
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth, evenly
 
 from .recovered_log import copy_messages
 from .trajectory import stamps, with_truth_rows

@@ -60,9 +60,8 @@ def decode(text: bytes | str, name: str) -> list[MapLine]:
     try:
         file = msgspec.json.decode(text, type=_File)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
-        raise LocfuseError(
-            f"{name} is not a line map: {visible(str(problem))}. Write one with: locfuse run LOG --save-map FILE"
-        ) from None
+        fix = "Write one with: locfuse run LOG --save-map FILE"
+        raise LocfuseError(f"{name} is not a line map: {visible(str(problem))}. {fix}") from None
     if file.version != VERSION:
         raise LocfuseError(f"{name} is a line map of version {file.version}; this locfuse reads version {VERSION}")
     if not file.lines:

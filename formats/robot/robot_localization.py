@@ -27,10 +27,8 @@ INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
 INPUT_KEY = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
 USED_OF_INPUT = ("config", "differential", "relative")
 IDLE_OF_INPUT = ("queue_size", "nodelay", "remove_gravitational_acceleration", "use_sim_time")
-UNUSED_OF_INPUT = (
-    *(f"{part}rejection_threshold" for part in ("", "pose_", "twist_", "linear_acceleration_")),
-    "pose_use_child_frame",
-)
+REJECTING = ("", "pose_", "twist_", "linear_acceleration_")
+UNUSED_OF_INPUT = (*(f"{part}rejection_threshold" for part in REJECTING), "pose_use_child_frame")
 KNOWN_OF_INPUT = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
 USED = ("initial_state", "two_d_mode", "world_frame", "map_frame", "odom_frame", "base_link_frame")
 IDLE = (  # keys that have no effect outside a running ROS node

@@ -150,13 +150,11 @@ def _refuse_number(value: Any, source: str, path: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise LocfuseError(f"{source}: {path} = {value}: a finite number is needed")
     if isinstance(value, int | float) and abs(value) > MAX_NUMBER:
-        raise LocfuseError(
-            f"{source}: {path} = {_shown(value)}: no number of a robot is larger than {MAX_NUMBER:g}"
-        )
+        words = f"no number of a robot is larger than {MAX_NUMBER:g}"
+        raise LocfuseError(f"{source}: {path} = {_shown(value)}: {words}")
     if isinstance(value, float) and 0.0 < abs(value) < MIN_NUMBER:
-        raise LocfuseError(
-            f"{source}: {path} = {_shown(value)}: no number of a robot but 0 is smaller than {MIN_NUMBER:g}"
-        )
+        words = f"no number of a robot but 0 is smaller than {MIN_NUMBER:g}"
+        raise LocfuseError(f"{source}: {path} = {_shown(value)}: {words}")
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:

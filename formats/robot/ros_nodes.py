@@ -119,14 +119,12 @@ def section_of(file: RosFile, target: str, name: str | None = None) -> NodeSecti
     if not found:
         named = f" named {name}" if name else ""
         others = f"; its controllers: {', '.join(f'{n} ({t})' for n, t in types.items())}" if types else ""
-        raise LocfuseError(
-            f"{file.path} has no section of {node.name}{named} ({node.example}){others if node.plugin else ''}"
-        )
+        example = f"({node.example}){others if node.plugin else ''}"
+        raise LocfuseError(f"{file.path} has no section of {node.name}{named} {example}")
     if len(found) > 1:
         names = ", ".join(visible(s.name) for s in found)
-        raise LocfuseError(
-            f"{file.path} has several sections of {node.name} ({names}): choose one with --node NAME"
-        )
+        words = f"several sections of {node.name} ({names}): choose one with --node NAME"
+        raise LocfuseError(f"{file.path} has {words}")
     section = found[0]
     kind = str(section.values.get("type") or types.get(section.name.rpartition("/")[2], ""))
     if node.plugin and kind and node.plugin not in kind:
@@ -134,10 +132,8 @@ def section_of(file: RosFile, target: str, name: str | None = None) -> NodeSecti
     patterns = (*node.known, *OF_EVERY_NODE)
     for key in section.at:
         if not any(re.fullmatch(pattern, key) for pattern in patterns):
-            raise LocfuseError(
-                f"{file.path}: {visible(section.name)}: {node.name} has no key {visible(key[:60])}: correct it or "
-                "take it out"
-            )
+            words = f"{node.name} has no key {visible(key[:60])}: correct it or take it out"
+            raise LocfuseError(f"{file.path}: {visible(section.name)}: {words}")
     return section
 
 

@@ -280,9 +280,8 @@ def changed(file: RosFile, section: NodeSection, settings: Sequence[Setting]) ->
         text = text[:begin] + new + text[end:]
     again = list(_sections(_composed(file.path, text), file.path))
     if again[file.sections.index(section)].values != wanted:
-        raise LocfuseError(
-            f"{file.path}: {section.name} cannot be changed value by value: write one value per key"
-        )
+        words = "cannot be changed value by value: write one value per key"
+        raise LocfuseError(f"{file.path}: {section.name} {words}")
     return text, absent
 
 
@@ -321,9 +320,8 @@ def _changed_values(
     if node is None:
         raise LocfuseError(f"{file.path}: {setting.key} stands twice in {section.name}: keep one of them")
     if setting.key in section.shared or _has_anchor(node):
-        raise LocfuseError(
-            f"{file.path}: {_line(node)}: {setting.key} has an anchor or an alias (&, *): write its value out"
-        )
+        words = f"{setting.key} has an anchor or an alias (&, *): write its value out"
+        raise LocfuseError(f"{file.path}: {_line(node)}: {words}")
     if not isinstance(value, list):
         if not isinstance(value, float | int | str) or not isinstance(node.value, str):
             raise LocfuseError(f"{file.path}: {_line(node)}: {setting.key} is not a single value")

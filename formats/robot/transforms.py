@@ -105,9 +105,8 @@ def as_lists(columns: Mapping[str, Column]) -> dict[str, Column]:
         values = _lengths(lists[name])
         if (values != transforms).any():
             row, field = int(np.argmax(values != transforms)), name.partition("|")[0]
-            raise LocfuseError(
-                f"{field} has {values[row]} values for {transforms[row]} transforms; it takes one for each"
-            )
+            words = f"{values[row]} values for {transforms[row]} transforms; it takes one for each"
+            raise LocfuseError(f"{field} has {words}")
     return lists
 
 

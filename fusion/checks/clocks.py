@@ -19,7 +19,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Stream, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Stream, Truth, changes
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import parts_of
@@ -297,9 +297,8 @@ def explained(
     `sizes` are the assumed errors of the lags [s]. Returns (inf, ()) if the lags do not determine all offsets.
     """
     rows = [p for p in pairs if p[0] in off or p[1] in off]
-    A = np.array([[(p[0] == name) - float(p[1] == name) for name in off] for p in pairs]).reshape(
-        len(pairs), len(off)
-    )
+    signs = [[(p[0] == name) - float(p[1] == name) for name in off] for p in pairs]
+    A = np.array(signs).reshape(len(pairs), len(off))
     y, w = np.array([lag.offset for lag in pairs.values()]), np.array([1.0 / sizes[p] for p in pairs])
     x, _, rank, _ = np.linalg.lstsq(A * w[:, None], y * w, rcond=None)
     if rank < len(off):
@@ -329,10 +328,8 @@ def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
     for name, every in drive.measurements.items():
         inside = (every.t > truth.t[0] + MAX_LAG_S) & (every.t < truth.t[-1] - MAX_LAG_S)
         m = every.take(np.flatnonzero(inside))
-        spreads = [
-            REGISTRY[name].misfit(m, robot.settings(name), body_poses(truth, m.t - shift))
-            for shift in (0.0, lag.offset)
-        ]
+        poses = (body_poses(truth, m.t - shift) for shift in (0.0, lag.offset))
+        spreads = [REGISTRY[name].misfit(m, robot.settings(name), at) for at in poses]
         stamped, shifted = spreads
         if stamped is not None and shifted is not None and stamped < MAX_STAMPED_RATIO * shifted:
             found.append((name, "truth"))
@@ -385,17 +382,15 @@ def truth_lag(drive: Drive) -> Lag | None:
 
 def far_lag(truth: Truth, wheels: Wheels) -> Lag | None:
     """Return a lag of truth and wheels above MAX_LAG_S, by turns or speeds; None if no lag or several lags fit."""
-    own, theirs = (
-        np.arange(t[0], min(t[-1], t[0] + MAX_FAR_S) - WINDOW_S, FAR_STEP_S) for t in (truth.t, wheels.t)
-    )
+    ends = ((t[0], min(t[-1], t[0] + MAX_FAR_S) - WINDOW_S) for t in (truth.t, wheels.t))
+    own, theirs = (np.arange(first, last, FAR_STEP_S) for first, last in ends)
     if min(len(own), len(theirs)) < MIN_FAR_STEPS:
         return None
-    xy = np.stack([np.interp(own + WINDOW_S, truth.t, c) - np.interp(own, truth.t, c) for c in truth.xy.T])
+    xy = changes(own, WINDOW_S, truth.t, truth.xy).T
     moved = wheels.relative(theirs, theirs + WINDOW_S)
     pairs = [(np.hypot(*xy), np.hypot(*moved[:, :2].T))]
     if truth.theta is not None:
-        theta = np.unwrap(truth.theta)
-        turned = np.interp(own + WINDOW_S, truth.t, theta) - np.interp(own, truth.t, theta)
+        turned = changes(own, WINDOW_S, truth.t, np.unwrap(truth.theta))
         pairs.insert(0, (turned, moved[:, 2]))
     least = min(len(own), len(theirs)) // 2  # of the steps that overlap
     # step i of the wheels is compared with step i + shift of the truth
@@ -424,8 +419,7 @@ def way_lag(truth: Truth, drive: Drive) -> Lag | None:
     start = truth.t[inside & (truth.t + WINDOW_S <= truth.t[-1])]
     if len(start) < 20:
         return None
-    ends = [np.stack([np.interp(start + s, truth.t, c) for c in truth.xy.T], axis=-1) for s in (0.0, WINDOW_S)]
-    own = np.hypot(*(ends[1] - ends[0]).T)
+    own = np.hypot(*changes(start, WINDOW_S, truth.t, truth.xy).T)
     if own.std() < 0.02 or own.std() < 0.1 * own.mean():
         return None
     lags = np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S)

@@ -15,6 +15,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
 from locfuse.fusion.sensors.iron import MAX_MISSING_ARC_RAD, Iron, fit_iron, iron_error_deg, plausible
+from locfuse.fusion.streams import numbers
 
 from .finding import Finding
 from .turning import Turning, explain
@@ -77,7 +78,7 @@ def tilted(
         configured = rotation_3d(settings.roll_deg, settings.pitch_deg, 0.0)[2]
         up, by = None, "gravity"
         if stream.msgtype == IMU_TYPE:
-            up = by_gravity(_vectors(stream, ACCELERATION_FIELDS))
+            up = by_gravity(numbers(stream, *ACCELERATION_FIELDS))
         elif stream.msgtype == FIELD_TYPE and by_wheels:
             up, by = by_field(stream, drive, settings.time_offset), "the plane in which the field turns"
         if up is None or _apart(up, configured) < MIN_TILT_RAD:
@@ -125,7 +126,7 @@ def by_field(stream: Stream, drive: Drive, time_offset: float) -> Array | None:
     """
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + time_offset  # s
     inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
-    field = _vectors(stream, MAGNETIC_FIELDS)
+    field = numbers(stream, *MAGNETIC_FIELDS)
     good = inside & plausible(field)
     field, t = field[good], t[good]
     if len(t) < 20:
@@ -151,11 +152,6 @@ def angles(up: Array) -> tuple[int, int]:
     return (180 if round(roll) == -180 else round(roll)), round(pitch)
 
 
-def _vectors(stream: Stream, fields: tuple[str, ...]) -> Array:
-    columns = cast("dict[str, Array]", stream.columns(*fields))
-    return np.stack([columns[f].astype(np.float64) for f in fields], axis=-1)
-
-
 MIN_ERROR_DEG, SEVERE_ERROR_DEG = 1.0, 5.0  # rms over a turn
 MIN_SIGMAS = 5.0  # standard errors of the circle's centre
 ROOM, TOLERANCE = "iron in the room", 0.05  # code of the finding; its value for compass.field_tolerance
@@ -168,7 +164,7 @@ def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     stream, settings = streams.get("compass"), cast(CompassSettings, robot.settings("compass"))
     if stream is None or stream.msgtype != FIELD_TYPE or settings.roll_deg or settings.pitch_deg:
         return []
-    field = _vectors(stream, MAGNETIC_FIELDS[:2])
+    field = numbers(stream, *MAGNETIC_FIELDS[:2])
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
     inside = plausible(field) & (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
     # about a wrong centre the angle of the field turns too far, so the robot's heading is used

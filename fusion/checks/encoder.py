@@ -7,7 +7,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import Drive, stretches
+from locfuse.fusion.data import Drive, stretches, totals
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.read import counts_ticks
 
@@ -31,7 +31,7 @@ def of_stuck_wheel(drive: Drive) -> list[Finding]:
     """
     wheels, found = drive.wheels, []
     for i, side in enumerate(("left", "right")):
-        other = np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled[:, 1 - i]))))
+        other = totals(np.abs(wheels.rolled[:, 1 - i]))
         for first, last in stretches(wheels.rolled[:, i] == 0.0):
             distance = float(other[last + 1] - other[first])
             begin, end = float(wheels.t[first]), float(wheels.t[last + 1])

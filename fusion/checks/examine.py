@@ -115,11 +115,7 @@ def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:
 
 
 def _scales(
-    drive: Drive,
-    robot: Robot,
-    by_sensor: Mapping[str, Turning],
-    turning: Sequence[Finding],
-    least: Least | None,
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], turning: Sequence[Finding], least: Least | None
 ) -> list[Finding]:
     """Return findings on distance scales and track width.
 

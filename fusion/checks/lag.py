@@ -244,8 +244,7 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: HeadingRefe
 def _without(column: Array, others: Array) -> Array:
     """Return a column (n,) minus the least-squares fit by other columns (n, k)."""
     x, *_ = np.linalg.lstsq(others, column, rcond=None)
-    rest: Array = column - others @ x
-    return rest
+    return column - others @ x
 
 
 def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> NDArray[np.bool_]:
@@ -255,9 +254,8 @@ def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> NDArray
     change = np.abs(after - 2.0 * now + before)
     if not len(change):
         return np.zeros(0, bool)
-    kept: NDArray[np.bool_] = change >= min(
-        math.sqrt((change**2).mean()), float(np.quantile(change, MAX_LEFT_OUT_SHARE))
-    )
+    limit = float(np.quantile(change, MAX_LEFT_OUT_SHARE))
+    kept: NDArray[np.bool_] = change >= min(math.sqrt((change**2).mean()), limit)
     return kept
 
 

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Drive, Ints, Measurements, Stream
+from locfuse.fusion.data import Array, Drive, Ints, Measurements, Stream, totals
 from locfuse.fusion.lines.scans import SCAN_FIELDS
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
-from locfuse.fusion.streams import taken
+from locfuse.fusion.streams import seconds, taken
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding, Least
@@ -227,11 +227,7 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = Non
 
 
 def of_laser(
-    motion: WallMotion | None,
-    robot: Robot,
-    metre: float = 1.0,
-    least: Least | None = None,
-    by_truth: bool = False,
+    motion: WallMotion | None, robot: Robot, metre: float = 1.0, least: Least | None = None, by_truth: bool = False
 ) -> list[Finding]:
     """Return findings on the laser's distance scale and yaw.
 
@@ -343,8 +339,7 @@ def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> WallPai
     """Return walls seen in two scans, paired by the wheels' motion between the scans."""
     first, second = map(_evenly, _places(t, drive))
     moved = drive.wheels.relative(t[first], t[second])
-    c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
-    swing = np.stack((c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]), axis=-1) - mount
+    swing = se2.rotated(moved[:, 2], mount) - mount
     rows: list[WallPairs] = []
     for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
         a, b = m.z[m.first[i] : m.first[i + 1]], m.z[m.first[j] : m.first[j + 1]]
@@ -360,7 +355,7 @@ def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
     wheels = drive.wheels
     way = np.hypot(*wheels.twist[:, :2].T)
     step = np.maximum(way / PAIR_DISTANCE_M, np.abs(wheels.twist[:, 2]) / PAIR_TURN_RAD)
-    gone = np.interp(t, wheels.t, np.concatenate(([0.0], np.cumsum(step))))
+    gone = np.interp(t, wheels.t, totals(step))
     second = np.searchsorted(gone, gone + 1.0)
     first = np.flatnonzero(second < len(t))
     first = first[t[second[first]] - t[first] < MAX_PAIR_TIME_S]
@@ -378,11 +373,8 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[f
     r, psi = a[:, 0] - n @ moved[:2], a[:, 1] - moved[2]
     turn = np.abs(se2.wrap_all(psi[:, None] - b[None, :, 1]))
     shift = np.abs(r[:, None] - b[None, :, 0])
-    cost = np.where(
-        (turn < MAX_WALL_TURN_RAD) & (shift < MAX_WALL_SHIFT_M),
-        turn / MAX_WALL_TURN_RAD + shift / MAX_WALL_SHIFT_M,
-        np.inf,
-    )
+    near = (turn < MAX_WALL_TURN_RAD) & (shift < MAX_WALL_SHIFT_M)
+    cost = np.where(near, turn / MAX_WALL_TURN_RAD + shift / MAX_WALL_SHIFT_M, np.inf)
     nearest = cost.argmin(axis=1)
     best = cost[np.arange(len(a)), nearest]
     # only unambiguous pairs are used
@@ -425,7 +417,7 @@ def of_sweep(stream: Stream, drive: Drive, robot: Robot, offset: float) -> list[
     if not settings.deskew or not len(drive.measurements["lrf"].t) or not increment.any():
         return []
     settings = replace(settings, time_offset=settings.time_offset + offset)
-    pairs = _places((stream.t_ns - drive.epoch_ns) * np.float64(1e-9) + settings.time_offset, drive)
+    pairs = _places(seconds(stream.t_ns, drive.epoch_ns, settings.time_offset), drive)
     rows = np.unique(np.concatenate([_evenly(scans) for scans in pairs]))  # only these scans are compared
     if not len(rows):
         return []

@@ -131,11 +131,8 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
     laser, add = laser_of(settings), 0.0
     sampled = [scans for columns in _sample(stream, FIRST_SCANS) for _, scans in equal_scans(columns)]
     for _ in range(2):  # linearised at 0, then at the first solution
-        parts = [
-            bends
-            for scans in sampled
-            for bends in _bends(*returns(scans, laser._replace(offset=laser.offset + add)))
-        ]
+        other = laser._replace(offset=laser.offset + add)
+        parts = [bends for scans in sampled for bends in _bends(*returns(scans, other))]
         if len(parts) < STRETCH_COUNT:
             return None
         if min(some.sum() for some in np.array_split([*map(len, parts)], STRETCH_COUNT)) < MIN_STRETCH_TRIPLES:
@@ -162,12 +159,8 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
     one_wall = np.isfinite(before + here + after)
     # all beams between the outer two lie near the line through their end points
     for j in range(1, 2 * k, max(1, k // CHECKED_BEAMS)):
-        wall = (
-            before
-            * after
-            * math.sin(2.0 * a)
-            / (before * math.sin(j * step) + after * math.sin(2.0 * a - j * step))
-        )
+        chord = before * math.sin(j * step) + after * math.sin(2.0 * a - j * step)
+        wall = before * after * math.sin(2.0 * a) / chord
         one_wall &= ~(np.abs(ranges[:, j : j - 2 * k] - wall) > MAX_OFF_WALL_M)
     bend = _bend(before, here, after, math.cos(a))
     # by the beams next to the outer two, whose noise is independent of the bend's (instrumental variables)
@@ -226,8 +219,7 @@ def scatter(columns: dict[str, Any]) -> Array:
 
 def _bend(before: Array, here: Array, after: Array, cos: Array | float) -> Array:
     """Return range `here` [m] minus the range to the line through the other two ends; cos: of the beam spacing."""
-    bend: Array = here - 2.0 * cos * before * after / (before + after)
-    return bend
+    return here - 2.0 * cos * before * after / (before + after)
 
 
 def _sample(stream: Stream, last: int) -> Iterator[dict[str, Any]]:
@@ -258,12 +250,8 @@ def _unreturned(parts: list[dict[str, Any]], least: float) -> str:
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
     far = np.concatenate([np.repeat(limits(p)[1], r.lengths) for p, r in zip(parts, ranges, strict=True)])
     beyond = (values > far) & np.isfinite(values)
-    shares = {
-        "inf": np.isinf(values).mean(),
-        "NaN": np.isnan(values).mean(),
-        "zero": (values == 0.0).mean(),
-        "beyond range_max": beyond.mean(),
-    }
+    beside = {"inf": np.isinf(values), "NaN": np.isnan(values), "zero": values == 0.0, "beyond range_max": beyond}
+    shares = {name: found.mean() for name, found in beside.items()}
     if beyond.any() and np.median(values[beyond] / far[beyond]) > MAX_LIMIT_RATIO:
         shares["far beyond range_max, as in mm"] = shares.pop("beyond range_max")
     if sum(shares.values()) <= least:

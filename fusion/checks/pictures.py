@@ -215,9 +215,8 @@ def _circle(grey: Array, within: Circle, inward: bool) -> Circle | None:
     near = np.clip(at[:, None] + np.arange(-3, 4), 0, seen.shape[1] - 4)
     slope = np.nan_to_num(np.abs(seen[rays[:, None], near + 2] - seen[rays[:, None], near + 1]))
     best = near[np.arange(len(rays)), slope.argmax(axis=1)] + 1.5
-    points = np.stack(
-        (within.x + (2.0 + best) * np.cos(angle[rays]), within.y + (2.0 + best) * np.sin(angle[rays]))
-    )
+    reach, towards = 2.0 + best, angle[rays]
+    points = np.stack((within.x + reach * np.cos(towards), within.y + reach * np.sin(towards)))
     keep = np.ones(len(rays), dtype=bool)
     for _ in range(5):
         if keep.sum() < MIN_ON_CIRCLE_SHARE * RAY_COUNT:

@@ -48,11 +48,8 @@ def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
     settings = robot.settings(sensor)
     if not hasattr(settings, "sigma_yaw_deg") or settings.sigma_x or settings.sigma_yaw_deg:
         return ()
-    mount = (
-        f"{sensor}.sigma_x={PROBE_XY_M}",
-        f"{sensor}.sigma_y={PROBE_XY_M}",
-        f"{sensor}.sigma_yaw_deg={PROBE_YAW_DEG}",
-    )
+    sigmas = {"sigma_x": PROBE_XY_M, "sigma_y": PROBE_XY_M, "sigma_yaw_deg": PROBE_YAW_DEG}
+    mount = tuple(f"{sensor}.{key}={sigma}" for key, sigma in sigmas.items())
     track = () if robot.wheels.estimate or robot.wheels.track is None else ("wheels.estimate=true",)
     return (*mount, *track)
 
@@ -90,9 +87,8 @@ def of_mount(
         likely = MAX_PRIOR_SIGMAS * (stated or (prior_yaw_deg if part == "yaw" else prior_xy))
         if not judged and abs(value - configured) > likely:
             return
-        least = (
-            (MIN_MOUNT_DEG if judged else MAX_CREEP_DEG) if part == "yaw" else MIN_MOUNT_M if judged else SIGMA_M
-        )
+        in_deg, in_m = (MIN_MOUNT_DEG, MIN_MOUNT_M) if judged else (MAX_CREEP_DEG, SIGMA_M)
+        least = in_deg if part == "yaw" else in_m
         off = abs(value - configured)
         if part == "yaw" and max(MIN_SIGMAS * sigma, SIGMA_DEG) < off <= least:
             yield Finding(sensor, DIRECTION, DIRECTION_WORDS.format(off, sigma))

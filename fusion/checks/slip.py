@@ -17,7 +17,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Drive, stretches
+from locfuse.fusion.data import Array, Drive, interpolate, stretches
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
@@ -159,9 +159,8 @@ def _distances(wheels: Wheels, begin: Array, t: Array, pose: Array, window: floa
 
 def _ahead(t: Array, pose: Array, begin: Array, window: float) -> Array:
     """Return the forward distances (m,) [m] of a path (n, 3) in the windows [s] after times `begin` (m,)."""
-    first, last = (np.stack([np.interp(at, t, c) for c in pose.T], axis=-1) for at in (begin, begin + window))
-    ahead: Array = se2.between(first, last)[:, 0]
-    return ahead
+    first, last = (interpolate(at, t, pose) for at in (begin, begin + window))
+    return se2.between(first, last)[:, 0]
 
 
 def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:

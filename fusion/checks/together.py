@@ -90,9 +90,9 @@ class Common(msgspec.Struct, frozen=True):
     @property
     def off(self) -> bool:
         """Whether the common value differs significantly from the configured one."""
-        return self.value is not None and abs(self.value - self.now) > max(
-            APART_SIGMAS * self.sigma, _scale(self.key, self.now)[3]
-        )
+        if self.value is None:
+            return False
+        return abs(self.value - self.now) > max(APART_SIGMAS * self.sigma, _scale(self.key, self.now)[3])
 
     @property
     def setting(self) -> str:
@@ -218,10 +218,8 @@ def commons(logs: Mapping[str, Mapping[str, Number]]) -> list[Common]:
     """Return the common estimates of all settings that at least two equally configured logs show."""
     found = dict.fromkeys(key for numbers in logs.values() for key in numbers)
     by_key = {key: {log: numbers[key] for log, numbers in logs.items() if key in numbers} for key in found}
-    alike = {
-        key: len({round(n.now, 9) for n in numbers.values()}) == 1 < len(numbers)
-        for key, numbers in by_key.items()
-    }
+    values = {key: {round(n.now, 9) for n in numbers.values()} for key, numbers in by_key.items()}
+    alike = {key: len(values[key]) == 1 < len(numbers) for key, numbers in by_key.items()}
     return [common(key, numbers) for key, numbers in by_key.items() if alike[key]]
 
 
@@ -239,11 +237,8 @@ def common(key: str, numbers: Mapping[str, Number]) -> Common:
     if len(logs) - len(agreeing) > (max(1, int(MAX_APART_SHARE * len(logs))) if len(logs) > 2 else 0):
         return Common(key, now, each)
     value, sigma, scatter = _pooled([numbers[log] for log in agreeing])
-    apart = {
-        log: abs(n.value - value) / math.hypot(n.sigma, sigma, scatter)
-        for log, n in numbers.items()
-        if log not in agreeing
-    }
+    others = {log: n for log, n in numbers.items() if log not in agreeing}
+    apart = {log: abs(n.value - value) / math.hypot(n.sigma, sigma, scatter) for log, n in others.items()}
     return Common(key, now, each, value, sigma, apart)
 
 

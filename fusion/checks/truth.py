@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, stretches
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, changes, interpolate, stretches, totals
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
 from locfuse.fusion.truth import NO_TRUTH
@@ -107,8 +107,8 @@ def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
     theta = np.interp(wheels.t, truth.t, np.unwrap(truth.theta))
     turn = np.diff(theta)
     chord = wheels.twist[:, :2] * np.sinc(turn / (2.0 * np.pi))[:, None]
-    path = np.concatenate((np.zeros((1, 2)), np.cumsum(se2.rotated(theta[:-1] + 0.5 * turn, chord), axis=0)))
-    return np.stack([np.interp(truth.t, wheels.t, column) for column in path.T], axis=-1)
+    path = totals(se2.rotated(theta[:-1] + 0.5 * turn, chord))
+    return interpolate(truth.t, wheels.t, path)
 
 
 def _inside(truth: Truth, wheels: Wheels) -> Mask:
@@ -356,7 +356,7 @@ def _metre_over(window: float, truth: Truth, wheels: Wheels) -> tuple[float, flo
     start = truth.t[(truth.t >= wheels.t[0]) & (truth.t + window <= min(wheels.t[-1], truth.t[-1]))]
     if len(start) < MIN_WINDOWS:
         return None
-    step = np.stack([np.interp(start + window, truth.t, c) - np.interp(start, truth.t, c) for c in truth.xy.T])
+    step = changes(start, window, truth.t, truth.xy).T
     moved = wheels.relative(start, start + window)
     point = np.tile(truth.point, (len(start), 1))
     seen, own = np.hypot(*step), np.hypot(*(moved[:, :2] + se2.rotated(moved[:, 2], point) - point).T)
@@ -438,9 +438,8 @@ def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None
         return None
     last = last[first]
     # with points as complex numbers a step is turned * l + rolled * (scale + i sideways)
-    turned, rolled, y = (
-        c[last] - c[first] for c in (np.exp(1.0j * truth.theta), path @ (1.0, 1.0j), truth.xy @ (1.0, 1.0j))
-    )
+    columns = np.exp(1.0j * truth.theta), path @ (1.0, 1.0j), truth.xy @ (1.0, 1.0j)
+    turned, rolled, y = (c[last] - c[first] for c in columns)
     if 2.0 * np.vdot(turned, turned).real < 1.0:
         return None
     alone = rolled - turned * (np.vdot(turned, rolled) / np.vdot(turned, turned))
@@ -632,6 +631,5 @@ def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> TruthStart
         heading_sigma = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))
     spread = float(np.hypot(*(places - place).std(axis=0))) / math.sqrt(len(points))
     moved = float(wheels.driven(first) - wheels.driven(wheels.t[0])) > POSE_WAY_M
-    return TruthStart(
-        np.array([*place, se2.wrap(turn)]), way, heading_sigma, spread, first if moved else float(wheels.t[0])
-    )
+    at = first if moved else float(wheels.t[0])
+    return TruthStart(np.array([*place, se2.wrap(turn)]), way, heading_sigma, spread, at)

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Drive, Ints, Stream, Truth
+from locfuse.fusion.data import Array, Drive, Ints, Stream, Truth, changes, totals
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
@@ -85,18 +85,16 @@ def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> T
     start, own = _turns(t, heading, wheels, without_lines, WINDOW_S)
     if len(start) < MIN_WINDOWS or math.sqrt(float((own**2).mean())) < MIN_RMS_TURN_RAD:
         return None
-    way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))
+    way = totals(wheels.rolled)
     best: Turning | None = None
     for offset in np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S).tolist():
-        fit = _fit(own, _way(wheels, way, start + offset + WINDOW_S) - _way(wheels, way, start + offset), offset)
+        fit = _fit(own, changes(start + offset, WINDOW_S, wheels.t, way), offset)
         if fit is not None and (best is None or fit.explained > best.explained):
             best = fit
     if best is None or best.explained <= MIN_EXPLAINED_SHARE:
         return None
     start, own = _turns(t, heading, wheels, without_lines, RATIO_WINDOW_S)
-    left, right = (
-        _way(wheels, way, start + best.offset + RATIO_WINDOW_S) - _way(wheels, way, start + best.offset)
-    ).T
+    left, right = changes(start + best.offset, RATIO_WINDOW_S, wheels.t, way).T
     A = np.stack((right - left, right + left), axis=-1).astype(np.complex128)
 
     def ratio(some: Ints) -> float | None:
@@ -114,12 +112,7 @@ def _turns(t: Array, heading: Array, wheels: Wheels, without_lines: Array, span:
     start = t[(t >= wheels.t[0] + MAX_LAG_S) & (t <= wheels.t[-1] - MAX_LAG_S - span)]
     start = start[start + span <= t[-1]]
     start = start[np.interp(start + span, t, without_lines) == np.interp(start, t, without_lines)]
-    return start, np.interp(start + span, t, heading) - np.interp(start, t, heading)
-
-
-def _way(wheels: Wheels, way: Array, t: Array) -> Array:
-    """Return the distances (n, 2) [m] that left and right wheel rolled until times t (n,) [s]."""
-    return np.stack([np.interp(t, wheels.t, column) for column in way.T], axis=-1)
+    return start, changes(start, span, t, heading)
 
 
 def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:

@@ -131,8 +131,7 @@ class JointBelief(ekf.State):
     def spread(self, H: Array, columns: Sequence[int] = ()) -> Array:
         """Return H P H' (d, d) for derivatives H (d, 3 + c) by the pose and the states `columns` (c,)."""
         at = [0, 1, 2, *columns]
-        S: Array = H @ self._P[np.ix_(at, at)] @ H.T
-        return S
+        return H @ self._P[np.ix_(at, at)] @ H.T
 
     def frame_pose(self) -> Pose | None:
         """Return the pose of the local frame in the map; None if no local frame has begun."""

@@ -22,12 +22,12 @@ def eq5_x(x: Array, u: Array) -> Array:
 
 def eq6_P(P: Array, A: Array, W: Array, Q: Array) -> Array:
     """Eq. 6: P <- A P A' + W Q W', all (..., 3, 3)."""
-    return A @ P @ np.swapaxes(A, -1, -2) + eq6_noise(W, Q)
+    return se2.propagated(A, P) + eq6_noise(W, Q)
 
 
 def eq6_noise(W: Array, Q: Array) -> Array:
     """Return the second term of eq. 6, W Q W' (..., 3, 3): the noise of a motion in the map frame."""
-    return W @ Q @ np.swapaxes(W, -1, -2)
+    return se2.propagated(W, Q)
 
 
 def eq7_A(x: Array, x_next: Array) -> Array:
@@ -48,7 +48,7 @@ def eq10_12(PH: Array, S: Array, y: Array) -> tuple[Array, Array, Array]:
     L^-1 y are independent and have variance 1. The gain of eq. 10 is K = V' L^-1. So eq. 11 is x <- x + V' e, and
     eq. 12 is P <- P - V' V, symmetric by construction. Raises np.linalg.LinAlgError if S is not positive definite.
     """
-    L = np.asarray(np.linalg.cholesky(0.5 * (S + np.swapaxes(S, -1, -2))), np.float64)
+    L = np.asarray(np.linalg.cholesky(se2.symmetric(S)), np.float64)
     right = np.concatenate((np.swapaxes(PH, -1, -2), y[..., None]), axis=-1)
     V = np.asarray(np.linalg.solve(L, right), np.float64)
     return V[..., :-1], V[..., -1], L

@@ -63,7 +63,7 @@ def map_covariance(G: Array, q: Array, P: Array) -> Array:
     """Return the covariances (n, 3, 3) of poses G o q in the map; P (n, 6, 6) is the covariance of (q, G)."""
     J = np.concatenate((se2.rotation(G[:, 2]), pose_by_frame(G, q)), axis=2)
     r = se2.rotated(G[:, 2], q[:, :2])
-    out: Array = J @ P @ J.transpose(0, 2, 1)
+    out = se2.propagated(J, P)
     e = np.array([bent(tt) for tt in P[:, 5, 5].tolist()])
     out[:, :2, :2] += e[:, None, None] * r[:, :, None] * r[:, None, :]
     return out

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Truth, matrices
+from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Truth, interpolate, matrices
 from locfuse.fusion.streams import gap_limit
 
 from .credit import Effect
@@ -37,12 +37,8 @@ class Reference(msgspec.Struct, frozen=True):
         """Return the reference that a smoothed estimate of this drive gives."""
         spread = np.sqrt(np.maximum(solved.triangles[:, 0] + solved.triangles[:, 3], 0.0))
         truth = Truth(TOPIC, drive.t, solved.pose[:, :2], solved.pose[:, 2])
-        return cls(
-            solved.sensors,
-            left_out,
-            float(np.median(spread)),
-            replace(drive, truth=truth, truth_motions=None, truth_instant=None),
-        )
+        moved = replace(drive, truth=truth, truth_motions=None, truth_instant=None)
+        return cls(solved.sensors, left_out, float(np.median(spread)), moved)
 
     def can_judge(self, error: float | None) -> bool:
         """Return whether the reference is exact enough to measure an error of this size [m]."""
@@ -63,13 +59,8 @@ class Reference(msgspec.Struct, frozen=True):
         found = evaluate(self.seen(e), self.drive, align)
         figures = {**found.figures, "anees": None, "truth_coverage": None}
         own = {key: judged.figures[key] for key in ("duration_s", "distance_m")}
-        return replace(
-            found,
-            sensors=judged.sensors,
-            figures={**figures, **own},
-            nees=np.full(len(found.nees), np.nan),
-            reference=True,
-        )
+        nees = np.full(len(found.nees), np.nan)
+        return replace(found, sensors=judged.sensors, figures={**figures, **own}, nees=nees, reference=True)
 
     def seen(self, e: Estimates) -> Estimates:
         """Return the estimate without audits, with its poses at the reference's stamps as `truth_pose`."""
@@ -103,7 +94,7 @@ def interpolated(stamps: Array, t: Array, pose: Array, triangles: Array) -> tupl
     after = np.minimum(before + 1, len(t) - 1)
     exact = np.abs(stamps - t[before]) < 1e-9
     near = (stamps >= t[0]) & (stamps <= t[-1] + 1e-9) & (exact | (t[after] - t[before] <= gap_limit(t)))
-    out = np.stack([np.interp(stamps, t, column) for column in pose.T], axis=-1)
+    out = interpolate(stamps, t, pose)
     out[~near] = np.nan
     spread = matrices(triangles[before])
     spread[~near] = np.nan

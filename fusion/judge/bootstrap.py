@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import CONFIDENCE
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, totals
 
 RESAMPLE_COUNT = 2000
 STARTS_AT_ONCE = 1 << 20  # block starts in memory at once
@@ -43,14 +43,8 @@ class Errors(msgspec.Struct, frozen=True):
         squares = (deviation**2).sum(axis=2)
         samples = np.array([effective_samples(d) for d in deviation])
         block = max(math.ceil(q / MAX_BLOCKS), min(q, math.ceil(2.0 * q / float(samples.min()))))
-        return cls(
-            deviation,
-            _ln_rms(squares.mean(axis=1)),
-            samples,
-            _correlation(deviation, samples),
-            _ln_rms(block_means(squares, block)),
-            block,
-        )
+        ln_rms, ln_blocks = (_ln_rms(means) for means in (squares.mean(axis=1), block_means(squares, block)))
+        return cls(deviation, ln_rms, samples, _correlation(deviation, samples), ln_blocks, block)
 
     def interval(self, weights: Array) -> tuple[float, float]:
         """Return the confidence interval of sum(weights * ln_rmse), for weights (k,) that sum to zero."""
@@ -153,7 +147,7 @@ def student_t(freedom: float) -> float:
     """Return the two-sided quantile of Student's t at CONFIDENCE, with `freedom` degrees of freedom."""
     a, cosine = _quarter_turn()  # with x = sqrt(f) tan(a) the density is cos(a)^(f - 1) da
     density = cosine ** (freedom - 1.0)
-    mass = np.concatenate(([0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))))
+    mass = totals(0.5 * (density[1:] + density[:-1]))
     return math.sqrt(freedom) * math.tan(float(np.interp(CONFIDENCE * mass[-1], mass, a)))
 
 

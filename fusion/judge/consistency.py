@@ -223,9 +223,8 @@ def changing(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | N
 
     The change must exceed half of the noise of a reading.
     """
-    if h.change is None or abs(h.change.amount) < max(
-        MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.standard_error
-    ):
+    least = max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.standard_error)
+    if h.change is None or abs(h.change.amount) < least:
         return None
     amount, sign = _human(h.change.amount, sensor)[0], _sign(sensor)
     if h.change.step_s is None:
@@ -402,10 +401,8 @@ class NoiseEvidence:
     def _healthy(self, run: RunInnovations, but: str = "") -> bool:
         """Return whether every sensor of a run, except `but`, has plausible noise and few rejections."""
         found = [run.own[s] for s in run.estimates.sensors if s != but]
-        return all(
-            o is not None and o.scale < MAX_REFERENCE_NIS_RATIO and o.refused < MAX_REFUSED_LINE_SHARE
-            for o in found
-        )
+        nis, share = MAX_REFERENCE_NIS_RATIO, MAX_REFUSED_LINE_SHARE
+        return all(o is not None and o.scale < nis and o.refused < share for o in found)
 
     def _purest(self, sensor: str) -> RunInnovations | None:
         """Return the run with `sensor` and the smallest number of other sensors; None if there is none.

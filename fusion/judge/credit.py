@@ -130,9 +130,8 @@ def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credi
     if not judged or not sensors or any(len(e.t) == 0 for e in judged.values()):
         return None
     errors = Errors.of(np.stack([e.deviation for e in judged.values()]))
-    book = _Book(
-        list(judged), errors, _expected(judged.values()), [e.figures.get("anees") for e in judged.values()]
-    )
+    anees = [e.figures.get("anees") for e in judged.values()]
+    book = _Book(list(judged), errors, _expected(judged.values()), anees)
     found = {s: book.sensor(s, sensors) for s in sensors if any(s in run for run in judged)}
     t = next(iter(judged.values())).t
     return Credit(
@@ -295,6 +294,5 @@ def _mean_effect(effects: Sequence[Effect | None]) -> Effect | None:
         half = student_t(len(values) - 1.0) * float(values.std(ddof=1)) / math.sqrt(len(values))
     expected = [e.expected for e in known if e.expected is not None]
     mean = float(values.mean())
-    return Effect(
-        mean, mean - half, mean + half, float(np.mean(expected)) if len(expected) == len(known) else None
-    )
+    claimed = float(np.mean(expected)) if len(expected) == len(known) else None
+    return Effect(mean, mean - half, mean + half, claimed)

@@ -232,9 +232,8 @@ def _pairs(estimates: Estimates, truth: Truth) -> _PosePairs:
     found = np.isfinite(estimates.truth_pose[:, 0])
     inside = slice(None) if found.all() else found  # a slice does not copy
     theta = None if truth.theta is None else truth.theta[inside]
-    return _PosePairs(
-        truth.t[inside], estimates.truth_pose[inside], estimates.truth_P[inside], truth.xy[inside], theta
-    )
+    pose, P = estimates.truth_pose[inside], estimates.truth_P[inside]
+    return _PosePairs(truth.t[inside], pose, P, truth.xy[inside], theta)
 
 
 def aligned(pairs: _PosePairs, truth: Truth, align: Align) -> _PosePairs:
@@ -269,7 +268,7 @@ def _expected(pairs: _PosePairs, deviation: Array, heading: Array | None, truth:
     sigma, found = np.empty((len(pairs.t), 3)), np.empty(len(pairs.t))
     for at in (slice(a, a + ERRORS_AT_ONCE) for a in range(0, len(pairs.t), ERRORS_AT_ONCE)):
         G = pose_by_frame(pairs.pose[at], lever[at])
-        P = G @ pairs.P[at] @ G.transpose(0, 2, 1)
+        P = se2.propagated(G, pairs.P[at])
         sigma[at] = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
         found[at] = nees(e[at], (P + own)[:, :dof, :dof])
     return sigma, found

@@ -19,7 +19,6 @@ from locfuse.fusion.data import (
     RELOCALISED,
     REST,
     SLIP,
-    VERDICTS,
     Array,
     Audit,
     Drive,
@@ -27,6 +26,8 @@ from locfuse.fusion.data import (
     Event,
     Jump,
     Measurements,
+    RowVerdict,
+    consecutive,
     stretches,
 )
 
@@ -35,7 +36,7 @@ REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # motion in one interval of the wheels;
 SAME_LOOP_S = 5.0  # loop closures in closer succession are reported as one event
 MIN_REFUSED = 5  # consecutive rejected readings; fewer are single outliers
 JUMPS = {SLIP: "wheel slip undone", RELOCALISED: "lost robot found", LOOP_TAKEN: "loop closed"}
-USED_VERDICTS = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
+USED_VERDICTS = (RowVerdict.ACCEPTED, RowVerdict.NEW, RowVerdict.REPEATED)
 
 
 def events_of_drive(drive: Drive) -> list[Event]:
@@ -67,7 +68,7 @@ def _loops(e: Estimates) -> Iterator[Event]:
     if not len(e.loops):
         return
     then, now = e.loops.T
-    for some in np.split(np.arange(len(now)), np.flatnonzero(np.diff(now) > SAME_LOOP_S) + 1):
+    for some in consecutive(np.cumsum(np.diff(now, prepend=now[0]) > SAME_LOOP_S)):
         a, b = float(then[some].min()), float(then[some].max())
         place = f"the place of {a:.0f} s" if b - a < 1.0 else f"places of {a:.0f} to {b:.0f} s"
         yield Event(float(now[some[0]]), float(now[some[-1]]), LOOP, f"{place} recognised", e.name)

@@ -13,16 +13,13 @@ import numpy as np
 
 from locfuse.fusion.change import best_split
 from locfuse.fusion.chi_square import chi_square, mean_bounds, robust_sigma
-from locfuse.fusion.data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
+from locfuse.fusion.data import Array, Audit, Counts, Drive, Estimates, Ints, Measurements, RowVerdict, matrices
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensor import Reading
 from locfuse.fusion.sensors.registry import REGISTRY
 
-ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
-    VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
-)
 MAX_LAG_READINGS = 5
 MIN_AUTOCORRELATION = 0.05  # a smaller autocorrelation counts as zero
 MAX_COMPARED_READINGS, STRETCH_READINGS = 1500, 150  # most compared readings; length of an interval
@@ -77,12 +74,12 @@ class ComparedReadings(NamedTuple):
 def own(audit: Audit, m: Measurements) -> OwnInnovations | None:
     """Return innovation figures of one sensor in a run that uses it; None for too few compared measurements."""
     d = audit.y.shape[1]
-    far = np.isin(audit.verdict, (GATE, UNMATCHED)) & (audit.nis > audit.threshold)
-    compared = np.flatnonzero((audit.verdict == ACCEPTED) | (far & (audit.verdict == GATE)))
+    far = np.isin(audit.verdict, (RowVerdict.GATE, RowVerdict.UNMATCHED)) & (audit.nis > audit.threshold)
+    compared = np.flatnonzero((audit.verdict == RowVerdict.ACCEPTED) | (far & (audit.verdict == RowVerdict.GATE)))
     if len(compared) < 2 * MAX_LAG_READINGS:
         return None
-    accepted = int((audit.verdict == ACCEPTED).sum())
-    refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
+    accepted = int((audit.verdict == RowVerdict.ACCEPTED).sum())
+    refused = int(np.isin(audit.verdict, (RowVerdict.GATE, RowVerdict.UNMATCHED, RowVerdict.LOST)).sum())
     nis, bounds, raw = _accepted(audit, int(far.sum()), d)
     ratio, R = _prediction_ratio(audit, m, compared)
     middle, deviation, bias, whiteness = _shape(audit, compared)
@@ -109,7 +106,7 @@ def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float
 
     The factor is median NIS / expected median. The median includes `far` innovations beyond the gate.
     """
-    used = np.flatnonzero(audit.verdict == ACCEPTED)
+    used = np.flatnonzero(audit.verdict == RowVerdict.ACCEPTED)
     nis, repeats = audit.nis[used], 1.0
     if len(nis):
         order = np.argsort(audit.landmark[used], kind="stable")
@@ -185,7 +182,7 @@ def compare_readings(drive: Drive, robot: Robot, run: Estimates, sensor: str) ->
         belief.stand(pose, P)
         seen = model.innovations(m, i, belief)
         assert not isinstance(seen, Reading)  # a Reading has several numbers
-        if seen and seen[0].verdict != DISTURBED:
+        if seen and seen[0].verdict != RowVerdict.DISTURBED:
             best = seen[0]
             R = float(belief.equation(seen[:1]).R[0, 0])
             rows.append((float(m.t[i]), best.y[0], best.sigma[0] ** 2 - R, R, pose[2]))

@@ -84,9 +84,8 @@ class OwnScans(msgspec.Struct, frozen=True):
         """
         moved = se2.compose(found_mount(LASER, self.mount, e.blocks), se2.inverse(self.mount))
         pose = se2.compose(e.pose[self.instants], moved)
-        placed = [
-            se2.transform(np.broadcast_to(x, (len(p), 3)), p) for x, p in zip(pose, self.points, strict=True)
-        ]
+        scans = zip(pose, self.points, strict=True)
+        placed = [se2.transform(np.broadcast_to(x, (len(p), 3)), p) for x, p in scans]
         return self._agreement(pose, placed), *_cells(placed)
 
     def _agreement(self, pose: Array, placed: list[Array]) -> float | None:
@@ -170,7 +169,6 @@ def judged_by_scans(
             continue
         apart = Distance.between(e.t, e.pose[:, :2], whole.pose[:, :2])
         better, claimed = is_better(agreement, judged[whole.name][0]), _claimed(e)
-        found[e.name] = OwnScanFigures(
-            agreement, cells, apart, better, claimed, contradicted=apart.contradicts(claimed, _claimed(whole))
-        )
+        is_wrong = apart.contradicts(claimed, _claimed(whole))
+        found[e.name] = OwnScanFigures(agreement, cells, apart, better, claimed, contradicted=is_wrong)
     return found

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, totals
 from locfuse.fusion.kernels import line_fits, places, segments
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.sensor import WheelMotion
@@ -67,8 +67,7 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
     slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * PIECE_EDGES))[scan]  # (m, pieces, 2) m
     turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, pieces)
     left, right = (move - turn) * slip[:, None, :, 0], (move + turn) * slip[:, None, :, 1]
-    G: Array = np.concatenate((left, right), axis=2).astype(np.float32)
-    return G
+    return np.concatenate((left, right), axis=2).astype(np.float32)
 
 
 def in_base(loads: Array, z: Array, mount: Array) -> Array:
@@ -181,9 +180,8 @@ def extract_lines(
     """
     scans = RawScans(ranges, angles, offsets)
     batch = min(_SCANS_AT_ONCE, max(_BEAMS_AT_ONCE // max(ranges.shape[1], 1), 1))
-    parts = [
-        lines_of(scans.take(slice(i, i + batch)), settings, motion) for i in range(0, max(len(ranges), 1), batch)
-    ]
+    blocks = (slice(i, i + batch) for i in range(0, max(len(ranges), 1), batch))
+    parts = [lines_of(scans.take(rows), settings, motion) for rows in blocks]
     return _joined(parts)
 
 
@@ -222,7 +220,7 @@ def lines_of(scans: RawScans, settings: LineSettings, motion: BeamMotion | None)
     n = found.count
     R, points, span = np.asarray(found.R)[:n], np.asarray(found.points)[:n], np.asarray(found.span)[:n]
     return Lines(
-        first=np.concatenate(([0], np.cumsum(found.counts))).astype(np.int64),
+        first=totals(found.counts).astype(np.int64),
         z=np.asarray(found.z)[:n],
         R_unit=R[:, (0, 1, 1, 2)].reshape(n, 2, 2),
         ends=np.asarray(found.ends)[:n],
@@ -238,4 +236,4 @@ def _joined(parts: list[Lines]) -> Lines:
     """Join the lines of all batches."""
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Lines.__struct_fields__}
     counts = np.concatenate([np.diff(part.first) for part in parts])
-    return Lines(**(columns | {"first": np.concatenate(([0], np.cumsum(counts)))}))
+    return Lines(**(columns | {"first": totals(counts)}))

@@ -151,9 +151,7 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
                 chosen = at[group][some]
                 columns_of = {name: column[some] for name, column in scans.items()}
                 points, _ = points_in_base(columns_of, self.stamps[chosen], self.laser, self.wheels)
-                found.update(
-                    (row, p[np.isfinite(p[:, 0])]) for row, p in zip(chosen.tolist(), points, strict=True)
-                )
+                found |= {row: p[np.isfinite(p[:, 0])] for row, p in zip(chosen.tolist(), points, strict=True)}
             if len(found) == len(wanted):
                 break
         return [found.get(row, np.zeros((0, 2))) for row in rows.tolist()]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Ints, Ragged
+from locfuse.fusion.data import Array, Ints, Ragged, totals
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensor import WheelMotion
 from locfuse.fusion.streams import in_turn
@@ -32,10 +32,8 @@ from .extract import (
 # of a LaserScan
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 CELLS_AT_ONCE = 1 << 18  # pairs of lines compared at once, to save memory
-LEAST_RANGE_M, LARGEST_RANGE_M = (
-    np.nextafter(0.0, 1.0),
-    np.finfo(np.float64).max,
-)  # m: limits of a valid range, without 0 and Inf
+# m: limits of a valid range, without 0 and Inf
+LEAST_RANGE_M, LARGEST_RANGE_M = np.nextafter(0.0, 1.0), np.finfo(np.float64).max
 MAX_BEAMS = 100_000  # largest number of beams of a scan: no 2D laser has more
 COMPARED_SCANS = 200  # first scans of a topic that are compared with each other
 MAX_SAME_ANGLE_RAD = 0.01  # scans whose first beams differ by less see in the same directions
@@ -216,9 +214,8 @@ def limits(scans: Mapping[str, Any]) -> tuple[Array, Array]:
     """
     near, far = (np.asarray(scans[name], np.float64) for name in ("range_min", "range_max"))
     known = limited(scans)
-    return np.where(known, np.maximum(near, LEAST_RANGE_M), LEAST_RANGE_M), np.where(
-        known, np.minimum(far, LARGEST_RANGE_M), LARGEST_RANGE_M
-    )
+    least = np.where(known, np.maximum(near, LEAST_RANGE_M), LEAST_RANGE_M)
+    return least, np.where(known, np.minimum(far, LARGEST_RANGE_M), LARGEST_RANGE_M)
 
 
 def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
@@ -305,14 +302,13 @@ class Gathered:
         at, counts = (np.concatenate([np.empty(0, np.int64), *pieces]) for pieces in (self._at, self._counts))
         of_reading = np.zeros(n, dtype=np.int64)
         of_reading[at] = counts
-        first = np.concatenate(([0], np.cumsum(of_reading)))
+        first = totals(of_reading)
         rows = None
         if (np.diff(at) < 0).any():
             rows = np.repeat(first[at] - np.cumsum(counts) + counts, counts) + np.arange(first[-1])
         self._sweep = _as_wide(self._sweep) or [np.empty((0, 2, 0), np.float32)]
-        z, R_unit, ends, sweep = (
-            _joined(pieces, rows) for pieces in (self._z, self._R_unit, self._ends, self._sweep)
-        )
+        columns = self._z, self._R_unit, self._ends, self._sweep
+        z, R_unit, ends, sweep = (_joined(pieces, rows) for pieces in columns)
         return first, z, R_unit, ends, sweep
 
 
@@ -397,10 +393,8 @@ def wall_floor(
     [rad] on psi of wheel slip within a scan, which its lines share (lines.extract).
     """
     change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
-    if (
-        len(change) < MIN_PAIRS
-        or float(np.median(np.abs(change) / np.sqrt(noise))) < MAD_OF_NORMAL * MIN_MISFIT_RATIO
-    ):
+    least = MAD_OF_NORMAL * MIN_MISFIT_RATIO
+    if len(change) < MIN_PAIRS or float(np.median(np.abs(change) / np.sqrt(noise))) < least:
         return 0.0, 0.0
     low, high = 0.0, math.radians(2.0)
     for _ in range(30):  # bisection: median of change^2 / variance = CHI_SQUARE_MEDIAN
@@ -431,7 +425,7 @@ def _changes(
     `wall_floor`.
     """
     exact = variance < MAX_SIGMA_RAD**2
-    first = np.concatenate(([0], np.cumsum(exact)))[first]  # from here on, only lines with an exact angle are used
+    first = totals(exact)[first]  # from here on, only lines with an exact angle are used
     z, variance, sweep = z[exact], variance[exact], sweep[exact]
     several = np.diff(first) >= 2
     before = (

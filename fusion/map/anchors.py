@@ -78,11 +78,9 @@ class Anchors:
         edges = [e for e in self.edges if e.of != NOWHERE and node in (e.of, e.to)]
         return {e.to if e.of == node else e.of for e in edges}
 
-    def covariance(self, nodes: tuple[int, ...]) -> Array:
-        """Return the joint covariance (3k, 3k) of the poses of k anchors, in the map frame."""
-        at, n = list(nodes), 3 * len(nodes)
-        P: Array = self._joint()[at][:, :, at].reshape(n, n)
-        return P
+    def covariance(self, node: int) -> Array:
+        """Return the covariance (3, 3) of the pose of an anchor, in the map frame."""
+        return self._joint()[node, :, node]
 
     def relative(self, of: int, to: int) -> tuple[Array, Array]:
         """Return the pose (3,) of anchor `to` relative to anchor `of`, and its covariance (3, 3)."""
@@ -114,7 +112,7 @@ def inverted(P: Array) -> Array:
 
     P is scaled to a correlation matrix first: the sigmas of position and heading may differ by a factor of 10^9.
     """
-    P = 0.5 * (P + P.T) + EXACT_VARIANCE * np.eye(3)
+    P = se2.symmetric(P) + EXACT_VARIANCE * np.eye(3)
     scale = np.sqrt(np.diagonal(P))
     values, vectors = np.linalg.eigh(P / np.outer(scale, scale))
     half = vectors / np.sqrt(np.maximum(values, MIN_EIGENVALUE)) / scale[:, None]

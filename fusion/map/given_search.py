@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, LocfuseError, Points
+from locfuse.fusion.data import Array, Ints, LocfuseError, Points, evenly, totals
 from locfuse.fusion.wheels.motion import Wheels
 
 from .given_walls import Grid
@@ -41,9 +41,8 @@ MOVE_DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # of the 
 MOVES_M_RAD = ((0.1, math.radians(2.0)), (0.05, math.radians(1.0)))  # step sizes
 ROUNDS_PER_SIZE = 2  # steps of each size
 MIN_SPEED = 1e-3  # m/s, rad/s
-START_HINT = "say where the drive begins: " + " ".join(
-    f"--set start.{key}" for key in ("x=...", "y=...", "theta_deg=...", "sigma_xy=0.5")
-)
+START_HINT = "say where the drive begins: --set start.x=... --set start.y=... --set start.theta_deg=... "
+START_HINT += "--set start.sigma_xy=0.5"
 
 
 class StartPose(NamedTuple):
@@ -96,10 +95,10 @@ class _Places:
         """Score all candidates with a scan (k, 2) [m], after a wheel-odometry motion (3,) since the last scan."""
         cell = self._grid.cell
         if step is None:
-            self._begin(_subsampled(scan, FIRST_BEAMS) / cell)
+            self._begin(scan[evenly(len(scan), FIRST_BEAMS)] / cell)
         else:
             self._poses = se2.compose(self._poses, np.broadcast_to(step / (cell, cell, 1.0), self._poses.shape))
-        share = self._improve(_subsampled(scan, MAX_BEAMS) / cell)
+        share = self._improve(scan[evenly(len(scan), MAX_BEAMS)] / cell)
         if step is None:
             self._first = self._poses
         self._sums, self.seen = self._sums + share, self.seen + 1
@@ -122,9 +121,8 @@ class _Places:
         """Score all free positions and headings, and keep the FIRST_PLACES best."""
         places = self._lattice
         headings = np.arange(HEADING_COUNT) * (math.tau / HEADING_COUNT)
-        share = np.stack(
-            [self._share(np.column_stack((places, np.full(len(places), a))), beams) for a in headings.tolist()]
-        )
+        tried = (np.column_stack((places, np.full(len(places), a))) for a in headings.tolist())
+        share = np.stack([self._share(poses, beams) for poses in tried])
         best = np.argsort(-share, axis=None, kind="stable")[:FIRST_PLACES]
         heading, place = np.unravel_index(best, share.shape)
         self._poses = np.column_stack((places[place], headings[heading]))
@@ -153,11 +151,8 @@ class _Places:
         share = self._share(self._poses, beams)
         for metres, turn in MOVES_M_RAD:
             for _ in range(ROUNDS_PER_SIZE):
-                tried = self._poses + MOVE_DIRECTIONS[:, None] * (
-                    metres / self._grid.cell,
-                    metres / self._grid.cell,
-                    turn,
-                )
+                cells = metres / self._grid.cell
+                tried = self._poses + MOVE_DIRECTIONS[:, None] * (cells, cells, turn)
                 shares = np.stack([self._share(one, beams) for one in tried])
                 best = shares.argmax(axis=0)
                 better = shares.max(axis=0) > share + 1e-9
@@ -228,7 +223,7 @@ def _field(grid: Grid) -> Array:
 def _rows(t: Array, wheels: Wheels) -> Ints:
     """Return the indices of the used scans: STRIDE_M or TURN_RAD apart, within DRIVING_S seconds of driving."""
     moving = np.hypot(*wheels.twist[:, :2].T) + np.abs(wheels.twist[:, 2]) > MIN_SPEED * np.diff(wheels.t)
-    driven = np.concatenate(([0.0], np.cumsum(np.where(moving, np.diff(wheels.t), 0.0))))
+    driven = totals(np.where(moving, np.diff(wheels.t), 0.0))
     pose = wheels.at(t)[2]
     inside = np.flatnonzero(np.interp(t, wheels.t, driven) <= DRIVING_S)
     rows: list[int] = []
@@ -237,10 +232,3 @@ def _rows(t: Array, wheels: Wheels) -> Ints:
         if step is None or math.hypot(step[0], step[1]) >= STRIDE_M or abs(se2.wrap(float(step[2]))) >= TURN_RAD:
             rows.append(row)
     return np.array(rows, np.int64)
-
-
-def _subsampled(scan: Array, count: int) -> Array:
-    """Return at most `count` points of a scan (k, 2), evenly spaced."""
-    if len(scan) <= count:
-        return scan
-    return np.asarray(scan[np.linspace(0, len(scan) - 1, count).round().astype(np.int64)])

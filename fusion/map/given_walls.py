@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -50,19 +49,6 @@ CELL_SIDES = (
 MAX_SIDES = 1_000_000  # between occupied and free cells: 50 km in cells of 5 cm; each takes 10 us and 0.4 kB
 
 
-class Chain(NamedTuple):
-    """Consecutive cell sides along a wall."""
-
-    points: Array  # (n, 2) middles of the sides, in cells from the lower left corner
-    thin: Mask  # (n,) whether the wall is a single cell thick
-
-
-def contours(grid: Grid) -> list[Chain]:
-    """Return the contours of all walls. Raises LocfuseError if there are too many cell sides."""
-    starts, ends, points, thin = _sides(grid)
-    return [Chain(points[chain], thin[chain]) for chain in _chains(starts, ends)]
-
-
 def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
     """Return the cell sides between occupied and free cells, in cells: start, end and middle, (m, 2) each.
 
@@ -74,9 +60,8 @@ def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
         border = grid.occupied & _shifted(grid.free, rows, columns)
         count += int(np.count_nonzero(border))
         if count > MAX_SIDES:
-            raise LocfuseError(
-                f"walls have more than {MAX_SIDES} sides of cells next to free cells: no map but noise", role="map"
-            )
+            words = f"walls have more than {MAX_SIDES} sides of cells next to free cells: no map but noise"
+            raise LocfuseError(words, role="map")
         j, i = np.nonzero(border)
         at = np.stack((i, j), axis=-1)
         starts.append(at + np.array(a))
@@ -126,14 +111,18 @@ OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # least sigmas of a l
 
 
 def walls_of(grid: Grid) -> list[MapLine]:
-    """Return the map lines of all walls long enough, with normals that point away from the free side."""
+    """Return the map lines of all walls long enough, with normals that point away from the free side.
+
+    Raises LocfuseError if there are too many cell sides.
+    """
     least = max(MIN_LENGTH_M / grid.cell, float(MIN_CELLS))
+    starts, ends, points, thin = _sides(grid)
     found: list[MapLine] = []
-    for chain in contours(grid):
-        for first, last in _straight(chain.points):
-            piece = Chain(chain.points[first : last + 1], chain.thin[first : last + 1])
-            if np.hypot(*(piece.points[-1] - piece.points[0])) + 1.0 >= least:
-                found.append(_fitted(len(found), grid, piece))
+    for chain in _chains(starts, ends):
+        for first, last in _straight(points[chain]):
+            piece = chain[first : last + 1]
+            if np.hypot(*(points[piece[-1]] - points[piece[0]])) + 1.0 >= least:
+                found.append(_fitted(len(found), grid, points[piece], thin[piece]))
     return found
 
 
@@ -165,30 +154,25 @@ def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
     return done
 
 
-def _fitted(number: int, grid: Grid, piece: Chain) -> MapLine:
-    """Return the map line fitted to a piece, without the cells at its ends, which belong to corners."""
-    points = piece.points
+def _fitted(number: int, grid: Grid, points: Array, thin: Mask) -> MapLine:
+    """Return the map line fitted to cell sides (n, 2), without those at the ends, which belong to corners.
+
+    Its covariance follows from the size of a cell and the scatter of the sides about the line. `thin` (n,) is
+    whether the wall is a single cell thick.
+    """
     inner = points[1:-1] if len(points) > 2 * MIN_CELLS else points
     middle = inner.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov((inner - middle).T))
     along = vectors[:, 1] if float(vectors[:, 1] @ (points[-1] - points[0])) > 0.0 else -vectors[:, 1]
-    if 2 * np.count_nonzero(piece.thin) > len(piece.thin):  # to the middle of the cells; less for an oblique wall
+    if 2 * np.count_nonzero(thin) > len(thin):  # to the middle of the cells; less for an oblique wall
         middle = middle + 0.5 / np.abs(along).sum() * np.array([along[1], -along[0]])
     ends = grid.to_map(np.stack([middle + ((p - middle) @ along) * along for p in (points[0], points[-1])]))
-    scatter = grid.cell * math.sqrt(max(float(values[0]), 0.0))
-    return _line(number, ends, grid.cell, scatter)
-
-
-def _line(number: int, ends: Array, cell: float, scatter: float) -> MapLine:
-    """Return the map line between two ends (2, 2) [m]; the free side is at the left, seen along the line.
-
-    Its covariance follows from the size of a `cell` [m] and the `scatter` [m] of the cells about the line.
-    """
+    scatter, rounding = grid.cell * math.sqrt(max(float(values[0]), 0.0)), grid.cell / math.sqrt(12.0)
     (dx, dy), length = ends[1] - ends[0], float(np.hypot(*(ends[1] - ends[0])))
     c, s = dy / length, -dx / length  # the normal points to the right: away from the free side
     lo, hi = (float(c * y - s * x) for x, y in ends)
-    offset = math.hypot(cell / math.sqrt(12.0), OFFSET_FLOOR_M)
-    angle = math.hypot(max(scatter, cell / math.sqrt(12.0)) * math.sqrt(12.0) / length / 2.0, ANGLE_FLOOR_RAD)
+    offset = math.hypot(rounding, OFFSET_FLOOR_M)
+    angle = math.hypot(max(scatter, rounding) * math.sqrt(12.0) / length / 2.0, ANGLE_FLOOR_RAD)
     G = np.array([[1.0, 0.5 * (lo + hi)], [0.0, 1.0]])  # covariance about the middle -> about the map's origin
     P = G @ np.diag([offset**2, angle**2]) @ G.T
     return MapLine(number, float(c * ends[0, 0] + s * ends[0, 1]), math.atan2(s, c), (lo, hi), P, 0)

@@ -398,9 +398,8 @@ def jump(t: float, kind: str, before: Array, after: Array) -> Jump:
 def _walls_jumped(before: Sequence[Seen], now: Seen) -> bool:
     """Return whether the robot was moved: no recent scan predicts the walls of the scan `now`.
 
-    A predicted scan may have slipped in heading. Without a recent scan with a wide view the answer is False.
-
-    An exploring robot sees new walls, but some known ones too. In clutter, lines appear and disappear from scan to
+    A predicted scan may have slipped in heading. Without a recent scan with a wide view the answer is False. An
+    exploring robot sees new walls, but some known ones too. In clutter, lines appear and disappear from scan to
     scan, but one of the last scans had them.
     """
     recent = [one for one in before if now[0] - one[0] <= MAX_GAP_S]
@@ -424,9 +423,8 @@ def _sees_through(present: PresentScan) -> bool:
     scan, walls = present.scan, walls_of(present.lines, present.lines.values(present.belief))
     behind = behind_walls(scan, walls, present.belief.pose())
     length = scan.ends[:, 1] - scan.ends[:, 0]
-    return bool(
-        (behind * length).sum() >= MIN_THROUGH_SHARE * length.sum() and (behind > 0.5).sum() >= MIN_WALLS_BEHIND
-    )
+    much = (behind * length).sum() >= MIN_THROUGH_SHARE * length.sum()
+    return bool(much and (behind > 0.5).sum() >= MIN_WALLS_BEHIND)
 
 
 def _add_lost_noise(belief: JointBelief, dt: float) -> None:

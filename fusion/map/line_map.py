@@ -90,8 +90,7 @@ class LineMap(msgspec.Struct):
         if len(self) == 0 or self.column[0] < 0:
             return self.P
         at = np.column_stack((self.column, self.column + 1))
-        P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
-        return P
+        return belief.covariance[at[:, :, None], at[:, None, :]]
 
     def table(self) -> sight.WallColumns:
         """Return the table of the lines for the kernel; it shares the map's arrays, so it shows their changes.
@@ -126,11 +125,7 @@ class LineMap(msgspec.Struct):
         return line
 
     def raise_variances(
-        self,
-        belief: JointBelief,
-        least: Array,
-        most: Array | None = None,
-        which: Ints | slice = np.s_[:],
+        self, belief: JointBelief, least: Array, most: Array | None = None, which: Ints | slice = np.s_[:]
     ) -> None:
         """Raise the variances [m^2, rad^2] of the lines `which` to `least` (2,), but by at most `most` (2,)."""
         at = self.states(which)
@@ -256,8 +251,7 @@ class Association(sight.SightLines, Reading):
         The lines are in the base frame by the configured mount. `shared` (n, 2, s) are their correlated errors
         (lines.sweep).
         """
-        share: float = self.look(belief, lines.table(), rows, shared)
-        return share
+        return self.look(belief, lines.table(), rows, shared)
 
     def new(self) -> list[int]:
         """Return the indices of the lines to add to the map: unmatched, and near no map line."""
@@ -384,8 +378,7 @@ def line_by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
     x, y, _ = mount.now(belief)
     c, s = math.cos(psi), math.sin(psi)
     whole = np.array(((-c, -s, x * s - y * c), (0.0, 0.0, -1.0)))
-    chosen: Array = whole[:, list(mount.free)]
-    return chosen
+    return whole[:, list(mount.free)]
 
 
 def moved_mount(mount: Mount, belief: JointBelief) -> Pose:

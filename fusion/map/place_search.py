@@ -96,10 +96,8 @@ def search(
 ) -> Places | None:
     """Return poses of a scan in a map, with scores; None if no pose is good enough.
 
-    Each pose aligns two of the `most` longest walls of the scan with map walls.
-
-    `allowed` selects poses (h, 3) before the scoring; `enough` selects poses by matched share (h,) and number of
-    walls (h,).
+    Each pose aligns two of the `most` longest walls of the scan with map walls. `allowed` selects poses (h, 3)
+    before the scoring; `enough` selects poses by matched share (h,) and number of walls (h,).
     """
     poses = hypotheses(scan, walls, most)
     poses = poses[allowed(poses)]
@@ -114,11 +112,9 @@ def search(
 def hypotheses(scan: Scan, walls: Array, most: int = LONGEST_WALLS) -> Array:
     """Return poses (h, 3) that align pairs of the scan's longest walls with map walls at the same angle."""
     longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
-    pairs = [
-        (a, b)
-        for a, b in combinations(longest.tolist(), 2)
-        if abs(math.sin(scan.z.item(b, 1) - scan.z.item(a, 1))) >= math.sin(MIN_SKEW_RAD)
-    ]
+    psi = scan.z[:, 1].tolist()
+    pairs = list(combinations(longest.tolist(), 2))
+    pairs = [(a, b) for a, b in pairs if abs(math.sin(psi[b] - psi[a])) >= math.sin(MIN_SKEW_RAD)]
     poses, found = np.empty((len(pairs) * len(walls) ** 2, 3)), 0
     rows, out = view(scan.rows), view(poses)
     for a, b in pairs:
@@ -128,9 +124,8 @@ def hypotheses(scan: Scan, walls: Array, most: int = LONGEST_WALLS) -> Array:
 
 def distinct(poses: Array) -> Array:
     """Return one pose (h, 3) per grid cell, whose size is half of APART_M and APART_RAD."""
-    cells = np.floor(
-        np.column_stack((poses[:, :2] / (0.5 * APART_M), se2.wrap_all(poses[:, 2]) / (0.5 * APART_RAD)))
-    )
+    headings = se2.wrap_all(poses[:, 2])
+    cells = np.floor(np.column_stack((poses[:, :2] / (0.5 * APART_M), headings / (0.5 * APART_RAD))))
     return poses[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
@@ -405,7 +400,8 @@ class CandidateRuns:
             self._found.pop(anchor, None)
             return False
         before, looks = self._found.get(anchor, (found, 0))
-        self._found[anchor] = found, looks + 1 if _is_same(before, found) else 1
+        is_same = chi2_of(found.pose[None], before.pose, before.P + found.P)[0] < SAME_CHI2
+        self._found[anchor] = found, looks + 1 if is_same else 1
         if not unknown:
             return self.count(anchor) >= AGREEING_LOOKS
         return self.count(anchor) >= UNKNOWN_LOOKS and not self._has_rival(anchor, anchors)
@@ -418,11 +414,6 @@ class CandidateRuns:
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()
         return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
-
-
-def _is_same(one: Closure, other: Closure) -> bool:
-    """Return whether two candidates agree within their covariances."""
-    return bool(chi2_of(other.pose[None], one.pose, one.P + other.P)[0] < SAME_CHI2)
 
 
 def is_unknown(P: Array) -> bool:

@@ -97,7 +97,10 @@ def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> 
     r, psi = before.z.T
     near = np.abs(scan.z[:, 0, None] - (r - step[0] * np.cos(psi) - step[1] * np.sin(psi))) < SAME_OFFSET_M
     turn = se2.wrap_all(scan.z[:, 1, None] - psi + step[2])  # (k, lines before)
-    slips = np.append(_subsampled(turn[np.abs(turn) < slip]), 0.0)
+    slips = turn[np.abs(turn) < slip]
+    if len(slips) > MAX_SLIPS:
+        slips = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
+    slips = np.append(slips, 0.0)
     i, j = np.nonzero(near)
     lines, first = np.unique(i, return_index=True)
     found = np.zeros((len(slips), len(scan.z)), np.bool_)
@@ -108,14 +111,6 @@ def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> 
         found[some, lines] = np.logical_or.reduceat(suits, first, axis=1)
     length = scan.ends[:, 1] - scan.ends[:, 0]
     return float((found @ length).max() / length.sum())
-
-
-def _subsampled(slips: Array) -> Array:
-    """Return at most MAX_SLIPS of the slips (n,) [rad], evenly spaced."""
-    if len(slips) <= MAX_SLIPS:
-        return slips
-    subsampled: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
-    return subsampled
 
 
 Seen = tuple[float, Pose, Scan]  # time [s], pose by wheel odometry alone, scan

@@ -47,7 +47,7 @@ def shared_walls(lines: LineMap, at: Ints, belief: JointBelief) -> SharedWalls:
     H = by.reshape(2 * len(at), -1)
     states = np.concatenate((np.arange(3), lines.states(at)))
     P = H @ belief.covariance[np.ix_(states, states)] @ H.T
-    return SharedWalls(r, beta - belief.theta, ends, lines.hits[at], 0.5 * (P + P.T))
+    return SharedWalls(r, beta - belief.theta, ends, lines.hits[at], se2.symmetric(P))
 
 
 def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
@@ -132,6 +132,6 @@ def as_scan(lines: LineMap) -> Scan:
     G = np.zeros((len(at), 2, 2))
     G[:, 0, 0] = G[:, 1, 1] = 1.0
     G[:, 0, 1] = along
-    R = G @ P[at] @ G.transpose(0, 2, 1)
+    R = se2.propagated(G, P[at])
     ends = np.stack((lines.lo[at] + along, lines.hi[at] + along), axis=-1)
     return Scan.of(z, R, ends)

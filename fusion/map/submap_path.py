@@ -32,9 +32,8 @@ STRIDE_M, TURN_RAD = 0.75, math.radians(45.0)  # m, rad between two scans that a
 MAX_SIGHTS = 60  # kept scans of one submap: more do not help
 # limits of the number of key scans: a shorter chain is inexact, a longer one less accurate than the submap
 MIN_KEYS, MAX_KEYS = 4, 100
-FILTER_P = np.square(
-    np.diag((0.02, 0.02, np.radians(0.3)))
-)  # covariance of the filter's motion to the next key scan
+# covariance of the filter's motion to the next key scan
+FILTER_P = np.square(np.diag((0.02, 0.02, np.radians(0.3))))
 MAX_CHI2 = chi_square(0.999, 3)
 KERNEL_WIDTH_FACTORS = (1e6, 100.0, 1.0)  # graduated kernel widths of the matches: the first uses all matches
 # rad per metre, 1 sigma: heading drift of scan matching by a tilted laser or wrong beam angles; 0.05 degrees on
@@ -118,9 +117,8 @@ class ScanMatchedPath:
         equation = compared(z, R + 2.0 * FILTER_P, begin, se2.between(np.array(belief.pose()), end), mount, belief)
         S = equation.H @ belief.covariance[np.ix_(equation.columns, equation.columns)] @ equation.H.T + equation.R
         worse = float(equation.y @ np.linalg.solve(S, equation.y)) / 3.0
-        if (
-            worse > MAX_CHI2 / 3.0
-        ):  # both are overconfident: increase both covariances, as in Anchors.scale_covariances
+        # both are overconfident: increase both covariances, as in Anchors.scale_covariances
+        if worse > MAX_CHI2 / 3.0:
             belief.add_variance(np.arange(3), (worse - 1.0) * np.diagonal(belief.matrix()))
             equation = equation._replace(R=worse * equation.R)
         y, columns, H, R = (part.tolist() for part in equation)
@@ -137,9 +135,8 @@ def end_pose(steps: Array, matches: Edges) -> tuple[Array, Array]:
     k = np.arange(n)
     loose = Edges.of(k, k + 1, steps, by_wheels(steps), np.inf)
     begin = Edges.known(0, np.zeros(3), inverted(np.zeros((3, 3))))
-    x, normal = Problem(begin).solve(
-        se2.chain(steps), Edges.joined(loose, matches), KERNEL_WIDTH_FACTORS, MIN_STEP
-    )
+    edges = Edges.joined(loose, matches)
+    x, normal = Problem(begin).solve(se2.chain(steps), edges, KERNEL_WIDTH_FACTORS, MIN_STEP)
     z, R = relative(x[[0, n]], normal.joint(np.array([0, n])), np.array([0]), np.array([1]))
     drift = _end_with_drift(x) - z[0]
     return z[0], R[0] + np.outer(drift, drift)
@@ -170,10 +167,8 @@ def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None,
         return se2.between(aside, se2.compose(se2.between(begin, se2.compose(x[:3], back)), aside))
 
     x = np.append(place, mounted[free])
-    H = np.stack(
-        [(motion(x + d) - motion(x - d)) / (2.0 * DERIVATIVE_STEP) for d in DERIVATIVE_STEP * np.eye(len(x))],
-        axis=-1,
-    )
+    steps = DERIVATIVE_STEP * np.eye(len(x))
+    H = np.stack([(motion(x + d) - motion(x - d)) / (2.0 * DERIVATIVE_STEP) for d in steps], axis=-1)
     y = z - motion(x)
     y[2] = se2.wrap(float(y[2]))
     return Equation(y, np.array((0, 1, 2, *columns)), H, R)

@@ -20,13 +20,13 @@ from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import (
     LOOP_TAKEN,
-    VERDICTS,
     Array,
     Ints,
     Jump,
     LocfuseError,
     MapLine,
     Measurements,
+    RowVerdict,
     SeenAgain,
 )
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -59,19 +59,9 @@ from .line_map import (
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, find_closure, is_unknown
 from .scan import LineReader, Scan, Standing
 from .slips import PresentScan
-from .small_maps import (
-    FrozenMap,
-    begin_submap,
-    frozen,
-    heading_among,
-    shared_walls,
-    thaw,
-)
+from .small_maps import FrozenMap, begin_submap, frozen, heading_among, shared_walls, thaw
 from .submap_path import ScanMatchedPath, SubmapPath
 
-UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
-    VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
-)
 REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next submap begins
 # the next submap begins where the heading relative to the seen walls is this certain (1 sigma), or beyond this
 # factor times REACH_M. A heading error at the begin would be a permanent error of the new submap's frame.
@@ -105,8 +95,8 @@ class LineTracker(Model):
         self.guard = Guard(self._jumps) if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
         self.gate = chi_square(gate, 2)
-        new = NEW if mode == "grow" else UNMATCHED
-        self.rules = Rules(self.gate, self.joint, mode == "grow", UNMATCHED, AMBIGUOUS, new)
+        new = RowVerdict.NEW if mode == "grow" else RowVerdict.UNMATCHED
+        self.rules = Rules(self.gate, self.joint, mode == "grow", RowVerdict.UNMATCHED, RowVerdict.AMBIGUOUS, new)
         self._scan = 0
         self._scans = LineReader()
         self._standing = Standing()
@@ -134,9 +124,8 @@ class LineTracker(Model):
         if self.mode != "given":
             return
         if not given:
-            raise LocfuseError(
-                "lrf.map = given needs a map: add --map FILE, written by locfuse run LOG --save-map FILE"
-            )
+            fix = "add --map FILE, written by locfuse run LOG --save-map FILE"
+            raise LocfuseError(f"lrf.map = given needs a map: {fix}")
         for line in given:
             anchor, half, P = about_middle(line)
             column = belief.augment(np.array([0.0, line.beta]), np.zeros((2, 3)), P)
@@ -166,11 +155,11 @@ class LineTracker(Model):
         rows = self._standing.take(self._scans.read(m, first, last))
         if rows is None:
             self._usable = False
-            return [Innovation.unpredicted(row, REPEATED, 2, self.gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, RowVerdict.REPEATED, 2, self.gate) for row in range(first, last)]
         self._rows = rows
         if len(self.map.ids) == 0:
             self._seen = self._scan_in_base(belief)
-            return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, RowVerdict.NEW, 2, self.gate) for row in range(first, last)]
         if self._sight is None:
             self._sight = Association(self.rules, mount_states_of(self.mount, belief))
         shared = self._shared(m, first, last)
@@ -184,7 +173,7 @@ class LineTracker(Model):
             found, self._usable = self.guard.watch(present, share, found)
         if not self._usable:
             self._standing.forget()
-            return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, RowVerdict.LOST, 2, self.gate) for row in range(first, last)]
         if self.mode == "grow":
             found.refuse_alone()
         self._found, self._fitted = found, i
@@ -298,9 +287,8 @@ class LineTracker(Model):
         G_z = np.array([[1.0, u], [0.0, 1.0]])
         noise = G_z @ scan.R[k] @ G_z.T
         columns: tuple[int, ...] = ()
-        if (
-            self.mount is not None
-        ):  # by the mount, the derivative of the predicted measurement is minus that of the line in the base frame
+        # by the mount, the derivative of the predicted measurement is minus that of the line in the base frame
+        if self.mount is not None:
             columns = self.mount.columns(belief)
             G = np.hstack((G, -G_z @ line_by_mount(self.mount, belief, psi)))
         column, P = -1, np.zeros((2, 2))
@@ -404,10 +392,8 @@ class AtlasTracker(LineTracker):
         MAX_REACH_FACTOR * REACH_M from the begin of the present submap, this is not required.
         """
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
-        return (
-            math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
-            or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD
-        )
+        far = math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
+        return far or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD
 
     def _neighbour(self, belief: JointBelief) -> FrozenMap | None:
         """Return the neighbouring frozen submap in which the robot is; None without one."""
@@ -438,7 +424,7 @@ class AtlasTracker(LineTracker):
         G = np.array(frame)
         columns = np.arange(belief.frame, belief.frame + 3)
         belief.transform(columns, se2.compose(G, back), pose_by_frame(G[None], back[None])[0])
-        belief.know_frame(self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,)))
+        belief.know_frame(self._anchors.pose[old.anchor], self._anchors.covariance(old.anchor))
         belief.transform(np.arange(3), se2.compose(R, q), se2.rotation(R[2]))
         J = pose_by_frame(R[None], q[None])[0]
         spread = J @ P @ J.T
@@ -484,7 +470,7 @@ class AtlasTracker(LineTracker):
         if frame is None:
             return
         at = self._at
-        before, now = self._anchors.covariance((at,)), belief.frame_covariance()
+        before, now = self._anchors.covariance(at), belief.frame_covariance()
         if (np.diagonal(now) > (1.0 - MIN_GAIN_SHARE) * np.diagonal(before)).all():
             return
         L = inverted(now)
@@ -553,7 +539,7 @@ class AtlasTracker(LineTracker):
             sight = seen.path.nearest(here[:2])
             self.closed.append(SeenAgain(sight.t, t, se2.between(sight.pose, here)))
         before_loop = pose_in_map(belief)
-        belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
+        belief.know_frame(self._anchors.pose[at], self._anchors.covariance(at))
         self._jumps.append(jump(t, LOOP_TAKEN, before_loop, pose_in_map(belief)))
         if self.guard is not None and not is_unknown(self._anchors.relative(0, at)[1]):
             self.guard.recognised(t)
@@ -569,7 +555,7 @@ class AtlasTracker(LineTracker):
         first, now = super().lines(belief)
         left: list[MapLine] = []
         for old in self._frozen:
-            pose, P = self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,))
+            pose, P = self._anchors.pose[old.anchor], self._anchors.covariance(old.anchor)
             left += old.lines.lines_in_map(pose, P)
         return first, left + now
 

@@ -92,8 +92,7 @@ def eq9_Q(delta: float, omega_right: Array, omega_left: Array) -> Array:
 
 def eq10_K(P: Array, H: Array, R: Array) -> Array:
     """Eq. 10: the gain, (3, m)."""
-    K: Array = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    return K
+    return P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
 
 
 def eq11_x(x: Array, K: Array, y: Array) -> Array:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, interpolate, totals, upper_triangles
 from locfuse.fusion.ekf.record import Record
 from locfuse.fusion.fuse import BLOCK_INSTANTS, configuration_name
 from locfuse.fusion.progress import report_progress
@@ -43,9 +43,8 @@ def fuse_as_printed(
         if sensor not in drive.measurements:
             raise drive.lacks(sensor)
         if sensor not in PARTS:
-            raise LocfuseError(
-                "the paper has no equation for it;", role=sensor, hint="leave it out, or use --preset default"
-            )
+            hint = "leave it out, or use --preset default"
+            raise LocfuseError("the paper has no equation for it;", role=sensor, hint=hint)
     run = PrintedFilter(drive, robot, sensors, listen)
     for k in range(len(run.grid)):
         if k % BLOCK_INSTANTS == 0:
@@ -60,17 +59,16 @@ class Counts:
 
     def __init__(self, wheels: Wheels) -> None:
         self.t = wheels.t
-        self.rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))  # (n, 2) left, right
+        self.rolled = totals(wheels.rolled)  # (n, 2) left, right
 
     def latest(self, t: Array) -> Array:
         """Return the distances (..., 2) [m] from the newest reading before each time t (...) [s]."""
         newest = np.searchsorted(self.t, t + MAX_STAMP_ROUNDING_S, side="right") - 1
-        distances: Array = self.rolled[np.maximum(newest, 0)]
-        return distances
+        return self.rolled[np.maximum(newest, 0)]
 
     def interpolated(self, t: Array) -> Array:
         """Return the distances (..., 2) [m], interpolated at times t (...) [s]."""
-        return np.stack([np.interp(t, self.t, side) for side in self.rolled.T], axis=-1)
+        return interpolate(t, self.t, self.rolled)
 
 
 def _grid(end: float, period: float) -> Array:
@@ -187,5 +185,4 @@ def newest(grid: Array, t: Array) -> Ints:
     """
     last = np.searchsorted(t, grid + MAX_STAMP_ROUNDING_S, side="right") - 1
     before = np.concatenate(([-1], last[:-1]))
-    found: Ints = np.where(last > before, last, -1)
-    return found
+    return np.where(last > before, last, -1)

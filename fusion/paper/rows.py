@@ -8,14 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
+from locfuse.fusion.data import Array, LocfuseError, MapLine, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.robot import Robot
 
 from . import equations
 from .equations import PRINTED
 
-UNMATCHED, NEW = VERDICTS.index("unmatched"), VERDICTS.index("new")
 TO_RIGHT = math.pi / 2  # 0 degrees point right in the paper's scans, ahead in the base frame
 
 
@@ -43,7 +42,7 @@ class LineRows:
         lines = range(int(m.first[i]), int(m.first[i + 1]))
         if not self.map:
             self._remember(m, lines, x)
-            return [unmatched(row, NEW) for row in lines]
+            return [unmatched(row, RowVerdict.NEW) for row in lines]
         return [self._row(row, float(m.z[row, 0]), float(m.z[row, 1]) + TO_RIGHT, x, P) for row in lines]
 
     def _remember(self, m: Measurements, lines: range, x: Array) -> None:
@@ -58,7 +57,7 @@ class LineRows:
     def _row(self, row: int, r: float, psi: float, x: Array, P: Array) -> MeasurementRow:
         j, dr, dpsi = self._nearest(r, psi, x)
         if j < 0:
-            return unmatched(row, UNMATCHED)
+            return unmatched(row, RowVerdict.UNMATCHED)
         self.hits[j] += 1
         rho, beta = self.map[j]
         C = equations.eq17_C(rho, beta, float(x[0]), float(x[1]))

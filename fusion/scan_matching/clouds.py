@@ -13,7 +13,7 @@ import numpy as np
 from msgspec.structs import astuple
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, Measurements
+from locfuse.fusion.data import Array, Ints, Measurements, totals
 
 MAX_BEAMS = 360  # largest number of matched beams of a scan: more take time, without a better match
 NEIGHBOUR_BEAMS = 3  # a surface is fitted to this many beams on each side
@@ -50,13 +50,13 @@ class Clouds(msgspec.Struct, frozen=True):
     @classmethod
     def of_scans(cls, scans: Sequence[Array], origin: Array) -> Clouds:
         """Build clouds with normals from scans (k, 2) [m] in beam order; `origin` (2,) is the laser's position."""
-        first = np.concatenate(([0], np.cumsum([len(p) for p in scans]))).astype(np.int64)
+        first = totals([len(p) for p in scans]).astype(np.int64)
         xy = np.concatenate([np.zeros((0, 2)), *scans])
         return cls(first, xy, normals(xy, np.repeat(np.arange(len(scans)), np.diff(first)), origin))
 
     def kept(self, rows: Ints) -> Clouds:
         """Return clouds with only the points in these rows (k,), which increase."""
-        first = np.concatenate(([0], np.cumsum(np.bincount(self.owner[rows], minlength=len(self)))))
+        first = totals(np.bincount(self.owner[rows], minlength=len(self)))
         return Clouds(first, self.xy[rows], self.normal[rows])
 
     def __len__(self) -> int:
@@ -108,7 +108,7 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
     ranges = np.hypot(*(xy - origin).T)
     usual = _median_of_each(step / np.maximum(0.5 * (ranges[1:] + ranges[:-1]), 0.1), owner[1:])
     joined = (step < np.maximum(MAX_GAP_M, GAP_SPACINGS * usual * ranges[1:])) & (owner[1:] == owner[:-1])
-    piece = np.concatenate(([0], np.cumsum(~joined)))
+    piece = totals(~joined)
     n, sums, squares = np.zeros(m), np.zeros((m, 2)), np.zeros((m, 3))
     at = np.arange(m)
     for shift in range(-NEIGHBOUR_BEAMS, NEIGHBOUR_BEAMS + 1):

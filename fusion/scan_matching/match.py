@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import astuple
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, consecutive
 
 from .clouds import Clouds, Columns
 
@@ -67,9 +67,8 @@ class Targets:
 
         The distance is inf if there is none within `reach` [m].
         """
-        distance, row = self._tree.query(
-            np.column_stack((xy, LAYER_M * clouds)), distance_upper_bound=reach, workers=1
-        )
+        places = np.column_stack((xy, LAYER_M * clouds))
+        distance, row = self._tree.query(places, distance_upper_bound=reach, workers=1)
         return distance, np.minimum(row, len(self.xy) - 1)
 
 
@@ -91,11 +90,8 @@ def match(
     not match.
     """
     counts = np.diff(sources.first)[j]
-    cuts = np.flatnonzero(np.diff(np.cumsum(counts) // POINTS_AT_ONCE)) + 1
-    parts = [
-        _match(targets, i[at], sources, j[at], guess[at], prior[at], reach)
-        for at in np.split(np.arange(len(i)), cuts)
-    ]
+    parts = consecutive(np.cumsum(counts) // POINTS_AT_ONCE)
+    return Matches.joined(*(_match(targets, i[at], sources, j[at], guess[at], prior[at], reach) for at in parts))
     return Matches.joined(*parts)
 
 
@@ -110,15 +106,13 @@ def _match(
     pose, moving = guess.copy(), np.arange(len(i))
     scale = reach / RADII_M[0]
     for radius in RADII_M:
-        pairs = _PointPairs.made(
-            targets, i[moving], sources, j[moving], pose[moving], max(radius * scale, RADII_M[-1])
-        )
+        within = max(radius * scale, RADII_M[-1])
+        pairs = _PointPairs.made(targets, i[moving], sources, j[moving], pose[moving], within)
         H, g = pairs.normal_equations()
         off = se2.difference(guess[moving], pose[moving])
         Lambda = prior[moving]
-        step = np.linalg.solve(
-            H + Lambda + 1e-6 * np.eye(3), (g + np.einsum("nij,nj->ni", Lambda, off))[..., None]
-        )[..., 0]
+        g = g + np.einsum("nij,nj->ni", Lambda, off)
+        step = np.linalg.solve(H + Lambda + 1e-6 * np.eye(3), g[..., None])[..., 0]
         pose[moving] += step
         if radius * scale <= RADII_M[-1]:
             moving = moving[np.abs(step).max(axis=1) > SETTLED_M]
@@ -137,8 +131,7 @@ def floored(information: Array) -> Array:
     Singular matrices stay singular.
     """
     floor = np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
-    out: Array = information @ np.linalg.inv(np.eye(3) + floor @ information)
-    return 0.5 * (out + out.transpose(0, 2, 1))
+    return se2.symmetric(information @ np.linalg.inv(np.eye(3) + floor @ information))
 
 
 class _PointPairs(msgspec.Struct, frozen=True):
@@ -187,8 +180,5 @@ class _PointPairs(msgspec.Struct, frozen=True):
         fits = np.abs(self.e) < INLIER_M
         good = np.bincount(self.of, fits, self.n)
         squares = np.bincount(self.of, np.where(fits, self.e**2, 0.0), self.n)
-        return (
-            good / np.maximum(paired, 1),
-            paired / np.maximum(counts, 1),
-            np.sqrt(squares / np.maximum(good, 1)),
-        )
+        rms = np.sqrt(squares / np.maximum(good, 1))
+        return good / np.maximum(paired, 1), paired / np.maximum(counts, 1), rms

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, Measurements, Points, spaced
+from locfuse.fusion.data import Array, Ints, Measurements, Points, spaced, totals
 
 from .clouds import Clouds, clouds_of
 from .match import Matches, Targets, match, sources_of
@@ -43,9 +43,8 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
         return found
     again, tries = np.repeat(bad, len(SLIPS_RAD)), np.tile(SLIPS_RAD, len(bad))
     guess = wheels[again] + np.outer(tries, (0.0, 0.0, 1.0))
-    slips = match(
-        targets, i[again], clouds, j[again], guess, np.broadcast_to(LOOSE_INFORMATION, (len(again), 3, 3))
-    )
+    prior = np.broadcast_to(LOOSE_INFORMATION, (len(again), 3, 3))
+    slips = match(targets, i[again], clouds, j[again], guess, prior)
     score = (slips.inliers * (slips.overlap > MIN_OVERLAP)).reshape(len(bad), -1)
     best = score.argmax(axis=1)
     take = score.max(axis=1) > found.inliers[bad] + SLIP_GAIN
@@ -175,12 +174,12 @@ def key_scans(m: Measurements) -> KeyScans:
 
 def _match_keys(m: Measurements, points: Points) -> KeyScans:
     u = points.moved(m.t[:-1], m.t[1:])
-    distance = np.append(0.0, np.cumsum(np.hypot(*u[:, :2].T)))
-    heading = np.append(0.0, np.cumsum(u[:, 2]))
+    distance = totals(np.hypot(*u[:, :2].T))
+    heading = totals(u[:, 2])
     readings = spaced((distance, STRIDE_M), (heading, TURN_RAD))
     clouds = clouds_of(m, readings)
     targets, sources = Targets(clouds), sources_of(clouds)
-    turned = np.append(0.0, np.cumsum(np.abs(u[:, 2])))
+    turned = totals(np.abs(u[:, 2]))
     i, matches, steps = _next(m, points, readings, np.diff(turned[readings]) > MAX_TURN_RAD, targets, sources)
     x = se2.chain(steps)
     found = [(i, matches), *(further_scans(targets, sources, x, n, MAX_APART_M) for n in FURTHER_STEPS)]

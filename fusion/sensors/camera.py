@@ -16,16 +16,16 @@ import numpy as np
 
 from locfuse.fusion.camera.optics import FIELDS
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import sight, wrap
-from locfuse.fusion.sensor import GATE, NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
+from locfuse.fusion.sensor import NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
+from locfuse.fusion.streams import seconds
 
 Point = tuple[float, float]
 MIN_DISTANCE_M = 0.05  # m: nearer than this the camera is inside the landmark
 H_ORIENTATION = ((0.0, 0.0, 1.0),)  # the camera's row of eq. 13, as printed
-AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
 MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # size of a panorama, so that its tables need below 250 MB
 MIN_CANDIDATE_MARGIN = 9.0  # squared sigmas by which the second-best candidate must fit worse: odds of 90 to 1
 
@@ -215,7 +215,7 @@ def _collect(seen: SeenLandmarks, settings: CameraSettings, epoch_ns: int) -> Me
     # the paper's var(gamma) has no term for the pixels
     rest = np.zeros(len(theta)) if settings.bearing == "absolute" else explained
     return Measurements(
-        t=(seen.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset,
+        t=seconds(seen.t_ns, epoch_ns, settings.time_offset),
         first=seen.first,
         z=bearing(theta, detector(settings).optics(seen.shape)).reshape(-1, 1),
         R_unit=(1.0 + rest / sigma**2).reshape(-1, 1, 1),
@@ -305,10 +305,12 @@ def choose(judged: list[Innovation]) -> list[Innovation]:
     by_nis = attrgetter("nis")
     best = min(judged, key=by_nis)
     gate, others = best.threshold, [s for s in judged if s is not best]
-    best.verdict = 0 if best.nis <= gate else GATE
-    if others and best.verdict == 0 and min(others, key=by_nis).nis <= min(gate, best.nis + MIN_CANDIDATE_MARGIN):
-        best.verdict = AMBIGUOUS
+    best.verdict = RowVerdict.ACCEPTED if best.nis <= gate else RowVerdict.GATE
+    second = min(others, key=by_nis).nis if others else math.inf
+    if best.verdict == RowVerdict.ACCEPTED and second <= min(gate, best.nis + MIN_CANDIDATE_MARGIN):
+        best.verdict = RowVerdict.AMBIGUOUS
     best.landmark = 0
+    unsure = best.verdict == RowVerdict.AMBIGUOUS
     for s in others:
-        s.verdict = AMBIGUOUS if best.verdict == AMBIGUOUS and s.nis <= gate else UNMATCHED
+        s.verdict = RowVerdict.AMBIGUOUS if unsure and s.nis <= gate else RowVerdict.UNMATCHED
     return [best, *others]

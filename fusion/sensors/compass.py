@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar, Literal, cast
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
 from locfuse.fusion.se2 import rotated_3d, rotation_3d, wrap, wrap_all
 from locfuse.fusion.sensor import (
     NO_BLOCK,
-    NO_COLUMNS,
     Ask,
     Belief,
     Bias,
@@ -30,14 +29,14 @@ from locfuse.fusion.sensor import (
     Sensor,
     SensorSettings,
     WheelMotion,
+    given_or_state,
 )
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import arrays, count_dropped, seconds
 
 from .level import LevelledField, levelled
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
-DISTURBED = VERDICTS.index("disturbed")
 H_HEADING = ((0.0, 0.0, 1.0),)
 H_OFFSET = ((1.0,),)
 # A disturbance changes the field's strength (relative) about as much as its direction [rad]: a deviation of the
@@ -95,7 +94,7 @@ class Compass(Sensor):
         "offset_deg": Ask("left out, it is estimated from the drive; locfuse calibrate finds iron"),
     }
     guesses: ClassVar[Mapping[str, str]] = {
-        "convention": "guess: radians, 0 is east and counter-clockwise (enu_deg, compass_rad, compass_deg)",
+        "convention": "guess: radians, 0 is east and counter-clockwise (enu_deg, compass_rad, compass_deg)"
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y", "magnetic_field.z"),
@@ -108,7 +107,7 @@ class Compass(Sensor):
         """Return whether a topic holds headings that change; many IMUs leave their orientation empty."""
         if stream.msgtype != "sensor_msgs/msg/Imu":
             return True
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         heading, _ = from_imu(columns, CompassSettings(), stream.topic, refuse=False)
         return bool(np.isfinite(heading).any() and np.ptp(heading[np.isfinite(heading)]) > 0.0)
 
@@ -121,13 +120,13 @@ class Compass(Sensor):
         is_field = stream.msgtype.endswith("MagneticField")
         if is_field and not settings.roll_deg and not settings.pitch_deg and up is None:
             fields = fields[:2]  # a horizontal sensor needs no third axis
-        columns = cast("dict[str, Array]", stream.columns(*fields))
+        columns = arrays(stream, *fields)
         if is_field:
             heading, strength = from_field(columns, settings, up)
         else:
             read = from_imu if stream.msgtype.endswith("Imu") else from_number
             heading, strength = read(columns, settings, stream.topic)
-        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         good = np.isfinite(heading)
         _refuse_stuck(t[good], heading[good], wheels, stream.topic)
         dropped = dict(stream.dropped)
@@ -137,9 +136,8 @@ class Compass(Sensor):
         usual = float(np.median(strength)) if n else 0.0  # other strengths are disturbed by steel and motors
         strength = strength / usual if usual > 0 else np.ones_like(strength)
         steps = np.abs(np.diff(strength))
-        white = (
-            float(np.median(steps)) / (MAD_OF_NORMAL * math.sqrt(2.0)) if len(steps) else 0.0
-        )  # white noise of the strength, without slow changes
+        # white noise of the strength, without slow changes
+        white = float(np.median(steps)) / (MAD_OF_NORMAL * math.sqrt(2.0)) if len(steps) else 0.0
         explained = FIELD_SIGMAS * max(sigma, white)
         rest = np.square(np.maximum(np.abs(strength - 1.0) - explained, 0.0))
         return Measurements(
@@ -181,13 +179,14 @@ class CompassModel(Model):
     def __init__(self, settings: CompassSettings) -> None:
         self.settings = settings
         self.tolerance = settings.field_tolerance
-        self.given = settings.offset_deg is not None and not settings.sigma_offset_deg
         self.offset = math.radians(settings.offset_deg or 0.0)
+        is_exact = settings.offset_deg is not None and not settings.sigma_offset_deg
+        self.given = self.offset if is_exact else None
         self.threshold = chi_square(settings.gate, 1)
 
     def blocks(self) -> list[Block]:
         """Return the state block of the heading offset; empty if the offset is known exactly."""
-        if self.given:
+        if self.given is not None:
             return []
         drift = math.radians(self.settings.offset_drift_deg) ** 2
         known = self.settings.offset_deg is not None
@@ -197,14 +196,12 @@ class CompassModel(Model):
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Return the innovation of heading i; its verdict is "disturbed" if the field's strength is unusual."""
         z, variances = m.scalars
-        offset, columns, H_block = self.offset, NO_COLUMNS, NO_BLOCK
-        if not self.given:
-            column = belief.column(OFFSET)
-            offset, columns, H_block = belief.value(column), (column,), H_OFFSET
+        offset, columns = given_or_state(self.given, OFFSET, belief)
+        H_block = H_OFFSET if columns else NO_BLOCK
         y, R = wrap(z[i] - belief.theta - offset), ((variances[i],),)
         seen = belief.compare(i, (y,), H_HEADING, R, self.threshold, columns, H_block)
         if abs(m.plain["strength"][i] - 1.0) > self.tolerance:
-            seen.verdict = DISTURBED
+            seen.verdict = RowVerdict.DISTURBED
         return [seen]
 
 

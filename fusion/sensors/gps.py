@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from locfuse.fusion.sensor import (
     SensorSettings,
     WheelMotion,
 )
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import arrays, count_dropped, seconds
 
 from .points import detector_at
 
@@ -90,19 +90,18 @@ class Gps(Sensor):
 
     def measure(self, stream: Stream, settings: GpsSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Measure positions z (n, 2) [m]: east and north of the configured origin, else of the first fix."""
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         where = np.column_stack((columns["latitude"], columns["longitude"])).astype(np.float64)
         dropped = dict(stream.dropped)
         good = _usable(where, columns.get("status.status"), dropped)
         if not good.any():
             reasons = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in dropped.items())
-            raise LocfuseError(
-                f"{stream.topic} has no fix in {len(good)} messages ({reasons or 'none'})", role="gps"
-            )
+            words = f"{stream.topic} has no fix in {len(good)} messages ({reasons or 'none'})"
+            raise LocfuseError(words, role="gps")
         where = where[good]
         origin = settings.origin or (float(where[0, 0]), float(where[0, 1]))
         n = len(where)
-        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         return Measurements(
             t=t[good],
             first=np.arange(n + 1),
@@ -138,7 +137,7 @@ def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
     known = np.asarray(columns["position_covariance_type"]) > 0
     known &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
     known &= np.linalg.det(np.where(known[:, None, None], own, np.eye(2))) > 0.0
-    return np.where(known[:, None, None], 0.5 * (own + own.transpose(0, 2, 1)), sigma**2 * np.eye(2))
+    return np.where(known[:, None, None], se2.symmetric(own), sigma**2 * np.eye(2))
 
 
 def _flat_covariances(column: Array | Ragged) -> Array:

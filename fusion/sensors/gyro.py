@@ -19,21 +19,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar, Literal, NamedTuple, cast
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
 from locfuse.fusion.se2 import rotation_3d
-from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import count_dropped, last_of_periods, summed
+from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion, given_or_state
+from locfuse.fusion.streams import arrays, count_dropped, last_of_periods, seconds, summed
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # in a standstill: encoders flicker by a tick
 MAX_BIAS_SIGMAS = 4.0  # prior sigmas: with a larger bias at rest, the robot was turned by hand
-REPEATED = VERDICTS.index("repeated")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 H_BEFORE: Matrix = ((-1.0,),)
@@ -83,7 +82,7 @@ class Gyro(Sensor):
 
     def carries(self, stream: Stream) -> bool:
         """Return whether a topic holds angular velocities that are not all zero."""
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         try:
             up_rate(columns, GyroSettings(), stream.topic)
         except LocfuseError:
@@ -95,9 +94,9 @@ class Gyro(Sensor):
 
         Raises LocfuseError without angular velocity, or if it contradicts the wheels.
         """
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         rate = up_rate(columns, settings, stream.topic)
-        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         good = np.isfinite(rate)
         dropped = dict(stream.dropped)
         count_dropped(dropped, not_finite=~good)
@@ -166,18 +165,15 @@ class GyroModel(Model):
         t, angle = columns_of["t"], m.scalars[0]
         before, now = t[last], t[i]
         if self.rest is not None and self.rest.begin <= before and now <= self.rest.end:
-            return [Innovation.unpredicted(i, REPEATED, 1, self.threshold)]  # already used for the bias
+            return [Innovation.unpredicted(i, RowVerdict.REPEATED, 1, self.threshold)]  # already used for the bias
         dt, turned = now - before, angle[i] - angle[last]
         column = belief.column(BEFORE)
-        columns: tuple[int, ...] = (column,)
-        H_block, bias = H_BEFORE, self.given
-        if bias is None:
-            at = belief.column(BIAS)
-            columns, H_block, bias = (column, at), ((-1.0, dt),), belief.value(at)
+        bias, at = given_or_state(self.given, BIAS, belief)
+        H_block = ((-1.0, dt),) if at else H_BEFORE
         y = turned - bias * dt - (belief.theta - belief.value(column))
         by_scale = self.settings.sigma_scale * turned
         r = m.scale * m.scale * dt + by_scale * by_scale  # inf for a damaged rate: rejected
-        return [belief.compare(i, (y,), H_TURN, ((r,),), self.threshold, columns, H_block)]
+        return [belief.compare(i, (y,), H_TURN, ((r,),), self.threshold, (column, *at), H_block)]
 
     def _begin(self, m: Measurements, i: int, belief: Any) -> None:
         """Set the bias to that measured during a standstill; called once, at the first reading."""

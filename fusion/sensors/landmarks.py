@@ -26,7 +26,7 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -45,9 +45,9 @@ from locfuse.fusion.data import (
 )
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.se2 import direction, wrap, wrap_all
-from locfuse.fusion.sensor import NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
-from locfuse.fusion.streams import parts_of
+from locfuse.fusion.se2 import direction, transform, wrap, wrap_all
+from locfuse.fusion.sensor import NO_BLOCK, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion, given_or_state
+from locfuse.fusion.streams import arrays, parts_of
 
 from .points import (
     MIN_JUDGED,
@@ -144,7 +144,7 @@ class Sighted(NamedTuple):
 def sighted(stream: Stream, looks: CameraView) -> Sighted:
     """Return the landmark detections of a stream. Raises LocfuseError for pixels without a focal length."""
     if stream.msgtype == DETECTIONS:
-        columns = cast("dict[str, Array]", stream.columns(*READS[DETECTIONS]))
+        columns = arrays(stream, *READS[DETECTIONS])
         ranges: Array = np.asarray(columns["range"], np.float64)
         ids = np.asarray(columns["id"]).astype(np.int64)
         given = None if len(ranges) and np.isnan(ranges).all() else ranges
@@ -207,9 +207,8 @@ def _values(column: Any, row: Ints, topic: str) -> Array:
     """
     values = np.asarray(column.values[column.first[0] : column.first[-1]], np.float64)
     if not np.array_equal(np.bincount(row, minlength=len(column)), column.lengths):
-        raise LocfuseError(
-            f"{topic} has {len(row)} ids and {len(values)} places: no way to tell which is whose", role="landmarks"
-        )
+        words = f"{topic} has {len(row)} ids and {len(values)} places: no way to tell which is whose"
+        raise LocfuseError(words, role="landmarks")
     return values
 
 
@@ -282,12 +281,8 @@ class Landmarks(Sensor):
 
     def concerns(self, key: str, msgtype: str) -> bool:
         """Return whether a setting applies to a message type: range settings do not apply to pixels."""
-        return msgtype not in PIXELS or key not in {
-            "sigma_range",
-            "range_offset",
-            "sigma_range_offset",
-            "range_depth",
-        }
+        of_ranges = {"sigma_range", "range_offset", "sigma_range_offset", "range_depth"}
+        return msgtype not in PIXELS or key not in of_ranges
 
     def measure(
         self, stream: Stream, settings: LandmarksSettings, wheels: WheelMotion, epoch_ns: int
@@ -330,12 +325,10 @@ class Landmarks(Sensor):
         if settings.grows:
             return None
         places = settings.places
-        x, y, theta = np.repeat(poses, np.diff(m.first), axis=0).T
-        c, s = np.cos(theta), np.sin(theta)
-        ahead, left = mounts_of(m, self.mount(settings))[:, :2].T
-        seen_from = np.stack((x + c * ahead - s * left, y + s * ahead + c * left), axis=-1)
+        pose = np.repeat(poses, np.diff(m.first), axis=0)
+        seen_from = transform(pose, mounts_of(m, self.mount(settings))[:, :2])
         at = np.array([places[int(i)] for i in m.extra["id"]]).reshape(-1, 2) - seen_from
-        turned = theta + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # one camera: its yaw does not change the spread
+        turned = pose[:, 2] + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # one camera: its yaw does not change the spread
         off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + turned)
         off = wrap_all(off - np.median(off))
         return robust_sigma(off) if len(off) >= MIN_FIT else None
@@ -472,14 +465,9 @@ class LandmarksModel(PointsModel):
 
     def _ranging(self, belief: Belief) -> Ranging:
         """Return the range model with the present estimates of offset and depth share."""
-        offset, depth, columns = self.given, self.depth, NO_COLUMNS
-        if offset is None:
-            column = belief.column(OFFSET)
-            offset, columns = belief.value(column), (column,)
-        if depth is None:
-            column = belief.column(DEPTH)
-            depth, columns = belief.value(column), (*columns, column)
-        return Ranging(offset, depth, columns, (self.given is None, self.depth is None))
+        offset, of_offset = given_or_state(self.given, OFFSET, belief)
+        depth, of_depth = given_or_state(self.depth, DEPTH, belief)
+        return Ranging(offset, depth, of_offset + of_depth, (bool(of_offset), bool(of_depth)))
 
     def _mount_of(self, m: Measurements, row: int) -> Row:
         """Return the detector's mount (x [m], y [m], yaw [rad]) for a row."""

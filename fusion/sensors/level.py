@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Block, Column, Ints, Stream
+from locfuse.fusion.data import Array, Block, Column, Ints, Stream, interpolate
 from locfuse.fusion.se2 import rotated_3d
+from locfuse.fusion.streams import arrays
 
 IMU = "sensor_msgs/msg/Imu"
 FIELD = "sensor_msgs/msg/MagneticField"
@@ -54,7 +55,7 @@ class LevelledField:
         self._stream = stream
         zero = self.t_ns[0] if len(self.t_ns) else 0
         t, at = (self.t_ns - zero) * 1e-9, (tilt.t_ns - zero) * 1e-9
-        up = np.stack([np.interp(t, at, column) for column in tilt.up.T], axis=-1)
+        up = interpolate(t, at, tilt.up)
         self.up: Array = up / np.linalg.norm(up, axis=1, keepdims=True)  # (n, 3) in the base's axes
         degrees = math.degrees(float(np.quantile(_angles_to(self.up, np.array([0.0, 0.0, 1.0])), 0.95)))
         self.note = f"the robot tilts by up to {degrees:.0f}° by {tilt.words}: the field is levelled by that"
@@ -74,7 +75,7 @@ def tilt_of(stream: Stream, R: Array) -> Tilt | None:
     R (3, 3) is the rotation from IMU axes to base axes. Also None if the IMU has neither an orientation nor
     accelerations and rates, or if up contradicts the configured mount (`locfuse info` reports that).
     """
-    columns = cast("dict[str, Array]", stream.columns(*READS))
+    columns = arrays(stream, *READS)
     up, words = by_orientation(columns), "the orientation"
     if up is None:
         up, words = by_gravity(stream.t_ns, columns), "gravity and turning rates"
@@ -120,9 +121,8 @@ def by_orientation(columns: dict[str, Array]) -> Array | None:
 
 def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
     """Return up (n, 3) in the IMU frame from accelerations and turning rates; None if either is missing."""
-    a, w = (
-        np.stack([columns[name] for name in names], axis=-1).astype(np.float64) for names in (ACCELERATIONS, RATES)
-    )
+    vectors = ([columns[name] for name in names] for names in (ACCELERATIONS, RATES))
+    a, w = (np.stack(axes, axis=-1).astype(np.float64) for axes in vectors)
     good = np.isfinite(a).all(axis=1) & np.isfinite(w).all(axis=1)
     if not good.any() or (columns["angular_velocity_covariance"][good, 0] == -1.0).all() or not w[good].any():
         return None
@@ -136,7 +136,7 @@ def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
     ts, a, w = t[first], np.add.reduceat(a[good], first) / n[:, None], np.add.reduceat(w[good], first) / n[:, None]
     found = _complementary(ts, a, w - _bias(a, w), usual)
     out = np.full((len(t_ns), 3), np.nan)
-    out[good] = np.stack([np.interp(t, ts, column) for column in found.T], axis=-1)
+    out[good] = interpolate(t, ts, found)
     return out
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Colour, Component, Measurements, Ragged, Stream
+from locfuse.fusion.data import Array, Colour, Component, Measurements, Ragged, Stream, totals
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, ScanPoints, left_out
 from locfuse.fusion.lines.scans import (
@@ -33,6 +34,7 @@ from locfuse.fusion.lines.scans import (
 from locfuse.fusion.map.tracker import AtlasTracker
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
+from locfuse.fusion.streams import seconds
 
 ESTIMATING_MAPS = ("refine", "grow")  # maps whose lines are states: the mount can be estimated too
 MAX_CURVED_SHARE = 0.05  # of all walls; a larger share gives a note
@@ -89,16 +91,15 @@ class Lrf(Sensor):
 
     def measure(self, stream: Stream, settings: LrfSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Extract the lines of every scan, in the base frame at the middle of the scan (deskewed)."""
-        stamps: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
-        (t, found, same), laser, unseen = left_out(
-            laser_of(settings), lambda laser, longest: self._lines(stream, stamps, laser, wheels, longest)
-        )
+        stamps = seconds(stream.t_ns, epoch_ns, settings.time_offset)
+        read = partial(self._lines, stream, stamps, wheels)
+        (t, found, same), laser, unseen = left_out(laser_of(settings), read)
         first, z, R_unit, ends, sweep = found.in_order(len(t))
         gone = frozen(same, t, wheels)
         if gone.any():
             kept = np.repeat(~gone, np.diff(first))
             z, R_unit, ends, sweep = z[kept], R_unit[kept], ends[kept], sweep[kept]
-            first, t = np.concatenate(([0], np.cumsum(np.diff(first)[~gone]))), t[~gone]
+            first, t = totals(np.diff(first)[~gone]), t[~gone]
         uneven = np.zeros(2)  # variances of r [m^2] and psi [rad^2] from uneven walls
         if settings.walls == "found":
             own = settings.sigma_range**2 * R_unit[:, 1, 1]
@@ -126,7 +127,7 @@ class Lrf(Sensor):
         )  # fmt: skip
 
     def _lines(
-        self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion, longest: Longest
+        self, stream: Stream, stamps: Array, wheels: WheelMotion, laser: Laser, longest: Longest
     ) -> tuple[Array, Gathered, NDArray[np.bool_]]:
         """Return scan times (n,) [s], the lines of the scans, and which scans are copies of the scan before (n,).
 
@@ -154,12 +155,8 @@ class Lrf(Sensor):
 
     def model(self, settings: LrfSettings) -> AtlasTracker:
         """Return the filter model of the laser for a new run."""
-        return AtlasTracker(
-            settings.map,
-            settings.gate,
-            settings.recover,
-            Mount(self.name, settings, observable=settings.map in ESTIMATING_MAPS),
-        )
+        mount = Mount(self.name, settings, observable=settings.map in ESTIMATING_MAPS)
+        return AtlasTracker(settings.map, settings.gate, settings.recover, mount)
 
 
 def laser_of(settings: LrfSettings) -> Laser:

@@ -9,15 +9,14 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, Measurements
+from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, sight
 from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import count_dropped, seconds
 
 Point = tuple[float, float]
 Row = tuple[float, float, float]
-NEW = VERDICTS.index("new")
 MIN_DISTANCE_M = 1e-3  # m: nearer than this a bearing has no direction
 GROW = "grow"
 MIN_SEEN = 3  # readings of an id from which its point is added to an estimated map
@@ -111,8 +110,7 @@ def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int])
     twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
     count_dropped(dropped, not_finite=~valid, no_id=valid & (ids < 0), ignored=valid & unwanted)
     count_dropped(dropped, not_in_map=valid & numbered & ~known, same_id=valid & known & twice)
-    keep: NDArray[np.bool_] = valid & known & ~twice
-    return keep
+    return valid & known & ~twice
 
 
 def _often_seen(
@@ -145,7 +143,7 @@ def _often_seen(
 def by_instant(t_ns: Ints, epoch_ns: int, time_offset: float) -> tuple[Array, Ints]:
     """Return the distinct times (k,) [s] of sorted readings, and the first row of each time (k + 1,)."""
     instants, first = np.unique(t_ns, return_index=True)
-    t: Array = (instants - epoch_ns) * np.float64(1e-9) + time_offset
+    t = seconds(instants, epoch_ns, time_offset)
     return t, np.append(first, len(t_ns)).astype(np.int64)
 
 
@@ -213,14 +211,14 @@ class GrowingPoints(PointsModel):
         for row in rows_of(m, i):
             point = int(ids[row])
             if point not in self._known:
-                found.append(Innovation.unpredicted(row, NEW, m.z.shape[1], self._gate))
+                found.append(Innovation.unpredicted(row, RowVerdict.NEW, m.z.shape[1], self._gate))
                 continue
             column = belief.column(state_of(point, self._table))
             place = belief.value(column), belief.value(column + 1)
             seen = self.compared(m, row, point, place, (column, column + 1), belief)
             if seen is not None:
                 found.append(seen)
-                self._refused[point] += seen.verdict != 0
+                self._refused[point] += seen.verdict != RowVerdict.ACCEPTED
         return found
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ from locfuse.fusion.sensor import (
     SensorSettings,
     WheelMotion,
 )
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import arrays, count_dropped, seconds
 from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
 
 CLONE = "_pose_before"
@@ -130,11 +130,11 @@ class PoseSensor(Sensor):
         Raises LocfuseError if no message has a pose, or if the pose does not change while the robot drives.
         """
         fields = POSE[stream.msgtype]
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         values = np.stack([np.asarray(columns[name], np.float64) for name in fields], axis=-1)
         dropped = dict(stream.dropped)
         keep = _usable(values, stream, settings, dropped)
-        values, t = values[keep], (stream.t_ns[keep] - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        values, t = values[keep], seconds(stream.t_ns[keep], epoch_ns, settings.time_offset)
         # several readings have the same error: with this factor on their variances they count as one reading
         shared = max(1.0, settings.correlated / float(np.median(np.diff(t)))) if len(t) > 1 else 1.0
         theta = se2.yaw(*values[:, 2:].T) if settings.heading else np.zeros(len(values))
@@ -150,7 +150,7 @@ class PoseSensor(Sensor):
             t=t,
             first=np.arange(n + 1),
             z=se2.compose(z, off),
-            R_unit=J @ R @ J.transpose(0, 2, 1) * shared / settings.sigma**2,
+            R_unit=se2.propagated(J, R) * shared / settings.sigma**2,
             scale=settings.sigma,
             floor=np.diag([MIN_SIGMAS[0] ** 2, MIN_SIGMAS[0] ** 2, MIN_SIGMAS[1] ** 2]),
             extra={
@@ -195,11 +195,9 @@ def plane_covariance(
     """Return planar covariances (n, d, d), and which of them are from the messages (n,).
 
     The other ones are diagonal, with the variances `own` (n, d). `column` has 6 x 6 matrices of x, y, z, roll,
-    pitch, yaw; their rows and columns `axes` (d,) are returned.
-
-    Covariances with zeros or NaN, or that are not positive definite, are not used. Variances above MAX_SIGMA^2
-    were not measured: they are reduced to this value with the same correlations, so that rounding errors cannot
-    make the matrix indefinite.
+    pitch, yaw; their rows and columns `axes` (d,) are returned. Covariances with zeros or NaN, or that are not
+    positive definite, are not used. Variances above MAX_SIGMA^2 were not measured: they are reduced to this value
+    with the same correlations, so that rounding errors cannot make the matrix indefinite.
     """
     n, d = own.shape
     P = own[:, :, None] * np.eye(d)
@@ -211,7 +209,7 @@ def plane_covariance(
     limit = np.array(MAX_SIGMA)[[0, *([0] * (d - 2)), 1]] ** 2
     shrink = np.sqrt(np.minimum(1.0, limit / np.where(has_covariance[:, None], diagonal, 1.0)))
     scaled = np.where(has_covariance[:, None, None], full, np.eye(d)) * shrink[:, :, None] * shrink[:, None, :]
-    scaled = 0.5 * (scaled + scaled.transpose(0, 2, 1))
+    scaled = se2.symmetric(scaled)
     has_covariance = has_covariance & (np.linalg.eigvalsh(scaled)[:, 0] > 0.0)
     P[has_covariance] = scaled[has_covariance]
     unused = own[:, -1] >= MAX_SIGMA[1] ** 2  # the heading is not used
@@ -225,10 +223,8 @@ def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
         return
     distance = np.hypot(*wheels.relative(np.full(len(t), t[0]), t)[:, :2].T).max()
     if distance > STUCK_M:
-        raise LocfuseError(
-            f"{topic} says the same pose in all {len(t)} messages while the wheels drove {distance:.1f} m",
-            role="pose",
-        )
+        words = f"{topic} says the same pose in all {len(t)} messages while the wheels drove {distance:.1f} m"
+        raise LocfuseError(words, role="pose")
 
 
 class InMapModel(Model):

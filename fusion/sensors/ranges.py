@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,8 @@ from locfuse.fusion.chi_square import chi_square, robust_sigma
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.sensor import NO_BLOCK, Ask, Bias, Block, FoundStart, Model, Sensor, WheelMotion
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.sensor import Ask, Bias, Block, FoundStart, Model, Sensor, WheelMotion, given_or_state
+from locfuse.fusion.streams import arrays, count_dropped, seconds
 
 from .points import (
     GrowingPoints,
@@ -113,8 +113,8 @@ def _shortest_fit(
 ) -> RangeFit | None:
     """Fit longer and longer initial parts of the drive; return the first unambiguous fit, else None."""
     tried = 0
-    for seconds in STRETCHES_S:
-        n = int(np.searchsorted(t, t[0] + seconds, side="right"))
+    for length in STRETCHES_S:
+        n = int(np.searchsorted(t, t[0] + length, side="right"))
         if n < MIN_ROWS or n == tried:
             continue
         tried = n
@@ -246,14 +246,14 @@ class Ranges(Sensor):
         self, stream: Stream, settings: RangesSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
         """Return ranges z (m, 1) [m] with anchor ids as measurements; ranges with equal stamps are one reading."""
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[RANGES]))
+        columns = arrays(stream, *self.reads[RANGES])
         ids, z = np.asarray(columns["id"]).astype(np.int64), np.asarray(columns["range"], np.float64)
         dropped = dict(stream.dropped)
         valid = np.asarray(plausible(z) & (z > 0.0))
         seen = IdReadings(stream.topic, stream.t_ns, ids, np.zeros_like(ids), valid)
         (keep, notes), extra = used(seen, settings, dropped), dict[str, Array]()
         if settings.grows:
-            t = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+            t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
             guesses, unclear = _places_of(t, ids, z, keep, settings, wheels)
             count_dropped(dropped, place_unknown=keep & np.isnan(guesses[:, 0]))
             keep &= ~np.isnan(guesses[:, 0])
@@ -356,14 +356,11 @@ class RangesModel(PointsModel):
         (distance, _), (by_range, by_bearing) = predicted
         z, variances = m.scalars
         longer = 0.5 * distance * belief.variance((by_bearing[0], by_bearing[1], 0.0))
-        offset, columns = self.given or 0.0, at
-        of_offset: tuple[float, ...] = ()
-        if self.given is None:
-            column = belief.column(OFFSET)
-            offset, columns, of_offset = belief.value(column), (*at, column), (1.0,)
+        offset, of_offset = given_or_state(self.given, OFFSET, belief)
+        columns = at + of_offset
         # the derivative by the anchor's position is minus that by the robot's
         of_place = (-by_range[0], -by_range[1]) if at else ()
-        H_block = ((*of_place, *of_offset),) if columns else NO_BLOCK
+        H_block = ((*of_place, *(1.0,) * len(of_offset)),) if columns else ()
         y, R = z[row] - distance - longer - offset, variances[row] + 2.0 * longer * longer
         seen: Innovation = belief.compare(row, (y,), (by_range,), ((R,),), self.threshold, columns, H_block)
         seen.landmark = anchor

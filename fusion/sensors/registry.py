@@ -62,13 +62,11 @@ def _add(load: Callable[[], Any], source: str, hint: str) -> None:
     except Exception as error:  # code of another package may raise anything
         problem = f"{type(error).__name__}: {error}"
     if problem is None and sensor.name in REGISTRY:
-        problem = (
-            f"{SOURCES.get(sensor.name, 'locfuse itself')} has a sensor {sensor.name} too. Rename one of them"
-        )
+        other = SOURCES.get(sensor.name, "locfuse itself")
+        problem = f"{other} has a sensor {sensor.name} too. Rename one of them"
     if problem is not None:
-        raise LocfuseError(
-            f"{source}: this sensor cannot be used: {' '.join(problem.split()).rstrip('.')}.", hint=hint
-        )
+        why = " ".join(problem.split()).rstrip(".")
+        raise LocfuseError(f"{source}: this sensor cannot be used: {why}.", hint=hint)
     REGISTRY[sensor.name], SOURCES[sensor.name] = sensor, source
 
 

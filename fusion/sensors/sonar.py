@@ -13,22 +13,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Measurements, Stream
+from locfuse.fusion.data import Colour, Component, Measurements, RowVerdict, Stream, totals
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import GATE, Ask, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import MergedStream, count_dropped, parts_of
+from locfuse.fusion.sensor import Ask, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.streams import MergedStream, arrays, count_dropped, parts_of, seconds
 
-UNMATCHED = VERDICTS.index("unmatched")
 CLUTTER_SHARE = 0.25  # share of echoes from unmapped objects, anywhere before the wall
 Mount = tuple[float, float, float]
 MAX_OVERHANG_M = 0.05  # m that a wall may extend beyond its seen part
@@ -63,14 +62,14 @@ class Sonar(Sensor):
         "mounts": Ask(f'{{ "/topic" = [m, m, degrees] }}: {ASK_MOUNT}', blank=True)
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "sensor_msgs/msg/Range": ("field_of_view", "min_range", "max_range", "range"),
+        "sensor_msgs/msg/Range": ("field_of_view", "min_range", "max_range", "range")
     }
 
     def measure(self, stream: Stream, settings: SonarSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Measure distances z (m, 1) [m]; a reading without an echo has no row."""
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         distance = columns["range"].astype(np.float64)
-        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         known = ~np.isnan(distance)
         dropped = dict(stream.dropped)
         count_dropped(dropped, not_finite=~known)
@@ -81,7 +80,7 @@ class Sonar(Sensor):
         mounts = places[stream.source[rows] if isinstance(stream, MergedStream) else np.zeros_like(rows)]
         return Measurements(
             t=t[known],
-            first=np.concatenate(([0], np.cumsum(echo[known], dtype=np.int64))),
+            first=totals(echo[known], np.int64),
             z=distance[rows, None],
             R_unit=np.ones((len(rows), 1, 1)),
             scale=settings.sigma,
@@ -126,12 +125,12 @@ class SonarModel(Model):
         z, variances = m.scalars
         echo = nearest_echo(lines, belief, cone, math.sqrt(variances[row]))
         if echo is None:
-            return [Innovation.unpredicted(row, UNMATCHED, 1, self.threshold)]
+            return [Innovation.unpredicted(row, RowVerdict.UNMATCHED, 1, self.threshold)]
         y, R = z[row] - echo.distance, ((variances[row] + echo.map_variance,),)
         seen = belief.compare(row, (y,), echo.H, R, self.threshold, echo.columns, echo.H_block)
         seen.landmark = echo.line
         seen.threshold = min(self.threshold, likelier(echo.distance, seen.sigma[0]))
-        seen.verdict = 0 if seen.nis <= seen.threshold else GATE
+        seen.verdict = 0 if seen.nis <= seen.threshold else RowVerdict.GATE
         return [seen]
 
 

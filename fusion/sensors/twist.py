@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Me
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, wrap
 from locfuse.fusion.sensor import Ask, Block, Model, PoseRows, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import count_dropped, last_of_periods, summed
+from locfuse.fusion.streams import arrays, count_dropped, last_of_periods, seconds, summed
 from locfuse.fusion.wheels.odometry import SPEED
 
 from .pose import plane_covariance, seen_from
@@ -71,11 +71,11 @@ class Twist(Sensor):
 
         Raises LocfuseError if no message has a speed.
         """
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        columns = arrays(stream, *self.reads[stream.msgtype])
         speeds = np.stack([np.asarray(columns[name], np.float64) for name in SPEED[stream.msgtype]], axis=-1)
         dropped = dict(stream.dropped)
         keep = _usable(speeds, stream, dropped)
-        t = (stream.t_ns[keep] - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        t = seconds(stream.t_ns[keep], epoch_ns, settings.time_offset)
         sigmas = np.array([settings.sigma, math.radians(settings.sigma_turn_deg)])
         own = np.broadcast_to(sigmas**2, (len(t), 2))
         P, known = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)

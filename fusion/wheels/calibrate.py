@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import CONFIDENCE, chi_square
-from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, stretches
+from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, interpolate, stretches, totals
 from locfuse.fusion.scan_matching.clouds import Columns
 
 from .motion import STANDS_M, Wheels
@@ -80,10 +80,8 @@ class Residuals(msgspec.Struct, frozen=True):
         from scipy.optimize import minimize_scalar
 
         bounds = tuple(map(math.log, S_BOUNDS))
-        tight = {"xatol": LN_S_TOLERANCE}
-        found = minimize_scalar(
-            lambda x: -self.ln_likelihood(math.exp(x)), bounds=bounds, method="bounded", options=tight
-        )
+        how = {"bounds": bounds, "method": "bounded", "options": {"xatol": LN_S_TOLERANCE}}
+        found = minimize_scalar(lambda x: -self.ln_likelihood(math.exp(x)), **how)
         return math.exp(found.x), -float(found.fun)
 
     def fit(self) -> tuple[Figure, float]:
@@ -186,7 +184,12 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
         found = Pieces.joined(*(find_pieces(drive, moved) for drive in drives))
         used = without_outliers(found)
         if len(used.e) < MIN_PIECES:
-            raise LocfuseError(_too_few(len(used.e)), role="calibrate")
+            least = f"{MIN_RUNS[STRAIGHT]:g} m straight or {math.degrees(MIN_RUNS[TURN]):.0f} degrees on the spot"
+            raise LocfuseError(
+                f"{len(used.e)} usable pieces of straight runs and turns on the spot; at least {MIN_PIECES} of "
+                f"{least} are needed. See how such a drive looks: locfuse simulate straight_runs",
+                role="calibrate",
+            )
         residuals = used.residuals(used.Q)
         step, spread = residuals.parameters(residuals.best()[0])
         moved = (1.0 + moved) * (1.0 + FROM_PARAMETERS @ step) - 1.0
@@ -213,9 +216,8 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
     """
     truth = drive.truth
     if truth is None:
-        raise LocfuseError(
-            "no truth to compare the wheels with", role="calibrate", hint="(--set truth.topic=/TOPIC names it)"
-        )
+        hint = "(--set truth.topic=/TOPIC names it)"
+        raise LocfuseError("no truth to compare the wheels with", role="calibrate", hint=hint)
     wheels = adjusted(drive.wheels, moved)
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
     theta = np.zeros(len(truth.t)) if truth.theta is None else truth.theta
@@ -324,14 +326,6 @@ def _lengths(seen: Array, u: Array, sigma: Sigma) -> tuple[Array, Array]:
     return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN_VARIANCE, UNSEEN_VARIANCE]), (len(u), 1, 1))
 
 
-def _too_few(n: int) -> str:
-    least = f"{MIN_RUNS[STRAIGHT]:g} m straight or {math.degrees(MIN_RUNS[TURN]):.0f} degrees on the spot"
-    return (
-        f"{n} usable pieces of straight runs and turns on the spot; at least {MIN_PIECES} of {least} are needed. "
-        "See how such a drive looks: locfuse simulate straight_runs"
-    )
-
-
 # ---- straight runs and turns on the spot ----
 
 
@@ -355,17 +349,13 @@ def find_runs(wheels: Wheels) -> list[Run]:
 def _labels(wheels: Wheels) -> Ints:
     """Label each wheel interval: +-1 straight forward/backward, +-2 left/right turn, 0 other motion or rest."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
-    travelled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.twist[:, [0, 2]], axis=0)))
-    before, after = (
-        np.stack([np.interp(middle + h, wheels.t, column) for column in travelled.T], axis=-1)
-        for h in (-0.5 * WINDOW_S, 0.5 * WINDOW_S)
-    )
+    travelled = totals(wheels.twist[:, [0, 2]])
+    before, after = (interpolate(middle + h, wheels.t, travelled) for h in (-0.5 * WINDOW_S, 0.5 * WINDOW_S))
     ds, turn = (after - before).T
     rim = 0.5 * wheels.track * turn
     moving = np.abs(ds) + np.abs(rim) > STANDSTILL_MPS * WINDOW_S
-    straight = (np.abs(rim) <= MAX_OTHER_SHARE * np.abs(ds)) & (
-        np.abs(turn) <= MAX_CURVATURE_RAD_PER_M * np.abs(ds)
-    )
+    straight = np.abs(rim) <= MAX_OTHER_SHARE * np.abs(ds)
+    straight &= np.abs(turn) <= MAX_CURVATURE_RAD_PER_M * np.abs(ds)
     label = np.where(straight, np.sign(ds), 0.0)
     label = np.where(np.abs(ds) <= MAX_OTHER_SHARE * np.abs(rim), 2.0 * np.sign(rim), label)
     return np.where(moving, label, 0.0).astype(np.int64)
@@ -378,8 +368,7 @@ def cut_runs(
 
     Returns (kind, index of first stamp, index of last stamp) of each piece, (k,) each; pieces do not overlap.
     """
-    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(np.abs(wheels.twist[:, [0, 2]]), axis=0)))
-    travelled = [np.interp(stamps, wheels.t, column) for column in rolled.T]
+    travelled = interpolate(stamps, wheels.t, totals(np.abs(wheels.twist[:, [0, 2]]))).T
     pieces = [np.zeros((0, 3), np.int64)]
     for kind, start, end in runs:
         a, b = np.searchsorted(stamps, start).item(), np.searchsorted(stamps, end, side="right").item() - 1

@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import SIGMAS_95
-from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.data import Array, LocfuseError, changes, totals
 
 from .calibrate import Figure
 from .motion import Wheels
@@ -113,13 +113,9 @@ def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) 
     """
     first, last = max(t[0], wheels.t[0] - delay), min(t[-1], wheels.t[-1] - delay)
     start = np.arange(first, last - length, length)
-    turn = np.interp(start + length, t, own) - np.interp(start, t, own)
+    turn = changes(start, length, t, own)
     steps = np.column_stack((wheels.rolled, np.abs(wheels.rolled).sum(axis=1)))
-    travelled = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
-    left, right, driven = (
-        np.interp(start + delay + length, wheels.t, side) - np.interp(start + delay, wheels.t, side)
-        for side in travelled.T
-    )
+    left, right, driven = changes(start + delay, length, wheels.t, totals(steps)).T
     moves = np.maximum(np.abs(left), np.abs(right)) > MIN_MOVED_M * length / WINDOW_S
     return turn[moves], np.column_stack((right, left, np.full(len(start), length), driven))[moves]
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Ints, LocfuseError, spaced
+from locfuse.fusion.data import Array, Ints, LocfuseError, spaced, totals
 
 from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE, Residuals
 from .motion import Wheels
@@ -124,8 +124,7 @@ class Intervals(msgspec.Struct, frozen=True):
         found = wheels.between(self.t_from + p[6], self.t_to + p[6])
         x, y = se2.rotated(found.u[:, 2], np.broadcast_to(p[3:5], (len(found.u), 2))).T
         J = se2.rotation(np.array(-p[5])) @ se2.lever(-y, x)
-        out: Array = J @ found.Q @ J.transpose(0, 2, 1)
-        return out
+        return se2.propagated(J, found.Q)
 
     def take(self, keep: NDArray[np.bool_]) -> Intervals:
         """Return the intervals selected by a mask (n,)."""
@@ -245,8 +244,8 @@ def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
 
 def _cut(t: Array, pose: Array) -> tuple[Ints, Ints]:
     """Return the indices of the first and the last scan of every interval, (n,) each."""
-    distance = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
-    turn = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(pose[:, 2])))))
+    distance = totals(np.hypot(*np.diff(pose[:, :2], axis=0).T))
+    turn = totals(np.abs(np.diff(pose[:, 2])))
     cuts = spaced((distance, INTERVAL_M), (turn, INTERVAL_RAD), (t, INTERVAL_S))
     return cuts[:-1], cuts[1:]
 

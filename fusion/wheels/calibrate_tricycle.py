@@ -16,7 +16,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import SIGMAS_95
-from locfuse.fusion.data import Array, LocfuseError, Truth
+from locfuse.fusion.data import Array, LocfuseError, Truth, interpolate, totals
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 
@@ -97,7 +97,7 @@ def calibrate_tricycle(
         ds = np.diff(found.rolled) * p[SCALE]
         angle = (found.steering - settings.servo_offset) * p[GAIN] + p[ZERO]
         path = dead_reckoning(rolled_by(ds, angle, p[BASE]))
-        body = np.stack([np.interp(stamps + p[DELAY], t, column) for column in path.T], axis=-1)
+        body = interpolate(stamps + p[DELAY], t, path)
         return se2.compose(body, np.broadcast_to(p[POINT], body.shape))
 
     def of_windows(p: Array) -> Array:
@@ -131,13 +131,10 @@ def calibrate_tricycle(
         rest = of_path(best).reshape(-1, 3)
     # residuals of neighbours are correlated, so only as many degrees of freedom as free parameters count
     sigmas = np.zeros(len(best))
-    sigmas[free] = np.sqrt(
-        np.diag(np.linalg.pinv(solved.jac.T @ solved.jac)) * 2.0 * float(solved.cost) / len(free)
-    )
-    places = rest[:, : 1 if by == "gyro" else 2]
-    return TricycleCalibration(
-        _wheels(best, sigmas, settings), by, _mount(by, best, sigmas), float(np.sqrt((places**2).sum(1).mean()))
-    )
+    inverse = np.linalg.pinv(solved.jac.T @ solved.jac)
+    sigmas[free] = np.sqrt(np.diag(inverse) * 2.0 * float(solved.cost) / len(free))
+    rms = float(np.sqrt((rest[:, : 1 if by == "gyro" else 2] ** 2).sum(1).mean()))
+    return TricycleCalibration(_wheels(best, sigmas, settings), by, _mount(by, best, sigmas), rms)
 
 
 def nominal(
@@ -158,7 +155,7 @@ def nominal(
         max_speed=math.inf,  # of a wheel of unknown size
     )
     found = read_encoders(stream, assumed)
-    counted = np.append(0.0, np.cumsum(np.abs(np.diff(found.rolled))))
+    counted = totals(np.abs(np.diff(found.rolled)))
     rolled = np.ptp(np.interp(reference.t, found.t + shift, counted))
     low, middle, high = np.percentile(found.steering, (5.0, 50.0, 95.0)).tolist()
     return msgspec.structs.replace(
@@ -199,8 +196,5 @@ def _mount(by: By, p: Array, sigmas: Array) -> dict[str, Figure]:
     """Return the fitted mount of tracked point or laser, and the laser's delay, with intervals, by their keys."""
     found = {"x": (4, 1.0), "y": (5, 1.0), "yaw_deg": (6, math.degrees(1.0)), "time_offset": (DELAY, 1.0)}
     keys = {"truth": ("x", "y"), "lrf": (*found,), "gyro": ()}[by]
-    return {
-        key: _figure(float(p[i]) * unit, float(sigmas[i]) * unit)
-        for key, (i, unit) in found.items()
-        if key in keys
-    }
+    fitted = ((key, *found[key]) for key in keys)
+    return {key: _figure(float(p[i]) * unit, float(sigmas[i]) * unit) for key, i, unit in fitted}

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.data import Array, LocfuseError, Stream, changes
 from locfuse.fusion.robot import Mirrored, WheelSettings
 
 from .read import SIGNS, WheelReading, read_wheels
@@ -42,9 +42,8 @@ def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> 
 def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -> Geometry | None:
     """Fit wheel radius and track to wheel angles and a body motion `theirs`.
 
-    None if wheels and body motion disagree or overlap too little in time.
-
-    Raises LocfuseError if the counters cannot be read.
+    None if wheels and body motion disagree or overlap too little in time. Raises LocfuseError if the counters
+    cannot be read.
     """
     known = msgspec.structs.replace(settings, ticks_per_revolution=settings.ticks_per_revolution or None)
     both = read_counters(counters, known)
@@ -58,23 +57,18 @@ def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -
         return None
     # as twists, since the wheels roll along the arc, not along its chord
     moved = se2.log(theirs.wheels.relative(start - offset, start - offset + WINDOW_S))
-    rolled = [np.interp(start + WINDOW_S, t, side) - np.interp(start, t, side) for side in (left, right)]
+    rolled = [changes(start, WINDOW_S, t, side) for side in (left, right)]
     return _best(rolled[0], rolled[1], moved)
 
 
 def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Array]:
     """Return times (n,) [s] and the repaired angles of both wheels (n,) [rad]."""
     turn = 2.0 * np.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
-    left, right = (
-        repaired(s, ASSUMED_RADIUS_M * turn, settings.rollover, settings.max_speed)
-        for s in (both.left, both.right)
-    )
+    how = ASSUMED_RADIUS_M * turn, settings.rollover, settings.max_speed
+    left, right = (repaired(side, *how) for side in (both.left, both.right))
     t = both.left.t[left.keep]
-    return (
-        t,
-        left.rolled / ASSUMED_RADIUS_M,
-        np.interp(t, both.right.t[right.keep], right.rolled / ASSUMED_RADIUS_M),
-    )
+    at_left = np.interp(t, both.right.t[right.keep], right.rolled / ASSUMED_RADIUS_M)
+    return t, left.rolled / ASSUMED_RADIUS_M, at_left
 
 
 def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
@@ -83,13 +77,11 @@ def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
     The configured directions are kept if they agree equally well. Wheel angles left, right (n,) [rad]; body twists
     `moved` (n, 3).
     """
-    agrees = {
-        mirrored: _correlation(0.5 * (s_left * left + s_right * right), moved[:, 0])
-        for mirrored, (s_left, s_right) in SIGNS.items()
-    }
+    means = {mirrored: 0.5 * (a * left + b * right) for mirrored, (a, b) in SIGNS.items()}
+    agrees = {mirrored: _correlation(mean, moved[:, 0]) for mirrored, mean in means.items()}
     best = max(agrees, key=lambda mirrored: agrees[mirrored] + (EQUAL_CORRELATION if mirrored == "none" else 0.0))
     s_left, s_right = SIGNS[best]
-    found = _fitted(0.5 * (s_left * left + s_right * right), s_right * right - s_left * left, moved)
+    found = _fitted(means[best], s_right * right - s_left * left, moved)
     return None if found is None else found._replace(mirrored=best)
 
 

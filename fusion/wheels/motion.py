@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, Motions
+from locfuse.fusion.data import Array, Ints, Motions, changes, interpolate, totals
 from locfuse.fusion.streams import gap_limit
 
 INTERVALS_PER_BLOCK = 2048  # intervals processed at once, to save memory
@@ -51,7 +51,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
     def rerolled(self, rolled: Array, track: float) -> Wheels:
         """Return wheels that rolled (n-1, 2) [m] from reading to reading of these, `track` [m] apart."""
-        left, right = np.vstack(([0.0, 0.0], np.cumsum(rolled, axis=0))).T
+        left, right = totals(rolled).T
         return Wheels.from_wheels(self.t, left, right, track, self.noise)
 
     @classmethod
@@ -112,7 +112,7 @@ class Wheels(msgspec.Struct, frozen=True):
     def driven(self, t: Array) -> Array:
         """Return the distance (...) [m, never decreasing] that the faster wheel rolled until times t (...) [s]."""
         steps = np.abs(self.rolled).max(axis=1)
-        return np.interp(t, self.t, np.concatenate(([0.0], np.cumsum(steps))))
+        return np.asarray(np.interp(t, self.t, totals(steps)))
 
     def slips(self, t: Array) -> Array:
         """Return the variances (..., k - 1, 2) [m^2] of each wheel's distance between times t (..., k) [s]."""
@@ -120,8 +120,7 @@ class Wheels(msgspec.Struct, frozen=True):
             steps = self.noise * np.abs(self.rolled)
         else:  # the variance of wheels that would cause the same variance of the turn
             steps = np.repeat(0.5 * self.track**2 * self.matched[:, 2, 2, None], 2, axis=1)
-        travelled = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
-        return np.diff(np.stack([np.interp(t, self.t, column) for column in travelled.T], axis=-1), axis=-2)
+        return np.diff(interpolate(t, self.t, totals(steps)), axis=-2)
 
     def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
         """Pre-integrate n intervals [t_from, t_to], (n,) s each.
@@ -142,15 +141,13 @@ class Wheels(msgspec.Struct, frozen=True):
         count = np.where(t_to > t_from, last - first + 1, 0)
         of = np.repeat(np.arange(len(count)), count)
         k = np.arange(len(of)) - np.repeat(np.cumsum(count) - count - first, count)
-        share = [
-            np.where(k == edge[of], self._passed(k, t[of]), whole)
-            for edge, t, whole in ((first, t_from, 0.0), (last, t_to, 1.0))
-        ]
+        edges = (first, t_from, 0.0), (last, t_to, 1.0)
+        share = [np.where(k == edge[of], self._passed(k, t[of]), whole) for edge, t, whole in edges]
         with np.errstate(invalid="ignore", over="ignore"):
             noise, J = self._pieces(k, share[0], share[1] - share[0], end[of], parameters)
             back = np.swapaxes(se2.rotation(begin[:, 2]), 1, 2)
-            Q = back @ _sums(noise, count) @ np.swapaxes(back, 1, 2)
-            return se2.between(begin, end), 0.5 * (Q + np.swapaxes(Q, 1, 2)), back @ _sums(J, count)
+            Q = se2.symmetric(se2.propagated(back, _sums(noise, count)))
+            return se2.between(begin, end), Q, back @ _sums(J, count)
 
     def _passed(self, k: Ints, t: Array) -> Array:
         """Return the share of wheel intervals k (...) passed at times t (...): 0 at their start, 1 at their end.
@@ -175,9 +172,8 @@ class Wheels(msgspec.Struct, frozen=True):
         by_turn = np.stack((-0.5 * chord[:, 1] - lever[:, 1], 0.5 * chord[:, 0] + lever[:, 0], one), axis=-1)
         direction = middle + _travel_direction(ahead, left)
         by_distance = np.stack((np.cos(direction), np.sin(direction), 0.0 * direction), axis=-1)
-        by_wheels = np.stack(
-            (0.5 * by_distance - by_turn / self.track, 0.5 * by_distance + by_turn / self.track), axis=-1
-        )
+        half, turning = 0.5 * by_distance, by_turn / self.track
+        by_wheels = np.stack((half - turning, half + turning), axis=-1)
         if self.matched is None:
             noise = (by_wheels * (self.noise * np.abs(rolled))[:, None]) @ np.swapaxes(by_wheels, 1, 2)
             variance, rate = self.gap_uncertainty[k].T
@@ -189,12 +185,11 @@ class Wheels(msgspec.Struct, frozen=True):
         else:
             lever_of = se2.rotation(middle)
             lever_of[:, :2, 2] = by_turn[:, :2]
-            noise = share[:, None, None] * (lever_of @ self.matched[k] @ np.swapaxes(lever_of, 1, 2))
+            noise = share[:, None, None] * se2.propagated(lever_of, self.matched[k])
         if not parameters:
             return noise, np.zeros((len(k), 3, 0))
-        return noise, np.concatenate(
-            (by_wheels * rolled[:, None], (-turned[:, None] * by_turn)[..., None]), axis=-1
-        )
+        by_track = (-turned[:, None] * by_turn)[..., None]
+        return noise, np.concatenate((by_wheels * rolled[:, None], by_track), axis=-1)
 
 
 def _travel_direction(ahead: Array, left: Array) -> Array:
@@ -253,7 +248,7 @@ def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
     `heading` (n,) [rad], not wrapped, is the sensor's heading at times t (n,) [s] on the clock of the motion.
     """
     start = np.arange(t[0], t[-1] - TURN_WINDOW_S, TURN_WINDOW_S)
-    seen = np.interp(start + TURN_WINDOW_S, t, heading) - np.interp(start, t, heading)
+    seen = changes(start, TURN_WINDOW_S, t, heading)
     if len(start) < MIN_WINDOWS or np.sqrt(np.mean(seen**2)) < MIN_TURN_RAD:
         return None
 
@@ -266,9 +261,8 @@ def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
 def distances_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_DISTANCE_M) -> float | None:
     """Return how much of the distance between positions a motion explains, as a share in [0, 1].
 
-    None if there are too few positions, or less than `least` [m] between them in total.
-
-    `xy` (n, 2) [m] are the positions at times t (n,) [s] on the clock of the motion.
+    None if there are too few positions, or less than `least` [m] between them in total. `xy` (n, 2) [m] are the
+    positions at times t (n,) [s] on the clock of the motion.
     """
     start = np.arange(t[0], t[-1] - DISTANCE_WINDOW_S, DISTANCE_WINDOW_S)
     seen = _far(start, t, xy)
@@ -278,8 +272,7 @@ def distances_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_
 
 
 def _far(start: Array, t: Array, xy: Array) -> Array:
-    ends = [np.stack([np.interp(at, t, column) for column in xy.T]) for at in (start, start + DISTANCE_WINDOW_S)]
-    return np.asarray(np.hypot(*(ends[1] - ends[0])))
+    return np.asarray(np.hypot(*changes(start, DISTANCE_WINDOW_S, t, xy).T))
 
 
 def _explained(seen: Array, start: Array, motion: Callable[[Array], Array]) -> float:

@@ -24,13 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, LocfuseError, Stream, spaced
+from locfuse.fusion.data import Array, Ints, LocfuseError, Stream, spaced, totals
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, left_out
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser, equal_scans, points_in_base
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
 from locfuse.fusion.scan_matching.clouds import Clouds, few
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, overlap, sources_of
 from locfuse.fusion.sensor import WheelMotion
+from locfuse.fusion.streams import seconds
 
 from .motion import Wheels
 from .read import WheelReading
@@ -203,9 +204,8 @@ def _neighbours(targets: Targets, sources: Clouds, i: Ints, j: Ints, known: Velo
         return found
     n = len(TURNS_RAD)
     guesses = guess + np.outer(TURNS_RAD, (0.0, 0.0, 1.0))
-    turned = match(
-        targets, i.repeat(n), sources, j.repeat(n), guesses, np.broadcast_to(FIRST_PRIOR, (n, 3, 3)), REACH_M
-    )
+    weak = np.broadcast_to(FIRST_PRIOR, (n, 3, 3))
+    turned = match(targets, i.repeat(n), sources, j.repeat(n), guesses, weak, REACH_M)
     score = turned.inliers * np.sqrt(turned.overlap)
     better = score.max() > found.inliers[0] * np.sqrt(found.overlap[0]) + TURN_GAIN
     return turned.take(np.array([int(score.argmax())])) if better else found
@@ -221,10 +221,8 @@ def constrained(information: Array) -> Array:
     In a corridor, the noise of the wall directions would otherwise count as information that there is no motion.
     """
     across = information[:, :2, 2]
-    place = (
-        information[:, :2, :2]
-        - across[:, :, None] * across[:, None, :] / np.maximum(information[:, 2, 2], 1e-9)[:, None, None]
-    )
+    of_turn = across[:, :, None] * across[:, None, :] / np.maximum(information[:, 2, 2], 1e-9)[:, None, None]
+    place = information[:, :2, :2] - of_turn
     values, vectors = np.linalg.eigh(place)
     d = np.concatenate((vectors[:, :, 0], np.zeros((len(place), 1))), axis=1)  # direction of least information
     Hd = np.einsum("nij,nj->ni", information, d)
@@ -262,7 +260,7 @@ def _match_with_keys(
     later = np.arange(1, len(rows))
     mine = key[later]
     guess = se2.between(chain[mine], chain[later])
-    total = np.concatenate((np.zeros((1, 3, 3)), np.cumsum(se2.turned_covariance(spread, chain[:-1, 2]), axis=0)))
+    total = totals(se2.turned_covariance(spread, chain[:-1, 2]))
     P = se2.turned_covariance(total[later] - total[mine], -chain[mine, 2]) + FLOOR
     found = match(targets, mine, sources, later, guess, PAIRING_PRIOR_SHARE * inverse(P), REACH_M / 2.0)
     pose, C = _updated(guess, inverse(P), found)
@@ -314,7 +312,7 @@ class Velocity(NamedTuple):
         """Correct the velocity by a motion `twist` (3,) over dt [s] with information (3, 3)."""
         prior = inverse(self.P)
         P = inverse(prior + dt * dt * information)
-        return Velocity(P @ (prior @ self.v + dt * (information @ twist)), 0.5 * (P + P.T))
+        return Velocity(P @ (prior @ self.v + dt * (information @ twist)), se2.symmetric(P))
 
     def spread(self, before: Velocity, dt: float) -> Array:
         """Return the covariance (3, 3) of the motion over dt [s] that ended with this velocity.
@@ -361,7 +359,7 @@ def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> ThinnedScan
 
 def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -> ThinnedScans:
     """Read the scans of a stream; `longest` collects the ranges of all scans."""
-    stamps: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9)
+    stamps = seconds(stream.t_ns, stream.t_ns[0])
     t = stamps.copy()
     points: list[NDArray[np.float32]] = [np.zeros((0, 2), np.float32)] * len(t)
     skewed = False
@@ -373,6 +371,5 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -
             xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
             for row, p in zip(at.tolist(), xy, strict=True):
                 points[row] = few(p, laser.mount[:2], MAX_POINTS).astype(np.float32)
-    return ThinnedScans(
-        np.maximum.accumulate(t), points, laser.mount[:2], skewed
-    )  # scans of different durations overlap
+    # scans of different durations overlap
+    return ThinnedScans(np.maximum.accumulate(t), points, laser.mount[:2], skewed)

@@ -8,14 +8,14 @@ messages).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, LocfuseError, Stream, stretches
+from locfuse.fusion.data import Array, LocfuseError, Stream, stretches, totals
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.streams import gap_limit, in_turn
+from locfuse.fusion.streams import arrays, gap_limit, in_turn
 
 from .repairs import MAX_SPEED_MPS, Mask, held_note, held_readings, limits, spikes, times, without_restarts
 
@@ -25,10 +25,8 @@ TRANSFORM = "geometry_msgs/msg/TransformStamped"
 
 def pose_fields(prefix: str, position: str = "position", orientation: str = "orientation") -> tuple[str, ...]:
     """Return the names of the six fields of a planar pose: x, y, and a quaternion x, y, z, w."""
-    return (
-        *(f"{prefix}.{position}.{axis}" for axis in "xy"),
-        *(f"{prefix}.{orientation}.{axis}" for axis in "xyzw"),
-    )
+    axes = [*(f"{position}.{axis}" for axis in "xy"), *(f"{orientation}.{axis}" for axis in "xyzw")]
+    return tuple(f"{prefix}.{axis}" for axis in axes)
 
 
 TURTLESIM = "turtlesim/msg/Pose"
@@ -43,10 +41,7 @@ POSE: Mapping[str, tuple[str, ...]] = {
     "foxglove_msgs/msg/PoseInFrame": pose_fields("pose"),
 }
 # Message type -> fields of x, y [m] and the heading [rad].
-PLANAR: Mapping[str, tuple[str, str, str]] = {
-    "geometry_msgs/msg/Pose2D": ("x", "y", "theta"),
-    TURTLESIM: ("x", "y", "theta"),
-}
+PLANAR: Mapping[str, tuple[str, ...]] = dict.fromkeys(("geometry_msgs/msg/Pose2D", TURTLESIM), ("x", "y", "theta"))
 # Message type -> fields of the forward speed [m/s] and the turning rate [rad/s].
 SPEED: Mapping[str, tuple[str, str]] = {
     ODOMETRY: ("twist.twist.linear.x", "twist.twist.angular.z"),
@@ -107,7 +102,7 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
     Raises LocfuseError if a steering angle needs a wheelbase that is not configured.
     """
     kind = stream.msgtype
-    columns = cast("dict[str, Array]", stream.columns(*BODY_READS[kind]))
+    columns = arrays(stream, *BODY_READS[kind])
     values = np.zeros((len(stream.t_ns), 5))
     if kind in POSE:
         x, y, *q = (columns[name].astype(np.float64) for name in POSE[kind])
@@ -145,7 +140,7 @@ def _poses_by_heading(t: Array, speed: Array, heading: Array) -> Array:
     turn = se2.wrap_all(np.diff(heading))
     chord, middle = arc * np.sinc(turn / (2.0 * np.pi)), heading[:-1] + 0.5 * turn
     steps = np.stack((chord * np.cos(middle), chord * np.sin(middle)), axis=-1)
-    places = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))[: len(t)]
+    places = totals(steps)[: len(t)]
     out[finite] = np.column_stack((places, heading))
     return out
 
@@ -306,8 +301,7 @@ def backing_up(steps: Array, by_speed: Array) -> Mask:
     reverse = moving & (by_speed < 0.0) & (ahead < 0.0)
     reliable = agrees.sum() >= MIN_AGREEING_SHARE * moving.sum() and forward.sum() > wrong.sum()
     no_reverse = reverse.sum() <= MAX_REVERSE_SHARE * wrong.sum()
-    found: Mask = (by_speed < 0.0) & (ahead > 0.0) & bool(reliable and no_reverse and wrong.any())
-    return found
+    return (by_speed < 0.0) & (ahead > 0.0) & bool(reliable and no_reverse and wrong.any())
 
 
 def along_the_frame(ahead: Array, dx: Array, by_speed: Array) -> bool:
@@ -325,8 +319,7 @@ def along_the_frame(ahead: Array, dx: Array, by_speed: Array) -> bool:
 def _steps(values: Array) -> Array:
     step = se2.between(values[:-1, :3], values[1:, :3])
     step[:, 2] = se2.wrap_all(step[:, 2])
-    twist: Array = se2.log(step)
-    return twist
+    return se2.log(step)
 
 
 def _limits(t: Array, values: Array, max_speed: float | None) -> Array:

@@ -75,10 +75,8 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
         return _from_tricycle(stream, settings)
     if stream.msgtype in MOTOR:
         if not isinstance(stream, MergedStream):
-            raise LocfuseError(
-                f"{stream.topic} says how fast the motor turns, and no topic says how the car was steered",
-                role="wheels",
-            )
+            words = f"{stream.topic} says how fast the motor turns, and no topic says how the car was steered"
+            raise LocfuseError(words, role="wheels")
         return _from_body(stream.parts[0], motor_speeds(stream, settings), settings, False, False)
     radius, track = _geometry(settings, stream)
     counters = read_counters(stream, settings)
@@ -106,9 +104,8 @@ def _rolled(
     counters: Counters, metres: float, settings: WheelSettings
 ) -> tuple[Array, Array, Array, tuple[str, ...]]:
     """Return times (n,) and the repaired distances of left and right wheel (n,) [m] at these times, and notes."""
-    left, right = (
-        repaired(side, metres, settings.rollover, settings.max_speed) for side in (counters.left, counters.right)
-    )
+    how = metres, settings.rollover, settings.max_speed
+    left, right = (repaired(side, *how) for side in (counters.left, counters.right))
     count_dropped(counters.dropped, spike=left.spikes + right.spikes)
     t_left, t_right = counters.left.t[left.keep], counters.right.t[right.keep]
     if counters.left.t is counters.right.t:
@@ -132,9 +129,8 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
         )
     radius, track = float(settings.radius or 0.0), float(settings.track or 0.0)
     if min(radius, track) < MIN_LENGTH_M:
-        raise LocfuseError(
-            f"radius {radius:g} m and track {track:g} m must both be at least {MIN_LENGTH_M:g} m", role="wheels"
-        )
+        words = f"radius {radius:g} m and track {track:g} m must both be at least {MIN_LENGTH_M:g} m"
+        raise LocfuseError(words, role="wheels")
     if settings.ratio <= 0.0:
         raise LocfuseError(
             f"ratio {settings.ratio:g} must be positive: right radius over left radius", role="wheels"
@@ -161,9 +157,8 @@ def _from_body(
 ) -> WheelReading:
     """Read the body's motion from values (n, 5): x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s].
 
-    Without a configured track, VIRTUAL_TRACK is used; it affects only the noise.
-
-    `posed` is whether the messages have poses, `commands` whether the speeds are commands.
+    Without a configured track, VIRTUAL_TRACK is used; it affects only the noise. `posed` is whether the messages
+    have poses, `commands` whether the speeds are commands.
     """
     dropped = dict(stream.dropped)
     keep = usable(stream.t_ns, values, dropped)

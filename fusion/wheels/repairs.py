@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, totals
 
 WINDOW_STEPS = 11  # steps whose median speed is the present speed
 # a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
@@ -58,7 +58,7 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     keep, rolled = keep[~held], rolled[~held]
     t, steps = side.t[keep], np.diff(rolled)
     restarts = np.abs(steps) > limits(t, steps, max_speed)
-    distance = np.concatenate(([0.0], np.cumsum(without_restarts(t, steps[:, None], restarts))))
+    distance = totals(without_restarts(t, steps[:, None], restarts)[:, 0])
     jumps = steps[restarts] / metres
     notes = _words(side.name, count, int(bad.sum()), jumps.tolist())
     if held.any():
@@ -149,7 +149,7 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
     rollovers = int(np.count_nonzero(turns))
     if not rollovers:
         return Unrolled(values, None, 0)
-    return Unrolled(values - modulus * np.concatenate(([0.0], np.cumsum(turns))), modulus, rollovers)
+    return Unrolled(values - modulus * totals(turns), modulus, rollovers)
 
 
 def _find_modulus(values: Array, steps: Array, likely: Sequence[float]) -> float | None:

@@ -26,6 +26,7 @@ from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser
 from locfuse.fusion.scan_matching.clouds import Clouds, few
 from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, sources_of
+from locfuse.fusion.streams import seconds
 
 from .motion_by_scans import STANDING
 from .read import WheelReading
@@ -79,9 +80,8 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         counts = [len(p) for p in points]
         lane = np.repeat(np.arange(len(counts)), counts)
         at = se2.transform(moved[lane], np.concatenate(points))
-        distance, _ = self._tree.query(
-            np.column_stack((at, LANE_M * lane)), distance_upper_bound=NEAR_M, workers=1
-        )
+        places = np.column_stack((at, LANE_M * lane))
+        distance, _ = self._tree.query(places, distance_upper_bound=NEAR_M, workers=1)
         near = np.bincount(lane, np.isfinite(distance), len(counts))
         seen = np.array(counts) > 0
         return float(np.mean(near[seen] / np.array(counts)[seen]))
@@ -180,7 +180,7 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
     A pair is moving if the robot moves between its two scans according to one of `motions` or more. Only moving
     pairs are chosen, but if there are fewer than MIN_MOVING, pairs at rest are chosen too.
     """
-    t: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9) if len(stream.t_ns) else np.zeros(0)
+    t = seconds(stream.t_ns, stream.t_ns[0]) if len(stream.t_ns) else np.zeros(0)
     later = np.searchsorted(t, t + PAIR_S - 1e-3)
     first = np.flatnonzero(later < len(t))
     later = later[first]
@@ -205,10 +205,8 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
     used = np.flatnonzero(new.reshape(2, -1).all(axis=0)).tolist()
     if not used:
         return None
-    surface, points = (
-        [surface[k] for k in used],
-        [points[k][:: max(1, len(points[k]) // LATER_POINTS)] for k in used],
-    )
+    surface = [surface[k] for k in used]
+    points = [points[k][:: max(1, len(points[k]) // LATER_POINTS)] for k in used]
     return ScanPairs(stream, laser, t, first[used], later[used], surface, points)
 
 

@@ -8,9 +8,9 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
+from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream, totals
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.streams import MergedStream, blank, count_dropped
+from locfuse.fusion.streams import MergedStream, blank, count_dropped, numbers, seconds
 
 from .repairs import Mask, Side
 
@@ -24,9 +24,7 @@ TICKS: Mapping[str, tuple[str, str]] = {
 }
 TICK_BITS = {KOBUKI: 16}  # of the counters; 32 by default
 # Message type -> fields of the left and the right wheel's speed [rad/s].
-SPEEDS: Mapping[str, tuple[str, str]] = {
-    "irobot_create_msgs/msg/WheelVels": ("velocity_left", "velocity_right"),
-}
+SPEEDS: Mapping[str, tuple[str, str]] = {"irobot_create_msgs/msg/WheelVels": ("velocity_left", "velocity_right")}
 # Message type with one wheel per topic -> bits of the counter; 0: the number may be an angle.
 NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Int16": 16,
@@ -39,9 +37,7 @@ NUMBERS: Mapping[str, int] = {
     "duckietown_msgs/msg/WheelEncoderStamped": 32,
 }
 # Message type with both wheels in an array -> bits of the counters; 0: the numbers may be angles.
-ARRAYS: Mapping[str, int] = {
-    f"{kind}MultiArray": bits for kind, bits in NUMBERS.items() if kind.startswith("std_msgs/msg/")
-}
+ARRAYS: Mapping[str, int] = {f"{kind}MultiArray": n for kind, n in NUMBERS.items() if kind.startswith("std_msgs/")}
 USUAL_TICKS = {
     "irobot_create_msgs/msg/WheelTicks": 508.8,  # Create 3, and the TurtleBot 4 on it
     "turtlebot3_msgs/msg/SensorState": 4096.0,  # the TurtleBot 3's Dynamixels
@@ -80,7 +76,7 @@ def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
         keep = keep[~lost]
     require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     zero_ns = int(found.t_ns[keep[0]])
-    t: Array = (found.t_ns[keep] - zero_ns) * np.float64(1e-9)
+    t = seconds(found.t_ns[keep], zero_ns)
     values = _rolled_by(t, found.values[keep]) if found.speeds else found.values[keep]
     likely = (*found.likely, *_revolution(settings))
     left, right = (Side(name, t, values[:, i], likely) for i, name in enumerate(("left", "right")))
@@ -95,13 +91,9 @@ def _found(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> 
         return _Found(stream.t_ns, _of_array(stream, settings), (2.0**bits,) if bits else ())
     fields = SPEEDS.get(stream.msgtype)
     if fields is not None:
-        return _Found(stream.t_ns, _two(stream, fields), speeds=True)
-    return _Found(stream.t_ns, _two(stream, TICKS[stream.msgtype]), (2.0 ** TICK_BITS.get(stream.msgtype, 32),))
-
-
-def _two(stream: Stream, fields: tuple[str, str]) -> Array:
-    columns = cast("dict[str, Array]", stream.columns(*fields))
-    return np.stack([columns[name] for name in fields], axis=-1).astype(np.float64)
+        return _Found(stream.t_ns, numbers(stream, *fields), speeds=True)
+    modulus = 2.0 ** TICK_BITS.get(stream.msgtype, 32)
+    return _Found(stream.t_ns, numbers(stream, *TICKS[stream.msgtype]), (modulus,))
 
 
 def _of_array(stream: Stream, settings: WheelSettings) -> Array:
@@ -131,8 +123,7 @@ def _of_array(stream: Stream, settings: WheelSettings) -> Array:
 
 def _rolled_by(t: Array, speeds: Array) -> Array:
     """Integrate wheel speeds (n, 2) [rad/s] to angles (n, 2) [rad] by the trapezoidal rule."""
-    steps = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(t)[:, None]
-    return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+    return totals(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(t)[:, None])
 
 
 class _Found(NamedTuple):
@@ -176,15 +167,14 @@ def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
     zero_ns = int(max(part.t_ns[0] if len(part.t_ns) else 0 for part in stream.parts))
     sides = []
     for name, part in zip(("left", "right"), stream.parts, strict=True):
-        values = cast("dict[str, Array]", part.columns("data"))["data"].astype(np.float64)
-        own = dict(part.dropped)
-        keep = usable(part.t_ns, values[:, None], own)
+        values, own = numbers(part, "data"), dict(part.dropped)
+        keep = usable(part.t_ns, values, own)
         require_two(part.topic, len(keep), len(part.t_ns))
         for reason, n in own.items():
             count_dropped(dropped, **{reason: n})
         bits = NUMBERS[part.msgtype]
         likely = (2.0**bits, *_revolution(settings)) if bits else _revolution(settings)
-        sides.append(Side(name, (part.t_ns[keep] - zero_ns) * np.float64(1e-9), values[keep], likely))
+        sides.append(Side(name, seconds(part.t_ns[keep], zero_ns), values[keep, 0], likely))
     note = "the two topics are not synchronised: the right wheel is interpolated to the left one's instants"
     return Counters(sides[0], sides[1], zero_ns, dropped, (note,))
 
@@ -242,10 +232,8 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
         sides = {side: [j for j in guesses if _is_rear(j)] or guesses for side, guesses in sides.items()}
     found = []
     if settings.left is not None and settings.left == settings.right:
-        raise LocfuseError(
-            f"wheels.left and wheels.right both name {settings.left!r}: name two joints of {topic}",
-            role="wheels",
-        )
+        words = f"wheels.left and wheels.right both name {settings.left!r}: name two joints of {topic}"
+        raise LocfuseError(words, role="wheels")
     for side, given in (("left", settings.left), ("right", settings.right)):
         if given is not None and given not in known:
             raise LocfuseError(

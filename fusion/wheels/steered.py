@@ -14,22 +14,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.streams import MergedStream
+from locfuse.fusion.streams import MergedStream, numbers, seconds
 
 from .odometry import STEERED, wheelbase_of
 from .repairs import Side, repaired, unrolled
 
 # Message type -> field of the motor speed [erpm].
-MOTOR: Mapping[str, str] = {
-    "vesc_msgs/msg/VescStateStamped": "state.speed",
-    "vesc_msgs/msg/VescState": "speed",
-}
+MOTOR: Mapping[str, str] = {"vesc_msgs/msg/VescStateStamped": "state.speed", "vesc_msgs/msg/VescState": "speed"}
 SERVO = "std_msgs/msg/Float64"  # servo position, 0 to 1
 GAIN_HINT = "speed_to_erpm_gain of vesc.yaml"
 COUNTER_RANGES = (2.0**16, 2.0**32)  # possible moduli of traction counters, independent of the message type
@@ -51,11 +48,10 @@ def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
         )
     if not len(steering.t_ns):
         raise LocfuseError(f"{steering.topic} holds no messages: the steering is unknown", role="wheels")
-    erpm = cast("dict[str, Array]", motor.columns(MOTOR[motor.msgtype]))[MOTOR[motor.msgtype]]
     newest = np.searchsorted(steering.t_ns, motor.t_ns, side="right") - 1
     angle = _angles(steering, settings)[np.maximum(newest, 0)]
     values = np.zeros((len(motor.t_ns), 5))
-    values[:, 3] = erpm.astype(np.float64) / settings.erpm_per_mps
+    values[:, 3] = numbers(motor, MOTOR[motor.msgtype])[:, 0] / settings.erpm_per_mps
     values[:, 4] = values[:, 3] * np.tan(angle) / wheelbase_of(motor, settings)
     return values
 
@@ -63,7 +59,7 @@ def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
 def _angles(steering: Stream, settings: WheelSettings) -> Array:
     """Return the steering angles (n,) [rad] of the front wheels, from commands or servo positions."""
     field = STEERED[steering.msgtype][1] if steering.msgtype in STEERED else "data"
-    steered = cast("dict[str, Array]", steering.columns(field))[field].astype(np.float64)
+    steered = numbers(steering, field)[:, 0]
     if steering.msgtype in STEERED:
         return steered
     if not settings.servo_gain:
@@ -105,12 +101,12 @@ def read_encoders(stream: MergedStream, settings: WheelSettings) -> Encoders:
         raise LocfuseError(f"{traction.topic} and {steering.topic} hold too few messages", role="wheels")
     rows = np.flatnonzero(np.diff(traction.t_ns, append=np.iinfo(np.int64).max) > 0)
     zero_ns = int(traction.t_ns[0])
-    t = (traction.t_ns[rows] - zero_ns) * np.float64(1e-9)
+    t = seconds(traction.t_ns[rows], zero_ns)
     metres = 2.0 * math.pi * settings.radius / settings.ticks_per_revolution
-    side = Side("traction", t, _numbers(traction)[rows], COUNTER_RANGES)
+    side = Side("traction", t, numbers(traction, "data")[rows, 0], COUNTER_RANGES)
     wheel = repaired(side, metres, settings.rollover, settings.max_speed)
-    turned = unrolled(_numbers(steering)).values
-    at = np.interp(t[wheel.keep], (steering.t_ns - zero_ns) * np.float64(1e-9), turned)
+    turned = unrolled(numbers(steering, "data")[:, 0]).values
+    at = np.interp(t[wheel.keep], seconds(steering.t_ns, zero_ns), turned)
     return Encoders(t[wheel.keep], zero_ns, wheel.rolled, at, wheel.spikes, wheel.notes)
 
 
@@ -134,7 +130,3 @@ def rolled_by(ds: Array, angle: Array, wheelbase: float) -> Array:
     """Return body twists (n-1, 3) of a tricycle for front-wheel distances ds (n-1,) [m] at `angle` (n,) [rad]."""
     middle = 0.5 * (angle[1:] + angle[:-1])
     return np.stack((ds * np.cos(middle), np.zeros_like(ds), ds * np.sin(middle) / wheelbase), axis=-1)
-
-
-def _numbers(stream: Stream) -> Array:
-    return cast("dict[str, Array]", stream.columns("data"))["data"].astype(np.float64)

@@ -69,9 +69,8 @@ def velocity_noise(wheels: Wheels) -> VelocityNoise:
 def random_walk(z: Array, variance: float, period: float) -> float:
     """Return the process noise per second of a random walk, from readings z (n,) at intervals of `period` s.
 
-    Each reading has noise of this `variance`. If z is too short or has no noise, MIN_VARIANCE is returned.
-
-    By maximum likelihood: in steady state the prior variance p satisfies p = p R / (p + R) + q T.
+    Each reading has noise of this `variance`. If z is too short or has no noise, MIN_VARIANCE is returned. By
+    maximum likelihood: in steady state the prior variance p satisfies p = p R / (p + R) + q T.
     """
     from scipy.optimize import minimize_scalar
 

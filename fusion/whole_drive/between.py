@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, Measurements, spaced
+from locfuse.fusion.data import Array, Drive, Ints, Measurements, consecutive, spaced, totals
 from locfuse.fusion.scan_matching.clouds import Clouds, Columns, clouds_of, merged
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import good
@@ -139,14 +139,14 @@ def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: A
     only_one = (a == b)[:, None, None]
     cross = np.where(only_one, P_a, cross)
     turn = se2.rotation(x[a, 2])
-    S = turn @ spans.share @ turn.transpose(0, 2, 1)
+    S = se2.propagated(turn, spans.share)
     own = np.eye(3) - S
-    out = own @ P_a @ own.transpose(0, 2, 1) + S @ P_b @ S.transpose(0, 2, 1)
+    out = se2.propagated(own, P_a) + se2.propagated(S, P_b)
     mixed = own @ cross @ S.transpose(0, 2, 1)
-    out += mixed + mixed.transpose(0, 2, 1) + turn @ rest @ turn.transpose(0, 2, 1)
+    out += mixed + mixed.transpose(0, 2, 1) + se2.propagated(turn, rest)
     lever = pose[:, :2] - x[a, :2]
     out = add_lever_arm(out, -lever[:, 1], lever[:, 0])
-    return 0.5 * (out + out.transpose(0, 2, 1))
+    return se2.symmetric(out)
 
 
 def errors_at_scans(
@@ -184,7 +184,7 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
 
     t (N,) are all update times [s]. The robot moved if the wheels turned within REST_S of the scan.
     """
-    distance, turned = odometry.path_length(), np.append(0.0, np.cumsum(np.abs(np.diff(odometry.pose[:, 2]))))
+    distance, turned = odometry.path_length(), totals(np.abs(np.diff(odometry.pose[:, 2])))
     before = np.searchsorted(t, t[instants] - REST_S)
     after = np.searchsorted(t, t[instants] + REST_S, side="right") - 1
     moved = (distance[after] > distance[before]) | (turned[after] > turned[before])
@@ -198,10 +198,9 @@ def points_of(m: Measurements, chosen: Ints) -> Clouds:
     cuts = np.arange(SCANS_AT_ONCE, len(chosen), SCANS_AT_ONCE)
     parts = [sources_of(clouds_of(m, part), MAX_POINTS) for part in np.split(chosen, cuts)]
     counts = np.concatenate([np.diff(part.first) for part in parts])
-    first = np.concatenate(([0], np.cumsum(counts)))
-    return Clouds(
-        first, np.concatenate([part.xy for part in parts]), np.concatenate([part.normal for part in parts])
-    )
+    first = totals(counts)
+    xy, normal = (np.concatenate(column) for column in zip(*((p.xy, p.normal) for p in parts), strict=True))
+    return Clouds(first, xy, normal)
 
 
 def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: Array) -> Matches:
@@ -210,7 +209,7 @@ def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: 
     `a` must be sorted. Keys are processed in groups: one search tree of all keys would take hundreds of MB.
     """
     prior, parts = np.broadcast_to(PRIOR_INFORMATION, (len(a), 3, 3)), []
-    for at in np.split(np.arange(len(a)), np.flatnonzero(np.diff(a // KEYS_AT_ONCE)) + 1):
+    for at in consecutive(a // KEYS_AT_ONCE):
         first, last = int(a[at[0]]), int(a[at[-1]])
         targets = Targets(both_ends(clouds, x, np.arange(first, last + 1)))
         parts.append(match(targets, a[at] - first, sources, j[at], guess[at], prior[at], REACH_M))
@@ -220,9 +219,8 @@ def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: 
 def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
     """Return one point cloud per key: the points of the key scan and of the next one, in the key's frame."""
     steps = se2.between(x[keys], x[keys + 1])
-    return merged(
-        clouds, [np.array([k, k + 1]) for k in keys.tolist()], [np.vstack((np.zeros(3), step)) for step in steps]
-    )
+    poses = [np.vstack((np.zeros(3), step)) for step in steps]
+    return merged(clouds, [np.array([k, k + 1]) for k in keys.tolist()], poses)
 
 
 def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
@@ -241,9 +239,8 @@ def smoothed(
 ) -> OdometryErrors:
     """Smooth the odometry errors along each span between two keys; return them at the keys and at the scans.
 
-    `key_errors` are the known errors at the keys. Scan i has update time k[i] and follows key a[i].
-
-    xi (n, 3) with `information` (n, 3, 3) are the errors measured by the scans.
+    `key_errors` are the known errors at the keys. Scan i has update time k[i] and follows key a[i]. xi (n, 3) with
+    `information` (n, 3, 3) are the errors measured by the scans.
     """
     order = np.lexsort((np.concatenate((key_errors.instant, k)), np.concatenate((key_errors.a, a))))
     a, k = np.concatenate((key_errors.a, a))[order], np.concatenate((key_errors.instant, k))[order]
@@ -257,7 +254,7 @@ def smoothed(
     for step in range(1, int(lengths.max())):
         at = starts[lengths > step] + step
         predicted = V[at - 1] + Q[at]
-        V[at] = _symmetric(np.linalg.solve(np.eye(3) + predicted @ L[at], predicted))
+        V[at] = se2.symmetric(np.linalg.solve(np.eye(3) + predicted @ L[at], predicted))
         gain = V[at] @ L[at]
         mean[at] = mean[at - 1] + np.einsum("nij,nj->ni", gain, z[at] - mean[at - 1])
     for step in range(int(lengths.max()) - 2, 0, -1):
@@ -265,9 +262,5 @@ def smoothed(
         predicted = V[at] + Q[at + 1]
         G = V[at] @ np.linalg.inv(predicted)
         mean[at] += np.einsum("nij,nj->ni", G, mean[at + 1] - mean[at])
-        V[at] = _symmetric(V[at] + G @ (V[at + 1] - predicted) @ G.transpose(0, 2, 1))
+        V[at] = se2.symmetric(V[at] + se2.propagated(G, V[at + 1] - predicted))
     return OdometryErrors(a, k, mean, V)
-
-
-def _symmetric(P: Array) -> Array:
-    return 0.5 * (P + P.transpose(0, 2, 1))

@@ -26,10 +26,8 @@ from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem, chi2_of, 
 
 from .odometry import Odometry
 
-SPACING_M, HALF_LENGTH_M = (
-    3.0,
-    3.0,
-)  # path length between two submaps, and of one submap before and after its middle
+# path length between two submaps, and of one submap before and after its middle
+SPACING_M, HALF_LENGTH_M = 3.0, 3.0
 CELL_M, TURN_RAD = 0.25, np.radians(3.0)  # step of the correlative search
 REACH_M = 12.0  # points further from the middle are left out
 GRID_CELLS = 256  # cells per side of the transform: submap and search window fit without wrapping
@@ -91,8 +89,7 @@ class Views(msgspec.Struct, frozen=True):
         """
         pieces = np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1)
         counts = [self._counted(clouds, i[some], j[some], pose[some]) for some in pieces]
-        bad, judged = (np.concatenate(each) for each in zip(*counts, strict=True))
-        return bad, judged
+        return np.concatenate([bad for bad, _ in counts]), np.concatenate([judged for _, judged in counts])
 
     def _counted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
         rows, of = clouds.rows(j)
@@ -106,11 +103,8 @@ class Views(msgspec.Struct, frozen=True):
 
 
 def _polar(points: Array) -> tuple[Ints, Array]:
-    bins = (
-        np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BIN_COUNT).astype(np.int64)
-        % BIN_COUNT
-    )
-    return bins, np.hypot(points[:, 0], points[:, 1])
+    turns = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0
+    return np.floor(turns * BIN_COUNT).astype(np.int64) % BIN_COUNT, np.hypot(points[:, 0], points[:, 1])
 
 
 class Submaps(msgspec.Struct, frozen=True):
@@ -163,9 +157,8 @@ def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
     for n, turn in enumerate(turns.tolist()):
         other = _raster(se2.rotated(np.array(guess[2] + turn), theirs), spread=False)
         total = max(float(other.sum()), 1.0)
-        scores[n] = (
-            irfft2(target * np.conj(rfft2(other)), s=(GRID_CELLS, GRID_CELLS))[np.ix_(rows, columns)] / total
-        )
+        shifted = irfft2(target * np.conj(rfft2(other)), s=(GRID_CELLS, GRID_CELLS))
+        scores[n] = shifted[np.ix_(rows, columns)] / total
     k, r, c = (int(i) for i in np.unravel_index(int(scores.argmax()), scores.shape))
     dy, dx = window[r] + shift[1], window[c] + shift[0]
     away = (window[:, None] - window[r]) ** 2 + (window[None, :] - window[c]) ** 2 > (APART_M / CELL_M) ** 2
@@ -232,9 +225,8 @@ def close(x: Array, edges: Edges, problem: Problem, maps: Submaps, hints: Edges)
             loops.edges = Edges.joined(loops.edges, new)
             loops.edges = loops.edges.take(loops.edges.weights(x) > MIN_KEPT_WEIGHT)
             index = {int(k): s for s, k in enumerate(maps.middle.tolist())}
-            loops.pair = {
-                (index[i], index[j]) for i, j in zip(loops.edges.i.tolist(), loops.edges.j.tolist(), strict=True)
-            }
+            ends = zip(loops.edges.i.tolist(), loops.edges.j.tolist(), strict=True)
+            loops.pair = {(index[i], index[j]) for i, j in ends}
         if loops.pair == before and wide == SEARCH_SIGMAS_M[-1]:
             break
     return x, Edges.joined(edges, loops.edges), loops
@@ -248,9 +240,8 @@ def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candida
     closed = np.zeros((len(middle), len(middle)), bool)
     for pair in loops.pair:
         closed[pair] = True
-    possible = (
-        (driven[middle[b]] - driven[middle[a]] > MIN_LOOP_LENGTH_M) & (apart < 2.0 * MAX_APART_M) & ~closed[a, b]
-    )
+    possible = (apart < 2.0 * MAX_APART_M) & ~closed[a, b]
+    possible &= driven[middle[b]] - driven[middle[a]] > MIN_LOOP_LENGTH_M
     a, b, apart = a[possible], b[possible], apart[possible]
     some, at = np.unique(np.concatenate((a, b)), return_inverse=True)
     guess, P = relative(x[middle[some]], normal.joint(middle[some]), at[: len(a)], at[len(a) :])
@@ -278,18 +269,12 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
     narrow = (reach < NARROW_M) & (sigma[:, 2] < NARROW_RAD)
     start, known = found.guess.copy(), narrow.copy()
     pairs = list(zip(found.a.tolist(), found.b.tolist(), strict=True))
-    narrower = np.array(
-        [r < NARROWER_SHARE * loops.searched.get(p, np.inf) for p, r in zip(pairs, reach, strict=True)], bool
-    )
-    moved = np.array(
-        [_has_moved(loops.rejected.get(p), guess) for p, guess in zip(pairs, found.guess, strict=True)], bool
-    )
-    known &= moved
+    narrower = reach < NARROWER_SHARE * np.array([loops.searched.get(p, np.inf) for p in pairs])
+    moved = (_has_moved(loops.rejected.get(p), guess) for p, guess in zip(pairs, found.guess, strict=True))
+    known &= np.fromiter(moved, bool)
     searched = np.flatnonzero(~narrow & (reach < wide) & narrower)
     for c in searched[np.argsort(reach[searched], kind="stable")][:MAX_SEARCHES].tolist():
-        ours, theirs = (
-            maps.clouds.xy[maps.clouds.first[s] : maps.clouds.first[s + 1]] for s in (found.a[c], found.b[c])
-        )
+        ours, theirs = (maps.clouds.xy[maps.clouds.rows(one[[c]])[0]] for one in (found.a, found.b))
         peak = correlate(ours, theirs, found.guess[c], sigma[c])
         loops.searches += 1
         pair = pairs[c]
@@ -350,9 +335,8 @@ def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
         relative_poses += [se2.between(at_a[nearest], at_b), se2.between(at_b, at_a[nearest])]
     if not pair:
         return np.zeros(0)
-    of = np.concatenate(pair)
-    poses = np.concatenate(relative_poses)
-    bad, seen = maps.views.contradicted(maps.keys, np.concatenate(i), np.concatenate(j), poses)
+    of, *which = map(np.concatenate, (pair, i, j, relative_poses))
+    bad, seen = maps.views.contradicted(maps.keys, *which)
     total = np.bincount(of, seen, len(c.a))
     share = np.bincount(of, bad, len(c.a)) / np.maximum(total, 1.0)
     return np.where(total < MIN_POINTS, 1.0, share)
@@ -365,10 +349,9 @@ def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops
     z = np.concatenate((found.pose, loops.edges.z))
     out = np.zeros(len(c.a), dtype=bool)
     for k in range(len(c.a)):
-        near = (np.abs(driven[i] - driven[i[k]]) < MAX_SUPPORT_DISTANCE_M) & (
-            np.abs(driven[j] - driven[j[k]]) < MAX_SUPPORT_DISTANCE_M
-        )
-        near &= (i != i[k]) | (j != j[k])
+        near = (i != i[k]) | (j != j[k])
+        for end in (i, j):
+            near &= np.abs(driven[end] - driven[end[k]]) < MAX_SUPPORT_DISTANCE_M
         others = np.flatnonzero(near)
         if not len(others):
             continue
@@ -385,20 +368,17 @@ def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
     These edges guide the search, since many places fit after a long loop. A robust kernel removes edges that
     contradict the others, every closure must still pass all tests, and the last solve is without these edges.
     """
-    at = np.searchsorted(filtered.t, filtered.loops)
-    at = np.minimum(at, len(filtered.t) - 1)
+    at = np.minimum(np.searchsorted(filtered.t, filtered.loops), len(filtered.t) - 1)
     ends = _nearest(keys, at)
     to_then, _ = odometry.between(keys[ends[:, 0]], at[:, 0])
     from_now, _ = odometry.between(at[:, 1], keys[ends[:, 1]])
     z = se2.compose(se2.compose(to_then, filtered.loop_poses), from_now)
     information = np.diag(1.0 / np.square((SIGMA_M, SIGMA_M, SIGMA_RAD)))
-    apart = ends[:, 0] < ends[:, 1]
     found = Edges.of(ends[:, 0], ends[:, 1], z, np.tile(information, (len(z), 1, 1)), CLOSURE_WIDTH_SIGMAS)
-    return found.take(np.flatnonzero(apart))
+    return found.take(ends[:, 0] < ends[:, 1])
 
 
 def _nearest(keys: Ints, at: Ints) -> Ints:
     """Return the index of the nearest key for each update time `at` (k, 2); `keys` (m,) are increasing."""
     after = np.clip(np.searchsorted(keys, at), 1, len(keys) - 1)
-    nearest: Ints = np.where(at - keys[after - 1] <= keys[after] - at, after - 1, after)
-    return nearest
+    return np.where(at - keys[after - 1] <= keys[after] - at, after - 1, after)

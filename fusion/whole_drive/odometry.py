@@ -13,7 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, Motions
+from locfuse.fusion.data import Array, Drive, Ints, Motions, totals
 
 # m^2, rad^2 per metre driven and per radian turned: slips, uneven floors. The noise of the wheels alone is zero
 # in some directions, and an error in these directions would be interpolated badly between key poses.
@@ -29,7 +29,7 @@ class Odometry(msgspec.Struct, frozen=True):
 
     def path_length(self) -> Array:
         """Return the path length driven until each update time, (n,) [m]."""
-        return np.append(0.0, np.cumsum(np.hypot(*np.diff(self.pose[:, :2], axis=0).T)))
+        return totals(np.hypot(*np.diff(self.pose[:, :2], axis=0).T))
 
     def at(self, k: Ints) -> Odometry:
         """Return the odometry at the update times with indices k (m,)."""
@@ -97,6 +97,4 @@ def to_parent_frame(C: Array, frame: Array) -> Array:
 
 def add_lever_arm(C: Array, x: Array, y: Array) -> Array:
     """Return covariances C (n, 3, 3) after adding the heading error times x (n,), y (n,) [m] to x and y."""
-    L = se2.lever(x, y)
-    out: Array = L @ C @ L.transpose(0, 2, 1)
-    return out
+    return se2.propagated(se2.lever(x, y), C)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Ints
+from locfuse.fusion.data import Array, Audit, Drive, Ints, RowVerdict, evenly
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.solve import SYSTEMATIC_SIGMAS, Summands
@@ -23,7 +23,6 @@ from .odometry import Odometry, add_lever_arm
 
 READINGS_PER_KEY = 4  # used readings of one sensor per key; their weight does not replace the unused readings
 WIDTH_SIGMAS = 3.0  # sigmas at which a reading loses weight (Cauchy)
-DISTURBED = VERDICTS.index("disturbed")
 
 
 class SeenReading(NamedTuple):
@@ -85,7 +84,7 @@ class Others:
             m = self._drive.measurements[seen.sensor]
             found = self._models[seen.sensor].innovations(m, seen.reading, belief)
             for one in () if isinstance(found, Reading) else found[:1]:
-                if one.verdict == DISTURBED or not one.numbers:
+                if one.verdict == RowVerdict.DISTURBED or not one.numbers:
                     continue
                 y, states, by_state, R = belief.equation([one])
                 H = by_state[:, :3]
@@ -101,9 +100,8 @@ class Others:
         rows = [Summands(*(np.array(part) for part in zip(*block, strict=True))) for block in blocks.values()]
         if self.states:
             H = np.diag(self._prior)[None]
-            rows.append(
-                Summands((n + np.arange(self.states))[None], H, (self._prior * (self.start - self.values))[None])
-            )
+            g = self._prior * (self.start - self.values)
+            rows.append(Summands((n + np.arange(self.states))[None], H, g[None]))
         return rows
 
 
@@ -111,7 +109,7 @@ def _used(instants: Ints, audit: Audit | None) -> Ints:
     """Return the indices (k,) of readings that the filter did not reject; none if it rejected most of them."""
     if audit is None:
         return np.arange(len(instants))
-    refused, accepted = (audit.instant[audit.verdict == VERDICTS.index(v)] for v in ("gate", "accepted"))
+    refused, accepted = (audit.instant[audit.verdict == v] for v in (RowVerdict.GATE, RowVerdict.ACCEPTED))
     kept = np.flatnonzero(~np.isin(instants, np.setdiff1d(refused, accepted)))
     # if most readings of a sensor are wrong, the accepted ones are probably wrong too
     return kept if 2 * len(kept) > len(instants) else kept[:0]
@@ -124,9 +122,7 @@ def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Int
     found = []
     for k in np.unique(key[key >= 0]).tolist():
         rows = used[key == k]
-        picked = rows[
-            np.unique(np.linspace(0, len(rows) - 1, min(len(rows), READINGS_PER_KEY)).round().astype(int))
-        ]
+        picked = rows[evenly(len(rows), READINGS_PER_KEY)]
         at = instants[picked]
         u, C = odometry.between(np.full(len(at), keys[k]), at)
         C = add_lever_arm(C, -u[:, 1], u[:, 0])

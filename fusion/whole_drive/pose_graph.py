@@ -17,7 +17,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.checks.lag import worth_saying
 from locfuse.fusion.chi_square import robust_sigma
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements, spaced
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements, evenly, spaced
 from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import Clouds, clouds_of
@@ -41,10 +41,8 @@ SPAN_GAP_S = 30.0  # closures further apart in time are listed separately
 MAX_EXTENT_VIEWS = 1.5  # a drive whose extent is at most this many scan ranges needs no loop closure
 SAMPLE_SCANS = 20
 FAR_SHARE = 0.95  # the range of a scan is this quantile of its points' distances
-MIN_GAIN, MIN_GAIN_M = (
-    1.5,
-    0.01,
-)  # the graph is used if the filter's loop error is larger by this factor and offset
+# the graph is used if the filter's loop error is larger by this factor and offset
+MIN_GAIN, MIN_GAIN_M = 1.5, 0.01
 
 
 class Graph(msgspec.Struct, frozen=True, dict=True):
@@ -175,7 +173,8 @@ def whole_drive(
     m = drive.measurements.get(LASER)
     if m is None or m.points is None or not may_have_loops(drive, robot, sensors):
         return None
-    lag, configured = clock_lag(drive), m.points.mount
+    behind, configured = clock_lags({LASER: m}, drive.wheels).get(LASER), m.points.mount
+    lag = behind.offset if behind is not None and worth_saying(behind) else 0.0
     # the clock offset is not a state: with a late clock the filter estimates a mount further ahead (speed * lag)
     mount = configured if filtered is None or lag else found_mount(LASER, configured, filtered.blocks)
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
@@ -285,15 +284,9 @@ def is_in_one_view(drive: Drive) -> bool:
         return False
     t = np.linspace(drive.t[0], drive.t[-1], 10 * SAMPLE_SCANS)
     extent = np.hypot(*np.ptp(drive.wheels.relative(np.full(len(t), t[0]), t)[:, :2], axis=0))
-    some = np.unique(np.linspace(0, len(m.t) - 1, SAMPLE_SCANS).round().astype(int))
-    seen = [np.hypot(*(p - m.points.mount[:2]).T) for p in m.points.read(some) if len(p)]
+    scans = m.points.read(evenly(len(m.t), SAMPLE_SCANS))
+    seen = [np.hypot(*(p - m.points.mount[:2]).T) for p in scans if len(p)]
     return bool(seen) and bool(extent <= MAX_EXTENT_VIEWS * np.median([np.quantile(r, FAR_SHARE) for r in seen]))
-
-
-def clock_lag(drive: Drive) -> float:
-    """Return the delay of the wheel stamps relative to the laser stamps [s]; 0 if it is not significant."""
-    lag = clock_lags({LASER: drive.measurements[LASER]}, drive.wheels).get(LASER)
-    return lag.offset if lag is not None and worth_saying(lag) else 0.0
 
 
 class GraphStart(msgspec.Struct, frozen=True):
@@ -400,9 +393,8 @@ def match_revisits(targets: Targets, clouds: Clouds, x: Array, driven: Array) ->
         i = i[np.argsort(np.hypot(*(x[i, :2] - x[j, :2]).T), kind="stable")]
         visits: list[int] = []
         for k in i.tolist():
-            if len(visits) < MAX_VISITS_AGAIN and all(
-                abs(driven[k] - driven[v]) > MIN_LENGTH_AGAIN_M for v in visits
-            ):
+            apart = all(abs(driven[k] - driven[v]) > MIN_LENGTH_AGAIN_M for v in visits)
+            if apart and len(visits) < MAX_VISITS_AGAIN:
                 visits.append(k)
         pairs += [(k, j) for k in visits]
     if not pairs:

@@ -51,9 +51,8 @@ def may_have_reference(drive: Drive, robot: Robot) -> bool:
 def sets(drive: Drive) -> list[tuple[str, ...]]:
     """Return the sets of sensors for which a reference is computed: all sensors, and all without one sensor.
 
-    The sensors that need the left-out one are left out with it.
-
-    A set is left out if none of its sensors measures the position: its distance scale would be that of the wheels.
+    The sensors that need the left-out one are left out with it. A set is left out if none of its sensors measures
+    the position: its distance scale would be that of the wheels.
     """
     present = _present(drive)
     found = [present, *(_without(s, present) for s in present)]
@@ -129,11 +128,8 @@ class References(msgspec.Struct, frozen=True):
         A reference that shares no sensor with the estimate is preferred, that with the least sigma first. If none
         can evaluate it, the reference of all sensors is used.
         """
-        others = [
-            r
-            for r in self.solved.values()
-            if e.sensors and not set(r.sensors) & set(e.sensors) and self.contradiction(r, e.sensors) is None
-        ]
+        others = [r for r in self.solved.values() if e.sensors and not set(r.sensors) & set(e.sensors)]
+        others = [r for r in others if self.contradiction(r, e.sensors) is None]
         for reference in sorted(others, key=lambda r: r.sigma):
             found = reference.judge(judged, e, align)
             if reference.can_judge(found.figures["position_rmse_m"]):

@@ -37,12 +37,12 @@ def square_with_a_closure() -> Anchors:
 
 def test_a_closure_makes_the_far_anchor_as_certain_as_the_closure_and_moves_it_home() -> None:
     graph = square_with_a_closure()
-    drifted, before = np.hypot(*graph.pose[4, :2]), graph.covariance((4,))
+    drifted, before = np.hypot(*graph.pose[4, :2]), graph.covariance(4)
     graph.add(Edge(0, 4, np.zeros(3), np.diag((1e4, 1e4, 1e6))))
     graph.solve()
     assert drifted > 0.2
     assert np.hypot(*graph.pose[4, :2]) < 0.01
-    after = graph.covariance((4,))
+    after = graph.covariance(4)
     assert np.diagonal(before)[:2].min() > 0.02
     assert np.diagonal(after)[:2].max() < 1.1e-4
 

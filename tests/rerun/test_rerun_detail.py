@@ -24,7 +24,7 @@ from locfuse.formats.rerun.drawing import STATES
 from locfuse.formats.rerun.recording import save_recording, unfolded
 from locfuse.formats.rerun.scene import REJECTED, RawTopic, RerunScene, SensorLook
 from locfuse.formats.rerun.series import reading_states, thinned_states
-from locfuse.formats.thin import evenly, extremes
+from locfuse.formats.thin import extremes
 from locfuse.fusion.data import (
     VERDICTS,
     Array,
@@ -35,6 +35,7 @@ from locfuse.fusion.data import (
     MapLine,
     Measurements,
     Motions,
+    evenly,
     upper_triangles,
 )
 from locfuse.fusion.fuse import fuse

@@ -7,6 +7,7 @@ messages).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -82,7 +83,10 @@ MAX_FRAME_SHARE = 0.5
 MIN_BODY_MISFIT = 0.3  # least misfit to the body's axes, as share of the distance, for speeds in the poses' frame
 MAX_SIDEWAYS_MPS = 3.0  # m/s, limit of the 95th percentile of the sideways speed
 MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and largest share of jumps among the steps
-MIN_ALONG, MIN_MIRROR_GAIN = 0.9, 0.3  # of mean cos(2 angle to the body's x axis): mirrored y; more than as it is
+# length of the mean unit step in the body's frame: least one with which steps have one direction; gain by a mirror
+MIN_ALONG, MIN_MIRROR_GAIN = 0.9, 0.3
+MAX_SPEED_MISFIT = 0.3  # mean difference of steps by speed and by pose, as share of the step, if speeds are used
+MIN_OFF_RAD, MAX_OFF_RAD = math.radians(10.0), math.radians(150.0)  # beyond: the speed may have the wrong sign
 MAX_REVERSE_SHARE = 0.1  # largest ratio of steps that are reverse in pose and speed to those reverse in speed only
 
 
@@ -197,11 +201,7 @@ def travelled(
         notes = ("its pose never changes: its twist is used",) if posed else ()
         keep = possible(values[:, 3:], max_speed)
         return OdometryMotion(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
-    mirror = mirrored(values[:, :3])
-    if mirror:
-        # the turning rates show which of both is right
-        turned = se2.wrap_all(np.diff(values[:, 2])) @ (values[1:, 4] + values[:-1, 4])
-        values = values * ((1.0, 1.0, -1.0, 1.0, 1.0) if turned < 0.0 else (1.0, -1.0, 1.0, 1.0, 1.0))
+    values, words = along_the_way(t, values)
     two = in_turn(values[:, :2])
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
     rows = np.flatnonzero(~bad)
@@ -221,11 +221,7 @@ def travelled(
     in_frame = bool(by_speed.any()) and along_the_frame(steps[:, 0], np.diff(values[:, 0]), by_speed)
     backing = backing_up(steps, by_speed) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0
-    words = [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
-    side = "headings" if mirror and turned < 0.0 else "y axis"
-    words += (
-        [f"its path is a mirror image of its headings: its {side} is taken with the other sign"] if mirror else []
-    )
+    words += [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
     words += _words(int(bad.sum()), int(held.sum()), t[1:][far].tolist(), int(backing.sum()))
     used = ~bad
@@ -269,20 +265,38 @@ def _words(spiked: int, held: int, restarts: Sequence[float], turned: int) -> li
     return words
 
 
-def mirrored(poses: Array) -> bool:
-    """Return whether poses (n, 3) go along the body's x axis only if their y had the other sign."""
-    step = np.diff(poses[:, :2] @ (1.0, 1.0j))
-    ahead = np.exp(-1.0j * (poses[:-1, 2] + 0.5 * se2.wrap_all(np.diff(poses[:, 2]))))
+def along_the_way(t: Array, values: Array) -> tuple[Array, list[str]]:
+    """Return an odometry's values (n, 5) with headings along its path, and notes on what was changed.
+
+    Some drivers give y or the headings the wrong sign, or headings that are off by a constant angle: the path is a
+    mirror image of the headings, or goes aside although the speed is ahead.
+    """
+    step = np.diff(values[:, :2] @ (1.0, 1.0j))
     moving = np.abs(step) > MIN_STEP_M
     if not moving.any():
-        return False
-    size = np.abs(step[moving])
-    size = np.minimum(size, MAX_STEP_RATIO * float(np.median(size)))  # limits the effect of jumps
-    own, other = (
-        float((np.cos(2.0 * np.angle(way)) @ size) / size.sum())  # 1: along the x axis, -1: along the y axis
-        for way in ((step * ahead)[moving], (step.conj() * ahead)[moving])
-    )
-    return other > MIN_ALONG and own < other - MIN_MIRROR_GAIN
+        return values, []
+    by_speed = (0.5 * np.diff(t) * (values[1:, 3] + values[:-1, 3]))[moving]
+    middle = (values[:-1, 2] + 0.5 * se2.wrap_all(np.diff(values[:, 2])))[moving]
+    step, size = step[moving], np.abs(step[moving])
+    weights = np.minimum(size, MAX_STEP_RATIO * float(np.median(size)))  # limits the effect of jumps
+    weights /= weights.sum()
+    own, other = (way / size * np.exp(-1.0j * middle) for way in (step, step.conj()))
+    measured = float(np.abs(np.abs(by_speed) - size) @ (weights / size)) < MAX_SPEED_MISFIT
+    straight = complex(other**2 @ weights)  # 1: along the x axis, if y had the other sign; -1: along the y axis
+    mirror = abs(own**2 @ weights) < abs(straight) - MIN_MIRROR_GAIN
+    mirror &= (abs(straight) if measured else straight.real) > MIN_ALONG
+    ahead = complex((other if mirror else own) * np.sign(by_speed) @ weights)
+    off = float(np.angle(ahead)) if measured and abs(ahead) > MIN_ALONG else 0.0
+    off, words = off if MIN_OFF_RAD < abs(off) < MAX_OFF_RAD else 0.0, []
+    values = values + np.array([0.0, 0.0, off, 0.0, 0.0])
+    if off:
+        words.append(f"it drives {math.degrees(off):.0f}° aside of its headings: they are turned by that")
+    if mirror:  # the turning rates show which of both is right
+        turned = se2.wrap_all(np.diff(values[:, 2])) @ (values[1:, 4] + values[:-1, 4])
+        values = values * ((1.0, 1.0, -1.0, 1.0, 1.0) if turned < 0.0 else (1.0, -1.0, 1.0, 1.0, 1.0))
+        side = "its headings are" if turned < 0.0 else "y is"
+        words.append(f"its path is a mirror image of its headings: {side} taken with the other sign")
+    return values, words
 
 
 def backing_up(steps: Array, by_speed: Array) -> Mask:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, WheelSettings
-from locfuse.fusion.wheels.odometry import mirrored
+from locfuse.fusion.wheels.odometry import along_the_way
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.repairs import unrolled
 
@@ -463,26 +464,43 @@ def test_a_twist_along_the_frame_of_the_poses_turns_nothing_round(start: float) 
         assert final(reading)[:2] == pytest.approx(pose[-1, :2], abs=0.06)
 
 
-@pytest.mark.parametrize("wrong", ["y", "headings", "neither"])
+WRONG: dict[str, tuple[str, Callable[[Array], Array]]] = {
+    "nothing": ("", lambda q: q),
+    "y": ("mirror image of its headings: y is", lambda q: q * [1.0, -1.0, 1.0]),
+    "headings": ("mirror image of its headings: its headings are", lambda q: q * [1.0, 1.0, -1.0]),
+    "x and y": ("mirror image of its headings: y is", lambda q: q[:, [1, 0, 2]]),
+    "90 degrees": ("drives -90° aside", lambda q: q - [0.0, 0.0, -0.5 * np.pi]),
+    "-30 degrees": ("drives 30° aside", lambda q: q - [0.0, 0.0, np.pi / 6.0]),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("start", [0.0, 1.0, 2.5])
-def test_a_path_that_is_a_mirror_image_of_its_headings_is_turned_back(wrong: str, start: float) -> None:
-    """The turning rates show whether y or the headings have the wrong sign; a step sideways is no mirror image."""
+def test_headings_that_do_not_fit_the_path_are_set_right(wrong: str, start: float) -> None:
+    """The turning rates show whether y or the headings have the wrong sign, the speeds where the front is."""
     t = np.arange(0, 60, 0.1)
-    speed, turn = np.full(len(t), 0.4), 0.3 + 0.2 * np.sin(0.3 * t)
+    speed, turn = 0.3 + 0.2 * np.cos(0.5 * t), 0.3 + 0.2 * np.sin(0.3 * t)
+    speed[300:330] *= -1.0  # backward for three seconds
     pose = se2.compose(np.array([0.0, 0.0, start]), driven(speed[:-1], turn[:-1], 0.1))
-    sign = {"y": [1.0, -1.0, 1.0], "headings": [1.0, 1.0, -1.0], "neither": [1.0, 1.0, 1.0]}[wrong]
-    reading = read_wheels(odometry(t, pose * sign, speed, turn), WheelSettings())
-    assert ("mirror image" in words(reading)) == (wrong != "neither")
-    right = se2.between(pose[0], pose[-1])
-    assert final(reading)[:2] == pytest.approx(right[:2], abs=0.02)
+    note, edit = WRONG[wrong]
+    reading = read_wheels(odometry(t, edit(pose), speed, turn), WheelSettings())
+    assert note in words(reading)
+    assert ("mirror" in words(reading) or "aside" in words(reading)) == bool(note)
+    assert final(reading)[:2] == pytest.approx(se2.between(pose[0], pose[-1])[:2], abs=0.05)
 
 
-def test_a_body_that_drives_in_all_directions_is_no_mirror_image() -> None:
+def test_a_body_that_drives_in_all_directions_is_left_as_it_is() -> None:
     t = np.arange(0, 60, 0.1)
     pose = np.stack((np.sin(0.2 * t), np.cos(0.3 * t), 0.1 * t), axis=-1)
-    assert not mirrored(pose)
-    assert not mirrored(pose * [1.0, -1.0, 1.0])
-    assert not mirrored(np.zeros((5, 3)))
+    for speed in (np.zeros(len(t)), np.gradient(pose[:, 0], t)):
+        values = np.column_stack((pose, speed, np.full(len(t), 0.1)))
+        for sign in (1.0, -1.0):
+            changed, notes = along_the_way(t, values * [1.0, sign, 1.0, 1.0, 1.0])
+            assert notes == []
+            np.testing.assert_array_equal(changed, values * [1.0, sign, 1.0, 1.0, 1.0])
+    still, notes = along_the_way(t, np.zeros((len(t), 5)))
+    assert not notes
+    assert not still.any()
 
 
 def test_a_twist_along_the_frame_is_known_though_every_other_stamp_is_late() -> None:

@@ -111,7 +111,8 @@ def strings(value: Any) -> Iterator[str]:
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("report") / "out"
-    ok("compare", "rounded_rectangle", "--all-subsets", "--sensors", "lrf@2Hz", "--write", "all", "-o", out)
+    words = ("--all-subsets", "--sensors", "lrf@2Hz", "--write", "all", "--to", "30")
+    ok("compare", "rounded_rectangle", *words, "-o", out)
     return out
 
 

@@ -212,7 +212,7 @@ def test_tum_with_covariance_names_its_columns(ran: Path) -> None:
 
 def test_compare_exports_every_configuration_under_a_name_that_ros_allows(tmp_path: Path) -> None:
     sets = [w for s in ("odometry", "compass,lrf", "lrf@2Hz") for w in ("--sensors", s)]
-    words = ("--write", "tum,json", "--export", "mcap,csv,kitti", "--no-advice", "-q")
+    words = ("--write", "tum,json", "--export", "mcap,csv,kitti", "--no-advice", "-q", "--to", 20)
     ok("compare", LOG, *sets, *words, "-o", tmp_path)
     topics = decoded(tmp_path / "estimates.mcap")
     for name in json.loads((tmp_path / "report.json").read_text())["configurations"]:

@@ -28,7 +28,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def session() -> locfuse.Session:
-    return locfuse.load(LOG)
+    return locfuse.load(LOG, between=(None, 10.0))
 
 
 @pytest.fixture(scope="module")

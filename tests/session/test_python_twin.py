@@ -47,7 +47,7 @@ def test_info_gives_what_the_command_prints_also_where_nothing_runs_yet() -> Non
 
 
 def test_tuning_gives_the_commands_values_and_its_file(tmp_path: Path) -> None:
-    log, sets = write(tmp_path / "drive.mcap", seconds=TO), ("--set", "compass.sigma_deg=9")
+    log, sets = write(tmp_path / "drive.mcap", seconds=10.0), ("--set", "compass.sigma_deg=9")
     done = ok("tune", log, "--sensors", "compass", *sets, "--json", "-o", tmp_path / "a.toml")
     found = locfuse.load(log).with_settings({"compass.sigma_deg": 9}).tune(sensors="compass")
     assert json.loads(done.stdout) == json.loads(json.dumps(found.values()))

@@ -300,14 +300,11 @@ def test_the_gate_tells_the_landmark_from_wrong_red_things(expected: dict[float,
     assert verdicts(*expected) == expected
 
 
-def test_the_innovation_is_wrapped() -> None:
+def test_the_innovation_is_wrapped_and_inside_the_landmark_there_is_none() -> None:
     model = Camera().model(CameraSettings(landmark=(4.0, 0.0)))
     (seen,) = one_by_one(model.innovations(readings((math.pi - 0.001,)), 0, belief(8.0, 0.0, 0.002)))
     assert seen.y[0] == pytest.approx(0.001)  # pi - 0.001 against -pi + ... : behind, slightly left
     assert VERDICTS[seen.verdict] == "accepted"
-
-
-def test_inside_the_landmark_there_is_no_bearing() -> None:
     model = Camera().model(CameraSettings(landmark=(4.0, 0.0), x=0.1))
     assert model.innovations(readings((0.0,)), 0, belief(3.9, 0.01, 0.0)) == []
 

@@ -261,17 +261,11 @@ def test_the_lag_that_was_put_in_is_found(lag: float) -> None:
     assert found.without <= found.correlation + 1e-6
 
 
-def test_a_lag_beyond_the_longest_is_none() -> None:
+def test_a_lag_beyond_the_longest_a_drive_that_hardly_turns_and_rare_readings_tell_none() -> None:
     t = np.arange(4.0, 115.0, 0.1)
     assert find_lag(t, np.interp(t + MAX_LAG_S + 0.3, STAMPS, TURNED), by_wheels(wheels())) is None
-
-
-def test_a_robot_that_hardly_turns_says_nothing_of_clocks() -> None:
     t = np.arange(3.0, 117.0, 0.1)
     assert find_lag(t, np.interp(t, STAMPS, 0.001 * TURNED), by_wheels(wheels())) is None
-
-
-def test_readings_seconds_apart_that_turn_otherwise_do_not_vouch_for_a_clock() -> None:
     t = np.arange(3.0, 117.0, 2.5)
     heading = np.interp(t, STAMPS, TURNED) + np.random.default_rng(0).normal(0.0, 0.3, len(t))
     assert find_lag(t, heading, by_wheels(wheels())) is None

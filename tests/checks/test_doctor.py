@@ -232,9 +232,11 @@ def test_an_outvoted_clock_is_set_on_top_of_what_is_set(by: dict[str, float], fi
         assert told(found) == pytest.approx({"compass.time_offset": 0.2}, abs=0.03)
 
 
-def test_clocks_that_agree_are_not_mentioned() -> None:
+def test_clocks_that_agree_and_a_healthy_truth_are_not_mentioned() -> None:
     for seed in range(10, 15):
         assert of_clocks(drive(seed, robot()), robot()) == []
+    for seed in range(19, 24):
+        assert of_truth(drive(seed, robot()), robot()) == []
 
 
 # truth
@@ -361,11 +363,6 @@ def test_a_start_four_degrees_off_is_named_unless_its_sigma_says_so(sigma_deg: f
     assert ("start.theta_deg" in found) == named
     if named:
         assert found["start.theta_deg"] == pytest.approx(math.degrees(START[2]), abs=0.5)
-
-
-def test_a_healthy_truth_is_not_mentioned() -> None:
-    for seed in range(19, 24):
-        assert of_truth(drive(seed, robot()), robot()) == []
 
 
 @pytest.mark.parametrize("place", [0.0, 5e-324])
@@ -505,7 +502,7 @@ def test_gaps_are_silences_of_several_periods() -> None:
     assert gaps(np.arange(0.0, 30.0, 3.0)) == []
 
 
-def test_a_finding_says_what_an_error_says_and_carries_its_fixes() -> None:
+def test_a_finding_says_what_an_error_says_and_names_another_role() -> None:
     error = LocfuseError(
         "2 topics fit: /a, /b.", role="lrf", fixes=("lrf.topic=/a",), hint="Choose one with --set lrf.topic=/a"
     )
@@ -519,9 +516,6 @@ def test_a_finding_says_what_an_error_says_and_carries_its_fixes() -> None:
     )
     assert finding.sentence == "2 topics fit: /a, /b. Choose one with --set lrf.topic=/a"
     assert finding.brief == "2 topics fit: /a, /b"  # what says how is printed below it
-
-
-def test_a_finding_about_another_role_names_it() -> None:
     assert of_error(LocfuseError("no way", role="wheels"), "log", "unusable").message == "wheels: no way"
     assert of_error(LocfuseError("bag.mcap: cut short"), "log", "unusable").message == "bag.mcap: cut short"
 

@@ -68,9 +68,14 @@ def mirrored(drive: Drive, zero_deg: float) -> Drive:
     return replace(drive, measurements={"camera": replace(m, z=z)})
 
 
-def test_a_camera_that_is_as_configured_is_left_alone(healthy: tuple[Drive, Robot]) -> None:
+def test_a_camera_as_configured_and_one_on_a_drive_that_hardly_turns_are_left_alone(
+    healthy: tuple[Drive, Robot],
+) -> None:
     assert of_handedness(*healthy) == []
     assert present(turning_along(*healthy)[0]) < 1.0 - MIRRORED_SHARE  # so no other handedness is tried
+    drive, robot = healthy
+    few = drive.measurements["camera"].take(np.arange(8))
+    assert of_handedness(mirrored(replace(drive, measurements={"camera": few}), 0.0), robot) == []
 
 
 def test_a_mirrored_camera_is_named_with_its_handedness(healthy: tuple[Drive, Robot]) -> None:
@@ -105,12 +110,6 @@ def test_only_the_first_metres_give_the_zero_near_the_start(healthy: tuple[Drive
     circles = replace(drive, wheels=wheels, measurements={"camera": seen})
     (found,) = of_handedness(mirrored(circles, 25.0), robot)
     assert float(found.fixes[1].partition("=")[2]) == pytest.approx(25.0, abs=3.0)
-
-
-def test_a_robot_that_hardly_turns_tells_nothing(healthy: tuple[Drive, Robot]) -> None:
-    drive, robot = healthy
-    few = drive.measurements["camera"].take(np.arange(8))
-    assert of_handedness(mirrored(replace(drive, measurements={"camera": few}), 0.0), robot) == []
 
 
 # --- iron about a magnetometer, simulated: on the robot it is a setting, in the room it is a place
@@ -187,19 +186,16 @@ def test_a_noise_that_is_set_too_low_is_named_with_the_one_that_was_drawn(sigma:
     assert said(room() + noise(sigma), sigma_range=sigma / 2.0) == pytest.approx(sigma, rel=0.12)
 
 
-def test_a_noise_that_is_right_or_too_high_is_not_mentioned() -> None:
+def test_a_noise_that_is_right_or_too_high_and_walls_without_noise_are_not_mentioned() -> None:
     for configured in (0.03, 0.05):
         assert said(room() + noise(0.03), sigma_range=configured) is None
+    assert said(room(), sigma_range=1e-6) is None
 
 
 @pytest.mark.parametrize(("sigma", "more"), [(0.02, True), (0.028, False), (0.04, False)])
 def test_a_smaller_sigma_is_contradicted_by_the_ranges(sigma: float, more: bool) -> None:
     ranges = room() + noise(0.03)
     assert scatter_more(ranges_sigma(scan_stream(range(SCANS), ranges), LrfSettings()), sigma) == more
-
-
-def test_walls_without_noise_leave_nothing_however_they_lie() -> None:
-    assert said(room(), sigma_range=1e-6) is None
 
 
 def test_rounded_ranges_and_clutter_tell_no_noise() -> None:
@@ -339,14 +335,11 @@ def test_the_track_alone_turns_the_robot_as_far_as_the_states_do(longer: float, 
     assert rolled / float(fix.partition("=")[2]) == pytest.approx(by_states, rel=1e-3)
 
 
-def test_a_track_that_turns_the_robot_as_configured_is_no_finding() -> None:
-    assert not list(of_probe(robot(), "lrf", run(wheels=(0.05, 0.05, 0.05)), False))
-
-
 def test_a_track_far_outside_its_prior_is_a_slip_unless_the_truth_can_judge_it() -> None:
     """On a real log one slip made the state 0.56: the advised track was twice the true one."""
     found = [list(of_probe(robot(), "lrf", run(wheels=(0.0, 0.0, 0.56)), by_truth)) for by_truth in (False, True)]
     assert [len(f) for f in found] == [0, 1]
+    assert not list(of_probe(robot(), "lrf", run(wheels=(0.05, 0.05, 0.05)), False))
 
 
 @pytest.mark.parametrize(

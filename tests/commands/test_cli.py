@@ -170,12 +170,9 @@ def test_bad_input_gets_one_clear_line_and_nothing_is_written(
     assert not out.exists()
 
 
-def test_json_on_stdout_is_the_report() -> None:
+def test_json_on_stdout_is_the_report_and_write_chooses_the_files(tmp_path: Path) -> None:
     done = reported("run", LOG, "--no-advice", "--sensors", "odometry", "--json")
     assert json.loads(done.stdout) == done.report
-
-
-def test_write_chooses_the_outputs(tmp_path: Path) -> None:
     ok("compare", LOG, "--no-advice", "--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
     written = {p.name for p in (tmp_path / "out").iterdir()}
     assert written - {"timing.json", "fixes.toml"} == {"report.json", "robot.toml"}

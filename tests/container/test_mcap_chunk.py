@@ -106,12 +106,9 @@ def test_the_records_end_at_one_that_does_not_belong_in_a_chunk(opcode: int) -> 
     assert rows_of(data, found.messages) == (ROWS if begins_a_record else ROWS[:-1])
 
 
-def test_a_message_as_short_as_can_be_is_one_and_a_shorter_one_ends_the_records() -> None:
+def test_records_end_where_one_is_too_short_or_reaches_too_far() -> None:
     assert scan(array(record(MESSAGE, bytes(22)))).end == 31
     assert scan(array(record(MESSAGE, bytes(21)))).end == 0
-
-
-def test_a_record_that_reaches_one_byte_too_far_ends_the_records() -> None:
     data, places = laid()
     found = scan(array(data[:-1]))
     assert found.end == places[-1]

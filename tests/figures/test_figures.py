@@ -112,7 +112,7 @@ def test_every_configuration_stands_out_from_its_page(theme: str) -> None:
         assert contrast(getattr(inks[name], theme), page(theme)) >= 3.0, name
 
 
-def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
+def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log_nor_on_a_name() -> None:
     alone = palette.colours({"lrf": trace("lrf")}, SENSORS)["lrf"]
     beside = palette.colours({n: trace(n) for n in ("odometry", "compass", "lrf")}, SENSORS)
     assert beside["lrf"] == alone
@@ -125,13 +125,7 @@ def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
     assert trace("all", ("lrf",)).look == ""  # the only sensor is no set
     assert not trace("all").dashed
     assert not trace("lrf").dashed
-
-
-def test_a_name_alone_decides_nothing() -> None:
     assert not trace("lrf@2Hz+x smoothed", ("lrf",)).dashed
-
-
-def test_every_verdict_has_a_colour() -> None:
     assert set(VERDICTS) <= set(palette.ROLES)
 
 
@@ -191,13 +185,10 @@ def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> 
     assert len(drawn) < 150
 
 
-def test_nan_breaks_a_curve() -> None:
+def test_nan_breaks_a_curve_and_dots_that_touch_become_one_stroke() -> None:
     y = np.full(100, 5.0)
     y[40:50] = np.nan
     assert len(points(svg.curve_path(np.arange(100.0), y, 400))) == 2
-
-
-def test_dots_that_touch_become_one_stroke_and_none_is_lost() -> None:
     x, y = np.array([3.0, 3.0, 3.0, 3.0, 8.0]), np.array([1.0, 2.0, 3.0, 30.0, 7.0])
     path = svg.dots_path(x, y)
     assert path.count("M") == 3

@@ -12,16 +12,10 @@ from locfuse.fusion.change import jackknife
 VALUES = np.random.default_rng(1).normal(3.0, 2.0, (40, 2))
 
 
-def test_of_independent_values_the_error_of_a_mean_is_the_textbook_s() -> None:
+def test_the_error_of_a_mean_is_the_textbook_s_and_values_that_repeat_count_once() -> None:
     found = jackknife(lambda some: VALUES[some].mean(axis=0), len(VALUES), len(VALUES))
     assert found == pytest.approx(VALUES.std(axis=0, ddof=1) / math.sqrt(len(VALUES)), rel=1e-12)
-
-
-def test_values_that_repeat_within_a_part_count_once() -> None:
     repeated = np.repeat(VALUES[:8, 0], 50)
     found = jackknife(lambda some: repeated[some].mean(), len(repeated), 8)
     assert float(found) == pytest.approx(VALUES[:8, 0].std(ddof=1) / math.sqrt(8.0), rel=1e-12)
-
-
-def test_an_estimate_that_fails_without_one_part_has_no_error() -> None:
     assert math.isinf(jackknife(lambda some: None if 0 not in some else 1.0, 40, 8))

@@ -234,12 +234,9 @@ def calls(world: World, sensors: list[str], due: list[str]) -> float:
     return float(np.median(found))
 
 
-def test_a_motion_costs_three_calls() -> None:
+def test_a_motion_costs_three_calls_and_a_heading_fewer_than_twenty() -> None:
     """The loop, the belief and the record; all equations are compiled."""
     assert calls(World(), [], []) <= 3
-
-
-def test_a_heading_costs_fewer_than_twenty_calls() -> None:
     assert calls(World(), ["compass"], ["compass"]) <= 17
 
 
@@ -264,12 +261,9 @@ def compared() -> Compared:
     return compare_log(loaded, for_comparison((), loaded.drive), Asked(audits=False), lambda _: None, draws=True)
 
 
-def test_audits_end_with_the_judgement(compared: Compared) -> None:
+def test_audits_end_with_the_judgement_and_a_few_numbers_an_instant_remain(compared: Compared) -> None:
     assert compared.drawn.nis.keys() == {(e.name, s) for e in compared.estimates for s in e.sensors}
     assert not any(e.audits for e in (*compared.estimates, *(run.estimates for run in compared.runs)))
-
-
-def test_of_a_run_a_few_numbers_an_instant_remain(compared: Compared) -> None:
     truth = present(compared.loaded.drive.truth)
     for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
         assert size(e) <= 8 * (12 * len(e.t) + 12 * len(truth.t))

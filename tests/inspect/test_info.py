@@ -505,15 +505,12 @@ def test_scans_that_begin_at_two_angles_in_turn_are_named(tmp_path: Path) -> Non
 # --- an IMU is bolted to the robot once: what turns its gyro turns its compass
 
 
-def test_roll_and_pitch_given_for_one_hold_for_the_other(tmp_path: Path) -> None:
+def test_roll_and_pitch_given_for_one_hold_for_the_other_in_the_same_frame(tmp_path: Path) -> None:
     log = recorded(tmp_path, partial(imu, R=ROLLED, orientation=True), without_compass)
     for given, other in (("gyro", "compass"), ("compass", "gyro")):
         robot = api.load(log, sets={f"{given}.roll_deg": 90.0}).robot
         assert robot.settings(other).roll_deg == 90.0
     robot = api.load(log, sets={"gyro.roll_deg": 90.0, "compass.roll_deg": 5.0}).robot
     assert (robot.settings("gyro").roll_deg, robot.settings("compass").roll_deg) == (90.0, 5.0)
-
-
-def test_sensors_of_other_frames_keep_their_own(tmp_path: Path) -> None:
     robot = api.load(recorded(tmp_path, gyro(ROLLED)), sets={"gyro.roll_deg": 90.0}).robot
     assert robot.settings("compass").roll_deg == 0.0

@@ -248,13 +248,10 @@ def test_turns_of_all_scans_equal_those_found_one_by_one(cells: int, monkeypatch
     np.testing.assert_allclose(scans.turns(first, z, variance), [0.0, *expected], atol=1e-12)
 
 
-def test_lines_that_are_equally_good_turn_by_their_median() -> None:
+def test_lines_that_are_equally_good_turn_by_their_median_and_none_do_not_turn() -> None:
     first, psi = np.array([0, 4, 8]), np.array([0.0, 1.0, 2.0, 3.0])
     z = np.column_stack((np.ones(8), np.concatenate((psi, psi - [0.1, 0.12, 0.15, 0.4]))))
     assert scans.turns(first, z, np.full(8, 1e-4))[1] == pytest.approx(0.135)
-
-
-def test_scans_without_lines_have_no_turns() -> None:
     none = np.zeros((0, 2))
     np.testing.assert_array_equal(scans.turns(np.zeros(4, np.int64), none, none[:, 0]), np.zeros(3))
 

@@ -142,14 +142,11 @@ def test_of_messages_written_at_one_time_without_numbers_the_older_stamp_is_firs
     assert rows(stream.columns("position")["position"]) == [[i] for i in range(30)]
 
 
-def test_a_message_recorded_twice_is_one_reading(tmp_path: Path) -> None:
+def test_a_message_recorded_twice_is_one_reading_and_one_at_two_times_is_two(tmp_path: Path) -> None:
     said = drive(20)
     log = open_log([write(tmp_path / "log.mcap", [*said, *said[:7]])])
     assert len(log.stream("/joint_states").t_ns) == 20
     assert log.stream("/joint_states").dropped == {"repeat": sum(m.topic == "/joint_states" for m in said[:7])}
-
-
-def test_the_same_reading_at_two_times_is_two_rows(tmp_path: Path) -> None:
     data = cdr("std_msgs/msg/Float64", data=1.0)
     said = [Said("/n", "std_msgs/msg/Float64", data, T0 + i) for i in range(3)]
     assert len(open_log([write(tmp_path / "log.mcap", said)]).stream("/n").t_ns) == 3

@@ -185,11 +185,8 @@ def test_a_map_of_very_many_walls_is_refused_before_the_filter_holds_them(given:
         assert int(said[1].replace(" ", "")) == found
 
 
-def test_the_image_itself_is_refused_with_what_to_name(given: Path) -> None:
+def test_an_image_itself_and_several_logs_are_refused(given: Path) -> None:
     assert "name the .yaml beside the image" in refused("run", LOG, "--map", given.with_suffix(".pgm"), code=2)
-
-
-def test_several_logs_have_no_map_in_common(given: Path) -> None:
     assert "compare one log at a time" in refused("compare", LOG, "disturbed", "--map", given, code=2)
 
 

@@ -54,14 +54,11 @@ def mixed(colour: Rgb, ground: Rgb, percent: float) -> Rgb:
     return tuple((percent * c + (100 - percent) * g) / 100 for c, g in zip(colour, ground, strict=True))
 
 
-def test_the_ratio_is_that_of_known_pairs() -> None:
+def test_the_ratio_is_that_of_known_pairs_and_every_colour_is_found() -> None:
     assert contrast((0.0, 0.0, 0.0), (255.0, 255.0, 255.0)) == pytest.approx(21.0)
     assert contrast((119.0, 119.0, 119.0), (255.0, 255.0, 255.0)) == pytest.approx(
         4.48, abs=0.005
     )  # #777: just fails
-
-
-def test_the_colours_of_text_and_of_grounds_are_found() -> None:
     assert {"fg", "muted", "good", "bad"} <= set(INKS)
     assert {"bg", "card"} <= set(GROUNDS)
 

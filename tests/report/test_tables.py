@@ -106,12 +106,9 @@ def test_units_stand_in_the_heading() -> None:
     assert first.split() == ["short", "1.2", "50.0%"]
 
 
-def test_programs_get_full_precision_under_the_keys_of_report_json() -> None:
+def test_programs_get_full_precision_and_the_place_of_every_number() -> None:
     assert records(TABLE)[0] == {"name": "short", "length_m": 1.239, "share": 0.5}
     assert render.csv(TABLE).splitlines()[:2] == ["name,length_m,share", "short,1.239,0.5"]
-
-
-def test_every_number_of_a_page_names_its_place() -> None:
     assert Cells(render.html(TABLE)).data == {"/runs/short/length_m": 1.239, "/runs/short/share": 0.5}
 
 

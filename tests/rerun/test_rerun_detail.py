@@ -220,12 +220,9 @@ def test_ellipses_are_three_sigma_of_the_covariance() -> None:
             assert tip @ np.linalg.solve(p, tip) == pytest.approx(9.0, rel=1e-6)
 
 
-def test_a_certain_position_is_a_point() -> None:
+def test_a_certain_position_is_a_point_and_a_line_lies_where_its_normal_form_says() -> None:
     axes, _ = ellipses(np.zeros((1, 3, 3)))
     assert axes.tolist() == [[0.0, 0.0]]
-
-
-def test_a_line_is_drawn_where_its_normal_form_says() -> None:
     ((a, b),) = segments(np.array([[2.0, math.pi / 2]]), np.array([[-1.0, 3.0]]))
     np.testing.assert_allclose([a, b], [[1.0, 2.0], [-3.0, 2.0]], atol=1e-12)
 

@@ -74,12 +74,6 @@ def test_the_viewer_opens_on_seconds_since_the_start(made: Made) -> None:
     assert [value for name, value in panel.items() if name.endswith(":timeline")] == [[["drive"]]]
 
 
-def test_the_truth_lies_below_the_estimates(made: Made) -> None:
-    (truth,) = made.entities["world/truth/path"].static["LineStrips2D:draw_order"]
-    (lowest,) = made.entities["world/odometry/path"].static["LineStrips2D:draw_order"]
-    assert truth < lowest
-
-
 def test_the_legend_names_every_configuration_in_its_colour(made: Made) -> None:
     names = {p.removeprefix("legend/") for p in made.entities if p.startswith("legend/")}
     assert {name_of(n) for n in made.estimates} <= names
@@ -107,9 +101,15 @@ def test_every_configuration_has_its_pose_path_and_ellipse(made: Made, configura
     np.testing.assert_allclose(axes[:, 0], 3.0 * largest, atol=1e-7, rtol=1e-5)
 
 
-def test_y_is_up_by_one_flip_at_the_root(made: Made) -> None:
+def test_y_is_up_the_truth_lies_below_the_estimates_and_the_result_table_is_there(made: Made) -> None:
     (matrix,) = made.entities["world"].static["Transform3D:mat3x3"]
     assert np.array(matrix).reshape(3, 3).tolist() == [[1, 0, 0], [0, -1, 0], [0, 0, 1]]
+    (truth,) = made.entities["world/truth/path"].static["LineStrips2D:draw_order"]
+    (lowest,) = made.entities["world/odometry/path"].static["LineStrips2D:draw_order"]
+    assert truth < lowest
+    (((text,), *_),) = [made.entities["result"].static["TextDocument:text"]]
+    assert "| odometry |" in text
+    assert "<" not in text  # the viewer shows tags as text
 
 
 def test_deviations_are_those_of_the_report(made: Made) -> None:
@@ -258,12 +258,6 @@ def test_raw_topics_are_the_logs_numbers(made: Made) -> None:
     shown = made.entities[f"raw{topic}/magnetic_field.x"].array("Scalars:scalars")[:, 0]
     np.testing.assert_array_equal(shown, field)
     assert "raw/joint_states/position.left_wheel_joint" in made.entities
-
-
-def test_the_result_table_is_in_the_recording(made: Made) -> None:
-    (((text,), *_),) = [made.entities["result"].static["TextDocument:text"]]
-    assert "| odometry |" in text
-    assert "<" not in text  # the viewer shows tags as text
 
 
 def test_the_layout_opens_every_panel_on_something_that_is_there(made: Made) -> None:

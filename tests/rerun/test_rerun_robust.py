@@ -86,12 +86,11 @@ def test_a_stranger_on_the_port_costs_a_warning_and_no_hang(
         viewer.show(recording)
 
 
-def test_a_viewer_that_is_not_there_is_said_so(recording: Path, lonely: int) -> None:
+def test_a_viewer_or_a_display_that_is_not_there_is_said_so(
+    recording: Path, lonely: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(LocfuseError, match=f"no viewer answers at 127.0.0.1:{lonely}"):
         viewer.send(recording, f"rerun+http://127.0.0.1:{lonely}/proxy")
-
-
-def test_a_display_that_does_not_exist_is_noticed(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", ":4711")
     with pytest.raises(LocfuseError, match="viewer ended"):
         viewer.show(recording)

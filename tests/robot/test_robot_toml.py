@@ -159,12 +159,9 @@ def test_what_is_dumped_reads_back_the_same_to_the_last_bit(tables: dict[str, An
     assert dump(tables) == text
 
 
-def test_keys_without_a_value_are_left_out_of_a_dump() -> None:
+def test_a_dump_leaves_out_keys_without_a_value_and_refuses_what_it_could_not_read_back() -> None:
     text = dump({"order": "auto", "wheels": {"radius": 0.1, "track": None}})
     assert tomllib.loads(text) == {"order": "auto", "wheels": {"radius": 0.1}}
-
-
-def test_a_dump_refuses_what_it_could_not_read_back() -> None:
     with pytest.raises(LocfuseError, match=r"wheels\.radius = nan"):
         dump({"wheels": {"radius": float("nan")}})
 
@@ -199,17 +196,11 @@ topic = "/scan"
 """
 
 
-def test_values_change_and_every_other_character_stays() -> None:
+def test_values_change_and_what_is_behind_a_hash_comes_into_effect_where_it_stands() -> None:
     text = updated(MINE, {"wheels": {"radius": 0.0498}}, "x")
     assert text == MINE.replace("0.05 ", "0.0498 ")
-
-
-def test_a_key_behind_a_hash_is_filled_in_where_it_stands() -> None:
     text = updated(MINE, {"wheels": {"track": 0.61}}, "x")
     assert "\ntrack = 0.61  # not yet measured\n" in text
-
-
-def test_a_table_behind_a_hash_comes_into_effect() -> None:
     text = updated(MINE, {"compass": {"sigma_deg": 1.5}}, "x")
     assert "\n[compass]\nsigma_deg = 1.5\n\n[lrf]" in text
 
@@ -223,11 +214,8 @@ def test_new_keys_and_tables_are_added_and_say_who_did() -> None:
     assert text.rstrip().endswith("[gps]\norigin = [48.1, 11.5]  # locfuse tune")
 
 
-def test_a_value_that_holds_a_hash_is_replaced_whole() -> None:
+def test_a_value_that_holds_a_hash_is_replaced_whole_and_an_empty_file_is_filled() -> None:
     assert tomllib.loads(updated(MINE, {"wheels": {"left": "c"}}, "x"))["wheels"]["left"] == "c"
-
-
-def test_an_empty_file_is_filled() -> None:
     assert tomllib.loads(updated("", {"lrf": {"x": 0.2}}, "x")) == {"lrf": {"x": 0.2}}
 
 
@@ -287,14 +275,11 @@ def chain(n: int) -> str:
     return f"<robot>{joints}{wheels}</robot>"
 
 
-def test_a_description_of_thousands_of_joints_in_a_row_is_followed_to_its_end() -> None:
+def test_a_description_is_followed_up_to_the_cap_of_joints() -> None:
     begin = time.process_time()
     found = present(wheel_geometry(chain(MAX_JOINTS - 2)))
     assert found.track == pytest.approx(0.2)
     assert time.process_time() - begin < 20.0  # of CPU; a quarter as many took minutes
-
-
-def test_a_description_beyond_the_cap_of_joints_tells_nothing() -> None:
     assert wheel_geometry(chain(MAX_JOINTS)) is None
 
 

@@ -69,18 +69,12 @@ class EnoughError(Exception):
     """Ends a simulation."""
 
 
-def test_four_logs_come_with_the_package_by_name() -> None:
+def test_four_logs_come_by_name_one_with_its_licence_and_another_name_is_refused() -> None:
     assert sample_logs.names() == sorted([*NAMES, "labyrinth"])
     assert all(sample_logs.path(name).is_file() for name in sample_logs.names())
-
-
-def test_a_log_of_others_carries_its_licence() -> None:
     beside = sample_logs.path("labyrinth").with_suffix(".LICENSE.txt").read_bytes()
     assert attachments("labyrinth")["LICENSE.txt"] == beside
     assert b"https://creativecommons.org/licenses/by-sa/4.0/" in beside
-
-
-def test_a_name_there_is_not_is_refused_with_those_there_are() -> None:
     with pytest.raises(UsageError, match="disturbed, labyrinth, rounded_rectangle, rounded_triangle"):
         sample_logs.path("rounded_pentagon")
 

@@ -308,19 +308,13 @@ def ways(fault: Any) -> tuple[float, float, float, float]:
     return rolled, float(ahead.sum()), float(left.sum()), float(np.average(middle, weights=np.abs(ahead)))
 
 
-def test_two_slipping_wheels_lose_their_share_of_the_way() -> None:
+def test_slip_and_creep_take_their_share_of_the_way() -> None:
     rolled, ahead, left, _ = ways(faults.Slip(wheel="both", ratio=0.1))
     assert ahead == pytest.approx(0.9 * rolled, abs=3e-4)
     assert left == pytest.approx(0.0, abs=1e-6)
-
-
-def test_a_robot_that_creeps_moves_sideways_by_a_share_of_its_way() -> None:
     rolled, ahead, left, _ = ways(faults.Creep(ratio=0.02))
     assert ahead == pytest.approx(rolled, abs=3e-4)  # a count is 0.16 mm
     assert left == pytest.approx(0.02 * rolled, abs=1e-5)
-
-
-def test_a_sloping_floor_takes_the_robot_downhill_whichever_way_it_looks() -> None:
     rolled, ahead, left, heading = ways(faults.Creep(ratio=0.02, downhill_deg=-60.0))
     down = math.radians(-60) - heading
     assert ahead == pytest.approx(rolled * (1 + 0.02 * math.cos(down)), abs=3e-4)

@@ -94,13 +94,10 @@ def test_laser_rays_err_by_their_sigma_in_angle() -> None:
     assert agrees(residual)
 
 
-def test_rays_are_lost_as_often_as_asked() -> None:
+def test_rays_are_lost_as_often_as_asked_and_beyond_the_reach_they_are_infinite() -> None:
     measured = ranges(LrfSpec(lost=0.02), (3.0, 2.0, 0.5), 100)
     lost = int(np.isinf(measured).sum())
     assert binom.ppf(1e-4, measured.size, 0.02) < lost < binom.ppf(1 - 1e-4, measured.size, 0.02)
-
-
-def test_ranges_outside_the_reach_are_infinite_never_a_number() -> None:
     measured = ranges(LrfSpec(range_max=4.0, lost=0.0), (3.0, 2.0, 0.5), 20)
     assert np.isinf(measured).any()
     assert measured[np.isfinite(measured)].max() <= 4.0

@@ -30,10 +30,14 @@ def counts_of(angle: Array, slots: int = 500) -> tuple[int, int]:
     return int(seen.counts.sum()), int(seen.missed.sum())
 
 
-def test_a_disc_of_500_slots_gives_2000_counts_a_turn_either_way() -> None:
+def test_a_disc_of_500_slots_gives_2000_counts_a_turn_and_what_is_missed_is_reported() -> None:
     forward = np.linspace(0.0, 2 * math.pi, 20_001) + 1e-4
     assert counts_of(forward) == (2000, 0)
     assert counts_of(forward[::-1]) == (-2000, 0)
+    two_counts_at_once = np.array([0.1, 2.1, 4.1, 4.2]) * 2 * math.pi / 2000
+    seen = decode(*phases(two_counts_at_once, 500))
+    assert seen.missed.tolist() == [True, True, False]
+    assert seen.counts.tolist() == [0, 0, 0]
 
 
 def test_the_decoder_agrees_with_counting_quarter_slots() -> None:
@@ -42,13 +46,6 @@ def test_the_decoder_agrees_with_counting_quarter_slots() -> None:
     quarters = np.floor(angle * 2000 / (2 * math.pi))
     counts = decode(*phases(angle, 500)).counts
     np.testing.assert_array_equal(np.cumsum(counts), (quarters - quarters[0])[1:])
-
-
-def test_a_decoder_that_looks_too_seldom_reports_what_it_missed() -> None:
-    two_counts_at_once = np.array([0.1, 2.1, 4.1, 4.2]) * 2 * math.pi / 2000
-    seen = decode(*phases(two_counts_at_once, 500))
-    assert seen.missed.tolist() == [True, True, False]
-    assert seen.counts.tolist() == [0, 0, 0]
 
 
 def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
@@ -106,9 +103,13 @@ def test_the_rounded_rectangle_of_the_default_room_starts_and_measures_as_design
     assert path.curvature.max() == pytest.approx(1 / 0.6)
 
 
-def test_corners_that_do_not_fit_are_refused_with_the_edge() -> None:
+def test_corners_and_tours_that_do_not_fit_are_refused() -> None:
     with pytest.raises(LocfuseError, match=r"path.radius = 3.0 m does not fit: the edge after vertex 2"):
         polygon(Polygon(vertices=((0, 0), (9, 0), (9, 4), (0, 4)), radius=3.0))
+    room = Room(size=(1.0, 1.0), plates=())
+    plan = World(Scenario(room=room)).plan(OBSTACLE_HEIGHT)
+    with pytest.raises(LocfuseError, match="no tour"):
+        tour(Tour(), plan, room.size, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -120,13 +121,6 @@ def test_random_tours_stay_clear_of_everything(seed: int) -> None:
     assert 15 < len(path.pose) * 0.01 < 25
     gaps = np.hypot(*np.diff(path.pose[:, :2], axis=0).T)
     assert gaps.max() < 0.02  # in one piece
-
-
-def test_a_room_too_small_for_a_tour_is_an_error_not_an_endless_search() -> None:
-    room = Room(size=(1.0, 1.0), plates=())
-    plan = World(Scenario(room=room)).plan(OBSTACLE_HEIGHT)
-    with pytest.raises(LocfuseError, match="no tour"):
-        tour(Tour(), plan, room.size, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize(
@@ -213,13 +207,10 @@ def test_a_scan_is_cast_from_where_the_robot_is_at_each_ray() -> None:
     assert np.ptp(y[ahead]) < 0.01
 
 
-def test_a_robot_that_would_drive_into_a_wall_says_so() -> None:
+def test_a_robot_at_a_wall_and_a_drive_that_never_ends_are_stopped() -> None:
     scenario = load.load("disturbed", BLIND)
     with pytest.raises(LocfuseError, match=r"the robot hits something after 5\d.\d s: at \(2.\d\d, 0.\d\d\)"):
         in_memory(scenario, 1, localise("odometry"))
-
-
-def test_a_drive_that_never_ends_is_stopped() -> None:
     scenario = load.load("rounded_rectangle", (*BLIND, "control.time_limit=5"))
     with pytest.raises(LocfuseError, match=r"control\.time_limit = 5 s"):
         in_memory(scenario, 1)

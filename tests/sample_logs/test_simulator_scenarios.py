@@ -39,14 +39,11 @@ def test_a_scenario_says_what_it_is_and_survives_being_written_out(
     assert load.load(str(copy)) == scenario
 
 
-def test_the_same_seed_gives_the_same_drive_and_another_seed_another() -> None:
+def test_the_same_seed_gives_the_same_drive_in_one_simulation_too() -> None:
     scenario = load.load("tour", (*BLIND, "path.length=3"))
     first, again, other = (in_memory(scenario, seed)[2].truth for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first[0], other[0])
-
-
-def test_a_simulation_can_be_run_twice() -> None:
     simulation = Simulation(load.load("tour", (*BLIND, "path.length=3")), 1)
     first, again = (simulation.run(None, lambda message: None).truth for _ in range(2))
     np.testing.assert_array_equal(first, again)

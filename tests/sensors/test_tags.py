@@ -404,12 +404,9 @@ def test_tags_with_places_of_every_release(results: str, centre: str, tracked: b
     np.testing.assert_allclose(found.ranges, [math.hypot(*place) for place in TAGS.values()] * 2, atol=1e-12)
 
 
-def test_an_id_of_a_tracker_comes_before_the_class(tmp_path: Path) -> None:
+def test_an_id_of_a_tracker_comes_before_the_class_and_words_are_no_landmarks(tmp_path: Path) -> None:
     tag = {"id": "7", "results": [hypothesis(NESTED, 3)], "bbox": {"center": {"position": {"z": 2.0}}}}
     assert seen(tmp_path, 3, release(NESTED, POINTED, True), [[tag]]).ids.tolist() == [7]
-
-
-def test_objects_whose_classes_are_words_are_no_landmarks(tmp_path: Path) -> None:
     chair = {"results": [{"hypothesis": {"class_id": "chair"}}], "bbox": {"center": {"position": {"z": 2.0}}}}
     assert seen(tmp_path, 3, release(NESTED, POINTED, True), [[chair]]).ids.tolist() == [NO_ID]
 

@@ -65,10 +65,14 @@ def test_calibrating_gives_the_commands_values_and_its_file(tmp_path: Path) -> N
     assert found._repr_html_().count("<tr>") == 1 + len(found.rows())
 
 
-def test_a_result_says_what_its_report_says(compared: locfuse.Comparison) -> None:
+def test_a_result_says_what_its_report_says_and_columns_are_data_frames(compared: locfuse.Comparison) -> None:
     assert compared.headline == compared.report["headline"]
     assert compared.findings == compared.report["findings"]
     assert locfuse.Summary({"a": compared}).headline
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(compared.audit("lrf", "lrf"))
+    assert frame[frame["verdict"] == "accepted"]["nis"].notna().all()
+    assert len(pandas.DataFrame(compared.errors("lrf"))) > 100
 
 
 def test_errors_are_columns_by_the_truths_stamps(compared: locfuse.Comparison) -> None:
@@ -79,13 +83,6 @@ def test_errors_are_columns_by_the_truths_stamps(compared: locfuse.Comparison) -
     assert rmse == pytest.approx(compared.evaluations["lrf"].figures["position_rmse_m"])
     with pytest.raises(locfuse.LocfuseError, match="did you mean lrf"):
         compared.errors("lrg")
-
-
-def test_columns_are_data_frames_as_they_are(compared: locfuse.Comparison) -> None:
-    pandas = pytest.importorskip("pandas")
-    frame = pandas.DataFrame(compared.audit("lrf", "lrf"))
-    assert frame[frame["verdict"] == "accepted"]["nis"].notna().all()
-    assert len(pandas.DataFrame(compared.errors("lrf"))) > 100
 
 
 def test_an_audit_has_verdicts_by_name_as_many_as_the_report_counts(compared: locfuse.Comparison) -> None:

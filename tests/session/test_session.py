@@ -242,13 +242,10 @@ def test_a_map_of_one_run_is_localised_in_by_another_and_the_session_stays_as_it
     assert again.run("lrf", advice=False).report["settings"]["lrf"]["map"] == "given"
 
 
-def test_a_log_opens_without_being_measured() -> None:
+def test_a_log_opens_without_being_measured_and_progress_names_the_steps() -> None:
     log = locfuse.open_log(LOG)
     assert log.topics["/scan"].count == 548
     assert len(log.stream("/scan").columns("range_max")["range_max"]) == 548
-
-
-def test_progress_names_the_steps() -> None:
     steps: list[str] = []
     locfuse.load(LOG, progress=steps.append).run("odometry", advice=False)
     assert steps[:4] == ["opening", "reading", "measuring the wheels", "measuring compass"]

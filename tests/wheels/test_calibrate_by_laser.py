@@ -98,14 +98,11 @@ def test_slips_and_wrong_matches_are_left_out() -> None:
     assert np.abs((found.parameters - true()) / found.sigmas).max() < 3.0
 
 
-def test_wheels_in_another_unit_are_refused_in_words() -> None:
+def test_wheels_in_another_unit_and_a_short_drive_are_refused_in_words() -> None:
     motion = drive(0)
     far = Wheels.from_twists(motion.wheels.t, motion.wheels.twist * (57.3, 57.3, 1.0), TRACK, K)
     with pytest.raises(LocfuseError, match=r"goes 0\.0\d+ times as far as by the wheels"):
         calibrate([motion._replace(wheels=far)])
-
-
-def test_a_short_drive_is_refused_with_what_it_takes() -> None:
     with pytest.raises(LocfuseError, match="at least 12"):
         calibrate([drive(0, seconds=4.0)])
 

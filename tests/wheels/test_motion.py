@@ -124,14 +124,11 @@ def test_a_straight_run_has_the_closed_form_variances_at_any_encoder_rate(steps:
         assert Q[1, 1] == pytest.approx(2 * K * D**3 / (3 * TRACK**2), rel=2e-3)
 
 
-def test_a_turn_on_the_spot_has_the_closed_form_variance() -> None:
+def test_a_turn_on_the_spot_has_the_closed_form_variance_and_at_rest_nothing_grows() -> None:
     phi = 2.5
     wheels = wheels_from(np.tile([-phi * TRACK / 2 / 50, phi * TRACK / 2 / 50], (50, 1)))
     Q = wheels.between(np.array([0.0]), np.array([wheels.t[-1]])).Q[0]
     assert Q[2, 2] == pytest.approx(K * phi / TRACK, rel=1e-9)
-
-
-def test_nothing_grows_at_rest() -> None:
     wheels = wheels_from(np.zeros((50, 2)))
     motion = wheels.between(np.array([0.0]), np.array([1.0]))
     assert not motion.Q.any()

@@ -112,9 +112,15 @@ def test_an_odometry_that_stands_while_the_laser_moves_gives_way(half: int, tmp_
     assert "/odom" in choice.notes[0].words
 
 
-def test_where_all_stand_the_odometry_stays(tmp_path: Path) -> None:
+def test_a_robot_at_rest_a_frozen_laser_and_a_short_log_leave_the_odometry(tmp_path: Path) -> None:
     still = np.zeros_like(TRUTH)
     choice = chosen(tmp_path, odometry(T, still), scans_of(T, still))
+    assert choice.of("wheels") == ("/odom",)
+    frozen = scans_of(T[:1], TRUTH[:1])[0]
+    scans = [frozen._replace(log_time=ns) for ns in stamps(T)]
+    assert chosen(tmp_path, odometry(T, TRUTH), scans).of("wheels") == ("/odom",)
+    t, truth = circle(5.0)
+    choice = chosen(tmp_path, odometry(t, truth), scans_of(t, truth))
     assert choice.of("wheels") == ("/odom",)
 
 
@@ -128,12 +134,6 @@ def test_a_twist_never_comes_before_scans_and_what_it_is_worth_is_said(tmp_path:
     assert chosen(tmp_path, twists(T, "/speed", 0.6, -0.2)).of("wheels") == ("/speed",)
 
 
-def test_a_laser_that_repeats_one_scan_judges_nothing(tmp_path: Path) -> None:
-    frozen = scans_of(T[:1], TRUTH[:1])[0]
-    scans = [frozen._replace(log_time=ns) for ns in stamps(T)]
-    assert chosen(tmp_path, odometry(T, TRUTH), scans).of("wheels") == ("/odom",)
-
-
 def test_a_laser_that_freezes_for_some_time_does_not_judge_a_motion_there() -> None:
     true, rng = moved_by(TRUTH), np.random.default_rng(1)
     ranges = np.stack([ranges_of(pose, ROOM, rng) for pose in TRUTH])
@@ -143,12 +143,6 @@ def test_a_laser_that_freezes_for_some_time_does_not_judge_a_motion_there() -> N
     for rows in (pairs.first, pairs.later):
         assert not ((rows > a) & (rows < b)).any()
     assert len(pairs.points) == len(pairs.surface) == len(pairs.first)
-
-
-def test_a_log_of_five_seconds_is_judged_as_well(tmp_path: Path) -> None:
-    t, truth = circle(5.0)
-    choice = chosen(tmp_path, odometry(t, truth), scans_of(t, truth))
-    assert choice.of("wheels") == ("/odom",)
 
 
 # ---- what is no motion of the robot ----

@@ -62,12 +62,9 @@ def test_a_motion_explains_its_own_turns_and_ways_and_a_standing_one_none() -> N
     assert distances_explained(still, T, TRUTH[:, :2]) == 0.0
 
 
-def test_half_of_every_turn_explains_three_quarters_by_the_formula() -> None:
+def test_half_of_every_turn_explains_three_quarters_and_a_sensor_at_rest_nothing() -> None:
     half = wheels_of(np.column_stack((TRUTH[:, :2], 0.5 * TURN)))
     assert turns_explained(half, T, TURN) == pytest.approx(0.75, abs=0.01)
-
-
-def test_a_sensor_that_hardly_moves_tells_nothing() -> None:
     true = wheels_of(TRUTH)
     assert turns_explained(true, T, 0.01 * TURN) is None
     assert distances_explained(true, T, 0.1 * TRUTH[:, :2]) is None

@@ -276,14 +276,11 @@ def test_a_counter_of_so_many_bits_is_found_whatever_its_unit(bits: int, unit: f
     np.testing.assert_allclose(found.values, true, rtol=1e-9)
 
 
-def test_a_wheel_at_rest_where_its_angle_rolls_over_does_not_turn_about() -> None:
+def test_a_wheel_at_rest_where_it_rolls_over_stays_and_ticks_may_come_three_at_a_time() -> None:
     """Nothing but rounding moves: 0 and a turn less a billionth are one place."""
     found = unrolled(np.array([0.0, 0.0, 360.0 - 1e-9, 0.0, 360.0 - 1e-9, 360.0 - 1e-9]))
     assert found.modulus == 360.0
     np.testing.assert_allclose(found.values, found.values[0], atol=2e-9)
-
-
-def test_ticks_that_come_three_at_a_time_are_a_third_of_the_step() -> None:
     true = np.arange(0.0, 20000.0, 3.0)
     found = unrolled(true % 4096.0)
     assert found.modulus == 4096.0

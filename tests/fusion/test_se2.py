@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from textbook import numeric_jacobian
 
 from locfuse.fusion import se2
+from locfuse.fusion.change import jackknife
 
 POSES = np.array(
     [[0, 0, 0], [1, 2, 0.3], [-3, 0.5, math.pi], [2, -1, -math.pi + 1e-9], [0.1, 0.2, 1e-9], [5, 5, 3.0]], float
@@ -106,3 +107,17 @@ def test_derivatives_of_a_bearing_are_finite_differences(pose: np.ndarray) -> No
     seen = present(se2.sight(tuple(pose), point, tuple(mount), 0.1))
     np.testing.assert_allclose([seen[2]], numeric_jacobian(lambda p: bearing(p, mount), pose), atol=1e-7)
     np.testing.assert_allclose([seen[3]], numeric_jacobian(lambda m: bearing(pose, m), mount), atol=1e-7)
+
+
+# --- errors of estimates by leaving out one part after the other
+
+VALUES = np.random.default_rng(1).normal(3.0, 2.0, (40, 2))
+
+
+def test_the_error_of_a_mean_is_the_textbook_s_and_values_that_repeat_count_once() -> None:
+    found = jackknife(lambda some: VALUES[some].mean(axis=0), len(VALUES), len(VALUES))
+    assert found == pytest.approx(VALUES.std(axis=0, ddof=1) / math.sqrt(len(VALUES)), rel=1e-12)
+    repeated = np.repeat(VALUES[:8, 0], 50)
+    found = jackknife(lambda some: repeated[some].mean(), len(repeated), 8)
+    assert float(found) == pytest.approx(VALUES[:8, 0].std(ddof=1) / math.sqrt(8.0), rel=1e-12)
+    assert math.isinf(jackknife(lambda some: None if 0 not in some else 1.0, 40, 8))

@@ -126,9 +126,7 @@ def test_a_compass_that_contradicts_the_start_is_left_open_where_nothing_locates
 
 
 @pytest.mark.parametrize("truth", [True, False])
-def test_a_mount_that_the_filter_estimates_is_offered_with_the_value_that_it_finds(
-    log: Path, half: Path, truth: bool
-) -> None:
+def test_a_mount_that_the_filter_estimates_is_offered_as_it_finds_it(log: Path, half: Path, truth: bool) -> None:
     """Three centimetres aside, where one was thought likely: it is found, but only in the course of the drive."""
     drive, sets = (half, ()) if truth else (log, ("truth.topic=none",))
     found = load(drive, sets=("lrf.y=0.03", *sets)).findings()
@@ -160,9 +158,7 @@ def with_pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("wrong", ["lrf.range_scale=1.05", "wheels.radius=0.053"])
-def test_bearings_to_a_known_mark_decide_whether_laser_or_wheels_measure_wrongly(
-    with_pictures: Path, wrong: str
-) -> None:
+def test_bearings_to_a_mark_decide_whether_laser_or_wheels_are_wrong(with_pictures: Path, wrong: str) -> None:
     right = {"lrf.range_scale": 1.0, "wheels.radius": 0.05, "wheels.track": 0.6}
     found = load(with_pictures, sets=(OFFSET, "camera.sigma_deg=0.18", "truth.topic=none", wrong)).findings()
     fixes = dict(fix.split("=") for fix in found["fixes"])
@@ -171,9 +167,7 @@ def test_bearings_to_a_known_mark_decide_whether_laser_or_wheels_measure_wrongly
     assert not fixes.keys() & {"lrf.x", "lrf.y", "lrf.yaw_deg"}
 
 
-def test_ranges_that_are_all_too_long_are_named_without_truth_where_nothing_else_looks_wrong(
-    with_pictures: Path,
-) -> None:
+def test_ranges_all_too_long_are_named_without_truth_where_nothing_else_looks_wrong(with_pictures: Path) -> None:
     sets = (OFFSET, "camera.sigma_deg=0.18", "truth.topic=none", "lrf.range_offset=0.05")
     (fix,) = (f for f in load(with_pictures, sets=sets).findings()["fixes"] if f.startswith("lrf."))
     assert float(fix.removeprefix("lrf.range_offset=")) == pytest.approx(0.0, abs=0.015)

@@ -163,9 +163,7 @@ def rare(topic: str, step: int) -> Change:
         (WHEELS, 700, "wheels: /joint_states: 2 readings in 28.0 s, one each 28.0 s"),
     ],
 )
-def test_what_is_too_rare_judges_nothing_and_no_sensor_is_charged(
-    tmp_path: Path, topic: str, step: int, words: str
-) -> None:
+def test_what_is_too_rare_judges_and_charges_nothing(tmp_path: Path, topic: str, step: int, words: str) -> None:
     log = recorded(tmp_path, rare(topic, step))
     said = locfuse("info", log).stdout.partition("would spoil an estimate\n")[2].partition("\n\n")[0]
     assert said.splitlines()[0].startswith(f"  {words}")

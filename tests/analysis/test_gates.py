@@ -115,9 +115,7 @@ def test_a_gate_that_is_none_is_a_usage_error(text: str) -> None:
         ("1°", 0, 0, 1),
     ],
 )
-def test_a_tolerance_is_a_share_and_may_have_a_floor(
-    text: str, share: float, metres: float, degrees: float
-) -> None:
+def test_a_tolerance_is_a_share_maybe_with_a_floor(text: str, share: float, metres: float, degrees: float) -> None:
     found = parse_tolerance(text)
     assert (found.share, found.metres, found.degrees) == pytest.approx((share, metres, degrees))
 

@@ -211,9 +211,7 @@ def test_a_run_without_truth_s_headings_tells_no_clock() -> None:
 
 
 @pytest.mark.parametrize("offset", [0.2, -0.2])
-def test_another_clock_of_the_wheels_does_not_turn_the_path_of_a_robot_that_moves_at_the_start(
-    offset: float,
-) -> None:
+def test_another_clock_of_wheels_does_not_turn_the_path_of_a_robot_that_moves_at_the_start(offset: float) -> None:
     twist = np.tile(
         [0.5 * 0.02, 0.0, 0.8 * 0.02], (len(T) - 1, 1)
     )  # m, rad in each step: a circle from the start on
@@ -347,9 +345,7 @@ def test_a_late_truth_that_moves_while_the_wheels_stand_is_not_noisy() -> None:
 
 @pytest.mark.parametrize("late", [-31.0, 20.0])
 @pytest.mark.parametrize("headings", [True, False])
-def test_a_truth_on_a_clock_of_its_own_is_found_if_the_drive_never_repeats_itself(
-    late: float, headings: bool
-) -> None:
+def test_a_truth_on_its_own_clock_is_found_if_the_drive_never_repeats_itself(late: float, headings: bool) -> None:
     rng = np.random.default_rng(4)
     twist = 0.02 * np.repeat(np.abs(rng.normal(0.0, 0.3, (59, 3))), 75, axis=0)
     twist[:, 1] = 0.0

@@ -112,9 +112,7 @@ def test_walls_that_come_nearer_by_less_than_their_noise_tell_neither_metre_nor_
 
 
 @pytest.mark.parametrize("straight", [False, True])
-def test_a_drive_without_a_straight_metre_tells_no_range_scale(
-    straight: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_straight_metre_no_range_scale_is_told(straight: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     t, _ = path(1.0)
     if not straight:  # a circle with a radius of 0.8 m in the middle of the room
         angle = 0.3 / 0.8 * t
@@ -142,9 +140,7 @@ def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
 
 
 @pytest.mark.parametrize(("sigma", "severe"), [(0.02, True), (0.05, False)])
-def test_a_track_is_severe_only_beyond_the_sigmas_by_which_it_is_said_without_a_trial(
-    sigma: float, severe: bool
-) -> None:
+def test_a_track_is_severe_only_beyond_the_sigmas_of_what_is_said_untried(sigma: float, severe: bool) -> None:
     one, tried = drive(4, robot(), truth=False), Least(0.005, 2.0)
     motion = WallMotion(1.0, 0.01, 0.0, 0.01, 0.84, sigma, 500)
     (found,) = of_track(one, robot().wheels, {}, motion, least=tried)

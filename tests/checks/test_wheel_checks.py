@@ -178,9 +178,7 @@ def held(one: Drive, side: int, begin: float, end: float) -> Drive:
 
 @pytest.mark.parametrize(("side", "word"), [(0, "left"), (1, "right")])
 @pytest.mark.parametrize("begin", [0.0, 40.0])
-def test_a_wheel_that_stands_still_while_the_other_one_rolls_is_named_with_its_time(
-    side: int, word: str, begin: float
-) -> None:
+def test_a_wheel_that_stands_while_the_other_rolls_is_named_and_when(side: int, word: str, begin: float) -> None:
     one = drawn(8)
     (found,) = of_stuck_wheel(held(one, side, begin, np.inf))
     end = float(one.wheels.t[-1])
@@ -229,9 +227,7 @@ def wheels_alone(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 
 @pytest.mark.parametrize("headings", [False, True])
-def test_exchanged_wheels_are_named_by_their_joints_and_right_ones_are_not(
-    wheels_alone: Session, headings: bool
-) -> None:
+def test_exchanged_wheels_are_named_by_joints_and_right_ones_not(wheels_alone: Session, headings: bool) -> None:
     assert found(wheels_alone, headings=headings) == []
     joints = wheels_alone.loaded.stream("wheels").columns("name")["name"][0]
     left, right = (next(j for j in joints if side in j) for side in ("left", "right"))
@@ -391,9 +387,7 @@ def test_a_lost_chunk_is_named_with_its_time_and_what_the_robot_moved_in_it() ->
 
 
 @pytest.mark.parametrize(("start", "end", "wheels_only"), [(20.0, 28.0, True), (20.0, 20.4, False)])
-def test_a_silence_of_the_wheels_alone_and_a_short_one_are_no_lost_chunk(
-    start: float, end: float, wheels_only: bool
-) -> None:
+def test_a_short_gap_or_one_of_wheels_alone_is_no_lost_chunk(start: float, end: float, wheels_only: bool) -> None:
     assert not holes(without(drawn(8), start, end, wheels_only))
 
 

@@ -265,9 +265,7 @@ def test_a_gate_on_truth_fails_on_a_reference_unless_it_says_so(judged: tuple[Do
     assert failed(report_in(judged[1]), "compass.sensors.compass.accepted < 1") == []
 
 
-def test_truth_and_reference_are_never_mixed_by_a_gate_or_a_baseline(
-    judged: tuple[Done, Path], tmp_path: Path
-) -> None:
+def test_truth_and_reference_are_not_mixed_by_gate_or_baseline(judged: tuple[Done, Path], tmp_path: Path) -> None:
     baseline = judged[1] / "report.json"
     gates = ("--baseline", baseline, "--fail-if", "reference.odometry.position_rmse_m > 5")
     words = ("compare", REFERENCE_LOG, "-v", "--sensors", "odometry", "--no-advice", "--write", "json", "-q")

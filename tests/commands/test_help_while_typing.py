@@ -55,9 +55,7 @@ def test_completion_prints_a_script_for_the_shell(shell: str) -> None:
     assert "_LOCFUSE_COMPLETE" in done.stdout
 
 
-def test_the_last_line_says_where_the_report_is_and_open_shows_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_last_line_names_the_report_and_open_shows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
 
     def show(address: str) -> bool:

@@ -88,9 +88,7 @@ def test_the_groups_of_help_name_parameters_that_exist() -> None:
     assert {name for names in HELP_GROUPS.values() for name in names} <= known
 
 
-def test_on_a_narrow_terminal_words_are_wrapped_and_figures_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_a_narrow_terminal_words_wrap_and_figures_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "40")
     monkeypatch.setenv("NO_COLOR", "1")
     done = locfuse("compare", "rounded_rectangle", "--no-advice", "-o", tmp_path / "o")

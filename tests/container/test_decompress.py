@@ -163,9 +163,7 @@ def test_a_file_that_is_damaged_from_the_beginning_says_so(tmp_path: Path) -> No
         unpack_file(FileBytes(file, Losses()))
 
 
-def test_a_full_disk_of_temporary_files_is_one_line_and_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_scratch_disk_is_one_line_and_leaves_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     file = tmp_path / "a.mcap.zstd"
     file.write_bytes(zstandard.compress(NOISE))

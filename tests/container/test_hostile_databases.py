@@ -266,9 +266,7 @@ class DamagedForTwo:
             yield row
 
 
-def test_where_a_walk_met_damage_no_later_walk_goes_further(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_a_walk_met_damage_no_later_one_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     topics = "".join(f"INSERT INTO topics VALUES({k}, '/{k}', 'std_msgs/msg/Float64', 'cdr');" for k in (2, 3))
     rows = "".join(
         f"INSERT INTO messages VALUES({i}, {2 + i % 2}, {1_700_000_000_000_000_000 + i}, x'00010000{i:016x}');"
@@ -353,9 +351,7 @@ def test_a_file_of_many_holes_costs_what_its_size_is(tmp_path: Path) -> None:
     assert took[1] < 16 * took[0]
 
 
-def test_more_topics_than_any_robot_has_are_refused_by_their_cap(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_more_topics_than_any_robot_has_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert MAX_TOPICS > 1000
     monkeypatch.setattr("locfuse.formats.logs.log.MAX_TOPICS", 2)
     with pytest.raises(LocfuseError, match="too many topics: 3, more than the cap of 2"):

@@ -311,9 +311,7 @@ def test_a_truncated_file_gives_every_message_that_is_wholly_there(tmp_path: Pat
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
-def test_a_truncated_compressed_file_gives_all_whole_chunks_at_least(
-    tmp_path: Path, compression: CompressionType
-) -> None:
+def test_a_truncated_packed_file_gives_all_whole_chunks(tmp_path: Path, compression: CompressionType) -> None:
     said = drive(100)
     path = write(tmp_path / "whole.mcap", said, compression=compression, chunk_size=4000)
     content = path.read_bytes()
@@ -390,9 +388,7 @@ def read_everything(log: Log) -> set[tuple[str, int, bytes]]:
     return found
 
 
-def test_flipped_bits_without_checksums_never_raise_and_never_lose_more_than_a_chunk_in_silence(
-    tmp_path: Path,
-) -> None:
+def test_flipped_bits_without_checksums_never_raise_or_lose_more_than_a_chunk_in_silence(tmp_path: Path) -> None:
     said = drive(40)
     content = write(tmp_path / "whole.mcap", said, **PLAIN).read_bytes()
     rng = random.Random(1)
@@ -411,9 +407,7 @@ def test_flipped_bits_without_checksums_never_raise_and_never_lose_more_than_a_c
 
 @pytest.mark.parametrize("summary", [True, False])
 @pytest.mark.parametrize("layout", [PLAIN, {"chunk_size": 4000}, {"use_chunking": False}])
-def test_a_hole_loses_what_lies_in_it_and_nothing_behind(
-    tmp_path: Path, layout: dict[str, Any], summary: bool
-) -> None:
+def test_a_hole_loses_its_own_and_nothing_behind(tmp_path: Path, layout: dict[str, Any], summary: bool) -> None:
     said = drive(200)
     content = bytearray(write(tmp_path / "whole.mcap", said, **layout).read_bytes())
     places = {(m.topic, m.log_time, m.data): content.index(m.data) for m in said}
@@ -468,9 +462,7 @@ def test_a_file_of_loose_messages_that_is_cut_in_its_end_keeps_every_message(tmp
         assert whole(said) == sorted(payloads(path)), end
 
 
-def test_a_lone_giant_message_is_refused_and_the_others_are_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lone_giant_message_is_refused_and_others_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("locfuse.formats.container.chunked.MAX_CHUNK", 1_200_000)
     said = drive(20)
     giant = Said(

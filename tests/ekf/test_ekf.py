@@ -184,9 +184,7 @@ def test_a_prediction_is_that_of_the_textbook(states: int, wheels: bool) -> None
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
 @pytest.mark.parametrize("considered", [(), (0, 3)])
 @pytest.mark.parametrize("start", [UPPER, EXACT, LOST])
-def test_a_correction_is_the_textbook_s(
-    states: int, count: int, considered: tuple[int, ...], start: Triangle
-) -> None:
+def test_corrections_are_textbook(states: int, count: int, considered: tuple[int, ...], start: Triangle) -> None:
     belief, told = random_belief(states, 1, start), lines(count, states, count)
     kept, book = [c for c in considered if c < belief.n], book_of(belief)
     belief.consider(np.array(kept, np.int64))

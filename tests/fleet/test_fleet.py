@@ -163,9 +163,7 @@ def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(
 
 
 @pytest.mark.usefixtures("jobs_in_this_process")
-def test_a_run_that_is_killed_and_started_again_equals_one_that_is_left_alone(
-    logs: list[Path], tmp_path: Path
-) -> None:
+def test_a_run_killed_and_started_again_equals_one_that_is_left_alone(logs: list[Path], tmp_path: Path) -> None:
     words = ("--write", "json,csv,html", "-q")
     ok("fleet", *logs[:3], "-o", tmp_path / "alone", *words)
     found, _ = killed(logs[:3], tmp_path / "killed", times=2, seed=5)
@@ -339,9 +337,7 @@ def test_what_cannot_be_done_is_refused_before_any_log_is_read(
 
 
 @pytest.mark.usefixtures("jobs_in_this_process")
-def test_every_drive_of_a_fleet_is_recorded_and_one_command_serves_them_all(
-    logs: list[Path], tmp_path: Path
-) -> None:
+def test_every_drive_of_a_fleet_is_recorded_and_one_command_serves_all(logs: list[Path], tmp_path: Path) -> None:
     from rerun.chunk import RrdReader
 
     words = ("fleet", *logs[:2], "-o", tmp_path / "out", "--rerun", *ONE)

@@ -245,9 +245,7 @@ def test_an_unwritable_output_folder_is_one_line(log: Path, tmp_path: Path, comm
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_disk_full_is_one_line_that_leaves_nothing_and_keeps_the_result_that_was_there(
-    log: Path, tmp_path: Path
-) -> None:
+def test_disk_full_is_one_line_leaves_nothing_and_keeps_the_result_of_before(log: Path, tmp_path: Path) -> None:
     ok("run", log, "-o", tmp_path / "old")
     before = {p.name: p.read_bytes() for p in (tmp_path / "old").iterdir()}
     for out in ("old", "new"):

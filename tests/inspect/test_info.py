@@ -297,9 +297,7 @@ def test_a_log_in_which_nothing_locates_is_not_sent_to_a_reference(tmp_path: Pat
         (b"[wheels]\nradius = 'five'", "wheels.radius = 'five'"),
     ],
 )
-def test_damaged_settings_in_a_log_are_named_and_a_file_replaces_them(
-    tmp_path: Path, text: bytes, why: str
-) -> None:
+def test_damaged_settings_in_a_log_are_named_and_files_replace_them(tmp_path: Path, text: bytes, why: str) -> None:
     path = write(tmp_path / "x.mcap", drive(100), attachments={"robot.toml": text})
     assert re.search(
         rf"its settings .* cannot be read: {why}", section(locfuse("info", path), "would spoil an estimate")[0]

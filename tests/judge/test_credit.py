@@ -74,9 +74,7 @@ def test_shapley_steps_are_the_mean_over_all_orders_of_adding(n: int) -> None:
         (-0.5, -3.0, 2.31, True),
     ],
 )
-def test_an_effect_is_unsure_that_may_be_ten_times_the_other_way(
-    value: float, low: float, high: float, expected: bool
-) -> None:
+def test_what_may_be_ten_times_opposite_is_unsure(value: float, low: float, high: float, expected: bool) -> None:
     assert unsure(Effect(value, low, high, None)) is expected
 
 

@@ -351,9 +351,7 @@ WINDING = 0.8 * np.sin(0.4 * T) + 0.3 * np.cos(1.1 * T)
     seed=st.integers(0, 10**6),
     heading=st.booleans(),
 )
-def test_length_and_drift_are_the_true_ones(
-    hz: float, noise: float, speed: float, seed: int, heading: bool
-) -> None:
+def test_length_and_drift_are_true(hz: float, noise: float, speed: float, seed: int, heading: bool) -> None:
     """Oracle: the true path in steps of 1 ms, and the error of an odometry 15 % long that turns 2 % too far."""
     pose = driven(speed * STOPS * (1.0 + 0.3 * np.sin(0.9 * T)), WINDING)
     estimate = driven(1.15 * speed * STOPS * (1.0 + 0.3 * np.sin(0.9 * T)), 1.02 * WINDING)

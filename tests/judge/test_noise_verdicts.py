@@ -220,9 +220,7 @@ def test_a_reference_is_a_run_of_other_sensors_the_most_certain_first(told: Told
         (None, False),
     ],
 )
-def test_a_run_that_understates_noise_is_no_reference(
-    told: Told, own: OwnInnovations | None, healthy: bool
-) -> None:
+def test_a_run_understating_noise_is_no_reference(told: Told, own: OwnInnovations | None, healthy: bool) -> None:
     told.said = {"gyro+lrf: compass": FINE}
     evidence = NoiseEvidence([run("compass"), run("gyro+lrf", {"lrf": own})], ROBOT)
     assert names(evidence, "compass") == (["gyro+lrf"] if healthy else [])

@@ -92,9 +92,7 @@ def test_messages_that_wait_three_seconds_for_their_recorder_keep_their_stamps()
         ([50], T0 + 2 * S, "backwards"),
     ],
 )
-def test_a_stamp_that_cannot_be_true_is_dated_by_its_recording_time(
-    rows: list[int], value: int, reason: str
-) -> None:
+def test_an_impossible_stamp_is_dated_by_its_recording_time(rows: list[int], value: int, reason: str) -> None:
     log_time, truth = recording()
     stamp = truth.copy()
     stamp[rows] = value

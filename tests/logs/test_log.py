@@ -234,9 +234,7 @@ def test_an_empty_log_has_topics_without_rows(tmp_path: Path) -> None:
         ("/imu", (), "it has /heading, /joint_states, /scan"),
     ],
 )
-def test_a_wrong_topic_or_field_is_one_line(
-    tmp_path: Path, topic: str, fields: tuple[str, ...], says: str
-) -> None:
+def test_a_wrong_topic_or_field_is_a_line(tmp_path: Path, topic: str, fields: tuple[str, ...], says: str) -> None:
     log = open_log([write(tmp_path / "log.mcap", drive(5))])
     with pytest.raises(LocfuseError, match=says):
         log.streams({topic: fields})

@@ -200,9 +200,7 @@ def test_a_definition_as_long_as_a_cap_is_parsed_and_a_longer_one_refused(
         refuse_large("A", language, text)
 
 
-def test_comments_and_empty_lines_say_nothing_and_only_idl_has_expressions(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_comments_and_empty_lines_say_nothing_only_idl_has_expressions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(schema, "MAX_DEFINITION_LINES", 1)
     monkeypatch.setattr(schema, "MAX_EXPRESSIONS", 0)
     refuse_large("A", "ros2msg", "# a comment\n\n   \n  # another [\nfloat64[] x")
@@ -377,9 +375,7 @@ STANDARD = [(kind, path) for kind, path in ALL_READ if kind in STORE.types]
 
 
 @pytest.mark.parametrize(("msgtype", "path"), STANDARD)
-def test_every_field_that_is_read_is_of_the_expected_kind_in_its_standard_definition(
-    msgtype: str, path: str
-) -> None:
+def test_every_field_read_is_of_the_expected_kind_in_its_standard_definition(msgtype: str, path: str) -> None:
     message = parse(msgtype, "ros2msg", definition(msgtype).decode())
     check_kind(msgtype, path, resolve(message, path))
 

@@ -161,9 +161,7 @@ def test_unknown_fields_are_passed_over_and_of_a_value_twice_the_last_counts() -
 
 
 @given(MESSAGES, st.data())
-def test_a_verdict_on_damaged_bytes_does_not_depend_on_the_fields(
-    values: dict[str, Any], data: st.DataObject
-) -> None:
+def test_a_verdict_on_damaged_bytes_does_not_depend_on_fields(values: dict[str, Any], data: st.DataObject) -> None:
     whole = bytearray(All(**values).SerializeToString())
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(whole)))

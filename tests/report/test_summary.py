@@ -168,9 +168,7 @@ def test_several_logs_give_a_summary_and_a_folder_each(drives: list[Path], summa
 
 
 @pytest.mark.usefixtures("jobs_in_this_process")
-def test_a_summary_is_replaced_and_a_foreign_folder_is_not(
-    drives: list[Path], summary: Path, tmp_path: Path
-) -> None:
+def test_a_summary_is_replaced_and_a_foreign_folder_not(drives: list[Path], summary: Path, tmp_path: Path) -> None:
     before = (summary / "summary.json").read_bytes()
     done = ok("compare", *drives, "-o", summary, "--write", "json", "--json")
     assert (summary / "summary.json").read_bytes() == before == done.stdout.encode()

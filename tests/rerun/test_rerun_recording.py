@@ -131,9 +131,7 @@ def test_deviations_are_those_of_the_report(made: Made) -> None:
 
 
 @pytest.mark.parametrize("configuration", ["lrf", "all", "lrf@2Hz"])
-def test_segments_stand_where_the_pose_puts_them_in_the_colour_of_their_verdict(
-    made: Made, configuration: str
-) -> None:
+def test_segments_stand_where_the_pose_puts_them_in_their_verdict_s_colour(made: Made, configuration: str) -> None:
     e, m = made.estimates[configuration], made.loaded.drive.measurements["lrf"]
     audit = e.audits["lrf"]
     if "@" in configuration:

@@ -79,9 +79,7 @@ def test_without_display_and_viewer_the_recording_lies_with_the_results(tmp_path
 
 
 @pytest.mark.usefixtures("stranger")
-def test_a_stranger_on_the_port_costs_a_warning_and_no_hang(
-    monkeypatch: pytest.MonkeyPatch, recording: Path
-) -> None:
+def test_a_stranger_on_the_port_costs_a_warning_no_hang(monkeypatch: pytest.MonkeyPatch, recording: Path) -> None:
     monkeypatch.setattr(viewer, "SEND_TIMEOUT_S", 0.5)
     with pytest.raises(LocfuseError, match="take"):
         viewer.show(recording)

@@ -273,9 +273,7 @@ def test_of_nothing_nothing_is_written(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_messages_that_unpack_to_gigabytes_are_held_a_few_at_a_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_of_gigabytes_are_held_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("locfuse.formats.container.decompress.MAX_PORTION_BYTES", 100_000)
     plain = [bytes([i]) * 60_000 for i in range(20)]
 

@@ -254,9 +254,7 @@ def test_a_set_beyond_a_cap_is_refused_in_one_line(tmp_path: Path, text: str) ->
         ("wheels.time_offset=9223372036854775807", "is wheels.time_offset right? It is in seconds"),
     ],
 )
-def test_a_set_beyond_what_can_be_computed_with_is_refused_in_one_line(
-    tmp_path: Path, text: str, words: str
-) -> None:
+def test_a_set_beyond_what_can_be_computed_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
     log = write(tmp_path / "f.mcap", seconds=0.5)
     assert words in refused("run", log, "-o", tmp_path / "out", "--set", text, code=None)
 

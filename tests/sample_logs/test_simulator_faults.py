@@ -82,9 +82,7 @@ SENSOR_FAULTS = [
 
 
 @pytest.mark.parametrize(("fault", "topic"), SENSOR_FAULTS, ids=lambda v: type(v).__name__)
-def test_a_sensors_fault_changes_that_sensor_and_not_one_bit_of_another(
-    fault: Any, topic: str, clean: Drive
-) -> None:
+def test_a_sensors_fault_changes_it_and_not_one_bit_of_another(fault: Any, topic: str, clean: Drive) -> None:
     streams, _ = drive(fault)
     for other, stream in clean[0].items():
         assert same(stream, streams[other]) == (other != topic), other

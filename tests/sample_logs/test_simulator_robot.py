@@ -231,9 +231,7 @@ CREEP = 'faults=[{kind="creep", ratio=0.02}]'  # whose other keys are left out
 
 
 @pytest.mark.parametrize(("name", "sets"), [*((name, ()) for name in load.names()), ("tour", (CREEP,))])
-def test_a_scenario_says_what_it_is_and_survives_being_written_out(
-    name: str, sets: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_a_scenario_says_what_it_is_and_survives_writing(name: str, sets: tuple[str, ...], tmp_path: Path) -> None:
     scenario = load.load(name, sets)
     assert 20 < len(scenario.title) < 120
     copy = tmp_path / "copy.toml"

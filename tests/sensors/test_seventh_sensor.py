@@ -177,9 +177,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("code", BROKEN, ids=list(BROKEN.values()))
-def test_a_broken_package_is_one_line_with_a_fix(
-    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_package_is_a_line_with_a_fix(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = package(tmp_path, "broken_beacon:Beacon", "locfuse-broken", code)
     monkeypatch.setitem(sys.modules, "beacon_of_tests", beacon)
     monkeypatch.delitem(sys.modules, "broken_beacon", raising=False)

@@ -64,9 +64,7 @@ def test_a_setting_that_fits_nothing_gets_the_commands_line(tmp_path: Path, sett
 
 
 @pytest.mark.parametrize("sensors", ["lrg", "sonar,lrf", "lrf@fast"])
-def test_sensors_that_are_not_there_get_the_commands_line(
-    session: locfuse.Session, tmp_path: Path, sensors: str
-) -> None:
+def test_absent_sensors_get_the_commands_line(session: locfuse.Session, tmp_path: Path, sensors: str) -> None:
     done = command("run", LOG, "--sensors", sensors, "-o", tmp_path / "out")
     calls: list[Callable[[], Any]] = [
         lambda: session.run(sensors),

@@ -55,9 +55,7 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_other_settings_do_not_decode_the_pictures_again(
-    session: locfuse.Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_settings_decode_no_picture_again(session: locfuse.Session, monkeypatch: pytest.MonkeyPatch) -> None:
     looked: list[Any] = []
 
     def none(stream: Any, by: Any) -> list[Any]:
@@ -218,9 +216,7 @@ def test_what_is_printed_is_one_short_line(session: locfuse.Session, compared: l
     assert "no truth" in repr(locfuse.load(LOG, between=(None, TO), sets={"truth.topic": "none"}))
 
 
-def test_step_by_step_gives_the_numbers_of_the_session(
-    session: locfuse.Session, compared: locfuse.Comparison
-) -> None:
+def test_step_by_step_gives_a_session_s_numbers(session: locfuse.Session, compared: locfuse.Comparison) -> None:
     for sensors, name in (("lrf", "lrf"), (["compass", "lrf@2Hz"], "compass+lrf@2Hz")):
         filtered = locfuse.fuse(session.drive, session.robot, sensors)
         np.testing.assert_array_equal(filtered.pose, compared.estimates[name].pose)
@@ -393,9 +389,7 @@ def test_plot_draws_every_path_on_the_axes_given(three: locfuse.Comparison) -> N
     assert tuple(np.round(three.estimates["odometry"].pose[-1, :2], 1)) in ends
 
 
-def test_plot_without_matplotlib_is_the_reports_figure(
-    three: locfuse.Comparison, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plot_without_matplotlib_is_the_figure(three: locfuse.Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("matplotlib", "matplotlib.pyplot"):
         monkeypatch.setitem(sys.modules, name, None)
     svg = three.plot()._repr_svg_()
@@ -496,9 +490,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("write", [None, "md,tum"])
-def test_a_summary_writes_the_commands_files_byte_for_byte(
-    drives: list[Path], tmp_path: Path, write: str | None
-) -> None:
+def test_a_summary_writes_the_files_byte_for_byte(drives: list[Path], tmp_path: Path, write: str | None) -> None:
     words = ("--write", write) if write else ()
     ok("compare", *drives, "-o", tmp_path / "a", *words)
     written = locfuse.compare(*drives).write(tmp_path / "b", write=write)

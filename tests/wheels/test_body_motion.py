@@ -337,9 +337,7 @@ def test_an_odometry_that_stands_while_fixes_move_is_refused_in_words(tmp_path: 
 
 
 @pytest.mark.parametrize(("mirrored", "signs"), [("right", (1, -1)), ("left", (-1, 1)), ("both", (-1, -1))])
-def test_a_mirrored_wheel_does_not_hide_radius_and_track(
-    mirrored: str, signs: tuple[int, int], tmp_path: Path
-) -> None:
+def test_mirrored_wheels_hide_no_radius_and_track(mirrored: str, signs: tuple[int, int], tmp_path: Path) -> None:
     t, angle = angles(40.0)
     poses = np.array([pose_of(angle[: i + 1]) for i in range(0, len(t), 5)])
     log = log_of(tmp_path / "x.mcap", joint_states(t, angle * signs), odometry(t[::5], poses))

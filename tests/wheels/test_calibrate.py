@@ -130,9 +130,7 @@ def test_without_truth_noise_the_interval_is_the_chi_square_one() -> None:
 
 
 @pytest.mark.parametrize("plan", [STRAIGHT_RUNS, TURNS], ids=["straight", "turns"])
-def test_the_noise_that_was_drawn_lies_in_its_interval_as_often_as_that_says(
-    plan: list[tuple[str, float]],
-) -> None:
+def test_the_noise_drawn_lies_in_its_interval_as_often_as_that_says(plan: list[tuple[str, float]]) -> None:
     found = [calibrate_wheels([legs(1000 + seed, plan)]).k for seed in range(20)]
     assert sum(f.low <= K <= f.high for f in found) >= 17  # of 95 %: fewer in one of 60 such tests
     assert np.mean([f.value for f in found]) == pytest.approx(K, rel=0.06)

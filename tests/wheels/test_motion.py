@@ -284,9 +284,7 @@ def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
 
 
 @pytest.mark.parametrize(("seconds", "stray"), [(2.0, 0.2 * 2.0 / 4.0 / math.sqrt(3.0)), (60.0, 0.5)])
-def test_the_place_after_a_gap_strays_by_a_uniform_heading_and_at_most_over_a_disc(
-    seconds: float, stray: float
-) -> None:
+def test_places_after_a_gap_stray_by_a_uniform_heading_at_most_over_a_disc(seconds: float, stray: float) -> None:
     """A heading uniform within w T / 4 to either side; a place uniform in a disc has half its radius per axis."""
     t = np.append(np.arange(0.0, 40.0, 0.1), 39.9 + seconds)
     way, turn = 0.3 * t, 0.2 * t  # rad/s is the fastest turning seen

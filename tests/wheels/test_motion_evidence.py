@@ -158,9 +158,7 @@ def test_a_laser_that_freezes_for_some_time_does_not_judge_a_motion_there() -> N
         ("/aruco_single/pose", "camera_color_frame", "of something that a camera sees"),
     ],
 )
-def test_poses_that_are_not_the_robots_void_every_figure(
-    topic: str, frame: str, words: str, tmp_path: Path
-) -> None:
+def test_poses_not_the_robots_void_every_figure(topic: str, frame: str, words: str, tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", poses_in(frame, T, TRUTH, topic))
     done = reported("compare", log, code=3)
     assert words in done.stderr
@@ -445,9 +443,7 @@ def test_where_nothing_judges_two_motions_the_better_kind_is_taken_and_said_to_b
     ],
     ids=["two disagree", "it ends half-way", "all that was measured stands"],
 )
-def test_what_makes_the_figures_doubtful_comes_before_them(
-    said: list[list[Said]], words: str, tmp_path: Path
-) -> None:
+def test_what_makes_figures_doubtful_comes_before_them(said: list[list[Said]], words: str, tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", *said)
     done = ok("compare", log, "--no-advice", "-o", tmp_path / "out")
     assert done.stdout.startswith(words)

@@ -79,9 +79,7 @@ def test_clean_angles_give_the_plain_sum_of_arcs_and_no_words(truth: tuple[Array
         pytest.param(2 * np.pi / 4096, -(2**15) * 2 * np.pi / 4096, 2**16 * 2 * np.pi / 4096, id="16-bit angle"),
     ],
 )
-def test_a_counter_that_rolls_over_is_counted_on(
-    truth: tuple[Array, Array], unit: float, low: float, modulus: float
-) -> None:
+def test_a_rollover_is_counted_on(truth: tuple[Array, Array], unit: float, low: float, modulus: float) -> None:
     t, angle = truth
     whole = np.round(angle * 1.0 / unit) * unit if unit != 1.0 else angle
     published = (whole + 0.98 * modulus / 2 - low) % modulus + low
@@ -103,9 +101,7 @@ def test_rollover_can_be_set_and_switched_off(truth: tuple[Array, Array]) -> Non
 
 @pytest.mark.parametrize("length", [1, 3, 8])
 @pytest.mark.parametrize("size", [-1e6, 15.7, 0.8 / RADIUS])
-def test_a_spike_that_jumps_and_returns_is_left_out_and_counted(
-    truth: tuple[Array, Array], length: int, size: float
-) -> None:
+def test_a_spike_that_returns_is_dropped_and_counted(truth: tuple[Array, Array], length: int, size: float) -> None:
     t, angle = truth
     published = angle.copy()
     published[300 : 300 + length, 1] += size
@@ -208,9 +204,7 @@ def test_messages_that_arrive_in_bursts_are_not_jumps(truth: tuple[Array, Array]
 
 
 @pytest.mark.parametrize(("mirrored", "sides"), [("left", (-1, 1)), ("right", (1, -1)), ("both", (-1, -1))])
-def test_a_mirrored_wheel_is_turned_by_its_setting(
-    truth: tuple[Array, Array], mirrored: str, sides: tuple[int, int]
-) -> None:
+def test_mirrored_turns_wheels_round(truth: tuple[Array, Array], mirrored: str, sides: tuple[int, int]) -> None:
     t, angle = truth
     assert abs(final(read(t, angle * sides)) - pose_of(angle)).max() > 0.1
     np.testing.assert_allclose(final(read(t, angle * sides, mirrored=mirrored)), pose_of(angle), atol=1e-9)
@@ -309,9 +303,7 @@ def assert_pose(found: Array, wanted: Array, atol: float) -> None:
 
 
 @pytest.mark.parametrize("offset", [0, 2**31 - 300])
-def test_create_ticks_are_read_also_over_the_end_of_32_bits(
-    tmp_path: Path, truth: tuple[Array, Array], offset: int
-) -> None:
+def test_create_ticks_are_read_over_32_bits_too(tmp_path: Path, truth: tuple[Array, Array], offset: int) -> None:
     t, angle = truth
     ticks = np.round(angle * TICKS / (2 * np.pi)).astype(np.int64) + offset
     wrapped = (ticks + 2**31) % 2**32 - 2**31

@@ -48,7 +48,7 @@ def faulty(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_two_faults_are_named_with_their_values(faulty: Path) -> None:
+def test_two_faults_are_named_with_their_values_and_the_answer_comes_first(faulty: Path) -> None:
     fixes = dict(fix.split("=") for fix in report_in(faulty)["fixes"])
     assert float(fixes["lrf.time_offset"]) == pytest.approx(0.0, abs=0.015)
     assert float(fixes["compass.offset_deg"]) == pytest.approx(-65.0, abs=1.0)
@@ -57,6 +57,10 @@ def test_two_faults_are_named_with_their_values(faulty: Path) -> None:
         if finding["fixes"]:
             tried = finding["tried"]
             assert tried["after"]["position_rmse_m"] < 0.9 * tried["before"]["position_rmse_m"]
+    headline = report_in(faulty)["headline"]
+    assert headline.startswith("As configured the best is the ")
+    assert "Set the fixes first." in headline
+    assert headline in (faulty / "report.md").read_text()
 
 
 def test_a_wrong_start_is_corrected_before_a_clock_is_judged_by_its_errors(half: Path) -> None:
@@ -89,13 +93,6 @@ def test_fixes_of_an_earlier_result_go_and_fixes_that_are_given_stay(log: Path, 
     (out / "fixes-mine.toml").write_text("# somebody else's\n")
     ok("compare", log, "--no-advice", "-o", out, "--write", "json", "-q")
     assert [path.name for path in out.glob("fixes*")] == ["fixes-mine.toml"]
-
-
-def test_the_report_begins_with_the_answer(faulty: Path) -> None:
-    headline = report_in(faulty)["headline"]
-    assert headline.startswith("As configured the best is the ")
-    assert "Set the fixes first." in headline
-    assert headline in (faulty / "report.md").read_text()
 
 
 def test_a_track_too_little_off_to_be_reported_untried_is_found_without_truth(half: Path) -> None:
@@ -216,7 +213,7 @@ def standing(path: Path) -> Path:
     return log_of(path, odometry(T, np.zeros((len(T), 3))), said)
 
 
-def test_compare_and_info_say_that_it_does_not_move_and_offer_no_fix(tmp_path: Path) -> None:
+def test_a_robot_at_rest_is_said_to_be_and_gets_no_fix_and_no_reference(tmp_path: Path) -> None:
     log = standing(tmp_path / "x.mcap")
     report = reported("compare", log).report
     assert report["headline"] == f"T{SAID[1:]}."
@@ -224,12 +221,8 @@ def test_compare_and_info_say_that_it_does_not_move_and_offer_no_fix(tmp_path: P
     assert report["reference"] is None
     assert {v["verdict"] for v in report["verdicts"].values()} <= {"no effect seen", "no verdict"}
     assert SAID in " ".join(locfuse("info", log).stdout.split())
-
-
-def test_its_whole_drive_is_no_reference(tmp_path: Path) -> None:
-    log = product.load(standing(tmp_path / "x.mcap"))
     with pytest.raises(UsageError, match="does not move"):
-        log.compare(reference=True)
+        product.load(log).compare(reference=True)
 
 
 def test_a_lost_chunk_is_said_and_charged_to_no_sensor(log: Path, tmp_path: Path) -> None:

@@ -156,17 +156,14 @@ def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float
     assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
 
 
-def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:
+def test_a_wrong_track_or_range_scale_is_no_radius_and_a_straight_run_tells_no_track() -> None:
     right = drive(4, robot())
     m = right.measurements["lrf"]
     narrow = rolled(right, right.wheels.rolled, 0.8 * TRACK)
     shrunk = replace(m, z=m.z * [0.9, 1.0])
     for motion in (seen(right), seen(narrow), seen(right, shrunk)):
         assert of_radius(motion, robot(), least=Least(0.005, 2.0)) == []
-
-
-def test_a_straight_run_tells_no_track() -> None:
-    """What the wheels tell of turning there is their noise."""
+    # What the wheels tell of turning there is their noise.
     rng = np.random.default_rng(0)
     healthy = drive(5, robot())
     motion = seen(rolled(healthy, 0.006 + 0.001 * rng.normal(size=(len(healthy.wheels.t) - 1, 2))))
@@ -486,16 +483,13 @@ def test_gravity_tells_roll_and_pitch(roll: int, pitch: int) -> None:
     assert angles(up) == (roll, pitch)
 
 
-def test_what_is_not_gravity_tells_no_mount() -> None:
-    assert by_gravity(np.zeros((20, 3))) is None
-    assert by_gravity(np.full((20, 3), np.nan)) is None
-
-
-def test_gaps_are_silences_of_several_periods() -> None:
+def test_gaps_are_silences_of_several_periods_and_what_is_not_gravity_tells_no_mount() -> None:
     t = np.concatenate((np.arange(0.0, 5.0, 0.1), np.arange(7.0, 9.0, 0.1)))
     ((start, end),) = gaps(t)
     assert (start, end) == pytest.approx((4.9, 7.0))
     assert gaps(np.arange(0.0, 30.0, 3.0)) == []
+    assert by_gravity(np.zeros((20, 3))) is None
+    assert by_gravity(np.full((20, 3), np.nan)) is None
 
 
 def test_a_finding_says_what_an_error_says_and_names_another_role() -> None:

@@ -19,9 +19,12 @@ from locfuse.formats.report.table import written
 LOG = "rounded_rectangle"
 
 
-def test_a_mistyped_file_names_the_one_beside_it(tmp_path: Path) -> None:
+def test_a_mistyped_file_names_the_one_beside_it_and_a_sensor_is_explained(tmp_path: Path) -> None:
     (tmp_path / "monday_run.mcap").touch()
     assert f"did you mean {tmp_path}/monday_run.mcap?" in locfuse("info", tmp_path / "monday_rum.mcap").stderr
+    done = locfuse("explain", "LRF")
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert "LaserScan" in done.stdout
 
 
 def offered(*words: str) -> set[str]:
@@ -113,12 +116,6 @@ def test_a_truth_beside_the_log_is_a_table_of_poses(tmp_path: Path) -> None:
     page.write_text("# no poses")
     refusal = refused("compare", LOG, "--truth", page, "-o", tmp_path / "out", code=2)
     assert f"--truth {page}: a .tum, or a .csv" in refusal
-
-
-def test_a_sensor_is_explained() -> None:
-    done = locfuse("explain", "LRF")
-    assert (done.exit_code, done.stderr) == (0, "")
-    assert "LaserScan" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -165,7 +165,7 @@ def points(path: str) -> list[Array]:
     return pieces
 
 
-def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
+def test_a_noisy_curve_keeps_its_peaks_and_a_smooth_one_its_shape() -> None:
     rng = np.random.default_rng(0)
     x, y = np.linspace(0.0, 400.0, 50_000), 100.0 + 20.0 * rng.normal(size=50_000)
     y[31_234], y[777] = 500.0, -300.0
@@ -175,9 +175,6 @@ def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
     assert drawn[:, 1].min() == -300.0
     assert len(drawn) <= 2 * 400 + 4
     assert len(path) < 10_000
-
-
-def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> None:
     x = np.linspace(0.0, 400.0, 5000)
     y = 100.0 + 80.0 * np.sin(x / 40.0)
     drawn = points(svg.curve_path(x, y, 400))[0]
@@ -342,7 +339,7 @@ def test_without_truth_the_path_shows_what_the_filter_claims() -> None:
     assert len(found.panels) == len(scene.estimates)
 
 
-def test_spots_stand_every_ten_seconds_and_start_and_end_are_marked() -> None:
+def test_tracks_and_spots_are_where_the_robot_was_at_even_times() -> None:
     t = np.linspace(0.0, 55.0, 1101)
     found = {s.of: s for s in spots(t, np.stack((t, 2.0 * t), axis=-1))}
     np.testing.assert_allclose(found["time"].x, [10.0, 20.0, 30.0, 40.0, 50.0])
@@ -350,13 +347,10 @@ def test_spots_stand_every_ten_seconds_and_start_and_end_are_marked() -> None:
     assert found["start"].x[0] == 0.0
     assert found["end"].x[0] == 55.0
     assert step(np.array([0.0, 3600.0])) == 60.0
-
-
-def test_a_track_is_where_the_robot_was_at_even_times() -> None:
     t = np.array([0.0, 1.0, 9.0, 10.0])
-    (found,) = track("lrf", t, np.stack((t**2, -t), axis=-1))
-    times = np.linspace(found.start, found.end, len(found.x))
-    np.testing.assert_allclose(found.x, np.interp(times, t, t**2))
+    (line,) = track("lrf", t, np.stack((t**2, -t), axis=-1))
+    times = np.linspace(line.start, line.end, len(line.x))
+    np.testing.assert_allclose(line.x, np.interp(times, t, t**2))
     assert track("lrf", t[:1], np.zeros((1, 2))) == []
 
 

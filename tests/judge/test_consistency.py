@@ -202,16 +202,13 @@ def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
     assert fast.bounds == pytest.approx(stats.chi2.ppf((0.025, 0.975), freedom) / freedom, rel=1e-3)
 
 
-def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
+def test_over_confidence_is_said_by_state_and_only_errors_of_a_regular_claim_count() -> None:
     rng = np.random.default_rng(4)
     errors = rng.normal(size=(800, 2)) * (1.0, 5.0)
     found = present(covariance_check(judged_with(errors, 1.0)))
     assert found.states["x"] == pytest.approx(1.0, rel=0.2)
     assert found.states["y"] == pytest.approx(25.0, rel=0.2)
     assert "overconfident: errors are about 3.6 times" in found.words
-
-
-def test_only_errors_of_a_regular_claim_count() -> None:
     rng = np.random.default_rng(8)
     errors = rng.normal(size=(300, 2))
     whole = present(covariance_check(judged_with(errors, 1.0)))

@@ -404,7 +404,7 @@ def test_the_noise_of_a_moving_truth_is_found(even: bool) -> None:
         assert noise_of(T[at], xy, np.zeros(len(at), np.int64)) == pytest.approx(sigma, rel=0.1)
 
 
-def test_a_smooth_path_has_no_noise_whatever_its_stamps() -> None:
+def test_a_smooth_path_has_no_noise_and_a_truth_slower_than_turns_is_as_it_is() -> None:
     """A polynomial of degree 4, and a hole in the truth: what it jumps there is no noise."""
     t = np.sort(np.random.default_rng(3).uniform(0.0, 30.0, 300))
     xy = np.column_stack((t**4 / 1e4 - t**2, t**3 / 100.0 + 5.0 * t))
@@ -412,10 +412,6 @@ def test_a_smooth_path_has_no_noise_whatever_its_stamps() -> None:
     pieces = np.repeat(np.arange(43), 7)[:300]
     xy += 100.0 * np.random.default_rng(4).normal(size=(43, 2))[pieces]
     assert noise_of(t, xy, pieces) < 1e-9
-
-
-def test_a_truth_slower_than_the_drives_turns_is_taken_as_it_is() -> None:
-    """One reading every 2 s: a corner is no noise."""
-    t: Array = np.linspace(0.0, 78.0, 40)
+    t = np.linspace(0.0, 78.0, 40)  # one reading every 2 s: a corner is no noise
     xy = np.cumsum(np.random.default_rng(6).normal(0.0, 1.0, (40, 2)), axis=0)
     assert way(t, xy) == pytest.approx(float(np.hypot(*np.diff(xy, axis=0).T).sum()))

@@ -49,8 +49,10 @@ def test_where_stamps_date_nothing_log_time_is_the_time(made: Any, order: str, w
     assert words in clock.words
 
 
-def test_readings_of_one_moment_are_dated_by_their_stamps() -> None:
+def test_readings_of_one_moment_and_messages_that_waited_keep_their_stamps() -> None:
     assert settle(np.full(3, T0), np.full(3, T0 - S)).by_stamps
+    log_time, stamp = recording()
+    assert settle(log_time + np.where(np.arange(200) < 100, 0, 3 * S), stamp).as_stamped
 
 
 def test_repeated_stamps_do_not_count_in_the_delay_of_recording_times() -> None:
@@ -68,11 +70,6 @@ def test_a_clock_that_is_set_while_it_is_recorded_goes_on_as_it_would_have(secon
     clock = settle(log_time, stamp)
     assert error(clock, truth) < 0.011
     assert common_clock([(log_time, stamp)]) is None
-
-
-def test_messages_that_wait_three_seconds_for_their_recorder_keep_their_stamps() -> None:
-    log_time, stamp = recording()
-    assert settle(log_time + np.where(np.arange(200) < 100, 0, 3 * S), stamp).as_stamped
 
 
 @pytest.mark.parametrize(

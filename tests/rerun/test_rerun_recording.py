@@ -55,7 +55,7 @@ def name_of(configuration: str) -> str:
     return configuration.replace("@", "\\@").replace("+", "\\+")
 
 
-def test_times_are_the_logs_and_steps_are_instants(made: Made) -> None:
+def test_times_are_the_logs_and_the_viewer_opens_on_seconds_since_the_start(made: Made) -> None:
     drive = made.loaded.drive
     pose = made.entities["world/all/pose"]
     np.testing.assert_array_equal(pose.ns, drive.epoch_ns + np.rint(drive.t * 1e9).astype(np.int64))
@@ -64,9 +64,6 @@ def test_times_are_the_logs_and_steps_are_instants(made: Made) -> None:
     columns = {name for e in made.entities.values() for part in e.parts for name in part.schema.names}
     timelines = {name for name in columns if ":" not in name}
     assert timelines - {"rerun.controls.RowId"} == {"drive", "log time", "step"}
-
-
-def test_the_viewer_opens_on_seconds_since_the_start(made: Made) -> None:
     pose = made.entities["world/all/pose"]
     seconds = [t.total_seconds() for t in pose.column("drive")]
     np.testing.assert_allclose(seconds, made.loaded.drive.t, atol=1e-6)  # read back in microseconds

@@ -121,12 +121,16 @@ def test_bent_walls_still_close_every_room() -> None:
     assert (counts == 2).all()
 
 
-def test_a_bend_is_smooth() -> None:
+def test_a_bend_is_smooth_and_drawn_by_the_seed_of_drive_or_building() -> None:
     flat = np.array([[0.0, 0.0, 40.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     chain = bent(flat, 0.02, streams(4))[:-2]
     slope = np.diff(chain[1:-1, [1, 3]], axis=1)[:, 0] / np.diff(chain[1:-1, [0, 2]], axis=1)[:, 0]
     assert 0.001 < np.abs(slope).max() < 0.03
     assert np.abs(np.diff(slope)).max() < 0.02
+    plain, own = hall(bow=0.02), hall(bow=0.02, seed=9)
+    np.testing.assert_array_equal(scene(plain, 1).faces, scene(plain, 1).faces)
+    assert not np.array_equal(scene(plain, 1).faces, scene(plain, 2).faces)
+    np.testing.assert_array_equal(scene(own, 1).faces, scene(own, 2).faces)
 
 
 def test_rays_end_on_the_bent_wall_and_not_on_the_straight_one() -> None:
@@ -138,13 +142,6 @@ def test_rays_end_on_the_bent_wall_and_not_on_the_straight_one() -> None:
         found = ranges(of, (x, 3.0), np.array([math.pi / 2]))[0]
         assert found == pytest.approx(np.interp(x, knots[:, 0], knots[:, 1]) - 3.0, abs=1e-9)
     assert 0.005 < np.abs(knots[:, 1] - 7.925).max() <= 0.02
-
-
-def test_walls_bend_by_the_seed_of_the_drive_or_of_the_building() -> None:
-    plain, own = hall(bow=0.02), hall(bow=0.02, seed=9)
-    np.testing.assert_array_equal(scene(plain, 1).faces, scene(plain, 1).faces)
-    assert not np.array_equal(scene(plain, 1).faces, scene(plain, 2).faces)
-    np.testing.assert_array_equal(scene(own, 1).faces, scene(own, 2).faces)
 
 
 # --- glass -----------------------------------------------------------------------------------------------
@@ -214,12 +211,9 @@ def test_a_table_is_four_thin_legs() -> None:
     assert 0 < (seen < wall - 0.1).mean() < 0.15
 
 
-def test_a_turned_box_shows_its_corner() -> None:
+def test_boxes_show_their_corners_and_low_ones_end_below_a_high_laser() -> None:
     of = furnished(Box(at=(6.0, 4.0), size=(2.0, 2.0), turn_deg=45.0))
     assert ranges(of, (3.0, 4.0), np.zeros(1))[0] == pytest.approx(3.0 - math.sqrt(2))
-
-
-def test_a_low_box_and_a_chair_end_below_a_high_laser() -> None:
     of = furnished(Box(at=(6.0, 4.0), size=(1.0, 1.0), height=0.6), SwivelChair(at=(5.0, 4.0)))
     n = np.full(1, 0.0)
     for z, expected in ((0.3, 2.0 - 0.035), (0.5, 2.5), (0.7, 6.925)):

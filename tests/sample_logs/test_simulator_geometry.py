@@ -44,12 +44,9 @@ def test_rays_meet_a_circle_at_the_law_of_cosines() -> None:
     np.testing.assert_allclose(cast(plan, np.zeros((1000, 2)), angle), expected, atol=1e-9)
 
 
-def test_a_ray_between_two_walls_or_behind_a_circle_hits_nothing() -> None:
+def test_rays_hit_nothing_between_walls_or_through_a_door_left_open() -> None:
     plan = Plan(np.array([[1.0, 1.0, 1.0, 2.0], [1.0, -1.0, 1.0, -2.0]]), np.array([[-2.0, 0.0, 0.5]]))
     assert np.isinf(cast(plan, np.zeros((1, 2)), np.zeros(1))[0])
-
-
-def test_a_door_left_open_lets_rays_out() -> None:
     room = Room(walls=((0, 0, 8, 0), (8, 0, 8, 6), (8, 6, 0, 6), (0, 6, 0, 4)), plates=())
     plan = Plan(World(Scenario(room=room)).walls, NOTHING)
     seen = cast(plan, np.full((2, 2), (4.0, 3.0)), np.array([math.pi, 0.0]))

@@ -164,15 +164,12 @@ def test_a_set_keeps_the_type_of_its_value(value: Any, text: str) -> None:
     assert np.array_equal(back, value)
 
 
-def test_poses_and_covariances_have_the_shapes_the_page_promises(compared: locfuse.Comparison) -> None:
+def test_a_result_has_the_shapes_of_the_page_and_says_what_it_is_of(compared: locfuse.Comparison) -> None:
     e = compared.estimates["lrf"]
     assert e.pose.shape == (len(e.t), 3)
     assert e.P.shape == (len(e.t), 3, 3)
     np.testing.assert_array_equal(e.t, compared.drive.t)
     assert len(e.audits["lrf"].nis) > 1000
-
-
-def test_a_result_says_what_it_is_of_as_values(compared: locfuse.Comparison) -> None:
     e = compared.estimates["compass+lrf@2Hz-smoothed"]
     assert (e.configuration, e.smoothed, e.sensors, e.rates) == (
         "compass+lrf@2Hz", True, ("compass", "lrf"), {"lrf": 2.0},
@@ -192,15 +189,14 @@ def test_the_table_has_the_columns_and_figures_of_the_csv(compared: locfuse.Comp
         assert {k: "" if v is None else str(v) for k, v in row.items()} == text
 
 
-def test_a_notebook_shows_verdicts_and_the_main_table(compared: locfuse.Comparison) -> None:
+def test_a_notebook_shows_verdicts_and_the_main_table_without_markup_of_a_log(
+    compared: locfuse.Comparison,
+) -> None:
     page = compared._repr_html_()
     words = re.split("<[^>]*>", page)
     assert f"lrf {compared.verdicts['lrf']['verdict']}." in words
     assert f"{1000.0 * compared.report['configurations']['lrf']['position_rmse_m']:.1f}" in words
     assert page.count("<tr") == 1 + len(compared.estimates)
-
-
-def test_text_from_a_log_is_no_markup_in_a_notebook(compared: locfuse.Comparison) -> None:
     from locfuse.formats.report import notebook
 
     evil = "<script>alert(1)</script>"
@@ -359,7 +355,7 @@ def test_a_result_says_what_its_report_says_and_columns_are_data_frames(three: l
     assert len(pandas.DataFrame(three.errors("lrf"))) > 100
 
 
-def test_errors_are_columns_by_the_truths_stamps(three: locfuse.Comparison) -> None:
+def test_errors_and_audits_are_columns_as_the_report_counts(three: locfuse.Comparison) -> None:
     errors = three.errors("lrf")
     assert list(errors) == ["t", "dx", "dy", "heading", "nees"]
     assert len({len(column) for column in errors.values()}) == 1
@@ -367,9 +363,6 @@ def test_errors_are_columns_by_the_truths_stamps(three: locfuse.Comparison) -> N
     assert rmse == pytest.approx(three.evaluations["lrf"].figures["position_rmse_m"])
     with pytest.raises(locfuse.LocfuseError, match="did you mean lrf"):
         three.errors("lrg")
-
-
-def test_an_audit_has_verdicts_by_name_as_many_as_the_report_counts(three: locfuse.Comparison) -> None:
     audit = three.audit("lrf", "lrf")
     names, counts = np.unique(audit["verdict"], return_counts=True)
     reported = three.report["configurations"]["lrf"]["sensors"]["lrf"]["verdicts"]

@@ -1,7 +1,5 @@
 """Advice on whole logs: what is wrong is named, obeying helps, and what was obeyed is not advised again."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

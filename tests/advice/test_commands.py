@@ -1,7 +1,5 @@
 """Advice in commands: what `info --check` tries, what --no-advice leaves out, why a command exits with 3."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The first line: what a reference may say of sensors, and what a fix that was found would give."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

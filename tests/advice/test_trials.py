@@ -1,7 +1,5 @@
 """A fix is judged by smoothed paths as well; and what is tried beside it is tried on the log under it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Gates for CI: what fails, what does not exist, what is a typing mistake."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The two ways to find a red pole in an omni picture, held to printed equations, to a mirror and to each other."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

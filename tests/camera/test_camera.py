@@ -1,7 +1,5 @@
 """The camera as a sensor: pictures to bearings with every refusal counted, and bearings against the belief."""
 
-from __future__ import annotations
-
 import math
 import os
 import struct

@@ -1,7 +1,5 @@
 """Whose clock is off: sensors that see how the robot turned tell a lag better than wheels that slip."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import cast
 

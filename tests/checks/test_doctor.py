@@ -1,7 +1,5 @@
 """The doctor's measurements on drives whose answer is known exactly, and its silence where it cannot know."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Which way round a camera's columns turn, and where column 0 looks, by the wheels and a known start."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Numbers of several logs pooled: who agrees, who disagrees, which clock is off, and what helps all of them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which fixes are offered: held to scores written by hand, as if they were those of runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 import pytest

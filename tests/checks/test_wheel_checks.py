@@ -1,7 +1,5 @@
 """The wheels' noise by how their turning leaves that of other sensors: held to drives whose noise is known."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """The command line as a user meets it: results, one clear line for bad input, the same bytes twice."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

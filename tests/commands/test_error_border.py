@@ -1,7 +1,5 @@
 """The border where errors become exit codes: one line each, and bugs are seen."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """`compare --estimate`: other people's estimates are judged as ours are, and as evo judges them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the terminal does for who types: nearest words, units, completion, the report's place, comments kept."""
 
-from __future__ import annotations
-
 import os
 import pty
 import shlex

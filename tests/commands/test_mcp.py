@@ -1,7 +1,5 @@
 """An agent's program, by the SDK's own client: questions answered from tool outputs alone, and what is refused."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """What people see of `compare`: little, each thing once, and the rest where they ask for it."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections import Counter

@@ -1,7 +1,5 @@
 """Databases of strangers: no silent loss from a journal, no view without end, no value that fills the memory."""
 
-from __future__ import annotations
-
 import random
 import signal
 import sqlite3

@@ -1,7 +1,5 @@
 """Logs on a server: results are those of the same log here, few bytes come, and every failure is one line."""
 
-from __future__ import annotations
-
 import json
 import random
 import shutil

@@ -1,7 +1,5 @@
 """The inside of a chunk, laid by hand byte by byte: what is found, where it ends, and what an index may say."""
 
-from __future__ import annotations
-
 import random
 import struct
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The walk over a file laid by hand: where it goes on after damage, and what it counts as lost."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The logs we write, read by others: rosbags, mcap-ros2-support, `rerun mcap check`, and mcap's own CRCs."""
 
-from __future__ import annotations
-
 import io
 import math
 import subprocess

@@ -1,7 +1,5 @@
 """The filter against a textbook filter in plain matrices."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """`import locfuse`: light, complete, and useful to who types `locfuse.<TAB>` or help()."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import pydoc

@@ -1,7 +1,5 @@
 """Panels, their two renderers, ticks and colours."""
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ET

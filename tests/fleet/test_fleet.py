@@ -1,7 +1,5 @@
 """Many logs: a job each, failed ones are rows, finished ones are not run again, whatever ends the run."""
 
-from __future__ import annotations
-
 import csv
 import fnmatch
 import json

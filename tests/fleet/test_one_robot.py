@@ -1,7 +1,5 @@
 """Several drives of one robot with one fault: one fix for the robot, in words, in the summary and as a file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

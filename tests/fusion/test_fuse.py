@@ -1,7 +1,5 @@
 """The loop: against a textbook filter, closed forms, and itself under changes that must not matter."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """SE(2) against homogeneous matrices and the matrix exponential."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

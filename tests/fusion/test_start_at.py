@@ -1,7 +1,5 @@
 """A pose that is known later than the wheels begin: the drive is laid so that it has this pose at that moment."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Rooms form floors. A room imports only from floors below its own, so data flows one way and there are no circles.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import runpy

@@ -1,7 +1,5 @@
 """Experiments of benchmarks/ go on where they stopped, and a task that fails is a row."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """What a page tells people to type exists: commands, their options, keys of robot.toml, benchmarks."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import json

@@ -4,8 +4,6 @@ Failing sensors, lying wheels, robots that are carried off, hostile logs, bad di
 test_benchmarks. A missing viewer: test_rerun_robust.
 """
 
-from __future__ import annotations
-
 import functools
 import io
 import json

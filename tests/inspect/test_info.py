@@ -1,7 +1,5 @@
 """What a user reads of a log: facts held to the public reader, a page that fits, and no alarm without cause."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

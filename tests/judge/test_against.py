@@ -1,7 +1,5 @@
 """A reference in the place of truth: what it measures, and what its own errors leave open."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

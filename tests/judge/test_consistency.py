@@ -1,7 +1,5 @@
 """Verdicts on noise: figures against scalar filters of known noise, words against drives with a wrong setting."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """Credit, intervals and verdicts, held to brute force, closed forms and drives whose answer is known."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import permutations

@@ -1,7 +1,5 @@
 """The ruler: what a consistent claim scores, at any body point, against a truth with errors of its own."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

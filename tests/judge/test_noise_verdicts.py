@@ -1,7 +1,5 @@
 """The verdicts on noise at the bounds of their rules: one figure at a time is moved over its threshold."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

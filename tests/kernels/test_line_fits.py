@@ -1,7 +1,5 @@
 """The line fit is held to SciPy's least squares and to rooms whose shape is known."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """A range that means "nothing came back" is no wall, whatever range_max says."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

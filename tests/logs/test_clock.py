@@ -1,7 +1,5 @@
 """The times of a stream never decrease, trust the stamps where they can be trusted, and say where they are not."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from typing import Any
 

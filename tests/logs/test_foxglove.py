@@ -1,7 +1,5 @@
 """Foxglove's message types, as JSON, Protobuf and ROS 2 messages: closed forms decide."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

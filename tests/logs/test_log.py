@@ -1,7 +1,5 @@
 """A log is its messages in recording order, whatever the files look like that hold them."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Numbers inside messages of any type, and bags without definitions recorded under older ROS releases."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

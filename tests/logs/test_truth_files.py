@@ -1,7 +1,5 @@
 """References as people have them: a file beside the log, two frames of /tf, mocap bodies, satellite fixes."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A line map leaves one run and is given to another: the file, and localising in it."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

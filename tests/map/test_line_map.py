@@ -1,7 +1,5 @@
 """Lines in the map: where their frame puts them, how sure, and what happens when one leaves."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

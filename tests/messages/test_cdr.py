@@ -1,7 +1,5 @@
 """Columns are what rosbags and mcap-ros2-support read, in every real log and in types nobody wrote."""
 
-from __future__ import annotations
-
 import random
 import struct
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """JSON messages as columns: held to the values that the json module reads."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

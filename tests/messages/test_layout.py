@@ -1,7 +1,5 @@
 """Where fields lie in a message: sizes by a naive walk, bytes by rosbags, messages a byte too short or long."""
 
-from __future__ import annotations
-
 import random
 import struct
 from typing import Any

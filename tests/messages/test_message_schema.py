@@ -1,7 +1,5 @@
 """Definitions as trees: sizes, caps and depths at their bounds, and what kind of value a field is."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

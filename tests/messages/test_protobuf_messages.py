@@ -1,7 +1,5 @@
 """Protobuf messages as columns: held to the values that Google's library reads."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The printed preset: each equation against the expression in print, typed out here, and the lock-step of them."""
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Everybody can read the report and the fleet page: contrast, headings, tables, names of drawings (WCAG 2.2)."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """What a reader needs to get the same result: the command, and the settings with units and sources."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

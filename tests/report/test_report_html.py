@@ -1,7 +1,5 @@
 """The page: complete, offline, escaped, the same numbers as report.json, the same bytes twice, small."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Several words after `compare`: logs give a summary, results stand side by side, parts are one log."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from csv import DictReader

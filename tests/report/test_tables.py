@@ -1,7 +1,5 @@
 """One table for every medium: the same rows as Markdown, HTML, LaTeX, CSV, records, and on a terminal."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Long drives stay light, `full` leaves nothing out, and no scene is too poor to be drawn."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from itertools import combinations

@@ -1,7 +1,5 @@
 """A recording read back: what it holds is what the filter estimated, at the log's own times."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any, NamedTuple

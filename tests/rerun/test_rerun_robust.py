@@ -1,7 +1,5 @@
 """No display, no viewer, a stranger's port, a full disk: the run completes, one warning, no hang."""
 
-from __future__ import annotations
-
 import json
 import os
 import socketserver

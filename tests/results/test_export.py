@@ -1,7 +1,5 @@
 """--export, read back by others (mcap-ros2-support, rosbags, Rerun, evo) and held to trajectory.tum and .csv."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Results appear whole or not at all, and never over somebody else's files."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

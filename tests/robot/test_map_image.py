@@ -1,7 +1,5 @@
 """Maps of map_server: PGM and PNG with their YAML, and what in one line is refused."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """robot.toml: merged key by key, checked against typed settings, one line for whatever is wrong."""
 
-from __future__ import annotations
-
 import time
 import tomllib
 from pathlib import Path

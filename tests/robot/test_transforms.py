@@ -1,7 +1,5 @@
 """Mounts from /tf_static: chains in either direction, conflicts, upside-down and yawed sensors."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The table of `python -m benchmarks.consistency`: cases that exist, figures as named, a bound that holds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

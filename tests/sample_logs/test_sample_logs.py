@@ -1,7 +1,5 @@
 """The shipped logs: small, readable by anyone, and what their scenarios and seeds give again."""
 
-from __future__ import annotations
-
 import functools
 import math
 import re

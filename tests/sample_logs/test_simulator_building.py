@@ -1,7 +1,5 @@
 """The simulated building against closed forms: walls, glass, furniture, people; and the drives through it."""
 
-from __future__ import annotations
-
 import functools
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every fault does what it says between its labels, and nothing to anything else."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

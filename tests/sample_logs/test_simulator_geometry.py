@@ -1,7 +1,5 @@
 """The simulated world against closed forms: rays in the plan, rays in the mirror, the landmark in the image."""
 
-from __future__ import annotations
-
 import math
 
 import msgspec

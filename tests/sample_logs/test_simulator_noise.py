@@ -1,7 +1,5 @@
 """Every sensor's noise is what its scenario says: chi-square tests on residuals against closed forms."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 

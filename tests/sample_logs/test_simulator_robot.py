@@ -1,7 +1,5 @@
 """The robot as physics: encoders, motor control, exact motion, and a loop closed on what it has been told."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """The compass: conventions, offset, disturbance."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

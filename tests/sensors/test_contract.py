@@ -1,7 +1,5 @@
 """What every sensor of the registry owes the house: a new one is held to it by being registered."""
 
-from __future__ import annotations
-
 import copyreg
 import math
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Landmarks with ids: range and bearing to a known map, and what is wrong with a map."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The beacon of tests/helpers/beacon.py is laid down as an installed package, a lo
 nothing else is touched.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Tags as their detectors publish them: poses in a camera's frame, or pixels; with a known map and without."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path

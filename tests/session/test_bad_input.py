@@ -1,7 +1,5 @@
 """Bad input in Python: LocfuseError with the command's line; never SystemExit, never a bare KeyError."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A session and its results: the commands' files byte for byte, arrays, tables, and what a notebook shows."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import json

@@ -1,7 +1,5 @@
 """Motion as strangers record it: frames in /tf, twists, wheel speeds, steering; each gives its own path."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

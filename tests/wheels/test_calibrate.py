@@ -1,7 +1,5 @@
 """Calibration against closed forms, against noise that was drawn, and against the simulator."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

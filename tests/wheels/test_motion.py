@@ -1,7 +1,5 @@
 """Wheel motion against closed forms, brute force and Monte Carlo."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

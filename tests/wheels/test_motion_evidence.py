@@ -1,7 +1,5 @@
 """Which motion of a log is the robot's: by the share of a scan that lies on one a second before, else by kind."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A log with a laser and nothing else: the motion comes from its scans, and P says where they say nothing."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Bags as strangers record them: names, frames and doubles that no standard rules out; what is chosen of them."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from collections.abc import Mapping, Sequence

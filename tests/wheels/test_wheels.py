@@ -1,7 +1,5 @@
 """Wheels of every kind: whatever counts the turns and whatever happens to the counter, the way is the same."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

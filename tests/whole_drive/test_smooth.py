@@ -1,7 +1,5 @@
 """Smoothing: against textbook RTS, a filter that carries all its past, and the truth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The whole drive: loops are closed where a place is seen again, and nowhere else."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

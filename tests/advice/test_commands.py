@@ -24,7 +24,7 @@ def hanging(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorded(tmp_path_factory.mktemp("hanging"), upside_down)
 
 
-def test_info_check_says_what_its_fix_did(hanging: Path) -> None:
+def test_info_check_says_what_its_fix_did_and_without_advice_nothing_is_fused_again(hanging: Path) -> None:
     done = locfuse("info", hanging, "--check")
     assert done.exit_code == 3
     tried = done.stdout.partition("tried by fusing")[2]
@@ -32,13 +32,10 @@ def test_info_check_says_what_its_fix_did(hanging: Path) -> None:
     assert "mounted upside-down" in line
     assert "error" in line.partition("Fix (tried with")[2]
     assert "--set lrf.flipped=true" in line
-
-
-def test_without_advice_nothing_is_fused_again(hanging: Path) -> None:
     assert "tried by fusing" not in locfuse("info", hanging, "--check", "--no-advice").stdout
-    done = reported("compare", hanging, "--no-advice", code=3)  # lost, and said so
-    assert done.report["findings"] is None
-    assert not (done.out / "fixes.toml").exists()
+    lost = reported("compare", hanging, "--no-advice", code=3)  # lost, and said so
+    assert lost.report["findings"] is None
+    assert not (lost.out / "fixes.toml").exists()
 
 
 def test_a_sensor_that_cannot_be_used_is_judged_by_no_run(tmp_path: Path) -> None:

@@ -432,12 +432,9 @@ def test_half_is_for_the_fast_chain_on_mirrors_that_are_large_enough() -> None:
     assert not replace(detector_of(LENS), outer=MIN_HALF_RADIUS_PX - 1.0).is_half_enough(shape)
 
 
-def test_a_jpeg_with_all_its_colour_is_looked_at_whole() -> None:
+def test_a_jpeg_with_all_its_colour_is_looked_at_whole_and_its_size_is_reported() -> None:
     data, detector = coded(picture(LENS, Pole(77.0)), cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444), detector_of(LENS)
     assert seen(data, detector) == whole(data, detector)
-
-
-def test_the_size_that_is_reported_is_that_of_the_whole_picture() -> None:
     lens = replace(LENS, width=641, height=479)  # odd: half of it is rounded up
     found = seen(coded(picture(lens, Pole(10.0))), detector_of(lens))
     assert found.shape == (479, 641)

@@ -436,16 +436,13 @@ def test_a_truth_with_its_height_in_place_of_an_axis_judges_nothing(height: int)
     assert of_axes(with_truth(healthy, xy=corridor)) == []
 
 
-def test_a_scale_that_no_laser_has_is_named_without_a_fix() -> None:
+def test_a_scale_that_no_laser_has_gets_no_fix_and_a_path_of_another_shape_has_none() -> None:
     assert range_fix(robot(), 1.1) == ("lrf.range_scale=1.1",)
     assert range_fix(robot(), 0.27) == range_fix(robot(), 4.0) == ()
     motion = present(seen(drive(1, robot())))._replace(scale=4.2)
     (found,) = of_laser(motion, robot(), by_truth=True)
     assert (found.code, found.fixes) == ("range scale", ())
-
-
-def test_a_path_of_another_shape_shows_no_scale() -> None:
-    """A mirror image of a path, fitted by a similarity, looks much too large."""
+    # A mirror image of a path, fitted by a similarity, looks much too large.
     healthy = drive(1, robot())
     xy = truth_of(healthy).xy
     right, mirrored = (cast("Any", SimpleNamespace(truth_pose=xy * [1.25, 1.25 * y])) for y in (1.0, -1.0))

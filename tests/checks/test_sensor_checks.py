@@ -273,21 +273,15 @@ def pictures(centre: tuple[float, float], inner: float, outer: float) -> list[ND
     return made
 
 
-def test_both_circles_are_found_to_a_pixel() -> None:
+def test_both_circles_are_found_to_a_pixel_and_what_fits_or_shows_none_says_nothing() -> None:
     (finding,) = of_rims(pictures((166.4, 153.7), 40.0, 140.0), CameraSettings())
     values = dict(fix.removeprefix("camera.").split("=") for fix in finding.fixes)
     x, y = (float(v) for v in values["centre"].strip("[]").split(","))
     assert (x, y) == pytest.approx((166.4, 153.7), abs=0.5)
     assert float(values["outer"]) == pytest.approx(140.0, abs=1.0)
     assert float(values["inner"]) == pytest.approx(40.0, abs=1.0)
-
-
-def test_a_calibration_that_fits_is_left_alone() -> None:
     right = CameraSettings(centre=(166.4, 153.7), inner=40.0, outer=140.0)
     assert of_rims(pictures((166.4, 153.7), 40.0, 140.0), right) == []
-
-
-def test_pictures_without_a_circle_say_nothing() -> None:
     rng = np.random.default_rng(3)
     noise = [rng.integers(0, 255, (SIZE_PX, SIZE_PX, 3), np.uint8) for _ in range(6)]
     assert of_rims(noise, CameraSettings()) == []

@@ -223,16 +223,13 @@ def start(*words: object, **options: object) -> subprocess.CompletedProcess[byte
     return subprocess.run([*ENTRY, *map(str, words)], capture_output=True, check=False, **options)  # type: ignore[call-overload, no-any-return]
 
 
-def test_a_log_whose_name_is_no_text_is_computed_and_written(tmp_path: Path) -> None:
+def test_names_and_encodings_that_cannot_hold_all_text_cost_no_result(tmp_path: Path) -> None:
     log = Path(os.fsdecode(os.fsencode(tmp_path) + b"/bad\xff.mcap"))
     write(log)
     ok("compare", log, "--no-advice", "-o", tmp_path / "o", "--export", "mcap")
     report = json.loads((tmp_path / "o" / "report.json").read_bytes())
     assert report["input"]["name"] == r"bad\udcff"
     ok("run", log, "--no-advice", "-o", tmp_path / "p", "--save-map", tmp_path / "map.json")
-
-
-def test_an_encoding_without_degrees_shows_the_rest(tmp_path: Path) -> None:
     log = write(tmp_path / "f.mcap")
     done = start(
         "compare", log, "--no-advice", "-o", tmp_path / "o", env={**os.environ, "PYTHONIOENCODING": "ascii"}

@@ -56,11 +56,15 @@ def test_wrap_stays_in_the_half_open_turn(angle: float) -> None:
     assert se2.wrap_all(np.array([angle]))[0] == se2.wrap(angle)
 
 
-def test_transform_moves_points_like_the_matrix() -> None:
+def test_transform_moves_points_and_rotations_turn_places_like_the_matrix() -> None:
     pose, points = np.array([1.0, -2.0, 0.7]), np.array([[0.0, 0.0], [1.0, 0.0], [0.3, -4.0]])
     expected = (matrix(pose) @ np.column_stack((points, np.ones(3))).T).T[:, :2]
     np.testing.assert_allclose(se2.transform(np.tile(pose, (3, 1)), points), expected, atol=1e-12)
     np.testing.assert_allclose(se2.transform(pose, points[1]), expected[1], atol=1e-12)
+    theta, v = np.array([0.0, 1.0, -3.1, 0.4]), np.random.default_rng(1).normal(size=(4, 2))
+    for angle, R, plane, turned in zip(theta, se2.rotation(theta), v, se2.rotated(theta, v), strict=True):
+        np.testing.assert_allclose(R, matrix(np.array([0.0, 0.0, angle])), atol=1e-15)
+        np.testing.assert_allclose(turned, R[:2, :2] @ plane, atol=1e-15)
 
 
 def test_steps_one_after_another_are_composed_one_after_another() -> None:
@@ -70,13 +74,6 @@ def test_steps_one_after_another_are_composed_one_after_another() -> None:
     for step, found in zip(steps, se2.chained(start, steps), strict=True):
         pose = se2.compose(pose, step)
         np.testing.assert_allclose(found, pose, atol=1e-12)
-
-
-def test_rotations_of_poses_turn_the_place_and_leave_the_heading() -> None:
-    theta, v = np.array([0.0, 1.0, -3.1, 0.4]), np.random.default_rng(1).normal(size=(4, 2))
-    for angle, R, plane, turned in zip(theta, se2.rotation(theta), v, se2.rotated(theta, v), strict=True):
-        np.testing.assert_allclose(R, matrix(np.array([0.0, 0.0, angle])), atol=1e-15)
-        np.testing.assert_allclose(turned, R[:2, :2] @ plane, atol=1e-15)
 
 
 def test_the_yaw_of_a_quaternion_of_any_length_is_the_first_of_its_euler_angles() -> None:

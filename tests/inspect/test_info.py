@@ -211,18 +211,15 @@ def test_a_dead_encoder_is_named_though_nothing_cures_it(tmp_path: Path) -> None
     assert "fix:" not in done.stdout
 
 
-def test_grey_pictures_are_refused_with_the_reason(tmp_path: Path) -> None:
+def test_pictures_that_are_grey_or_show_nothing_red_are_named(tmp_path: Path) -> None:
     tour = Drive(pictures=True)
     raw(tour, "mono8", lambda p: np.ascontiguousarray(p[..., 0]))
     done = locfuse("info", tour.record(tmp_path / "x.mcap"), "--check")
     assert done.exit_code == 3
     assert "are grey (mono): red needs colour" in section(done, "would spoil an estimate")[0]
-
-
-def test_a_room_without_red_is_named(tmp_path: Path) -> None:
     tour = Drive(pictures=True)
     tour.tables["camera"]["red_ratio"] = 0.99
-    done = locfuse("info", tour.record(tmp_path / "x.mcap"), "--check")
+    done = locfuse("info", tour.record(tmp_path / "red.mcap"), "--check")
     assert done.exit_code == 3
     assert "nothing red and upright in 22 of 22 pictures" in done.stdout
 
@@ -312,16 +309,13 @@ def test_strict_takes_a_refused_reading_for_a_loss(tmp_path: Path) -> None:
     assert locfuse("info", path, *GEOMETRY, "--strict").exit_code == 3
 
 
-def test_a_log_without_wheels_says_what_is_missing(tmp_path: Path) -> None:
+def test_missing_wheels_are_said_and_a_reference_that_nobody_named_is_asked_for(tmp_path: Path) -> None:
     said = [m for m in drive(50) if m.topic == "/heading"]
     done = locfuse("info", write(tmp_path / "x.mcap", said), "--check")
     assert done.exit_code == 3
     (words,) = section(done, "would spoil an estimate")
     assert "x has no wheels, no odometry (nor one in /tf), no laser, no poses and no speeds" in words
     assert section(done, "next") == [f"  {RECORD}"]
-
-
-def test_a_reference_that_nobody_named_is_asked_for(tmp_path: Path) -> None:
     pose = cdr("geometry_msgs/msg/PoseStamped", header=header(T0))
     poses = [Said("/robot_1/pose", "geometry_msgs/msg/PoseStamped", pose, T0 + i * S) for i in range(5)]
     said = [*drive(100), *poses]

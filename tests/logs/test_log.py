@@ -69,16 +69,15 @@ def test_the_numbers_do_not_depend_on_how_the_messages_are_stored(
     assert not log.losses
 
 
-def test_split_files_merge_by_topic_and_recording_order(tmp_path: Path, reference: dict[str, Any]) -> None:
+def test_split_files_merge_by_topic_and_order_and_the_same_file_twice_is_one(
+    tmp_path: Path, reference: dict[str, Any]
+) -> None:
     said = drive()
     one = write(tmp_path / "log_1.mcap", said[:150])
     other = write(tmp_path / "log_0.mcap", said[150:])
     assert contents(open_log([one, other])) == reference
     assert contents(open_log([other, one])) == reference
     assert contents(open_log([tmp_path])) == reference
-
-
-def test_the_same_file_twice_is_the_log_once(tmp_path: Path, reference: dict[str, Any]) -> None:
     path = write(tmp_path / "log.mcap", drive())
     shutil.copy(path, tmp_path / "copy.mcap")
     log = open_log([path, tmp_path / "copy.mcap"])
@@ -190,7 +189,7 @@ def test_light_columns_of_all_topics_are_read_in_one_walk(tmp_path: Path, monkey
     assert len(walks) == 1
 
 
-def test_topics_say_type_count_and_encoding(tmp_path: Path) -> None:
+def test_topics_say_type_count_and_encoding_beside_attachments_and_hash(tmp_path: Path) -> None:
     log = open_log([write(tmp_path / "log.mcap", drive(20))])
     assert {name: (topic.msgtype, topic.count) for name, topic in log.topics.items()} == {
         "/heading": ("std_msgs/msg/Float64", 10),
@@ -198,9 +197,6 @@ def test_topics_say_type_count_and_encoding(tmp_path: Path) -> None:
         "/scan": ("sensor_msgs/msg/LaserScan", 5),
     }
     assert log.time_span_ns == (T0 + 5_000_000, T0 + 19 * S // 20 + 5_000_000)
-
-
-def test_attachments_and_hash(tmp_path: Path) -> None:
     path = write(tmp_path / "log.mcap", drive(5), attachments={"robot.toml": b"[wheels]\nradius = 0.1\n"})
     log = open_log([path])
     assert log.attachments == {"robot.toml": b"[wheels]\nradius = 0.1\n"}

@@ -86,22 +86,19 @@ def test_every_medium_shows_the_same_rows(report: dict[str, Any], build: Any) ->
     assert [[cell.replace("--", "-") for cell in row] for row in in_latex(table)] == shown
 
 
-def test_a_value_that_does_not_exist_is_the_mediums_dash() -> None:
-    assert in_markdown(TABLE)[1] == ["none", "-", "-"]
-    assert in_html(TABLE)[1] == ["none", "–", "–"]
-    assert in_latex(TABLE)[1] == ["none", "--", "--"]
-    assert text_table.lines(TABLE, None)[2].split() == ["none", "-", "-"]
-    assert render.csv(TABLE).splitlines()[2] == "none,,"
-    assert records(TABLE)[1]["length_m"] is None
-
-
-def test_units_stand_in_the_heading() -> None:
+def test_units_stand_in_the_heading_and_what_does_not_exist_is_the_mediums_dash() -> None:
     assert "| name | length, m | share |" in render.markdown(TABLE)
     assert "name & length [m] & share" in render.latex(TABLE)
     assert '<th scope="col">length,\u00a0m</th>' in render.html(TABLE)
     heads, first, _ = text_table.lines(TABLE, None)
     assert heads.split() == ["name", "len,", "m", "share"]
     assert first.split() == ["short", "1.2", "50.0%"]
+    assert in_markdown(TABLE)[1] == ["none", "-", "-"]
+    assert in_html(TABLE)[1] == ["none", "–", "–"]
+    assert in_latex(TABLE)[1] == ["none", "--", "--"]
+    assert text_table.lines(TABLE, None)[2].split() == ["none", "-", "-"]
+    assert render.csv(TABLE).splitlines()[2] == "none,,"
+    assert records(TABLE)[1]["length_m"] is None
 
 
 def test_programs_get_full_precision_and_the_place_of_every_number() -> None:

@@ -163,18 +163,20 @@ def test_the_viewer_gets_markdown_without_tags(tag: str) -> None:
 # --- thinning keeps what one looks for; geometry is held to closed forms and to se2
 
 
-def test_a_spike_of_one_sample_survives_thinning() -> None:
+def test_thinning_keeps_spikes_and_short_curves_and_no_gap_is_an_extreme() -> None:
     values = np.sin(np.arange(200_000) / 5000.0)
     values[123_457], values[77_771] = 50.0, -50.0
     picks = extremes(values, 4000)
     assert len(picks) <= 4000
     assert {0, 77_771, 123_457, 199_999} <= set(picks.tolist())
     assert (np.diff(picks) > 0).all()
-
-
-def test_a_short_curve_is_kept_whole() -> None:
     assert extremes(np.zeros(4000), 4000).tolist() == list(range(4000))
     assert extremes(np.zeros(0), 4000).tolist() == []
+    values = np.arange(50_000, dtype=float)
+    values[100:40_000] = np.nan
+    picks = extremes(values, 1000)
+    assert np.isnan(values[picks]).sum() <= 1000 * 0.9  # a bucket of nothing but gaps still says so
+    assert {49_999, 99, 40_000} <= set(picks.tolist())
 
 
 @pytest.mark.parametrize("n", [4001, 4003, 7999, 8001, 36_000])
@@ -185,14 +187,6 @@ def test_thinning_never_exceeds_the_limit_and_brackets_every_curve(n: int, curve
     assert len(picks) <= 4000
     for curve in values.T:
         assert {int(curve.argmin()), int(curve.argmax())} <= set(picks.tolist())
-
-
-def test_a_gap_is_no_extreme() -> None:
-    values = np.arange(50_000, dtype=float)
-    values[100:40_000] = np.nan
-    picks = extremes(values, 1000)
-    assert np.isnan(values[picks]).sum() <= 1000 * 0.9  # a bucket of nothing but gaps still says so
-    assert {49_999, 99, 40_000} <= set(picks.tolist())
 
 
 def test_scans_are_picked_evenly_with_both_ends() -> None:

@@ -69,13 +69,20 @@ def test_times_are_the_logs_and_the_viewer_opens_on_seconds_since_the_start(made
     assert [value for name, value in panel.items() if name.endswith(":timeline")] == [[["drive"]]]
 
 
-def test_the_legend_names_every_configuration_in_its_colour(made: Made) -> None:
+def test_the_legend_names_every_configuration_and_every_panel_opens_on_something(made: Made) -> None:
     names = {p.removeprefix("legend/") for p in made.entities if p.startswith("legend/")}
     assert {name_of(n) for n in made.estimates} <= names
     assert {"truth", "matched", "rejected", "landmark"} <= names
     for name in made.estimates:
         sample = made.entities[f"legend/{name_of(name)}"].static["Points2D:colors"]
         assert sample == made.entities[f"world/{name_of(name)}/path"].static["LineStrips2D:colors"]
+    views = {key: e.static for key, e in made.layout.items() if "ViewBlueprint:class_identifier" in e.static}
+    names = {first(v["ViewBlueprint:display_name"]) for v in views.values()}
+    assert {"Map", "Scan", "Omni image", "Panorama", "x [m]", "heading [deg]", "Gates", "Result"} <= names
+    assert {"NIS compass", "NIS lrf", "NIS camera", "lrf r [m]", "camera bearing [deg]", "/joint_states"} <= names
+    for view in views.values():
+        origin = first(view["ViewBlueprint:space_origin"]).strip("/")
+        assert any(path == origin or path.startswith(f"{origin}/") or not origin for path in made.entities), origin
 
 
 @pytest.mark.parametrize("configuration", ["odometry", "compass", "lrf", "camera", "all", "lrf@2Hz"])
@@ -251,16 +258,6 @@ def test_raw_topics_are_the_logs_numbers(made: Made) -> None:
     shown = made.entities[f"raw{topic}/magnetic_field.x"].array("Scalars:scalars")[:, 0]
     np.testing.assert_array_equal(shown, field)
     assert "raw/joint_states/position.left_wheel_joint" in made.entities
-
-
-def test_the_layout_opens_every_panel_on_something_that_is_there(made: Made) -> None:
-    views = {key: e.static for key, e in made.layout.items() if "ViewBlueprint:class_identifier" in e.static}
-    names = {first(v["ViewBlueprint:display_name"]) for v in views.values()}
-    assert {"Map", "Scan", "Omni image", "Panorama", "x [m]", "heading [deg]", "Gates", "Result"} <= names
-    assert {"NIS compass", "NIS lrf", "NIS camera", "lrf r [m]", "camera bearing [deg]", "/joint_states"} <= names
-    for view in views.values():
-        origin = first(view["ViewBlueprint:space_origin"]).strip("/")
-        assert any(path == origin or path.startswith(f"{origin}/") or not origin for path in made.entities), origin
 
 
 def test_paths_grow_and_each_configuration_has_one_switch(made: Made) -> None:

@@ -328,15 +328,12 @@ def test_a_kidnapped_robot_is_carried_while_its_wheels_turn_in_the_air() -> None
     assert steps.max() == pytest.approx(steps.min(), rel=1e-6)  # carried evenly, not thrown
 
 
-def test_a_spike_jumps_and_returns(clean: Drive) -> None:
+def test_a_spike_jumps_and_returns_and_a_counter_of_12_bits_unwraps(clean: Drive) -> None:
     spiked = matrix(drive(SENSOR_FAULTS[4][0])[0]["/joint_states"], "position")
     jump = np.round((spiked - matrix(clean[0]["/joint_states"], "position")) * 2000 / (2 * np.pi))
     assert np.flatnonzero(jump[:, 0]).tolist() == [150, 151]  # 3.00 s and 3.02 s
     assert set(jump[:, 0]) == {0.0, 5000.0}
     assert not jump[:, 1].any()
-
-
-def test_a_counter_of_12_bits_rolls_over_and_unwraps_to_the_true_one(clean: Drive) -> None:
     step = 2 * np.pi / 2000
     rolled = matrix(drive(SENSOR_FAULTS[5][0])[0]["/joint_states"], "position") / step
     assert rolled.min() >= -2048

@@ -56,6 +56,10 @@ def test_clearance_is_the_distance_from_the_nearest_wall_end_or_circle() -> None
     plan = Plan(np.array([[0.0, 0.0, 2.0, 0.0]]), np.array([[0.0, 3.0, 0.5]]))
     points = np.array([[1.0, 0.7], [3.0, 1.0], [0.0, 2.0]])
     np.testing.assert_allclose(clearance(plan, points), [0.7, math.sqrt(2), 0.5])
+    points = np.array([[4.0, 4.0], [6.0, 4.0], [4.0, 7.9], [8.5, 4.0]])
+    assert clearance(
+        World(Scenario(room=ROUND, landmark=Landmark(bottom=1.0))).plan(0.25), points
+    ) == pytest.approx([4.0, 2.0, 0.1, -0.5])
 
 
 def test_the_mirror_obeys_the_law_of_reflection() -> None:
@@ -222,13 +226,6 @@ def test_a_round_wall_is_seen_from_inside_only_and_hides_nothing_before_it() -> 
     assert cast(plan, origin, np.array([0.0, np.pi, np.pi])) == pytest.approx([1.5, 4.0, 2.5])
     empty = Plan(np.zeros((0, 4)), np.zeros((0, 3)), rings(ROUND))
     assert np.isinf(cast(empty, np.array([[9.0, 4.0]]), np.array([np.pi]))).all()
-
-
-def test_clearance_in_a_round_room_is_the_distance_to_the_circle() -> None:
-    points = np.array([[4.0, 4.0], [6.0, 4.0], [4.0, 7.9], [8.5, 4.0]])
-    assert clearance(
-        World(Scenario(room=ROUND, landmark=Landmark(bottom=1.0))).plan(0.25), points
-    ) == pytest.approx([4.0, 2.0, 0.1, -0.5])
 
 
 def test_the_camera_sees_the_round_wall_where_it_is() -> None:

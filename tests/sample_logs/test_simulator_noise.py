@@ -203,7 +203,7 @@ def test_truth_has_no_noise_and_encoders_only_their_counts() -> None:
     assert np.abs(turned - true).max() <= 2 * math.pi / 2000
 
 
-def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_in_its_cone() -> None:
+def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_or_says_infinity() -> None:
     scenario = Scenario(room=EMPTY, landmark=HIGH)
     sonar = SonarSpec(name="front", x=0.25, yaw_deg=0.0)
     robot = standing(scenario, (5.0, 3.0, math.radians(6)))  # the wall's normal lies within the cone
@@ -211,9 +211,6 @@ def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_in_its_cone() -> None:
     measured = np.array([ranger.read(0.05)["range"] for _ in range(3000)])
     residual = (measured - (3.0 - 0.25 * math.cos(math.radians(6)))) / 0.02
     assert agrees(residual)
-
-
-def test_a_sonar_without_an_echo_says_infinity() -> None:
     scenario = Scenario(room=EMPTY, landmark=HIGH)
     ranger = Ranger(SonarSpec(name="front", x=0.2), World(scenario), standing(scenario, (2.0, 3.0, 0.0)),
                     np.random.default_rng(9))  # fmt: skip

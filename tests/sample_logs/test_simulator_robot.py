@@ -50,7 +50,7 @@ def test_the_decoder_agrees_with_counting_quarter_slots() -> None:
     np.testing.assert_array_equal(np.cumsum(counts), (quarters - quarters[0])[1:])
 
 
-def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
+def test_counts_never_leave_the_true_angle_and_one_read_too_seldom_says_so() -> None:
     robot = SimulatedRobot(Scenario(), (0.0, 0.0, 0.0), streams(3))
     rng = np.random.default_rng(3)
     for _ in range(300):
@@ -58,10 +58,7 @@ def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
         for wheel in robot.wheels:
             assert 0 <= wheel.angle / wheel.rad_per_count - wheel.counts < 1.0 + 1e-9
     assert sum(wheel.missed for wheel in robot.wheels) == 0
-
-
-def test_an_encoder_that_is_read_too_seldom_loses_counts_and_says_so() -> None:
-    """At 10 rad/s a disc of 500 slots gives 3183 counts/s; 2000 looks a second see two or none at once."""
+    # At 10 rad/s a disc of 500 slots gives 3183 counts/s; 2000 looks a second see two or none at once.
     robot = SimulatedRobot(Scenario(wheels=WheelsSpec(sampling=2000.0)), (0.0, 0.0, 0.0), streams(3))
     for _ in range(300):
         robot.drive((10.0, -10.0))

@@ -178,13 +178,20 @@ def test_a_result_has_the_shapes_of_the_page_and_says_what_it_is_of(compared: lo
     assert compared.evaluations[e.name].name == e.name
 
 
-def test_the_table_has_the_columns_and_figures_of_the_csv(compared: locfuse.Comparison, by_command: Path) -> None:
+def test_the_table_is_that_of_the_csv_and_what_is_printed_one_short_line(
+    compared: locfuse.Comparison, by_command: Path, session: locfuse.Session
+) -> None:
     with (by_command / "report.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     table = compared.table()
     assert [list(row) for row in table] == [list(row) for row in rows]
     for row, text in zip(table, rows, strict=True):
         assert {k: "" if v is None else str(v) for k, v in row.items()} == text
+    for thing in (session, compared, compared.estimates, session.run("odometry", advice=False)):
+        assert "\n" not in repr(thing)
+        assert len(repr(thing)) < 200
+    assert "truth /ground_truth/pose" in repr(session)
+    assert "no truth" in repr(locfuse.load(LOG, between=(None, TO), sets={"truth.topic": "none"}))
 
 
 def test_a_notebook_shows_verdicts_and_the_main_table_without_markup_of_a_log(
@@ -200,14 +207,6 @@ def test_a_notebook_shows_verdicts_and_the_main_table_without_markup_of_a_log(
     evil = "<script>alert(1)</script>"
     report = {**compared.report, "verdicts": {"lrf": {"verdict": "helps", "words": evil}}}
     assert "<script" not in notebook.render(report)
-
-
-def test_what_is_printed_is_one_short_line(session: locfuse.Session, compared: locfuse.Comparison) -> None:
-    for thing in (session, compared, compared.estimates, session.run("odometry", advice=False)):
-        assert "\n" not in repr(thing)
-        assert len(repr(thing)) < 200
-    assert "truth /ground_truth/pose" in repr(session)
-    assert "no truth" in repr(locfuse.load(LOG, between=(None, TO), sets={"truth.topic": "none"}))
 
 
 def test_step_by_step_gives_a_session_s_numbers(session: locfuse.Session, compared: locfuse.Comparison) -> None:

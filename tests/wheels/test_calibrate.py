@@ -84,15 +84,12 @@ def legs(
     )
 
 
-def test_straight_runs_and_turns_are_found_with_their_directions() -> None:
+def test_straight_runs_and_turns_are_found_and_arcs_and_short_moves_are_neither() -> None:
     runs = find_runs(legs(0, [("forward", 3.0), ("turn", 2.0), ("forward", -2.0), ("turn", -6.0)]).wheels)
     kinds, starts, ends = zip(*runs, strict=True)
     assert kinds == (STRAIGHT, TURN, STRAIGHT, TURN)
     lengths = (np.array(ends) - starts) * 0.3 / np.array([3.0, 0.3 * 2.0, 2.0, 0.3 * 6.0])
     np.testing.assert_allclose(lengths, 1.0, atol=0.15)
-
-
-def test_arcs_and_short_moves_are_neither() -> None:
     t = np.arange(0.0, 20.0, 0.02)
     arc = Wheels.from_wheels(t, 0.2 * t, 0.4 * t, TRACK, K)
     assert len(find_runs(arc)) == 0

@@ -197,15 +197,12 @@ def test_poses_of_the_robot_are_taken_before_a_marker_and_a_setpoint(tmp_path: P
     assert chosen(tmp_path, *said).of("wheels") == ("/slam/pose",)
 
 
-def test_no_robot_drives_sideways_at_ten_metres_a_second_and_a_mecanum_does_at_one() -> None:
+def test_what_no_robot_drives_is_no_motion_and_a_mecanum_or_a_fast_car_is_one() -> None:
     t = np.arange(0.0, 20.0, 0.1)
     steps = np.stack((0.03 * np.ones(199), np.full(199, 1.0), np.zeros(199)), axis=-1)
     none = np.zeros(199, dtype=bool)
     assert unlike_a_robot(t, steps, none) == "it moves sideways at 10 m/s: its heading is not that of the body"
     assert not unlike_a_robot(t, steps * (1.0, 0.1, 1.0), none)
-
-
-def test_steps_that_jump_again_and_again_are_no_motion_and_a_fast_car_is_one() -> None:
     t = np.arange(0.0, 20.0, 0.1)
     fast = np.tile((2.5, 0.0, 0.0), (199, 1))  # 25 m/s, evenly
     assert not unlike_a_robot(t, fast, np.zeros(199, dtype=bool))
@@ -448,15 +445,12 @@ def test_what_makes_figures_doubtful_comes_before_them(said: list[list[Said]], w
     assert ("next:" in locfuse("init", log).stderr) == ("not move" not in words)
 
 
-def test_a_command_is_taken_only_where_nothing_was_measured(tmp_path: Path) -> None:
+def test_a_command_is_taken_only_where_nothing_was_measured_and_of_two_that_of_the_gyro(tmp_path: Path) -> None:
     command = speeds("/cmd_vel", TURN, None)
     assert chosen(tmp_path, odometry(AT, OTHER), command, imu()).of("wheels") == ("/odom",)
     alone = chosen(tmp_path, command, imu())
     assert alone.of("wheels") == ("/cmd_vel",)
     assert alone.notes[0].is_fault
-
-
-def test_of_two_commands_that_are_named_alike_the_one_that_the_gyro_follows_is_taken(tmp_path: Path) -> None:
     said = speeds("/a/cmd_vel", OTHER[:, 2], None), speeds("/b/cmd_vel", TURN, None)
     choice = chosen(tmp_path, *said, imu())
     assert choice.of("wheels") == ("/b/cmd_vel",)

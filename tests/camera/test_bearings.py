@@ -177,15 +177,11 @@ def test_light_from_one_side_does_not_pull_the_middle_of_a_pole(chain: Chain) ->
 
 
 @both_chains
-def test_what_is_red_but_no_upright_line_is_not_a_candidate(chain: Chain) -> None:
+def test_what_is_not_red_all_red_or_no_upright_line_is_no_candidate(chain: Chain) -> None:
     shot = picture(LENS)
     cv2.circle(shot, (420, 300), 14, (30, 30, 200), -1)  # a ball
     cv2.ellipse(shot, (318, 241), (150, 150), 0, 100, 170, (30, 30, 200), 6)  # a level stripe
     assert chain(shot, optics_of(LENS), Red()) == []
-
-
-@both_chains
-def test_no_red_is_no_candidate_and_nothing_but_red_is_none_either(chain: Chain) -> None:
     assert chain(picture(LENS), optics_of(LENS), Red()) == []
     assert chain(picture(LENS, Pole(50.0, colour=(150, 90, 40))), optics_of(LENS), Red()) == []  # blue
     flood = np.full((480, 640, 3), (0, 0, 255), np.uint8)

@@ -101,7 +101,7 @@ def some(seed: int, n: int) -> tuple[np.random.Generator, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_prediction_is_the_textbook_filters(seed: int) -> None:
+def test_predictions_and_corrections_are_the_textbook_filters(seed: int) -> None:
     g, P = some(seed, 3)
     Q = some(seed + 10, 3)[1]
     x, u = g.normal(size=3), g.normal(size=3)
@@ -112,17 +112,6 @@ def test_a_prediction_is_the_textbook_filters(seed: int) -> None:
     )
     np.testing.assert_allclose(after, [book.x, book.x], atol=1e-12)
     np.testing.assert_allclose(P_after, [book.P, book.P], atol=1e-12)
-
-
-@pytest.mark.parametrize("u", [(0.0, 0.0, 0.0), (0.3, 0.1, -2.0), (-1.0, 0.0, 3.1)])
-def test_eq_7_is_the_derivative_of_eq_5(u: tuple[float, float, float]) -> None:
-    x, step = np.array([1.0, -2.0, 3.0]), np.array(u)
-    np.testing.assert_allclose(eq5_x(x, step), move(x, step), atol=1e-14)
-    np.testing.assert_allclose(eq7_A(x, eq5_x(x, step)), numeric_jacobian(lambda p: eq5_x(p, step), x), atol=1e-8)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_correction_is_the_textbook_filters(seed: int) -> None:
     g, P = some(seed, 5)
     R = some(seed + 10, 2)[1]
     x, y, H = g.normal(size=5), g.normal(size=2), g.normal(size=(2, 5))
@@ -132,6 +121,13 @@ def test_a_correction_is_the_textbook_filters(seed: int) -> None:
     np.testing.assert_allclose(x + V.T @ e, book.x, atol=1e-9)
     np.testing.assert_allclose(P - V.T @ V, book.P, atol=1e-9)
     np.testing.assert_allclose(L @ L.T, H @ P @ H.T + R, atol=1e-9)
+
+
+@pytest.mark.parametrize("u", [(0.0, 0.0, 0.0), (0.3, 0.1, -2.0), (-1.0, 0.0, 3.1)])
+def test_eq_7_is_the_derivative_of_eq_5(u: tuple[float, float, float]) -> None:
+    x, step = np.array([1.0, -2.0, 3.0]), np.array(u)
+    np.testing.assert_allclose(eq5_x(x, step), move(x, step), atol=1e-14)
+    np.testing.assert_allclose(eq7_A(x, eq5_x(x, step)), numeric_jacobian(lambda p: eq5_x(p, step), x), atol=1e-8)
 
 
 # --- the equations of the filter's kernel against a textbook's, whatever stands in the numbers, interpreted too

@@ -46,7 +46,7 @@ def options(command: click.Command) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_every_command_and_its_options_exist(page: Path) -> None:
+def test_every_command_option_and_key_of_robot_toml_exists(page: Path) -> None:
     with click.Context(cli.locfuse) as context:
         for line in typed(page, "locfuse"):
             name = line.split()[1]
@@ -55,11 +55,7 @@ def test_every_command_and_its_options_exist(page: Path) -> None:
             assert name in COMMANDS, line
             command = present(cli.locfuse.get_command(context, name))
             assert set(OPTION.findall(line)) <= options(command), line
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_every_key_of_robot_toml_exists(page: Path) -> None:
-    """`table.key` in backticks and after --set, of a robot.toml or a scenario."""
+    # `table.key` in backticks and after --set, of a robot.toml or a scenario.
     text = page.read_text(encoding="utf-8")
     named = re.findall(rf"(?:`|--set[ =])({'|'.join(KEYS)})\.([a-z_]+)(?![.\w])", text)
     assert {
@@ -106,21 +102,17 @@ def sentences(page: Path) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("page", PROSE, ids=lambda p: f"{p.parent.name}-{p.name}")
-def test_no_sentence_is_long(page: Path) -> None:
+def test_no_sentence_is_long_and_every_link_to_a_heading_leads_to_one(page: Path) -> None:
     """A part before a colon or a semicolon can be read by itself, so it counts by itself."""
     assert [s for s in sentences(page) if len(s.split()) > MAX_WORDS] == []
+    links = re.findall(r"\]\(([\w./]*)#([\w-]+)\)", page.read_text(encoding="utf-8"))
+    assert [f"{to}#{at}" for to, at in links if at not in slugs(page.parent / to if to else page)] == []
 
 
 def slugs(page: Path) -> set[str]:
     """Anchors of a page's headings, as GitHub makes them."""
     found = re.findall(r"^#+ (.*)", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in found}
-
-
-@pytest.mark.parametrize("page", PROSE, ids=lambda p: f"{p.parent.name}-{p.name}")
-def test_every_link_to_a_heading_leads_to_one(page: Path) -> None:
-    links = re.findall(r"\]\(([\w./]*)#([\w-]+)\)", page.read_text(encoding="utf-8"))
-    assert [f"{to}#{at}" for to, at in links if at not in slugs(page.parent / to if to else page)] == []
 
 
 def test_every_page_is_in_the_index() -> None:

@@ -277,8 +277,11 @@ def test_the_floor_is_what_walls_bend(bend_deg: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_flat_walls_ask_for_no_floor(seed: int) -> None:
+def test_flat_walls_ask_for_no_floor_and_slips_are_not_taken_for_uneven_ones(seed: int) -> None:
     assert corridor(0.0, seed) == (0.0, 0.0)
+    taken, known = walls_of_slipping_scans(math.radians(0.4), seed)
+    assert math.degrees(taken) == pytest.approx(0.4, rel=0.2)
+    assert known == 0.0
 
 
 def test_too_few_walls_say_nothing() -> None:
@@ -421,13 +424,6 @@ def walls_of_slipping_scans(sweep: float, seed: int) -> tuple[float, float]:
     )
     without = wall_floor(t / n, first, z, variance, wheels)[1]
     return without, wall_floor(t / n, first, z, variance, wheels, loadings)[1]
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_slips_within_a_sweep_are_not_taken_for_uneven_walls(seed: int) -> None:
-    taken, known = walls_of_slipping_scans(math.radians(0.4), seed)
-    assert math.degrees(taken) == pytest.approx(0.4, rel=0.2)
-    assert known == 0.0
 
 
 def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:

@@ -121,17 +121,15 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", ["fleet", "report"])
-def test_a_page_has_a_language_one_title_and_headings_in_order(name: str, pages: dict[str, str]) -> None:
+def test_a_page_has_a_language_headings_in_order_header_cells_and_named_drawings(
+    name: str, pages: dict[str, str]
+) -> None:
     found = Outline(pages[name])
     assert found.lang == "en"
     assert found.headings.count(1) == 1
     assert found.headings[0] == 1
     steps = zip(found.headings, found.headings[1:], strict=False)
     assert [(a, b) for a, b in steps if b > a + 1] == []
-
-
-@pytest.mark.parametrize("name", ["fleet", "report"])
-def test_tables_have_header_cells_and_drawings_a_name(name: str, pages: dict[str, str]) -> None:
     found = Outline(pages[name])
     assert found.tags["table"] == found.tags["thead"] > 0
     assert found.tags["svg"] > 0
@@ -139,10 +137,6 @@ def test_tables_have_header_cells_and_drawings_a_name(name: str, pages: dict[str
     assert found.scopes["col"] > found.tags["table"]
     assert found.scopes["row"] > found.tags["table"]
     assert found.without_name == []
-
-
-@pytest.mark.parametrize("name", ["fleet", "report"])
-def test_a_list_of_definitions_holds_terms_and_definitions_only(name: str, pages: dict[str, str]) -> None:
     lists = re.findall(r"<dl.*?</dl>", pages[name], re.DOTALL)
     assert lists or name == "fleet"
     assert [tag for part in lists for tag in re.findall(r"<(p|h[1-6]|div|span)\b", part)] == []

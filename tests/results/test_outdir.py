@@ -318,7 +318,16 @@ def test_a_named_output_never_replaces_the_log(log: Path, command: str, option: 
 
 
 @outputs
-def test_a_named_output_replaces_a_file_only_where_told_to(log: Path, command: str, option: str) -> None:
+def test_a_named_output_replaces_a_file_only_where_told_to_and_never_a_device(
+    log: Path, command: str, option: str
+) -> None:
+    device = log.parent / "device"
+    os.mkfifo(device)
+    assert "not a regular file" in refused(*writing(log, command, option, device), "--overwrite")
+    assert device.is_fifo()
+    assert not (log.parent / "o").exists()
+    with pytest.raises(LocfuseError, match="not a regular file"), whole_file(device):
+        pass
     mine = log.parent / "mine"
     mine.write_text("mine")
     words = writing(log, command, option, mine)
@@ -328,17 +337,6 @@ def test_a_named_output_replaces_a_file_only_where_told_to(log: Path, command: s
     if option == "--audit":
         ok(*words, "--overwrite")
         assert mine.read_text().startswith("t,")
-
-
-@outputs
-def test_a_result_never_takes_the_place_of_a_device(log: Path, command: str, option: str) -> None:
-    device = log.parent / "device"
-    os.mkfifo(device)
-    assert "not a regular file" in refused(*writing(log, command, option, device), "--overwrite")
-    assert device.is_fifo()
-    assert not (log.parent / "o").exists()
-    with pytest.raises(LocfuseError, match="not a regular file"), whole_file(device):
-        pass
 
 
 def test_a_result_that_is_read_as_a_log_is_not_replaced_by_its_own_export(log: Path) -> None:

@@ -186,17 +186,15 @@ def corrected_headings(iron: Iron, read: Array) -> Array:
 
 
 @pytest.mark.parametrize(("hard", "soft"), CASES)
-def test_an_ellipse_without_noise_is_found_exactly(hard: tuple[float, ...], soft: tuple[float, ...]) -> None:
+def test_an_ellipse_is_found_exactly_and_with_the_sigmas_of_many_draws(
+    hard: tuple[float, ...], soft: tuple[float, ...]
+) -> None:
     angles = np.linspace(0.0, math.tau, 300)
     iron = fit_iron(field(hard, soft, angles))
     np.testing.assert_allclose(iron.hard, hard, atol=1e-6 * FIELD)
     error = se2.wrap_all(-corrected_headings(iron, field(hard, soft, angles)) - angles)
     np.testing.assert_allclose(error, 0.0, atol=1e-6)
     assert np.linalg.det(iron.soft) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(("hard", "soft"), CASES)
-def test_the_stated_sigmas_are_those_of_many_draws(hard: tuple[float, ...], soft: tuple[float, ...]) -> None:
     angles = np.linspace(0.0, math.tau, 400)
     found = [fit_iron(field(hard, soft, angles, noise=0.01, seed=s)) for s in range(60)]
     spread = np.std([f.hard for f in found], axis=0)

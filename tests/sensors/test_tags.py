@@ -375,7 +375,9 @@ RELEASES = pytest.mark.parametrize(
 
 
 @RELEASES
-def test_tags_in_pictures_of_every_release(results: str, centre: str, tracked: bool, tmp_path: Path) -> None:
+def test_tags_in_pictures_and_with_places_of_every_release(
+    results: str, centre: str, tracked: bool, tmp_path: Path
+) -> None:
     """A point to the right of the middle of the picture has a negative bearing: -atan2(right, ahead)."""
     boxes = []
     for tag, (right, ahead) in TAGS.items():
@@ -388,10 +390,6 @@ def test_tags_in_pictures_of_every_release(results: str, centre: str, tracked: b
     bearings = [-math.atan2(*TAGS[tag]) for tag in (3, 12, 12)]
     np.testing.assert_allclose(found.bearings, bearings, atol=1e-12)
     assert found.ranges is None
-
-
-@RELEASES
-def test_tags_with_places_of_every_release(results: str, centre: str, tracked: bool, tmp_path: Path) -> None:
     tags = [
         {"results": [hypothesis(results, tag)], "bbox": {"center": {"position": {"x": right, "z": ahead}}}}
         for tag, (right, ahead) in TAGS.items()

@@ -41,6 +41,7 @@ from locfuse.formats.whole_files import TEMPORARY
 MAX_WALL_RATIO = 20  # largest wall time / limit of CPU time: a process that waits uses no CPU time
 MIN_VARIANCE = 1e-18  # (1 nm)^2: a smaller variance is a rounding error of an exact start
 MAX_BYTES, MAX_CPU_S = 1 << 30, 60  # limits of a case: additional address space, CPU time
+FEW_CASES = 100  # so few cases use only some of the healthy logs: the others need no trajectory
 TEXTS = {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"}  # text files
 LOSSES = ("lost", "void", "file:", "not used")  # words of messages that count lost data
 
@@ -160,7 +161,8 @@ def main(parsers: float | None, jobs: int, keep: Path, **how: Any) -> None:
     make = partial(directed_case, tuple(how["deeds"].split(","))) if how["directed"] else damaged_case
     seeds = range(how["first"], how["first"] + how["cases"])
     kinds, failed = Counter[str](), Counter[str]()
-    for name in [] if how["directed"] else bases():
+    few = len(seeds) < FEW_CASES
+    for name in () if how["directed"] else {make(seed).healthy for seed in seeds} - {""} if few else bases():
         trajectory(name)
     for command in ("run", "compare", "view"):  # loads every library before memory is limited
         healthy = replace(bases()["zstd"][0], healthy="", command=(command,))

@@ -14,6 +14,9 @@ import pytest
 # A shell may export its width; what is tested is what a pipe gets.
 os.environ.pop("COLUMNS", None)
 
+# On two cores with two workers threads of a library only wait for each other. The command line sets this as well.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A runner that was started in the background ignores Ctrl-C, and so would every program it starts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,7 +1,5 @@
 """Advice in commands: what `info --check` tries, what --no-advice leaves out, why a command exits with 3."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -26,7 +24,7 @@ def hanging(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorded(tmp_path_factory.mktemp("hanging"), upside_down)
 
 
-def test_info_check_says_what_its_fix_did(hanging: Path) -> None:
+def test_info_check_says_what_its_fix_did_and_without_advice_nothing_is_fused_again(hanging: Path) -> None:
     done = locfuse("info", hanging, "--check")
     assert done.exit_code == 3
     tried = done.stdout.partition("tried by fusing")[2]
@@ -34,13 +32,10 @@ def test_info_check_says_what_its_fix_did(hanging: Path) -> None:
     assert "mounted upside-down" in line
     assert "error" in line.partition("Fix (tried with")[2]
     assert "--set lrf.flipped=true" in line
-
-
-def test_without_advice_nothing_is_fused_again(hanging: Path) -> None:
     assert "tried by fusing" not in locfuse("info", hanging, "--check", "--no-advice").stdout
-    done = reported("compare", hanging, "--no-advice", code=3)  # lost, and said so
-    assert done.report["findings"] is None
-    assert not (done.out / "fixes.toml").exists()
+    lost = reported("compare", hanging, "--no-advice", code=3)  # lost, and said so
+    assert lost.report["findings"] is None
+    assert not (lost.out / "fixes.toml").exists()
 
 
 def test_a_sensor_that_cannot_be_used_is_judged_by_no_run(tmp_path: Path) -> None:
@@ -163,9 +158,7 @@ def rare(topic: str, step: int) -> Change:
         (WHEELS, 700, "wheels: /joint_states: 2 readings in 28.0 s, one each 28.0 s"),
     ],
 )
-def test_what_is_too_rare_judges_nothing_and_no_sensor_is_charged(
-    tmp_path: Path, topic: str, step: int, words: str
-) -> None:
+def test_what_is_too_rare_judges_and_charges_nothing(tmp_path: Path, topic: str, step: int, words: str) -> None:
     log = recorded(tmp_path, rare(topic, step))
     said = locfuse("info", log).stdout.partition("would spoil an estimate\n")[2].partition("\n\n")[0]
     assert said.splitlines()[0].startswith(f"  {words}")

@@ -1,7 +1,5 @@
 """The first line: what a reference may say of sensors, and what a fix that was found would give."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -136,9 +134,7 @@ def test_an_unexplained_covariance_is_named(anees: float, fixed: float | None, s
         (0.47, None, "errors cannot be measured. Try: --reference"),  # no place was seen twice
     ],
 )
-def test_without_truth_the_places_seen_twice_judge_the_smoothed_path(
-    own: float, smoothed: float | None, end: str
-) -> None:
+def test_without_truth_places_seen_twice_judge_smoothing(own: float, smoothed: float | None, end: str) -> None:
     rows = {"odometry": None, "lrf": own, "lrf-smoothed": smoothed}
     report = {
         "configurations": {name: {"revisit_agreement": share} for name, share in rows.items()},

@@ -1,7 +1,5 @@
 """A fix is judged by smoothed paths as well; and what is tried beside it is tried on the log under it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -67,10 +65,11 @@ def test_a_fix_under_which_places_seen_twice_fit_worse_is_none(after: float, tak
     assert ("lets places seen twice fit worse (66% -> 46%)" in found.finding.brief) is not taken
 
 
-def test_two_percent_and_a_fifth_of_a_millimetre_are_no_loss() -> None:
+def test_two_percent_are_no_loss_and_without_a_smoothed_path_nothing_is_judged() -> None:
     for after, worse in ((0.1009, False), (0.1033, True), (0.05, False)):
         lost = smoothed_worse([EARLY], (), (CLOCK,), ["odometry", "lrf"], trial({(): 0.1, (CLOCK,): after}))
         assert lost == ((0.1, after) if worse else None)
+    assert smoothed_worse([EARLY], (), (CLOCK,), ["odometry"], trial({})) is None
 
 
 def test_a_fix_of_the_shape_is_judged_by_the_shape_of_the_smoothed_path() -> None:
@@ -80,10 +79,6 @@ def test_a_fix_of_the_shape_is_judged_by_the_shape_of_the_smoothed_path() -> Non
     one = SimpleNamespace(smoothed=lambda fixes, names: dict.fromkeys(names, scores[fixes]))
     assert smoothed_worse([by_shape], (), (CLOCK,), ["lrf"], one) is None  # type: ignore[arg-type]
     assert smoothed_worse([EARLY], (), (CLOCK,), ["lrf"], one) == (0.1, 0.2)  # type: ignore[arg-type]
-
-
-def test_without_a_smoothed_path_nothing_is_judged_by_it() -> None:
-    assert smoothed_worse([EARLY], (), (CLOCK,), ["odometry"], trial({})) is None
 
 
 def test_a_trial_beside_a_fix_that_is_kept_gives_what_it_gives_by_itself() -> None:

@@ -1,7 +1,5 @@
 """The two ways to find a red pole in an omni picture, held to printed equations, to a mirror and to each other."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable
@@ -179,15 +177,11 @@ def test_light_from_one_side_does_not_pull_the_middle_of_a_pole(chain: Chain) ->
 
 
 @both_chains
-def test_what_is_red_but_no_upright_line_is_not_a_candidate(chain: Chain) -> None:
+def test_what_is_not_red_all_red_or_no_upright_line_is_no_candidate(chain: Chain) -> None:
     shot = picture(LENS)
     cv2.circle(shot, (420, 300), 14, (30, 30, 200), -1)  # a ball
     cv2.ellipse(shot, (318, 241), (150, 150), 0, 100, 170, (30, 30, 200), 6)  # a level stripe
     assert chain(shot, optics_of(LENS), Red()) == []
-
-
-@both_chains
-def test_no_red_is_no_candidate_and_nothing_but_red_is_none_either(chain: Chain) -> None:
     assert chain(picture(LENS), optics_of(LENS), Red()) == []
     assert chain(picture(LENS, Pole(50.0, colour=(150, 90, 40))), optics_of(LENS), Red()) == []  # blue
     flood = np.full((480, 640, 3), (0, 0, 255), np.uint8)
@@ -434,12 +428,9 @@ def test_half_is_for_the_fast_chain_on_mirrors_that_are_large_enough() -> None:
     assert not replace(detector_of(LENS), outer=MIN_HALF_RADIUS_PX - 1.0).is_half_enough(shape)
 
 
-def test_a_jpeg_with_all_its_colour_is_looked_at_whole() -> None:
+def test_a_jpeg_with_all_its_colour_is_looked_at_whole_and_its_size_is_reported() -> None:
     data, detector = coded(picture(LENS, Pole(77.0)), cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444), detector_of(LENS)
     assert seen(data, detector) == whole(data, detector)
-
-
-def test_the_size_that_is_reported_is_that_of_the_whole_picture() -> None:
     lens = replace(LENS, width=641, height=479)  # odd: half of it is rounded up
     found = seen(coded(picture(lens, Pole(10.0))), detector_of(lens))
     assert found.shape == (479, 641)

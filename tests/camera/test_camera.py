@@ -1,7 +1,5 @@
 """The camera as a sensor: pictures to bearings with every refusal counted, and bearings against the belief."""
 
-from __future__ import annotations
-
 import math
 import os
 import struct
@@ -300,14 +298,11 @@ def test_the_gate_tells_the_landmark_from_wrong_red_things(expected: dict[float,
     assert verdicts(*expected) == expected
 
 
-def test_the_innovation_is_wrapped() -> None:
+def test_the_innovation_is_wrapped_and_inside_the_landmark_there_is_none() -> None:
     model = Camera().model(CameraSettings(landmark=(4.0, 0.0)))
     (seen,) = one_by_one(model.innovations(readings((math.pi - 0.001,)), 0, belief(8.0, 0.0, 0.002)))
     assert seen.y[0] == pytest.approx(0.001)  # pi - 0.001 against -pi + ... : behind, slightly left
     assert VERDICTS[seen.verdict] == "accepted"
-
-
-def test_inside_the_landmark_there_is_no_bearing() -> None:
     model = Camera().model(CameraSettings(landmark=(4.0, 0.0), x=0.1))
     assert model.innovations(readings((0.0,)), 0, belief(3.9, 0.01, 0.0)) == []
 
@@ -369,15 +364,12 @@ def in_fresh_python(code: str) -> str:
     return done.stdout.strip()
 
 
-def test_opencv_is_imported_only_when_a_picture_is_looked_at() -> None:
+def test_opencv_is_imported_only_for_a_picture_and_with_its_pixel_cap() -> None:
     code = (
         "import sys; from locfuse.fusion.sensors.registry import REGISTRY; import locfuse.fusion.fuse\n"
         "import locfuse.fusion.measure; print('cv2' in sys.modules)"
     )
     assert in_fresh_python(code) == "False"
-
-
-def test_opencvs_pixel_cap_is_set_before_its_import() -> None:
     code = (
         "from locfuse.fusion.camera.opencv import MAX_MAP_PIXELS, cv2; import os\n"
         "print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'] == str(MAX_MAP_PIXELS), cv2.getNumThreads())"
@@ -433,7 +425,9 @@ def test_a_damaged_picture_is_not_whole_and_the_terminal_stays_quiet(
     assert capfd.readouterr().err == ""
 
 
-def test_bytes_behind_the_picture_are_no_damage(capfd: pytest.CaptureFixture[str]) -> None:
+def test_bytes_behind_the_picture_are_no_damage_and_only_words_about_it_count(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     """Some cameras pad the data in front of the end mark."""
     whole = jpeg()
     padded = whole[:-2] + b"\x00\x01\x02" + whole[-2:]
@@ -441,6 +435,10 @@ def test_bytes_behind_the_picture_are_no_damage(capfd: pytest.CaptureFixture[str
     assert not isinstance(found, str)
     np.testing.assert_array_equal(found, images.compressed(whole, "jpeg"))
     assert capfd.readouterr().err == ""
+    assert reports_damage(b"Corrupt JPEG data: premature end of data segment\n")
+    assert not reports_damage(b"Corrupt JPEG data: 3 extraneous bytes before marker 0xd9\n")
+    assert reports_damage(b"Corrupt JPEG data: 900 extraneous bytes before marker 0xd9\n")
+    assert not reports_damage(b"some other thread's words\n")
 
 
 def test_in_many_threads_the_damaged_one_is_found_and_no_other() -> None:
@@ -461,13 +459,6 @@ def test_stderr_is_where_it_was_after_an_error(capfd: pytest.CaptureFixture[str]
         listened(fails)
     os.write(2, b"ours\n")
     assert capfd.readouterr().err == "ours\n"
-
-
-def test_only_words_about_the_picture_count() -> None:
-    assert reports_damage(b"Corrupt JPEG data: premature end of data segment\n")
-    assert not reports_damage(b"Corrupt JPEG data: 3 extraneous bytes before marker 0xd9\n")
-    assert reports_damage(b"Corrupt JPEG data: 900 extraneous bytes before marker 0xd9\n")
-    assert not reports_damage(b"some other thread's words\n")
 
 
 def test_a_log_with_damaged_pictures_counts_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,5 @@
 """Whose clock is off: sensors that see how the robot turned tell a lag better than wheels that slip."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import cast
 
@@ -211,9 +209,7 @@ def test_a_run_without_truth_s_headings_tells_no_clock() -> None:
 
 
 @pytest.mark.parametrize("offset", [0.2, -0.2])
-def test_another_clock_of_the_wheels_does_not_turn_the_path_of_a_robot_that_moves_at_the_start(
-    offset: float,
-) -> None:
+def test_another_clock_of_wheels_does_not_turn_the_path_of_a_robot_that_moves_at_the_start(offset: float) -> None:
     twist = np.tile(
         [0.5 * 0.02, 0.0, 0.8 * 0.02], (len(T) - 1, 1)
     )  # m, rad in each step: a circle from the start on
@@ -261,17 +257,11 @@ def test_the_lag_that_was_put_in_is_found(lag: float) -> None:
     assert found.without <= found.correlation + 1e-6
 
 
-def test_a_lag_beyond_the_longest_is_none() -> None:
+def test_a_lag_beyond_the_longest_a_drive_that_hardly_turns_and_rare_readings_tell_none() -> None:
     t = np.arange(4.0, 115.0, 0.1)
     assert find_lag(t, np.interp(t + MAX_LAG_S + 0.3, STAMPS, TURNED), by_wheels(wheels())) is None
-
-
-def test_a_robot_that_hardly_turns_says_nothing_of_clocks() -> None:
     t = np.arange(3.0, 117.0, 0.1)
     assert find_lag(t, np.interp(t, STAMPS, 0.001 * TURNED), by_wheels(wheels())) is None
-
-
-def test_readings_seconds_apart_that_turn_otherwise_do_not_vouch_for_a_clock() -> None:
     t = np.arange(3.0, 117.0, 2.5)
     heading = np.interp(t, STAMPS, TURNED) + np.random.default_rng(0).normal(0.0, 0.3, len(t))
     assert find_lag(t, heading, by_wheels(wheels())) is None
@@ -353,9 +343,7 @@ def test_a_late_truth_that_moves_while_the_wheels_stand_is_not_noisy() -> None:
 
 @pytest.mark.parametrize("late", [-31.0, 20.0])
 @pytest.mark.parametrize("headings", [True, False])
-def test_a_truth_on_a_clock_of_its_own_is_found_if_the_drive_never_repeats_itself(
-    late: float, headings: bool
-) -> None:
+def test_a_truth_on_its_own_clock_is_found_if_the_drive_never_repeats_itself(late: float, headings: bool) -> None:
     rng = np.random.default_rng(4)
     twist = 0.02 * np.repeat(np.abs(rng.normal(0.0, 0.3, (59, 3))), 75, axis=0)
     twist[:, 1] = 0.0

@@ -1,7 +1,5 @@
 """The doctor's measurements on drives whose answer is known exactly, and its silence where it cannot know."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from types import SimpleNamespace
@@ -111,9 +109,7 @@ def test_walls_that_come_nearer_by_less_than_their_noise_tell_neither_metre_nor_
 
 
 @pytest.mark.parametrize("straight", [False, True])
-def test_a_drive_without_a_straight_metre_tells_no_range_scale(
-    straight: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_straight_metre_no_range_scale_is_told(straight: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     t, _ = path(1.0)
     if not straight:  # a circle with a radius of 0.8 m in the middle of the room
         angle = 0.3 / 0.8 * t
@@ -141,9 +137,7 @@ def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
 
 
 @pytest.mark.parametrize(("sigma", "severe"), [(0.02, True), (0.05, False)])
-def test_a_track_is_severe_only_beyond_the_sigmas_by_which_it_is_said_without_a_trial(
-    sigma: float, severe: bool
-) -> None:
+def test_a_track_is_severe_only_beyond_the_sigmas_of_what_is_said_untried(sigma: float, severe: bool) -> None:
     one, tried = drive(4, robot(), truth=False), Least(0.005, 2.0)
     motion = WallMotion(1.0, 0.01, 0.0, 0.01, 0.84, sigma, 500)
     (found,) = of_track(one, robot().wheels, {}, motion, least=tried)
@@ -186,17 +180,14 @@ def test_a_larger_wheel_is_named_by_headings_and_not_by_rates(by: str) -> None:
     assert of_ratio(larger, states, shown) == []
 
 
-def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:
+def test_a_wrong_track_or_range_scale_is_no_radius_and_a_straight_run_tells_no_track() -> None:
     right = drive(4, robot())
     m = right.measurements["lrf"]
     narrow = rolled(right, right.wheels.rolled, 0.8 * TRACK)
     shrunk = replace(m, z=m.z * [0.9, 1.0])
     for motion in (seen(right), seen(narrow), seen(right, shrunk)):
         assert of_radius(motion, robot(), least=Least(0.005, 2.0)) == []
-
-
-def test_a_straight_run_tells_no_track() -> None:
-    """What the wheels tell of turning there is their noise."""
+    # What the wheels tell of turning there is their noise.
     rng = np.random.default_rng(0)
     healthy = drive(5, robot())
     motion = seen(rolled(healthy, 0.006 + 0.001 * rng.normal(size=(len(healthy.wheels.t) - 1, 2))))
@@ -258,9 +249,11 @@ def test_an_outvoted_clock_is_set_on_top_of_what_is_set(by: dict[str, float], fi
         assert told(found) == pytest.approx({"compass.time_offset": 0.2}, abs=0.03)
 
 
-def test_clocks_that_agree_are_not_mentioned() -> None:
+def test_clocks_that_agree_and_a_healthy_truth_are_not_mentioned() -> None:
     for seed in range(10, 15):
         assert of_clocks(drive(seed, robot()), robot()) == []
+    for seed in range(19, 24):
+        assert of_truth(drive(seed, robot()), robot()) == []
 
 
 # truth
@@ -400,11 +393,6 @@ def test_a_start_four_degrees_off_is_named_unless_its_sigma_says_so(sigma_deg: f
         assert found["start.theta_deg"] == pytest.approx(math.degrees(START[2]), abs=0.5)
 
 
-def test_a_healthy_truth_is_not_mentioned() -> None:
-    for seed in range(19, 24):
-        assert of_truth(drive(seed, robot()), robot()) == []
-
-
 @pytest.mark.parametrize("place", [0.0, 5e-324])
 def test_a_truth_that_does_not_move_measures_no_wheels(place: float) -> None:
     healthy = drive(1, robot())
@@ -485,16 +473,13 @@ def test_a_truth_with_its_height_in_place_of_an_axis_judges_nothing(height: int)
     assert of_axes(with_truth(healthy, xy=corridor)) == []
 
 
-def test_a_scale_that_no_laser_has_is_named_without_a_fix() -> None:
+def test_a_scale_that_no_laser_has_gets_no_fix_and_a_path_of_another_shape_has_none() -> None:
     assert range_fix(robot(), 1.1) == ("lrf.range_scale=1.1",)
     assert range_fix(robot(), 0.27) == range_fix(robot(), 4.0) == ()
     motion = present(seen(drive(1, robot())))._replace(scale=4.2)
     (found,) = of_laser(motion, robot(), by_truth=True)
     assert (found.code, found.fixes) == ("range scale", ())
-
-
-def test_a_path_of_another_shape_shows_no_scale() -> None:
-    """A mirror image of a path, fitted by a similarity, looks much too large."""
+    # A mirror image of a path, fitted by a similarity, looks much too large.
     healthy = drive(1, robot())
     xy = truth_of(healthy).xy
     right, mirrored = (cast("Any", SimpleNamespace(truth_pose=xy * [1.25, 1.25 * y])) for y in (1.0, -1.0))
@@ -530,19 +515,16 @@ def test_gravity_tells_roll_and_pitch(roll: int, pitch: int) -> None:
     assert angles(up) == (roll, pitch)
 
 
-def test_what_is_not_gravity_tells_no_mount() -> None:
-    assert by_gravity(np.zeros((20, 3))) is None
-    assert by_gravity(np.full((20, 3), np.nan)) is None
-
-
-def test_gaps_are_silences_of_several_periods() -> None:
+def test_gaps_are_silences_of_several_periods_and_what_is_not_gravity_tells_no_mount() -> None:
     t = np.concatenate((np.arange(0.0, 5.0, 0.1), np.arange(7.0, 9.0, 0.1)))
     ((start, end),) = gaps(t)
     assert (start, end) == pytest.approx((4.9, 7.0))
     assert gaps(np.arange(0.0, 30.0, 3.0)) == []
+    assert by_gravity(np.zeros((20, 3))) is None
+    assert by_gravity(np.full((20, 3), np.nan)) is None
 
 
-def test_a_finding_says_what_an_error_says_and_carries_its_fixes() -> None:
+def test_a_finding_says_what_an_error_says_and_names_another_role() -> None:
     error = LocfuseError(
         "2 topics fit: /a, /b.", role="lrf", fixes=("lrf.topic=/a",), hint="Choose one with --set lrf.topic=/a"
     )
@@ -556,9 +538,6 @@ def test_a_finding_says_what_an_error_says_and_carries_its_fixes() -> None:
     )
     assert finding.sentence == "2 topics fit: /a, /b. Choose one with --set lrf.topic=/a"
     assert finding.brief == "2 topics fit: /a, /b"  # what says how is printed below it
-
-
-def test_a_finding_about_another_role_names_it() -> None:
     assert of_error(LocfuseError("no way", role="wheels"), "log", "unusable").message == "wheels: no way"
     assert of_error(LocfuseError("bag.mcap: cut short"), "log", "unusable").message == "bag.mcap: cut short"
 

@@ -1,7 +1,5 @@
 """Which way round a camera's columns turn, and where column 0 looks, by the wheels and a known start."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any, cast
@@ -68,9 +66,12 @@ def mirrored(drive: Drive, zero_deg: float) -> Drive:
     return replace(drive, measurements={"camera": replace(m, z=z)})
 
 
-def test_a_camera_that_is_as_configured_is_left_alone(healthy: tuple[Drive, Robot]) -> None:
+def test_a_camera_as_configured_or_on_a_drive_without_turns_is_left_alone(healthy: tuple[Drive, Robot]) -> None:
     assert of_handedness(*healthy) == []
     assert present(turning_along(*healthy)[0]) < 1.0 - MIRRORED_SHARE  # so no other handedness is tried
+    drive, robot = healthy
+    few = drive.measurements["camera"].take(np.arange(8))
+    assert of_handedness(mirrored(replace(drive, measurements={"camera": few}), 0.0), robot) == []
 
 
 def test_a_mirrored_camera_is_named_with_its_handedness(healthy: tuple[Drive, Robot]) -> None:
@@ -105,12 +106,6 @@ def test_only_the_first_metres_give_the_zero_near_the_start(healthy: tuple[Drive
     circles = replace(drive, wheels=wheels, measurements={"camera": seen})
     (found,) = of_handedness(mirrored(circles, 25.0), robot)
     assert float(found.fixes[1].partition("=")[2]) == pytest.approx(25.0, abs=3.0)
-
-
-def test_a_robot_that_hardly_turns_tells_nothing(healthy: tuple[Drive, Robot]) -> None:
-    drive, robot = healthy
-    few = drive.measurements["camera"].take(np.arange(8))
-    assert of_handedness(mirrored(replace(drive, measurements={"camera": few}), 0.0), robot) == []
 
 
 # --- iron about a magnetometer, simulated: on the robot it is a setting, in the room it is a place
@@ -187,19 +182,16 @@ def test_a_noise_that_is_set_too_low_is_named_with_the_one_that_was_drawn(sigma:
     assert said(room() + noise(sigma), sigma_range=sigma / 2.0) == pytest.approx(sigma, rel=0.12)
 
 
-def test_a_noise_that_is_right_or_too_high_is_not_mentioned() -> None:
+def test_a_noise_that_is_right_or_too_high_and_walls_without_noise_are_not_mentioned() -> None:
     for configured in (0.03, 0.05):
         assert said(room() + noise(0.03), sigma_range=configured) is None
+    assert said(room(), sigma_range=1e-6) is None
 
 
 @pytest.mark.parametrize(("sigma", "more"), [(0.02, True), (0.028, False), (0.04, False)])
 def test_a_smaller_sigma_is_contradicted_by_the_ranges(sigma: float, more: bool) -> None:
     ranges = room() + noise(0.03)
     assert scatter_more(ranges_sigma(scan_stream(range(SCANS), ranges), LrfSettings()), sigma) == more
-
-
-def test_walls_without_noise_leave_nothing_however_they_lie() -> None:
-    assert said(room(), sigma_range=1e-6) is None
 
 
 def test_rounded_ranges_and_clutter_tell_no_noise() -> None:
@@ -281,21 +273,15 @@ def pictures(centre: tuple[float, float], inner: float, outer: float) -> list[ND
     return made
 
 
-def test_both_circles_are_found_to_a_pixel() -> None:
+def test_both_circles_are_found_to_a_pixel_and_what_fits_or_shows_none_says_nothing() -> None:
     (finding,) = of_rims(pictures((166.4, 153.7), 40.0, 140.0), CameraSettings())
     values = dict(fix.removeprefix("camera.").split("=") for fix in finding.fixes)
     x, y = (float(v) for v in values["centre"].strip("[]").split(","))
     assert (x, y) == pytest.approx((166.4, 153.7), abs=0.5)
     assert float(values["outer"]) == pytest.approx(140.0, abs=1.0)
     assert float(values["inner"]) == pytest.approx(40.0, abs=1.0)
-
-
-def test_a_calibration_that_fits_is_left_alone() -> None:
     right = CameraSettings(centre=(166.4, 153.7), inner=40.0, outer=140.0)
     assert of_rims(pictures((166.4, 153.7), 40.0, 140.0), right) == []
-
-
-def test_pictures_without_a_circle_say_nothing() -> None:
     rng = np.random.default_rng(3)
     noise = [rng.integers(0, 255, (SIZE_PX, SIZE_PX, 3), np.uint8) for _ in range(6)]
     assert of_rims(noise, CameraSettings()) == []
@@ -339,14 +325,11 @@ def test_the_track_alone_turns_the_robot_as_far_as_the_states_do(longer: float, 
     assert rolled / float(fix.partition("=")[2]) == pytest.approx(by_states, rel=1e-3)
 
 
-def test_a_track_that_turns_the_robot_as_configured_is_no_finding() -> None:
-    assert not list(of_probe(robot(), "lrf", run(wheels=(0.05, 0.05, 0.05)), False))
-
-
 def test_a_track_far_outside_its_prior_is_a_slip_unless_the_truth_can_judge_it() -> None:
     """On a real log one slip made the state 0.56: the advised track was twice the true one."""
     found = [list(of_probe(robot(), "lrf", run(wheels=(0.0, 0.0, 0.56)), by_truth)) for by_truth in (False, True)]
     assert [len(f) for f in found] == [0, 1]
+    assert not list(of_probe(robot(), "lrf", run(wheels=(0.05, 0.05, 0.05)), False))
 
 
 @pytest.mark.parametrize(
@@ -407,9 +390,7 @@ BEAM_SPANS = [
 
 
 @pytest.mark.parametrize(("beams", "span", "step"), BEAM_SPANS)
-def test_an_angle_max_that_is_off_by_a_beam_or_not_filled_in_is_no_finding(
-    beams: int, span: float, step: float
-) -> None:
+def test_an_angle_max_off_by_a_beam_or_not_filled_in_is_no_finding(beams: int, span: float, step: float) -> None:
     assert of_angles(spanned(beams, span, step)) == []
 
 

@@ -1,7 +1,5 @@
 """Numbers of several logs pooled: who agrees, who disagrees, which clock is off, and what helps all of them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -120,27 +118,21 @@ def test_a_common_setting_that_helps_every_log_is_one_fix_with_the_figures_of_ea
     assert after.position == pytest.approx(0.05)
 
 
-def test_a_setting_by_which_one_log_loses_is_none_and_the_log_is_named() -> None:
+def test_a_log_that_loses_is_named_and_one_that_disagrees_has_no_vote() -> None:
     found = asked(**robot({"a": 0.700, "b": 0.702, "c": 0.698}, broken="c"))  # type: ignore[arg-type]
     assert found.fix is None
     assert [step.losers for step in found.refused] == [("c",)]
-
-
-def test_a_log_that_disagrees_has_no_vote() -> None:
     found = asked(**robot({"a": 0.70, "b": 0.70, "c": 0.70, "d": 0.50}))  # type: ignore[arg-type]
     assert found.fix is not None
     assert found.fix.fixes == ("wheels.track=0.7",)
     assert found.fix.pairs["d"][1].position > found.fix.pairs["d"][0].position  # type: ignore[operator]
 
 
-def test_two_robots_get_no_common_setting() -> None:
+def test_two_robots_and_logs_without_a_number_get_no_common_setting() -> None:
     found = asked(**robot({"a": 0.7, "b": 0.5}))  # type: ignore[arg-type]
     assert found.fix is None
     assert not found.refused
     assert "no common value" in found.common[0].words
-
-
-def test_without_any_number_there_is_nothing_to_say() -> None:
     found = asked({"a": LogEstimates(), "b": LogEstimates()}, lambda sets: pytest.fail("nothing to try"))
     assert found.common == ()
     assert found.fix is None

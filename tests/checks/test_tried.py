@@ -1,7 +1,5 @@
 """Which fixes are offered: held to scores written by hand, as if they were those of runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 import pytest
@@ -317,9 +315,7 @@ def test_a_fix_under_which_the_same_is_measured_off_again_says_that_more_is_wron
 
 
 @pytest.mark.parametrize("judges", [("odometry", "all"), ("all", "odometry")])
-def test_odometry_that_was_lucky_under_a_wrong_start_hinders_no_fix_whoever_is_asked_first(
-    judges: tuple[str, ...],
-) -> None:
+def test_odometry_lucky_under_a_wrong_start_hinders_no_fix_whoever_is_asked_first(judges: tuple[str, ...]) -> None:
     """Its error grows, and falls from 20 times what it claims to what it claims; that of all sensors is cured."""
     start = Candidate(Finding("truth", "start", "4 deg off"), (("start.theta_deg=4",),), judges, ("odometry",))
     before = {"odometry": Marks(0.257, 19.9, (0.9, 1.1)), "all": Marks(0.307, 3695.0, (0.1, 2.8))}

@@ -1,7 +1,5 @@
 """`compare --estimate`: other people's estimates are judged as ours are, and as evo judges them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -32,20 +30,19 @@ def compared(out: Path, *words: Any) -> tuple[dict[str, Any], str]:
     return done.rows, done.stderr
 
 
-def test_our_own_trajectory_gives_our_own_figures(ours: Path, tmp_path: Path) -> None:
-    found, stderr = compared(tmp_path / "o", "--estimate", f"mine={ours / 'trajectory.tum'}")
+def test_our_own_trajectory_gives_our_own_figures_and_with_covariances_our_consistency(
+    ours: Path, tmp_path: Path
+) -> None:
+    files = (word for kind in ("tum", "csv") for word in ("--estimate", f"{kind}={ours / 'trajectory'}.{kind}"))
+    found, stderr = compared(tmp_path / "o", *files)
     for key in ERRORS:
-        assert found["mine"][key] == pytest.approx(found["compass"][key], abs=1e-9), key
-    assert found["mine"]["anees"] is None  # a .tum says no covariance
+        assert found["tum"][key] == pytest.approx(found["compass"][key], abs=1e-9), key
+    assert found["tum"]["anees"] is None  # it says no covariance
+    assert found["csv"]["anees"] == pytest.approx(found["compass"]["anees"], rel=1e-6)
+    assert found["csv"]["position_rmse_m"] == pytest.approx(found["compass"]["position_rmse_m"], abs=1e-9)
     headline = report_in(tmp_path / "o")["headline"]
     assert headline.startswith("With the compass: position error")  # an estimate is no sensor to keep
     assert "another frame" not in stderr
-
-
-def test_a_table_with_covariances_gives_our_own_consistency(ours: Path, tmp_path: Path) -> None:
-    found, _ = compared(tmp_path / "o", "--estimate", f"mine={ours / 'trajectory.csv'}")
-    assert found["mine"]["anees"] == pytest.approx(found["compass"]["anees"], rel=1e-6)
-    assert found["mine"]["position_rmse_m"] == pytest.approx(found["compass"]["position_rmse_m"], abs=1e-9)
 
 
 def test_a_strangers_trajectory_is_judged_as_evo_judges_it(ours: Path, tmp_path: Path) -> None:

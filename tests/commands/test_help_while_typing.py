@@ -1,7 +1,5 @@
 """What the terminal does for who types: nearest words, units, completion, the report's place, comments kept."""
 
-from __future__ import annotations
-
 import os
 import pty
 import shlex
@@ -19,9 +17,12 @@ from locfuse.formats.report.table import written
 LOG = "rounded_rectangle"
 
 
-def test_a_mistyped_file_names_the_one_beside_it(tmp_path: Path) -> None:
+def test_a_mistyped_file_names_the_one_beside_it_and_a_sensor_is_explained(tmp_path: Path) -> None:
     (tmp_path / "monday_run.mcap").touch()
     assert f"did you mean {tmp_path}/monday_run.mcap?" in locfuse("info", tmp_path / "monday_rum.mcap").stderr
+    done = locfuse("explain", "LRF")
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert "LaserScan" in done.stdout
 
 
 def offered(*words: str) -> set[str]:
@@ -55,9 +56,7 @@ def test_completion_prints_a_script_for_the_shell(shell: str) -> None:
     assert "_LOCFUSE_COMPLETE" in done.stdout
 
 
-def test_the_last_line_says_where_the_report_is_and_open_shows_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_last_line_names_the_report_and_open_shows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
 
     def show(address: str) -> bool:
@@ -115,12 +114,6 @@ def test_a_truth_beside_the_log_is_a_table_of_poses(tmp_path: Path) -> None:
     page.write_text("# no poses")
     refusal = refused("compare", LOG, "--truth", page, "-o", tmp_path / "out", code=2)
     assert f"--truth {page}: a .tum, or a .csv" in refusal
-
-
-def test_a_sensor_is_explained() -> None:
-    done = locfuse("explain", "LRF")
-    assert (done.exit_code, done.stderr) == (0, "")
-    assert "LaserScan" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """An agent's program, by the SDK's own client: questions answered from tool outputs alone, and what is refused."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os
@@ -52,9 +50,12 @@ def tools(tmp_path_factory: pytest.TempPathFactory) -> Tools:
     return Tools([folder], tmp_path_factory.mktemp("results"))
 
 
-def test_the_logs_are_listed(tools: Tools) -> None:
+def test_the_logs_are_listed_and_what_is_in_one_is_valid(tools: Tools) -> None:
     listed = asked(tools, "info")["values"]["bytes"]
     assert {Path(name).stem for name in listed} == set(sample_logs.names())
+    answer = asked(tools, "info", log="labyrinth.mcap")
+    assert "ranges" in answer["values"]["roles"]
+    jsonschema.Draft7Validator(SCHEMAS["info"]()).validate(json.loads(Path(answer["files"][0]).read_text()))
 
 
 def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
@@ -64,12 +65,6 @@ def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
     assert answer["values"]["configurations"]["lrf"]["position_rmse_m"] == pytest.approx(0.0039, abs=1e-4)
     (report,) = (Path(file) for file in answer["files"] if file.endswith("report.json"))
     jsonschema.Draft7Validator(SCHEMAS["report"]()).validate(json.loads(report.read_text()))
-
-
-def test_what_is_in_a_log_and_its_file_is_valid(tools: Tools) -> None:
-    answer = asked(tools, "info", log="labyrinth.mcap")
-    assert "ranges" in answer["values"]["roles"]
-    jsonschema.Draft7Validator(SCHEMAS["info"]()).validate(json.loads(Path(answer["files"][0]).read_text()))
 
 
 def test_tuning_and_calibrating_write_files_that_are_valid(tools: Tools) -> None:

@@ -1,7 +1,5 @@
 """What people see of `compare`: little, each thing once, and the rest where they ask for it."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections import Counter
@@ -29,21 +27,15 @@ def printed(
     return ok("compare", request.param, "-o", out), out
 
 
-def test_a_good_log_takes_few_lines_and_words(printed: tuple[Done, Path]) -> None:
+def test_a_good_log_takes_few_lines_none_of_them_twice_and_few_files(printed: tuple[Done, Path]) -> None:
     done, out = printed
     lines = [line for line in done.stdout.splitlines() if line.strip()]
     assert len(lines) <= MAX_LINES
     assert len(done.stdout.split()) <= MAX_WORDS
     assert done.stderr == ""
     assert lines[-1].startswith(f"report: {out / 'report.html'}")
-
-
-def test_no_sentence_is_printed_twice(printed: tuple[Done, Path]) -> None:
     found = Counter(re.findall(r"(?<=[.] )[A-Z][^.]+[.](?= |$)", printed[0].stdout, re.MULTILINE))
     assert [sentence for sentence, times in found.items() if times > 1] == []
-
-
-def test_the_files_that_are_written_are_the_report_the_settings_and_the_paths(printed: tuple[Done, Path]) -> None:
     out = printed[1]
     names = {p.name for p in out.iterdir()} - {"fixes.toml", "timing.json"}
     assert {n for n in names if not n.endswith(".tum")} == {"report.html", "report.json", "robot.toml"}
@@ -88,9 +80,7 @@ def test_the_groups_of_help_name_parameters_that_exist() -> None:
     assert {name for names in HELP_GROUPS.values() for name in names} <= known
 
 
-def test_on_a_narrow_terminal_words_are_wrapped_and_figures_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_a_narrow_terminal_words_wrap_and_figures_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "40")
     monkeypatch.setenv("NO_COLOR", "1")
     done = locfuse("compare", "rounded_rectangle", "--no-advice", "-o", tmp_path / "o")

@@ -1,7 +1,5 @@
 """Logs on a server: results are those of the same log here, few bytes come, and every failure is one line."""
 
-from __future__ import annotations
-
 import json
 import random
 import shutil
@@ -239,9 +237,7 @@ def test_an_object_that_changes_while_it_is_read_ends_the_job(logs: dict[str, Pa
         columns(log)
 
 
-def test_a_connection_that_drops_in_the_middle_is_one_line(
-    logs: dict[str, Path], shelf: Shelf, impatient: None
-) -> None:
+def test_a_connection_that_drops_midway_is_one_line(logs: dict[str, Path], shelf: Shelf, impatient: None) -> None:
     log = open_log([Url(shelf.put("middle.mcap", logs["none"].read_bytes()))])
     shelf.drop.add("middle.mcap")
     with pytest.raises(LocfuseError, match=r"middle\.mcap: "):

@@ -1,7 +1,5 @@
 """A file that is elsewhere: its summary is believed where it fits together, and the bytes are held against it."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable, Iterator

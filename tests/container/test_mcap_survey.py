@@ -1,7 +1,5 @@
 """The walk over a file laid by hand: where it goes on after damage, and what it counts as lost."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path
@@ -443,9 +441,7 @@ def other_channel(first: int, indexed: bool) -> Chunk:
 
 
 @pytest.mark.parametrize("summary", [True, False])
-def test_a_chunk_that_fails_its_checksum_is_lost_with_as_many_messages_as_are_known(
-    tmp_path: Path, summary: bool
-) -> None:
+def test_a_chunk_that_fails_its_checksum_is_lost_with_its_known_messages(tmp_path: Path, summary: bool) -> None:
     content = bytearray(summarised(WHOLE, [A, B, C]) if summary else WHOLE + NO_SUMMARY)
     at = WHOLE.index(B.record)
     content[at + 9 + 40 + 35] ^= 1
@@ -499,9 +495,7 @@ def test_definitions_are_found_inside_chunks_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("length", "found"), [(40, True), (41, False)])
-def test_attachments_up_to_the_cap_are_read(
-    tmp_path: Path, length: int, found: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_attachments_have_a_cap(tmp_path: Path, length: int, found: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("locfuse.formats.container.mcap_source.MAX_ATTACHMENT", 40)
     front = struct.pack("<QQ", 1, 1) + text("a") + text("t")
     front += struct.pack("<Q", length - len(front) - 8 - 4)
@@ -527,9 +521,7 @@ def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("cap", "whole"), [(4 * 71, True), (4 * 71 - 1, False)])
-def test_a_chunk_as_large_as_the_cap_is_read(
-    tmp_path: Path, cap: int, whole: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chunk_may_fill_its_cap(tmp_path: Path, cap: int, whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("locfuse.formats.container.chunked.MAX_CHUNK", cap)
     found, lost = lost_by(tmp_path, FRONT + A.all + END + NO_SUMMARY, {1, 2})
     assert found == (of(A) if whole else [])

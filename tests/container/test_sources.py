@@ -1,7 +1,5 @@
 """Every kind of bag is the same log: sqlite3, compressed files and messages, ROS 1, JSON."""
 
-from __future__ import annotations
-
 import base64
 import gc
 import json

@@ -1,18 +1,20 @@
 """The filter against a textbook filter in plain matrices."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
-from rows import Told, correct, dense, some_told, step
+from rows import Told, correct, dense, matrix_in_map, some_told, step
 from textbook import TextbookEkf, move, numeric_jacobian
 
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.equations import eq5_x, eq7_A, eq10_12, predicted
-from locfuse.fusion.ekf.map_frame import Triangle
+from locfuse.fusion.ekf.map_frame import InMap, Triangle, map_covariance
+from locfuse.fusion.kernels.ekf import bent
+from locfuse.fusion.map.slips import tried
 from locfuse.fusion.sensor import Block
 
 POSE = (1.0, -2.0, 3.1)
@@ -99,7 +101,7 @@ def some(seed: int, n: int) -> tuple[np.random.Generator, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_prediction_is_the_textbook_filters(seed: int) -> None:
+def test_predictions_and_corrections_are_the_textbook_filters(seed: int) -> None:
     g, P = some(seed, 3)
     Q = some(seed + 10, 3)[1]
     x, u = g.normal(size=3), g.normal(size=3)
@@ -110,17 +112,6 @@ def test_a_prediction_is_the_textbook_filters(seed: int) -> None:
     )
     np.testing.assert_allclose(after, [book.x, book.x], atol=1e-12)
     np.testing.assert_allclose(P_after, [book.P, book.P], atol=1e-12)
-
-
-@pytest.mark.parametrize("u", [(0.0, 0.0, 0.0), (0.3, 0.1, -2.0), (-1.0, 0.0, 3.1)])
-def test_eq_7_is_the_derivative_of_eq_5(u: tuple[float, float, float]) -> None:
-    x, step = np.array([1.0, -2.0, 3.0]), np.array(u)
-    np.testing.assert_allclose(eq5_x(x, step), move(x, step), atol=1e-14)
-    np.testing.assert_allclose(eq7_A(x, eq5_x(x, step)), numeric_jacobian(lambda p: eq5_x(p, step), x), atol=1e-8)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_correction_is_the_textbook_filters(seed: int) -> None:
     g, P = some(seed, 5)
     R = some(seed + 10, 2)[1]
     x, y, H = g.normal(size=5), g.normal(size=2), g.normal(size=(2, 5))
@@ -130,6 +121,13 @@ def test_a_correction_is_the_textbook_filters(seed: int) -> None:
     np.testing.assert_allclose(x + V.T @ e, book.x, atol=1e-9)
     np.testing.assert_allclose(P - V.T @ V, book.P, atol=1e-9)
     np.testing.assert_allclose(L @ L.T, H @ P @ H.T + R, atol=1e-9)
+
+
+@pytest.mark.parametrize("u", [(0.0, 0.0, 0.0), (0.3, 0.1, -2.0), (-1.0, 0.0, 3.1)])
+def test_eq_7_is_the_derivative_of_eq_5(u: tuple[float, float, float]) -> None:
+    x, step = np.array([1.0, -2.0, 3.0]), np.array(u)
+    np.testing.assert_allclose(eq5_x(x, step), move(x, step), atol=1e-14)
+    np.testing.assert_allclose(eq7_A(x, eq5_x(x, step)), numeric_jacobian(lambda p: eq5_x(p, step), x), atol=1e-8)
 
 
 # --- the equations of the filter's kernel against a textbook's, whatever stands in the numbers, interpreted too
@@ -180,9 +178,7 @@ def test_a_prediction_is_that_of_the_textbook(states: int, wheels: bool) -> None
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
 @pytest.mark.parametrize("considered", [(), (0, 3)])
 @pytest.mark.parametrize("start", [UPPER, EXACT, LOST])
-def test_a_correction_is_the_textbook_s(
-    states: int, count: int, considered: tuple[int, ...], start: Triangle
-) -> None:
+def test_corrections_are_textbook(states: int, count: int, considered: tuple[int, ...], start: Triangle) -> None:
     belief, told = random_belief(states, 1, start), lines(count, states, count)
     kept, book = [c for c in considered if c < belief.n], book_of(belief)
     belief.consider(np.array(kept, np.int64))
@@ -241,3 +237,255 @@ def test_a_number_that_is_none_is_refused_in_one_line() -> None:
     bad = Told((0.1, 0.1), np.ones((2, 3)), ((math.nan, 0.0), (0.0, 1.0)))
     with pytest.raises(LocfuseError, match="became singular"):
         correct(random_belief(0, 1), bad)
+
+
+# --- the pose in the map, by that in the frame and the frame's place
+
+Array = np.ndarray
+START = (1.0, -2.0, 0.4)
+P1: Triangle = (0.09, 0.01, 0.004, 0.05, -0.003, 0.02)
+Q1: Triangle = (1e-4, 0.0, 0.0, 2e-5, 1e-5, 4e-4)
+U = (0.3, 0.02, 0.25)
+STEP = step(U, Q1)
+OFFSET = Block("offset", np.array([0.7]), np.array([[0.04]]), np.zeros(1))
+COMPASS = ((0.0, 0.0, 1.0),)
+NORTH = ((0.6, -0.8, 0.3),)  # any row of the pose in the map
+
+
+def row(H: Any, y: float, r: float, columns: Any = (), own: Any = ()) -> Told:
+    return Told((y,), H, ((r,),), columns, own)
+
+
+def correct_all(belief: JointBelief, local: list[Told], of_map: list[Told]) -> None:
+    """One instant: what is seen of the local pose, and what is seen of the pose in the map."""
+    belief.begin()
+    world = InMap(belief)
+    for seen in [*(s.judged(belief) for s in local), *(s.judged(world) for s in of_map)]:
+        belief.queue(seen)
+    belief.correct()
+
+
+def driven(belief: JointBelief) -> JointBelief:
+    """Some way with a compass, a frame that begins, local rows, and a compass again: every state is correlated."""
+    at = belief.column("offset")
+    belief.predict(STEP, 0)
+    correct(belief, row(COMPASS, 0.05, 0.01, (at,), ((1.0,),)))
+    belief.begin_frame()
+    for y in (0.02, -0.03, 0.01):
+        belief.predict(STEP, 0)
+        correct(belief, row(((0.6, 0.8, -0.2),), y, 1e-4))
+        correct_all(belief, [], [row(COMPASS, y, 0.02, (at,), ((1.0,),)), row(NORTH, 4 * y, 0.03)])
+    return belief
+
+
+@pytest.mark.parametrize("tt", [1e-8, 1e-3, 0.0015, 0.01, 0.3, 3.0])
+def test_a_lever_spreads_along_itself_as_samples_do(tt: float) -> None:
+    angle = math.sqrt(tt) * np.linspace(-9, 9, 20001)
+    weight = np.exp(-0.5 * angle**2 / tt)
+    expected = float((weight * (np.cos(angle) - 1) ** 2).sum() / weight.sum())
+    assert bent(tt) == pytest.approx(expected, rel=1e-6 if tt > 1e-3 else 2e-3)
+
+
+def test_the_pose_in_the_map_has_the_covariance_of_finite_differences() -> None:
+    belief = driven(JointBelief(START, P1, [OFFSET]))
+    at = [0, 1, 2, belief.frame, belief.frame + 1, belief.frame + 2]
+    x, P = np.asarray(belief.state)[at], np.asarray(belief.covariance)[np.ix_(at, at)]
+    J = numeric_jacobian(lambda v: move(v[3:], v[:3]), x)
+    r = (move(x[3:], x[:3]) - x[3:])[:2]
+    expected = J @ P @ J.T
+    expected[:2, :2] += bent(P[5, 5]) * np.outer(r, r)
+    np.testing.assert_allclose(InMap(belief).pose(), move(x[3:], x[:3]), atol=1e-14)
+    np.testing.assert_allclose(matrix_in_map(belief), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        map_covariance(x[None, 3:], x[None, :3], P[None])[0], matrix_in_map(belief), atol=1e-14
+    )
+    np.testing.assert_array_equal(belief.covariance, belief.covariance.T)
+    assert not np.allclose(matrix_in_map(belief), belief.matrix())
+
+
+LANDMARK, LEVER = np.array([3.0, 1.0]), np.array([0.2, -0.1])
+
+
+def bearing(p: Array) -> Array:
+    return np.array([math.atan2(LANDMARK[1] - p[1], LANDMARK[0] - p[0]) - p[2]])
+
+
+def antenna(p: Array) -> Array:
+    return move(p, np.array([*LEVER, 0.0]))[:2]
+
+
+@pytest.mark.parametrize("h", [bearing, antenna, lambda p: p[2:]])
+def test_what_observes_the_pose_in_the_map_observes_both_by_the_chain_rule(h: Callable[[Array], Array]) -> None:
+    belief = driven(JointBelief(START, P1, [OFFSET]))
+    first = belief.frame
+    H = numeric_jacobian(h, np.array(InMap(belief).pose()))
+    expected = numeric_jacobian(lambda x: h(move(x[first : first + 3], x[:3])), belief.state.copy())
+    d = len(H)
+    seen = Told((0.1,) * d, H, np.eye(d), (3,), ((0.5,),) * d).judged(InMap(belief))
+    _, columns, by, _ = belief.equation([seen])
+    found = np.zeros((d, belief.n))
+    found[:, columns] = by
+    expected[:, 3] = 0.5
+    np.testing.assert_allclose(found, expected, atol=1e-8)
+    spread = found @ belief.covariance @ found.T
+    np.testing.assert_allclose(seen.sigma, np.sqrt(np.diagonal(spread) + 1.0), rtol=1e-9)
+    found[0, 3] = 0.0
+    assert InMap(belief).variance(H[0]) == pytest.approx(found[0] @ belief.covariance @ found[0], rel=1e-9)
+
+
+def test_a_frame_begins_without_a_change_in_the_map() -> None:
+    """Also for a kept heading and wheel states: the joint covariance is that of the states as functions."""
+    belief = JointBelief(START, P1, [Block("kept", np.zeros(1), np.zeros((1, 1)), np.zeros(1)), OFFSET])
+    belief.add(Block("wheels", np.zeros(3), np.diag([1e-3, 2e-3, 3e-3]), np.zeros(3)))
+    belief.drive_with("wheels")
+    J = np.array([[0.15, 0.15, 0.0], [0.0, 0.0, 0.0], [-0.5, 0.5, -0.3]])
+    belief.predict(step(U, Q1, 0.1, J), 0)
+    belief.clone_heading(3)
+    belief.predict(step(U, Q1, 0.1, J), 0)
+    x, P, n = belief.state.copy(), belief.covariance.copy(), belief.n
+
+    def begun(x: Array) -> Array:
+        return np.concatenate((np.zeros(3), [x[3] - x[2]], x[4:n], x[:3]))
+
+    T = numeric_jacobian(begun, x)
+    pose, spread = belief.pose(), belief.matrix()
+    belief.begin_frame()
+    np.testing.assert_allclose(belief.state, begun(x), atol=1e-14)
+    np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-9)
+    assert InMap(belief).pose() == pose
+    np.testing.assert_allclose(matrix_in_map(belief), spread, atol=1e-15)
+    assert not belief.covariance[:3].any()
+    belief.predict(step(U, Q1, 0.1, J), 0)
+    belief.clone_heading(3)
+    x, P, pose = belief.state.copy(), belief.covariance.copy(), InMap(belief).pose()
+    belief.begin_frame()  # once more, after a map was lost
+
+    def moved(x: Array) -> Array:
+        return np.concatenate((np.zeros(3), [x[3] - x[2]], x[4:n], move(x[n : n + 3], x[:3])))
+
+    T = numeric_jacobian(moved, x)
+    np.testing.assert_allclose(belief.state, moved(x), atol=1e-14)
+    np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-9)
+    np.testing.assert_allclose(InMap(belief).pose(), pose, atol=1e-14)
+
+
+def seen_from(p: Array, q: Array) -> Array:
+    """Pose q as it is seen from pose p."""
+    return move(np.array([*(-turned(-p[2]) @ p[:2]), -p[2]]), q)
+
+
+def turned(angle: float) -> Array:
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+
+def with_kept_pose_and_point() -> tuple[JointBelief, int]:
+    """A belief that keeps a pose and a heading of earlier instants, and a point seen on the way: its column."""
+    sizes = ("kept", 3), ("heading", 1)
+    belief = JointBelief(START, P1, [Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k)) for name, k in sizes])
+    belief.clone_pose(3)
+    belief.predict(STEP, 0)
+    belief.clone_heading(6)
+    point = belief.augment(np.array([2.0, 1.0]), np.array([[1.0, 0.0, 0.4], [0.0, 1.0, -0.7]]), 0.01 * np.eye(2))
+    belief.own_point("point", point)
+    belief.predict(STEP, 0)
+    return belief, point
+
+
+def test_a_kept_pose_and_a_point_are_seen_from_where_the_frame_begins() -> None:
+    belief, point = with_kept_pose_and_point()
+    x, P = belief.state.copy(), belief.covariance.copy()
+
+    def begun(x: Array) -> Array:
+        place = seen_from(x[:3], np.array([*x[point : point + 2], 0.0]))[:2]
+        return np.concatenate((np.zeros(3), seen_from(x[:3], x[3:6]), [x[6] - x[2]], place, x[:3]))
+
+    T = numeric_jacobian(begun, x)
+    belief.begin_frame()
+    np.testing.assert_allclose(belief.state, begun(x), atol=1e-14)
+    np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-9)
+
+
+def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() -> None:
+    """The pose was wrong all along: a kept heading and a kept pose were wrong by the same."""
+    sizes = ("heading", 1), ("pose", 3)
+    belief = JointBelief(START, P1, [Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k)) for name, k in sizes])
+    belief.clone_heading(3)
+    belief.clone_pose(4)
+    belief.predict(STEP, 0)
+    x, P = belief.state.copy(), belief.covariance.copy()
+    belief.shift((0.0, 0.0, 0.2), 0.01, 0.02)
+    after = belief.state
+    np.testing.assert_allclose(after[:3], (x[0], x[1], x[2] + 0.2), atol=1e-15)
+    np.testing.assert_allclose(belief.matrix(), P[:3, :3] + np.diag([0.01, 0.01, 0.02]), atol=1e-15)
+    assert after[2] - after[3] == pytest.approx(x[2] - x[3])
+    np.testing.assert_allclose(seen_from(after[:3], after[4:7]), seen_from(x[:3], x[4:7]), atol=1e-14)
+    now = belief.covariance  # of the way between: exactly as long, and turned exactly as far
+    J = numeric_jacobian(lambda v: seen_from(v[:3], v[4:7]), after.copy())
+    np.testing.assert_allclose(J @ now @ J.T, 0.0, atol=1e-9)
+    assert now[2, 2] + now[3, 3] - 2.0 * now[2, 3] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_pose_that_is_only_tried_leaves_every_bit_of_the_belief_as_it_was() -> None:
+    """A kept heading that has fallen behind is no copy of the pose any more, and must not become one again."""
+    belief = JointBelief(START, P1, [Block("heading", np.zeros(1), np.zeros((1, 1)), np.zeros(1))])
+    belief.clone_heading(3)
+    belief.predict(STEP, 0)
+    x, P = belief.state.copy(), belief.covariance.copy()
+    with tried(belief, (0.1, -0.2, 0.3), 0.01, 0.02):
+        np.testing.assert_allclose(belief.pose(), x[:3] + np.array([0.1, -0.2, 0.3]), atol=1e-15)
+        np.testing.assert_allclose(belief.matrix(), P[:3, :3] + np.diag([0.01, 0.01, 0.02]), atol=1e-15)
+    np.testing.assert_array_equal(belief.state, x)
+    np.testing.assert_array_equal(belief.covariance, P)
+
+
+def test_what_is_local_teaches_the_frame_nothing() -> None:
+    belief = JointBelief(START, P1, [])
+    belief.begin_frame()
+    first, before = belief.frame, belief.covariance.copy()
+    frame = slice(first, first + 3)
+    for _ in range(50):
+        belief.predict(STEP, 0)
+        correct(belief, row(((0.3, -0.9, 0.2),), 0.01, 1e-6), row(COMPASS, 0.02, 1e-6))
+    np.testing.assert_array_equal(belief.covariance[frame, frame], before[frame, frame])
+    np.testing.assert_array_equal(belief.state[frame], START)
+
+
+def test_a_lost_pose_teaches_the_frame_nothing() -> None:
+    belief = driven(JointBelief(START, P1, [OFFSET]))
+    frame = slice(belief.frame, belief.frame + 3)
+    belief.place(belief.pose(), 25.0, 3.0)
+    before, G = belief.covariance.copy(), belief.state[frame].copy()
+    belief.lost = True
+    correct_all(belief, [], [row(COMPASS, 0.4, 1e-4), row(NORTH, 1.0, 0.01)])
+    np.testing.assert_array_equal(belief.state[frame], G)
+    np.testing.assert_array_equal(belief.covariance[frame, frame], before[frame, frame])
+    assert belief.matrix()[2, 2] < 0.1  # and the pose takes all of it
+    assert np.linalg.eigvalsh(belief.covariance).min() > -1e-12
+
+
+def test_listening_teaches_the_frame_nothing() -> None:
+    belief = driven(JointBelief(START, P1, [OFFSET]))
+    frame, G = slice(belief.frame, belief.frame + 3), belief.state.copy()
+    belief.begin()
+    belief.listen([row(COMPASS, 0.4, 1e-4, (3,), ((1.0,),)).judged(InMap(belief))])
+    np.testing.assert_array_equal(belief.state[frame], G[frame])
+    assert belief.state[3] != G[3]
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_where_the_frames_place_is_corrected_its_uncertainty_turns_about_the_same_point(column: int) -> None:
+    """The textbook's filter, then the lever: a turn moves the frame's new place otherwise than its old one."""
+    belief = driven(JointBelief(START, P1, [OFFSET]))
+    assert belief.framed
+    n, f, y, r = belief.n, belief.frame, 0.3, 0.01
+    x, P = np.array(belief.state)[:n].copy(), np.array(belief.covariance)[:n, :n].copy()
+    H = np.eye(n)[f + column]
+    K = P @ H / (H @ P @ H + r)
+    moved, P = x + K * y, P - np.outer(K, H @ P)
+    dx, dy = (moved - x)[f : f + 2]
+    assert min(abs(dx), abs(dy)) > 1e-3
+    A = np.eye(n)
+    A[f, f + 2], A[f + 1, f + 2] = -dy, dx
+    belief.know((y,), ((r,),), (f + column,), ((1.0,),))
+    np.testing.assert_allclose(np.array(belief.state)[:n], moved, atol=1e-12)
+    np.testing.assert_allclose(np.array(belief.covariance)[:n, :n], A @ P @ A.T, atol=1e-12)

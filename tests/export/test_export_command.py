@@ -1,7 +1,5 @@
 """`locfuse export ros`: real logs as files that YAML readers and `init --ekf` take; bad files untouched."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

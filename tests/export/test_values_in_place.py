@@ -1,7 +1,5 @@
 """New values in a YAML that people wrote: every other byte stays, and what cannot be changed is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`import locfuse`: light, complete, and useful to who types `locfuse.<TAB>` or help()."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import pydoc
@@ -71,14 +69,11 @@ def test_help_says_what_a_call_takes_gives_and_raises(name: str) -> None:
     assert "LocfuseError" in text or name == "evaluate"
 
 
-def test_every_public_method_is_documented() -> None:
+def test_every_public_method_is_documented_and_every_function_is_listed() -> None:
     for kind in (Session, locfuse.Run, locfuse.Comparison, locfuse.Summary):
         for name, member in inspect.getmembers(kind):
             if not name.startswith("_") and (callable(member) or isinstance(member, property)):
                 assert inspect.getdoc(member), f"{kind.__name__}.{name}"
-
-
-def test_help_of_the_package_lists_the_functions() -> None:
     text = pydoc.plain(pydoc.render_doc(locfuse))
     assert all(f"\n    {name}(" in text for name in FUNCTIONS)
 

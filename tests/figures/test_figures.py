@@ -1,7 +1,5 @@
 """Panels, their two renderers, ticks and colours."""
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -98,10 +96,21 @@ def contrast(a: str, b: str) -> float:
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("vision", VISION)
-def test_the_papers_five_configurations_and_the_truth_stay_apart(theme: str, vision: str) -> None:
+def test_the_papers_five_configurations_and_the_truth_stay_apart_as_thin_lines_too(
+    theme: str, vision: str
+) -> None:
     labs = {n: oklab(VISION[vision] @ linear_rgb(getattr(c, theme))) for n, c in INKS.items()}
     for a, b in combinations(labs, 2):
         assert np.linalg.norm(labs[a] - labs[b]) > 0.09, (a, b)  # just noticeable: 0.02
+    # a line of 1.5 px covers three quarters of a pixel and half of its neighbours: its colour is mixed with the
+    # page's; what is too close then must be broken in another way
+    paper = linear_rgb(page(theme))
+    seen = {n: 0.625 * linear_rgb(getattr(c, theme)) + 0.375 * paper for n, c in INKS.items()}
+    labs = {n: oklab(VISION[vision] @ rgb) for n, rgb in seen.items()}
+    for a, b in combinations(labs, 2):
+        apart = np.linalg.norm(labs[a] - labs[b])
+        broken = [{"truth": "dots"}.get(n) or PAPERS[n].look for n in (a, b)]
+        assert apart > 0.03 or broken[0] != broken[1], (a, b, apart)  # just noticeable: 0.02
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -112,7 +121,7 @@ def test_every_configuration_stands_out_from_its_page(theme: str) -> None:
         assert contrast(getattr(inks[name], theme), page(theme)) >= 3.0, name
 
 
-def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
+def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log_nor_on_a_name() -> None:
     alone = palette.colours({"lrf": trace("lrf")}, SENSORS)["lrf"]
     beside = palette.colours({n: trace(n) for n in ("odometry", "compass", "lrf")}, SENSORS)
     assert beside["lrf"] == alone
@@ -125,13 +134,7 @@ def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
     assert trace("all", ("lrf",)).look == ""  # the only sensor is no set
     assert not trace("all").dashed
     assert not trace("lrf").dashed
-
-
-def test_a_name_alone_decides_nothing() -> None:
     assert not trace("lrf@2Hz+x smoothed", ("lrf",)).dashed
-
-
-def test_every_verdict_has_a_colour() -> None:
     assert set(VERDICTS) <= set(palette.ROLES)
 
 
@@ -171,7 +174,7 @@ def points(path: str) -> list[Array]:
     return pieces
 
 
-def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
+def test_a_noisy_curve_keeps_its_peaks_and_a_smooth_one_its_shape() -> None:
     rng = np.random.default_rng(0)
     x, y = np.linspace(0.0, 400.0, 50_000), 100.0 + 20.0 * rng.normal(size=50_000)
     y[31_234], y[777] = 500.0, -300.0
@@ -181,9 +184,6 @@ def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
     assert drawn[:, 1].min() == -300.0
     assert len(drawn) <= 2 * 400 + 4
     assert len(path) < 10_000
-
-
-def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> None:
     x = np.linspace(0.0, 400.0, 5000)
     y = 100.0 + 80.0 * np.sin(x / 40.0)
     drawn = points(svg.curve_path(x, y, 400))[0]
@@ -191,13 +191,10 @@ def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> 
     assert len(drawn) < 150
 
 
-def test_nan_breaks_a_curve() -> None:
+def test_nan_breaks_a_curve_and_dots_that_touch_become_one_stroke() -> None:
     y = np.full(100, 5.0)
     y[40:50] = np.nan
     assert len(points(svg.curve_path(np.arange(100.0), y, 400))) == 2
-
-
-def test_dots_that_touch_become_one_stroke_and_none_is_lost() -> None:
     x, y = np.array([3.0, 3.0, 3.0, 3.0, 8.0]), np.array([1.0, 2.0, 3.0, 30.0, 7.0])
     path = svg.dots_path(x, y)
     assert path.count("M") == 3
@@ -351,7 +348,7 @@ def test_without_truth_the_path_shows_what_the_filter_claims() -> None:
     assert len(found.panels) == len(scene.estimates)
 
 
-def test_spots_stand_every_ten_seconds_and_start_and_end_are_marked() -> None:
+def test_tracks_and_spots_are_where_the_robot_was_at_even_times() -> None:
     t = np.linspace(0.0, 55.0, 1101)
     found = {s.of: s for s in spots(t, np.stack((t, 2.0 * t), axis=-1))}
     np.testing.assert_allclose(found["time"].x, [10.0, 20.0, 30.0, 40.0, 50.0])
@@ -359,13 +356,10 @@ def test_spots_stand_every_ten_seconds_and_start_and_end_are_marked() -> None:
     assert found["start"].x[0] == 0.0
     assert found["end"].x[0] == 55.0
     assert step(np.array([0.0, 3600.0])) == 60.0
-
-
-def test_a_track_is_where_the_robot_was_at_even_times() -> None:
     t = np.array([0.0, 1.0, 9.0, 10.0])
-    (found,) = track("lrf", t, np.stack((t**2, -t), axis=-1))
-    times = np.linspace(found.start, found.end, len(found.x))
-    np.testing.assert_allclose(found.x, np.interp(times, t, t**2))
+    (line,) = track("lrf", t, np.stack((t**2, -t), axis=-1))
+    times = np.linspace(line.start, line.end, len(line.x))
+    np.testing.assert_allclose(line.x, np.interp(times, t, t**2))
     assert track("lrf", t[:1], np.zeros((1, 2))) == []
 
 
@@ -405,17 +399,3 @@ def test_the_colours_of_a_scale_are_told_apart_and_grow_evenly_in_lightness(them
     assert (steps > 0.03).all()
     against = [contrast(getattr(c, theme), page(theme)) for c in palette.LEVELS]
     assert all(a < b for a, b in pairwise(against))
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("vision", VISION)
-def test_thin_lines_stay_apart_too(theme: str, vision: str) -> None:
-    """A line of 1.5 px covers three quarters of a pixel and half of its neighbours: its colour is mixed with the
-    page's, and so are their distances. What is too close then must be broken in another way."""
-    paper = linear_rgb(page(theme))
-    seen = {n: 0.625 * linear_rgb(getattr(c, theme)) + 0.375 * paper for n, c in INKS.items()}
-    labs = {n: oklab(VISION[vision] @ rgb) for n, rgb in seen.items()}
-    for a, b in combinations(labs, 2):
-        apart = np.linalg.norm(labs[a] - labs[b])
-        broken = [{"truth": "dots"}.get(n) or PAPERS[n].look for n in (a, b)]
-        assert apart > 0.03 or broken[0] != broken[1], (a, b, apart)  # just noticeable: 0.02

@@ -1,7 +1,5 @@
 """Jobs on the workers of a cluster: the same tables as on this machine, and every trouble is a row or one line."""
 
-from __future__ import annotations
-
 import re
 import socket
 import sys

@@ -1,7 +1,5 @@
 """What is said over all logs: rows, statistics by robot, gates, the page. Against SciPy and pyarrow."""
 
-from __future__ import annotations
-
 import csv as csv_module
 import io
 import json

@@ -1,7 +1,5 @@
 """Several drives of one robot with one fault: one fix for the robot, in words, in the summary and as a file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -34,9 +32,7 @@ def summary(folder: Path) -> dict[str, Any]:
     return found
 
 
-def test_one_late_clock_in_all_logs_gets_one_fix_which_helps_where_it_is_set(
-    logs: list[Path], tmp_path: Path
-) -> None:
+def test_one_late_clock_in_all_logs_gets_one_fix_which_helps_where_set(logs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     wrong = (*RIGHT, "--set", "compass.time_offset=0.2", "--write", "json,md,html")
     done = ok("compare", *logs, *wrong, "-o", out)
@@ -60,9 +56,7 @@ def test_one_late_clock_in_all_logs_gets_one_fix_which_helps_where_it_is_set(
     assert [path.name for path in out.glob("fixes*")] == ["fixes-mine.toml"]
 
 
-def test_a_right_robot_costs_no_second_run(
-    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_right_robot_costs_no_rerun(logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = counted_jobs(monkeypatch)
     ok("compare", *logs, *RIGHT, "--write", "json", "-o", tmp_path / "out")
     (robot,) = summary(tmp_path / "out")["robots"]

@@ -1,7 +1,5 @@
 """SE(2) against homogeneous matrices and the matrix exponential."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from textbook import numeric_jacobian
 
 from locfuse.fusion import se2
+from locfuse.fusion.change import jackknife
 
 POSES = np.array(
     [[0, 0, 0], [1, 2, 0.3], [-3, 0.5, math.pi], [2, -1, -math.pi + 1e-9], [0.1, 0.2, 1e-9], [5, 5, 3.0]], float
@@ -57,11 +56,15 @@ def test_wrap_stays_in_the_half_open_turn(angle: float) -> None:
     assert se2.wrap_all(np.array([angle]))[0] == se2.wrap(angle)
 
 
-def test_transform_moves_points_like_the_matrix() -> None:
+def test_transform_moves_points_and_rotations_turn_places_like_the_matrix() -> None:
     pose, points = np.array([1.0, -2.0, 0.7]), np.array([[0.0, 0.0], [1.0, 0.0], [0.3, -4.0]])
     expected = (matrix(pose) @ np.column_stack((points, np.ones(3))).T).T[:, :2]
     np.testing.assert_allclose(se2.transform(np.tile(pose, (3, 1)), points), expected, atol=1e-12)
     np.testing.assert_allclose(se2.transform(pose, points[1]), expected[1], atol=1e-12)
+    theta, v = np.array([0.0, 1.0, -3.1, 0.4]), np.random.default_rng(1).normal(size=(4, 2))
+    for angle, R, plane, turned in zip(theta, se2.rotation(theta), v, se2.rotated(theta, v), strict=True):
+        np.testing.assert_allclose(R, matrix(np.array([0.0, 0.0, angle])), atol=1e-15)
+        np.testing.assert_allclose(turned, R[:2, :2] @ plane, atol=1e-15)
 
 
 def test_steps_one_after_another_are_composed_one_after_another() -> None:
@@ -71,13 +74,6 @@ def test_steps_one_after_another_are_composed_one_after_another() -> None:
     for step, found in zip(steps, se2.chained(start, steps), strict=True):
         pose = se2.compose(pose, step)
         np.testing.assert_allclose(found, pose, atol=1e-12)
-
-
-def test_rotations_of_poses_turn_the_place_and_leave_the_heading() -> None:
-    theta, v = np.array([0.0, 1.0, -3.1, 0.4]), np.random.default_rng(1).normal(size=(4, 2))
-    for angle, R, plane, turned in zip(theta, se2.rotation(theta), v, se2.rotated(theta, v), strict=True):
-        np.testing.assert_allclose(R, matrix(np.array([0.0, 0.0, angle])), atol=1e-15)
-        np.testing.assert_allclose(turned, R[:2, :2] @ plane, atol=1e-15)
 
 
 def test_the_yaw_of_a_quaternion_of_any_length_is_the_first_of_its_euler_angles() -> None:
@@ -106,3 +102,17 @@ def test_derivatives_of_a_bearing_are_finite_differences(pose: np.ndarray) -> No
     seen = present(se2.sight(tuple(pose), point, tuple(mount), 0.1))
     np.testing.assert_allclose([seen[2]], numeric_jacobian(lambda p: bearing(p, mount), pose), atol=1e-7)
     np.testing.assert_allclose([seen[3]], numeric_jacobian(lambda m: bearing(pose, m), mount), atol=1e-7)
+
+
+# --- errors of estimates by leaving out one part after the other
+
+VALUES = np.random.default_rng(1).normal(3.0, 2.0, (40, 2))
+
+
+def test_the_error_of_a_mean_is_the_textbook_s_and_values_that_repeat_count_once() -> None:
+    found = jackknife(lambda some: VALUES[some].mean(axis=0), len(VALUES), len(VALUES))
+    assert found == pytest.approx(VALUES.std(axis=0, ddof=1) / math.sqrt(len(VALUES)), rel=1e-12)
+    repeated = np.repeat(VALUES[:8, 0], 50)
+    found = jackknife(lambda some: repeated[some].mean(), len(repeated), 8)
+    assert float(found) == pytest.approx(VALUES[:8, 0].std(ddof=1) / math.sqrt(8.0), rel=1e-12)
+    assert math.isinf(jackknife(lambda some: None if 0 not in some else 1.0, 40, 8))

@@ -1,7 +1,5 @@
 """Small bags made for a test, written by the public mcap writer from messages serialised by rosbags."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence

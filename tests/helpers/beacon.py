@@ -1,7 +1,5 @@
 """A seventh sensor in one file: the range to a radio beacon, a bare number on a topic named after it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import ClassVar, cast

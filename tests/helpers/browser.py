@@ -4,8 +4,6 @@
 `tab.mouse(...)` moves and presses a real pointer. Where no Chromium is found, `CHROMIUM` is None and tests skip.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

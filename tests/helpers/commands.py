@@ -1,7 +1,5 @@
 """Run the command line in this process: exit code, stdout, stderr, as a user would see them."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Logs built to do harm: the sample log with one thing changed, or bytes laid by hand."""
 
-from __future__ import annotations
-
 import json
 import sqlite3
 import struct

@@ -1,7 +1,5 @@
 """Kernels as they run where nothing is compiled, beside those that this process imports."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from importlib import import_module

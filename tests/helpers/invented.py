@@ -1,7 +1,5 @@
 """Message types that nobody wrote, their values by rosbags, and columns held to them."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Sequence
 from itertools import pairwise

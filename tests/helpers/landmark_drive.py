@@ -1,7 +1,5 @@
 """A drive among five landmarks by wheels that slip: what is seen of them, and the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

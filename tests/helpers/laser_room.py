@@ -1,7 +1,5 @@
 """Scans of a laser that drives through a room of three boxes, as a bag holds them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A robot among map lines and a scan that sees some of them, drawn at random."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Simulated drives in memory, every sensor at each step of 0.1 s as in the paper; no file, no camera."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from benchmarks import experiment

@@ -1,7 +1,5 @@
 """Many logs for tests: simulated ones, their results without a filter, and a run that is killed."""
 
-from __future__ import annotations
-
 import hashlib
 import random
 import signal

@@ -4,8 +4,6 @@ Written apart from fusion (and from sample_logs), so that no mistake is shared: 
 azimuth and an elevation, and the ray is held against the pole in three dimensions.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Dead reckoning, and poses as streams in memory."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """A web server on the loopback that answers for ranges of bytes, and misbehaves where a test wants it to."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

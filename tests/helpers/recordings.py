@@ -1,7 +1,5 @@
 """Reading .rrd files back, without any of our code."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A log written anew: its messages in another order, changed, or some of them left out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

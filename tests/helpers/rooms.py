@@ -1,7 +1,5 @@
 """Rooms of straight walls, seen by a plain ray caster: what a laser must find is known exactly."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a test tells a filter: one motion, and rows of y = H dx + noise, for the product and for a textbook."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple

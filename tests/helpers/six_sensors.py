@@ -3,8 +3,6 @@
 It stands still at first and turns through the heading pi.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, cast
 

@@ -4,8 +4,6 @@ No files, no scans, no images: wheels, headings and wall lines are drawn here, s
 whole drive in milliseconds and every noise is what its setting says.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 

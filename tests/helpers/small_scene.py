@@ -1,7 +1,5 @@
 """What a report shows, made of random numbers: pages of any length without running a filter."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

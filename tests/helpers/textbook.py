@@ -1,7 +1,5 @@
 """Oracles written straight from the book: slow, plain, and sharing no code with the product."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

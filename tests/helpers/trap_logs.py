@@ -1,7 +1,5 @@
 """A short healthy drive as raw messages, and ways to spoil it as real robots and drivers do."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path

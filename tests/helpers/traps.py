@@ -1,7 +1,5 @@
 """The traps of real logs, each as a change of a healthy drive."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from functools import partial

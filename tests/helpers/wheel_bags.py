@@ -1,7 +1,5 @@
 """Wheel readings of a known drive, as each kind of message publishes them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from pathlib import Path

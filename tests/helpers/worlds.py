@@ -1,7 +1,5 @@
 """Small worlds for tests: a robot on an arc among straight walls, its readings as in-memory streams."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any, cast

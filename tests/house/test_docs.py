@@ -1,7 +1,5 @@
 """What a page tells people to type exists: commands, their options, keys of robot.toml, benchmarks."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import json
@@ -20,6 +18,7 @@ from commands import locfuse, ok
 from present import present
 
 from benchmarks import readme
+from benchmarks.notebook import EXAMPLES, executed, without_figures
 from locfuse.cli import main as cli
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.main import COMMANDS
@@ -47,7 +46,7 @@ def options(command: click.Command) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_every_command_and_its_options_exist(page: Path) -> None:
+def test_every_command_option_and_key_of_robot_toml_exists(page: Path) -> None:
     with click.Context(cli.locfuse) as context:
         for line in typed(page, "locfuse"):
             name = line.split()[1]
@@ -56,11 +55,7 @@ def test_every_command_and_its_options_exist(page: Path) -> None:
             assert name in COMMANDS, line
             command = present(cli.locfuse.get_command(context, name))
             assert set(OPTION.findall(line)) <= options(command), line
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_every_key_of_robot_toml_exists(page: Path) -> None:
-    """`table.key` in backticks and after --set, of a robot.toml or a scenario."""
+    # `table.key` in backticks and after --set, of a robot.toml or a scenario.
     text = page.read_text(encoding="utf-8")
     named = re.findall(rf"(?:`|--set[ =])({'|'.join(KEYS)})\.([a-z_]+)(?![.\w])", text)
     assert {
@@ -107,21 +102,17 @@ def sentences(page: Path) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("page", PROSE, ids=lambda p: f"{p.parent.name}-{p.name}")
-def test_no_sentence_is_long(page: Path) -> None:
+def test_no_sentence_is_long_and_every_link_to_a_heading_leads_to_one(page: Path) -> None:
     """A part before a colon or a semicolon can be read by itself, so it counts by itself."""
     assert [s for s in sentences(page) if len(s.split()) > MAX_WORDS] == []
+    links = re.findall(r"\]\(([\w./]*)#([\w-]+)\)", page.read_text(encoding="utf-8"))
+    assert [f"{to}#{at}" for to, at in links if at not in slugs(page.parent / to if to else page)] == []
 
 
 def slugs(page: Path) -> set[str]:
     """Anchors of a page's headings, as GitHub makes them."""
     found = re.findall(r"^#+ (.*)", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in found}
-
-
-@pytest.mark.parametrize("page", PROSE, ids=lambda p: f"{p.parent.name}-{p.name}")
-def test_every_link_to_a_heading_leads_to_one(page: Path) -> None:
-    links = re.findall(r"\]\(([\w./]*)#([\w-]+)\)", page.read_text(encoding="utf-8"))
-    assert [f"{to}#{at}" for to, at in links if at not in slugs(page.parent / to if to else page)] == []
 
 
 def test_every_page_is_in_the_index() -> None:
@@ -311,3 +302,37 @@ def test_no_setting_has_to_be_read_out_of_an_error() -> None:
 def test_an_error_that_hides_its_setting_is_found(source: str) -> None:
     (call,) = raised(source)
     assert wrong(call)
+
+
+# --- examples print what they show
+
+NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_holds_what_its_cells_print_today(path: Path, tmp_path: Path) -> None:
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    now = executed(notebook, tmp_path)
+    assert without_figures(now) == without_figures(notebook)
+    assert any(
+        "image/png" in output.get("data", {}) for cell in now["cells"] for output in cell.get("outputs", ())
+    )
+
+
+def test_the_script_tunes_on_one_log_and_gates_on_another(tmp_path: Path) -> None:
+    words = ("rounded_triangle", "rounded_triangle", "--sensors", "compass", "-o", str(tmp_path / "tuned.toml"))
+    command = [sys.executable, str(EXAMPLES / "tune_and_gate.py"), *words]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode in {0, 4}, done.stderr
+    assert (done.returncode == 4) == ("FAILED" in done.stdout)
+    assert {line.partition(":")[0] for line in done.stdout.splitlines()} == {
+        "position_rmse_m",
+        "heading_rmse_deg",
+        "anees",
+    }
+    assert "[compass]" in (tmp_path / "tuned.toml").read_text()
+
+
+def test_every_example_has_a_line_on_the_page_about_python() -> None:
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    assert [p.name for p in EXAMPLES.iterdir() if p.is_file() and p.name not in page] == []

@@ -1,7 +1,5 @@
 """A real robot in a walled arena (LOCFUSE_DATA/brenner): the figures the product claims."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Every trap of real logs, on a log made for it: `info` names it, and the cure that it prints cures it."""
 
-from __future__ import annotations
-
 import json
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """What a user reads of a log: facts held to the public reader, a page that fits, and no alarm without cause."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
@@ -213,18 +211,15 @@ def test_a_dead_encoder_is_named_though_nothing_cures_it(tmp_path: Path) -> None
     assert "fix:" not in done.stdout
 
 
-def test_grey_pictures_are_refused_with_the_reason(tmp_path: Path) -> None:
+def test_pictures_that_are_grey_or_show_nothing_red_are_named(tmp_path: Path) -> None:
     tour = Drive(pictures=True)
     raw(tour, "mono8", lambda p: np.ascontiguousarray(p[..., 0]))
     done = locfuse("info", tour.record(tmp_path / "x.mcap"), "--check")
     assert done.exit_code == 3
     assert "are grey (mono): red needs colour" in section(done, "would spoil an estimate")[0]
-
-
-def test_a_room_without_red_is_named(tmp_path: Path) -> None:
     tour = Drive(pictures=True)
     tour.tables["camera"]["red_ratio"] = 0.99
-    done = locfuse("info", tour.record(tmp_path / "x.mcap"), "--check")
+    done = locfuse("info", tour.record(tmp_path / "red.mcap"), "--check")
     assert done.exit_code == 3
     assert "nothing red and upright in 22 of 22 pictures" in done.stdout
 
@@ -297,9 +292,7 @@ def test_a_log_in_which_nothing_locates_is_not_sent_to_a_reference(tmp_path: Pat
         (b"[wheels]\nradius = 'five'", "wheels.radius = 'five'"),
     ],
 )
-def test_damaged_settings_in_a_log_are_named_and_a_file_replaces_them(
-    tmp_path: Path, text: bytes, why: str
-) -> None:
+def test_damaged_settings_in_a_log_are_named_and_files_replace_them(tmp_path: Path, text: bytes, why: str) -> None:
     path = write(tmp_path / "x.mcap", drive(100), attachments={"robot.toml": text})
     assert re.search(
         rf"its settings .* cannot be read: {why}", section(locfuse("info", path), "would spoil an estimate")[0]
@@ -316,16 +309,13 @@ def test_strict_takes_a_refused_reading_for_a_loss(tmp_path: Path) -> None:
     assert locfuse("info", path, *GEOMETRY, "--strict").exit_code == 3
 
 
-def test_a_log_without_wheels_says_what_is_missing(tmp_path: Path) -> None:
+def test_missing_wheels_are_said_and_a_reference_that_nobody_named_is_asked_for(tmp_path: Path) -> None:
     said = [m for m in drive(50) if m.topic == "/heading"]
     done = locfuse("info", write(tmp_path / "x.mcap", said), "--check")
     assert done.exit_code == 3
     (words,) = section(done, "would spoil an estimate")
     assert "x has no wheels, no odometry (nor one in /tf), no laser, no poses and no speeds" in words
     assert section(done, "next") == [f"  {RECORD}"]
-
-
-def test_a_reference_that_nobody_named_is_asked_for(tmp_path: Path) -> None:
     pose = cdr("geometry_msgs/msg/PoseStamped", header=header(T0))
     poses = [Said("/robot_1/pose", "geometry_msgs/msg/PoseStamped", pose, T0 + i * S) for i in range(5)]
     said = [*drive(100), *poses]
@@ -505,15 +495,12 @@ def test_scans_that_begin_at_two_angles_in_turn_are_named(tmp_path: Path) -> Non
 # --- an IMU is bolted to the robot once: what turns its gyro turns its compass
 
 
-def test_roll_and_pitch_given_for_one_hold_for_the_other(tmp_path: Path) -> None:
+def test_roll_and_pitch_given_for_one_hold_for_the_other_in_the_same_frame(tmp_path: Path) -> None:
     log = recorded(tmp_path, partial(imu, R=ROLLED, orientation=True), without_compass)
     for given, other in (("gyro", "compass"), ("compass", "gyro")):
         robot = api.load(log, sets={f"{given}.roll_deg": 90.0}).robot
         assert robot.settings(other).roll_deg == 90.0
     robot = api.load(log, sets={"gyro.roll_deg": 90.0, "compass.roll_deg": 5.0}).robot
     assert (robot.settings("gyro").roll_deg, robot.settings("compass").roll_deg) == (90.0, 5.0)
-
-
-def test_sensors_of_other_frames_keep_their_own(tmp_path: Path) -> None:
     robot = api.load(recorded(tmp_path, gyro(ROLLED)), sets={"gyro.roll_deg": 90.0}).robot
     assert robot.settings("compass").roll_deg == 0.0

@@ -1,7 +1,5 @@
 """`locfuse init`: the file loads, holds what the log shows, and running with it is never worse than without."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A reference in the place of truth: what it measures, and what its own errors leave open."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -185,15 +183,12 @@ def test_two_paths_are_laid_on_each_other_before_they_are_compared() -> None:
     assert not found.doubted(200.0)
 
 
-def test_a_path_is_better_only_where_agreement_proves_it() -> None:
+def test_a_path_is_better_and_a_covariance_too_small_only_where_scans_prove_it() -> None:
     assert is_better(0.3, 0.55)
     assert is_better(0.8, 0.8)
     assert not is_better(0.5, 0.6)
     assert not is_better(0.9, 0.8)
     assert not is_better(None, 0.9)
-
-
-def test_a_covariance_is_too_small_where_the_smoothed_path_is_further_away_than_it_allows() -> None:
     apart = Distance(0.2, 0.4, 10.0)
     assert OwnScanFigures(0.5, None, apart, claimed_m=0.1).is_overconfident
     assert not OwnScanFigures(0.5, None, apart, claimed_m=0.15).is_overconfident
@@ -350,24 +345,18 @@ def test_a_reading_counts_as_taken_by_any_of_its_lines_and_an_empty_scan_does_no
             assert found == [(0.0, 4.0)]
 
 
-def test_being_lost_is_told_with_its_times() -> None:
+def test_being_lost_jumps_and_loops_are_told_with_their_times() -> None:
     robot = small_drive.robot()
     drive = small_drive.drive(1, robot, laps=0.1)
     run = replace(fuse(drive, robot, []), lost=((1.0, 2.5),))
     (event,) = events_of_run(drive, run)
     assert (event.start, event.end, event.kind, event.configuration) == (1.0, 2.5, LOST, "odometry")
-
-
-def test_jumps_of_the_pose_are_told_with_what_they_did() -> None:
     drive = small_drive.drive(1, small_drive.robot(), laps=0.1)
     jumps = (Jump(1.5, SLIP, (0.0, 0.0, np.radians(-8.0))), Jump(2.0, LOOP_TAKEN, (0.3, 0.4, 0.0)))
     first, second = events_of_run(drive, replace(fuse(drive, small_drive.robot(), []), jumps=jumps))
     assert (first.start, first.end, first.kind) == (1.5, 1.5, JUMP)
     assert first.words == "wheel slip undone: moved 0.00 m, turned -8.0°"
     assert second.words == "loop closed: moved 0.50 m, turned +0.0°"
-
-
-def test_loops_that_follow_close_upon_each_other_are_told_as_one() -> None:
     drive = small_drive.drive(1, small_drive.robot(), laps=0.5)
     loops = np.array([(1.0, 40.0), (3.5, 42.0), (2.0, 60.0)])
     run = replace(fuse(drive, small_drive.robot(), []), loops=loops)

@@ -1,7 +1,5 @@
 """Verdicts on noise: figures against scalar filters of known noise, words against drives with a wrong setting."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any
@@ -123,10 +121,19 @@ SEEDS = (1, 2)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_drive_with_the_right_noise_gets_no_complaint(seed: int) -> None:
+def test_right_noise_gets_no_complaint_and_noise_that_lasts_is_not_called_white(seed: int) -> None:
     robot = small_drive.robot()
     found = complaints(robot, small_drive.drive(seed, robot))
     assert {s: c.verdict for s, c in found.items()} == {"compass": "consistent", "lrf": "consistent"}
+    robot = small_drive.robot(compass={"sigma_deg": 2.0})
+    drive = small_drive.drive(seed, robot, compass_noise_deg=0.3)
+    t = drive.measurements["compass"].t
+    keep = math.exp(-float(np.median(np.diff(t))) / 3.0)  # errors last 3 s
+    slow = math.radians(2.0) * correlated(np.random.default_rng(seed), len(t), keep)[:, 0]
+    slowly = complaints(robot, turned(drive, slow))["compass"]
+    assert slowly.verdict == "correlated"
+    assert slowly.fix_values["compass.sigma_deg"] > 4.0
+    assert slowly.fix_values["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -143,19 +150,6 @@ def test_a_sigma_wrong_by_three_is_named_with_its_key(seed: int, sensor: str, fa
     assert f"{sensor}.{ {'compass': 'sigma_deg', 'lrf': 'sigma_range'}[sensor] }" in mine.fix_values
     assert f"noise is set too {'low' if verdict == 'understated' else 'high'}" in mine.words
     assert [c.verdict for c in found.values()] in (["consistent"], ["unclear"])
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
-    robot = small_drive.robot(compass={"sigma_deg": 2.0})
-    drive = small_drive.drive(seed, robot, compass_noise_deg=0.3)
-    t = drive.measurements["compass"].t
-    keep = math.exp(-float(np.median(np.diff(t))) / 3.0)  # errors last 3 s
-    slow = math.radians(2.0) * correlated(np.random.default_rng(seed), len(t), keep)[:, 0]
-    found = complaints(robot, turned(drive, slow))["compass"]
-    assert found.verdict == "correlated"
-    assert found.fix_values["compass.sigma_deg"] > 4.0
-    assert found.fix_values["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
 
 
 @pytest.mark.parametrize("exact", [True, False])
@@ -202,16 +196,13 @@ def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
     assert fast.bounds == pytest.approx(stats.chi2.ppf((0.025, 0.975), freedom) / freedom, rel=1e-3)
 
 
-def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
+def test_over_confidence_is_said_by_state_and_only_errors_of_a_regular_claim_count() -> None:
     rng = np.random.default_rng(4)
     errors = rng.normal(size=(800, 2)) * (1.0, 5.0)
     found = present(covariance_check(judged_with(errors, 1.0)))
     assert found.states["x"] == pytest.approx(1.0, rel=0.2)
     assert found.states["y"] == pytest.approx(25.0, rel=0.2)
     assert "overconfident: errors are about 3.6 times" in found.words
-
-
-def test_only_errors_of_a_regular_claim_count() -> None:
     rng = np.random.default_rng(8)
     errors = rng.normal(size=(300, 2))
     whole = present(covariance_check(judged_with(errors, 1.0)))
@@ -306,11 +297,17 @@ def runs(drive: Drive, robot: Robot, turned_deg: float) -> list[RunInnovations]:
     return [RunInnovations.of(drive, e) for e in found]
 
 
-def test_a_wrong_run_accuses_no_sensor_that_truth_finds_right(right: tuple[Drive, Robot]) -> None:
+def test_a_wrong_run_accuses_no_right_sensor_and_an_offset_too_small_is_still_known(
+    right: tuple[Drive, Robot],
+) -> None:
     drive, robot = right
     assert judge(runs(drive, robot, 3.0), robot)["compass"]["compass"].verdict == "consistent"
     blind = replace(drive, truth=None)
     assert judge(runs(blind, robot, 3.0), robot)["compass"]["compass"].verdict != "consistent"
+    drive, robot = right
+    found = present(NoiseEvidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass"))
+    assert found.fix_values["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
+    assert NoiseEvidence(runs(drive, robot, 0.0), robot).bias("compass") is None
 
 
 @pytest.mark.parametrize("off_deg", [-4.0, 2.0])
@@ -346,13 +343,6 @@ def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive
     camera: Any = REGISTRY["camera"].Settings
     assert set(biased_against("camera", camera(), off).fix_values) == {"camera.zero_deg", "camera.sigma_yaw_deg"}
     assert set(biased_against("camera", camera(bearing="absolute"), off).fix_values) == {"camera.zero_deg"}
-
-
-def test_an_offset_that_is_too_small_to_be_sure_of_is_still_known(right: tuple[Drive, Robot]) -> None:
-    drive, robot = right
-    found = present(NoiseEvidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass"))
-    assert found.fix_values["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
-    assert NoiseEvidence(runs(drive, robot, 0.0), robot).bias("compass") is None
 
 
 def test_a_truth_is_no_reference_where_it_has_a_gap_or_another_frame(right: tuple[Drive, Robot]) -> None:

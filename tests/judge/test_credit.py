@@ -1,7 +1,5 @@
 """Credit, intervals and verdicts, held to brute force, closed forms and drives whose answer is known."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import permutations
@@ -74,9 +72,7 @@ def test_shapley_steps_are_the_mean_over_all_orders_of_adding(n: int) -> None:
         (-0.5, -3.0, 2.31, True),
     ],
 )
-def test_an_effect_is_unsure_that_may_be_ten_times_the_other_way(
-    value: float, low: float, high: float, expected: bool
-) -> None:
+def test_what_may_be_ten_times_opposite_is_unsure(value: float, low: float, high: float, expected: bool) -> None:
     assert unsure(Effect(value, low, high, None)) is expected
 
 
@@ -219,10 +215,6 @@ def test_verdicts(
     assert verdict(Effect(value, low, high, expected), None, None, anees) == word
 
 
-def test_where_nothing_was_compared_there_is_no_verdict() -> None:
-    assert verdict(None, None, None, (1.0, 100.0)) == "no verdict"
-
-
 @pytest.mark.parametrize(
     ("anees", "over"),
     [((1.0, 10.1), True), ((1.0, 9.9), False), ((3.0, 15.1), True), ((3.0, 14.9), False), (None, False)],
@@ -254,9 +246,10 @@ def test_an_effect_says_what_the_filter_expected_of_it() -> None:
     assert (alone.low, alone.high) == pytest.approx((alone.value, alone.value), abs=1e-3)
 
 
-def test_a_set_that_is_surely_better_off_without_a_sensor_is_hurt_by_it() -> None:
+def test_a_set_better_off_without_a_sensor_is_hurt_and_nothing_compared_is_no_verdict() -> None:
     helps, hurts = Effect(0.9, 0.5, 1.3, 1.0), Effect(-0.4, -0.6, -0.2, 0.0)
     assert verdict(helps, helps, hurts, None) == "hurts"
+    assert verdict(None, None, None, (1.0, 100.0)) == "no verdict"
 
 
 # --- intervals from correlated errors, figure by figure against the same written out with NumPy and SciPy
@@ -284,8 +277,10 @@ def test_effective_samples_are_by_the_autocorrelation_up_to_its_first_negative(q
         assert effective_samples(deviation) == pytest.approx(max(1.0, q / (1.0 + 2.0 * total)))
 
 
-def test_errors_that_are_zero_are_independent() -> None:
+def test_errors_of_nothing_are_independent_with_a_finite_logarithm() -> None:
     assert effective_samples(np.zeros((7, 2))) == 7.0
+    found = Errors.of(np.zeros((1, 10, 2)))
+    assert found.ln_rmse.tolist() == pytest.approx([math.log(1e-9)])
 
 
 @pytest.mark.parametrize("block", [1, 7, 40, 60])
@@ -322,11 +317,6 @@ def test_no_more_than_two_hundred_blocks_are_drawn() -> None:
     assert Errors.of(alternating[None]).block == 5
 
 
-def test_an_error_of_nothing_has_a_finite_logarithm() -> None:
-    found = Errors.of(np.zeros((1, 10, 2)))
-    assert found.ln_rmse.tolist() == pytest.approx([math.log(1e-9)])
-
-
 @pytest.mark.parametrize("mixed", [0.0, 0.4, 0.99, -0.9])
 def test_a_correlation_counts_as_far_as_so_few_samples_support_it(mixed: float) -> None:
     """By Fisher's z, of two numbers a sample; about zero, so that a common offset correlates."""
@@ -354,10 +344,13 @@ def errors(resampled: Array, samples: tuple[float, ...] = (1e6, 1e6), r: float =
     return Errors(np.zeros((k, 4, 2)), np.zeros(k), np.array(samples), correlation, resampled, 1)
 
 
-def test_the_interval_is_that_of_the_bootstrap_where_it_is_wider() -> None:
+def test_the_interval_is_the_wider_of_the_bootstrap_and_students_whose_freedom_is_one_at_least() -> None:
     drawn = np.linspace(-3.0, 5.0, RESAMPLE_COUNT)
     found = errors(np.column_stack((drawn, np.zeros(RESAMPLE_COUNT)))).interval(np.array([1.0, -1.0]))
     assert found == pytest.approx((-3.0 + 0.2, 5.0 - 0.2))
+    half = math.asinh(stats.t.ppf(0.975, 1.0) * math.sqrt(0.25))
+    found = errors(np.zeros((RESAMPLE_COUNT, 1)), (1.0,)).interval(np.array([1.0]))
+    assert found == pytest.approx((-half, half), rel=1e-3)
 
 
 @pytest.mark.parametrize("samples", [(4.0, 4.0), (3.0, 50.0)])
@@ -371,12 +364,6 @@ def test_no_interval_is_narrower_than_of_gaussian_pairs(samples: tuple[float, fl
     found = errors(np.zeros((RESAMPLE_COUNT, 2)), samples, r).interval(np.array([1.0, -1.0]))
     assert found == pytest.approx((-half, half), rel=1e-4)
     assert errors(np.zeros((RESAMPLE_COUNT, 2)), samples, r).interval(np.zeros(2)) == (0.0, 0.0)
-
-
-def test_of_one_sample_students_freedom_is_one() -> None:
-    half = math.asinh(stats.t.ppf(0.975, 1.0) * math.sqrt(0.25))
-    found = errors(np.zeros((RESAMPLE_COUNT, 1)), (1.0,)).interval(np.array([1.0]))
-    assert found == pytest.approx((-half, half), rel=1e-3)
 
 
 @pytest.mark.parametrize("move", [0.0, 0.2, 1.5])

@@ -1,7 +1,5 @@
 """What the C of the kernels must not do, and how a process says that its kernels are interpreted."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

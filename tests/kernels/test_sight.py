@@ -1,7 +1,5 @@
 """Which map line is it, and what does it say? Pairs by matrices, association by its rule, rows by differences."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

@@ -1,7 +1,5 @@
 """Line extraction is held to rooms that are known exactly and to a plain recursive split-and-merge."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A range that means "nothing came back" is no wall, whatever range_max says."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -248,13 +246,10 @@ def test_turns_of_all_scans_equal_those_found_one_by_one(cells: int, monkeypatch
     np.testing.assert_allclose(scans.turns(first, z, variance), [0.0, *expected], atol=1e-12)
 
 
-def test_lines_that_are_equally_good_turn_by_their_median() -> None:
+def test_lines_that_are_equally_good_turn_by_their_median_and_none_do_not_turn() -> None:
     first, psi = np.array([0, 4, 8]), np.array([0.0, 1.0, 2.0, 3.0])
     z = np.column_stack((np.ones(8), np.concatenate((psi, psi - [0.1, 0.12, 0.15, 0.4]))))
     assert scans.turns(first, z, np.full(8, 1e-4))[1] == pytest.approx(0.135)
-
-
-def test_scans_without_lines_have_no_turns() -> None:
     none = np.zeros((0, 2))
     np.testing.assert_array_equal(scans.turns(np.zeros(4, np.int64), none, none[:, 0]), np.zeros(3))
 
@@ -282,8 +277,11 @@ def test_the_floor_is_what_walls_bend(bend_deg: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_flat_walls_ask_for_no_floor(seed: int) -> None:
+def test_flat_walls_ask_for_no_floor_and_slips_are_not_taken_for_uneven_ones(seed: int) -> None:
     assert corridor(0.0, seed) == (0.0, 0.0)
+    taken, known = walls_of_slipping_scans(math.radians(0.4), seed)
+    assert math.degrees(taken) == pytest.approx(0.4, rel=0.2)
+    assert known == 0.0
 
 
 def test_too_few_walls_say_nothing() -> None:
@@ -426,13 +424,6 @@ def walls_of_slipping_scans(sweep: float, seed: int) -> tuple[float, float]:
     )
     without = wall_floor(t / n, first, z, variance, wheels)[1]
     return without, wall_floor(t / n, first, z, variance, wheels, loadings)[1]
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_slips_within_a_sweep_are_not_taken_for_uneven_walls(seed: int) -> None:
-    taken, known = walls_of_slipping_scans(math.radians(0.4), seed)
-    assert math.degrees(taken) == pytest.approx(0.4, rel=0.2)
-    assert known == 0.0
 
 
 def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:

@@ -1,7 +1,5 @@
 """Clouds, echoes and joints of ros2_control are read as scans and joint states; what was written is the oracle."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Foxglove's message types, as JSON, Protobuf and ROS 2 messages: closed forms decide."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math
@@ -171,9 +169,7 @@ def test_a_scan_of_foxglove_has_its_beams_evenly_between_its_ends(written: Writt
     assert ranges[0][1] == pytest.approx(2.05)
 
 
-def test_poses_in_an_odometry_frame_come_before_scans_and_poses_in_the_map_after(
-    written: Written, tmp_path: Path
-) -> None:
+def test_poses_of_odometry_come_before_scans_and_those_in_the_map_after(written: Written, tmp_path: Path) -> None:
     scans = [scan(ns) for ns in stamps(T)]
     log = written(tmp_path / "x.mcap", [*poses("/pose", "odom"), *scans])
     assert choose(log, make_robot({})).of("wheels") == ("/pose",)

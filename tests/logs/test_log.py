@@ -1,7 +1,5 @@
 """A log is its messages in recording order, whatever the files look like that hold them."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil
@@ -71,16 +69,15 @@ def test_the_numbers_do_not_depend_on_how_the_messages_are_stored(
     assert not log.losses
 
 
-def test_split_files_merge_by_topic_and_recording_order(tmp_path: Path, reference: dict[str, Any]) -> None:
+def test_split_files_merge_by_topic_and_order_and_the_same_file_twice_is_one(
+    tmp_path: Path, reference: dict[str, Any]
+) -> None:
     said = drive()
     one = write(tmp_path / "log_1.mcap", said[:150])
     other = write(tmp_path / "log_0.mcap", said[150:])
     assert contents(open_log([one, other])) == reference
     assert contents(open_log([other, one])) == reference
     assert contents(open_log([tmp_path])) == reference
-
-
-def test_the_same_file_twice_is_the_log_once(tmp_path: Path, reference: dict[str, Any]) -> None:
     path = write(tmp_path / "log.mcap", drive())
     shutil.copy(path, tmp_path / "copy.mcap")
     log = open_log([path, tmp_path / "copy.mcap"])
@@ -142,14 +139,11 @@ def test_of_messages_written_at_one_time_without_numbers_the_older_stamp_is_firs
     assert rows(stream.columns("position")["position"]) == [[i] for i in range(30)]
 
 
-def test_a_message_recorded_twice_is_one_reading(tmp_path: Path) -> None:
+def test_a_message_recorded_twice_is_one_reading_and_one_at_two_times_is_two(tmp_path: Path) -> None:
     said = drive(20)
     log = open_log([write(tmp_path / "log.mcap", [*said, *said[:7]])])
     assert len(log.stream("/joint_states").t_ns) == 20
     assert log.stream("/joint_states").dropped == {"repeat": sum(m.topic == "/joint_states" for m in said[:7])}
-
-
-def test_the_same_reading_at_two_times_is_two_rows(tmp_path: Path) -> None:
     data = cdr("std_msgs/msg/Float64", data=1.0)
     said = [Said("/n", "std_msgs/msg/Float64", data, T0 + i) for i in range(3)]
     assert len(open_log([write(tmp_path / "log.mcap", said)]).stream("/n").t_ns) == 3
@@ -195,7 +189,7 @@ def test_light_columns_of_all_topics_are_read_in_one_walk(tmp_path: Path, monkey
     assert len(walks) == 1
 
 
-def test_topics_say_type_count_and_encoding(tmp_path: Path) -> None:
+def test_topics_say_type_count_and_encoding_beside_attachments_and_hash(tmp_path: Path) -> None:
     log = open_log([write(tmp_path / "log.mcap", drive(20))])
     assert {name: (topic.msgtype, topic.count) for name, topic in log.topics.items()} == {
         "/heading": ("std_msgs/msg/Float64", 10),
@@ -203,9 +197,6 @@ def test_topics_say_type_count_and_encoding(tmp_path: Path) -> None:
         "/scan": ("sensor_msgs/msg/LaserScan", 5),
     }
     assert log.time_span_ns == (T0 + 5_000_000, T0 + 19 * S // 20 + 5_000_000)
-
-
-def test_attachments_and_hash(tmp_path: Path) -> None:
     path = write(tmp_path / "log.mcap", drive(5), attachments={"robot.toml": b"[wheels]\nradius = 0.1\n"})
     log = open_log([path])
     assert log.attachments == {"robot.toml": b"[wheels]\nradius = 0.1\n"}
@@ -237,9 +228,7 @@ def test_an_empty_log_has_topics_without_rows(tmp_path: Path) -> None:
         ("/imu", (), "it has /heading, /joint_states, /scan"),
     ],
 )
-def test_a_wrong_topic_or_field_is_one_line(
-    tmp_path: Path, topic: str, fields: tuple[str, ...], says: str
-) -> None:
+def test_a_wrong_topic_or_field_is_a_line(tmp_path: Path, topic: str, fields: tuple[str, ...], says: str) -> None:
     log = open_log([write(tmp_path / "log.mcap", drive(5))])
     with pytest.raises(LocfuseError, match=says):
         log.streams({topic: fields})

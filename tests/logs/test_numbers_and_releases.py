@@ -1,7 +1,5 @@
 """Numbers inside messages of any type, and bags without definitions recorded under older ROS releases."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -77,9 +75,7 @@ def test_a_field_that_is_no_number_is_refused_in_one_line(field: str, says: str,
 
 
 @pytest.mark.parametrize("release", [Stores.ROS2_FOXY, Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY, Stores.LATEST])
-def test_ranges_of_every_ros_release_are_read_from_bags_without_definitions(
-    release: Stores, tmp_path: Path
-) -> None:
+def test_ranges_of_every_ros_release_are_read_in_bags_without_definitions(release: Stores, tmp_path: Path) -> None:
     store = get_typestore(release)
     rows = [
         {"header": header(T0 + i * 10**8, "s" * (i % 3)), "max_range": 4.0, "range": 0.5 + 0.25 * i}

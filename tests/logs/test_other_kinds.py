@@ -1,7 +1,5 @@
 """Kinds of messages that few robots publish, as the usual ones: a circle in closed form decides."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """References as people have them: a file beside the log, two frames of /tf, mocap bodies, satellite fixes."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from pathlib import Path
@@ -196,9 +194,7 @@ def streamed(path: Path, text: str | bytes) -> MadeStream:
     return read_file(str(path))
 
 
-def test_zeros_of_a_tracker_that_lost_its_marker_are_no_poses_and_a_start_at_the_origin_is_one(
-    tmp_path: Path,
-) -> None:
+def test_zeros_of_a_tracker_that_lost_its_marker_are_no_poses_and_a_start_at_zero_is_one(tmp_path: Path) -> None:
     x = [0.0, 0.0, 0.01, *np.arange(0.1, 3.0, 0.1), 0.0, 0.0, 3.0, 3.1]
     rows = "".join(f"{1e9 + 0.1 * i:.1f},{v},0\n" for i, v in enumerate(x))
     truth, dropped = read_truth(streamed(tmp_path / "t.csv", f"t,x,y\n{rows}"), TruthSettings(), 0)

@@ -1,7 +1,5 @@
 """Where may a scan have been taken? Held against sight lines and shares written out."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Carried off, slipped, lost: what the guard must notice, and what it must never claim."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """A map is left where scans along the path say: the chain of matches, and what the pose and the mount learn."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

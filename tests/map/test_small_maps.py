@@ -1,7 +1,5 @@
 """The graph of anchors: closed loops, and what the filter's state learns from it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """JSON messages as columns: held to the values that the json module reads."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math
@@ -132,8 +130,12 @@ def test_every_column_holds_what_the_json_module_reads(messages: list[dict[str, 
     assert [len(times) for times in found["parts.at"]] == [len(some) for some in parts]
 
 
-def test_half_a_letter_is_shown_by_its_number() -> None:
+def test_half_a_letter_is_shown_flags_and_words_that_json_lacks_are_read() -> None:
     assert decoded(record(a={"type": "string"}), b'{"a": "\\ud800"}')["a"] == [r"\ud800"]
+    assert decoded(record(a={"type": "boolean"}), {"a": True}, {"a": False}, {})["a"] == [True, False, False]
+    found = decoded(record(a=NUMBER, b={"type": "array", "items": NUMBER}), b'{"a": NaN, "b": [Infinity, -1]}')
+    assert math.isnan(found["a"][0])
+    assert found["b"] == [[math.inf, -1.0]]
 
 
 @pytest.mark.parametrize("value", [None, 7, "\N{ROBOT FACE}", "a", [1], base64.b64encode(b"abc").decode()])
@@ -142,20 +144,10 @@ def test_bytes_are_those_of_base64_or_none(value: Any) -> None:
     assert decoded(record(a=picture), {"a": value})["a"] == [b"abc" if value == "YWJj" else b""]
 
 
-def test_a_flag_is_true_or_false() -> None:
-    assert decoded(record(a={"type": "boolean"}), {"a": True}, {"a": False}, {})["a"] == [True, False, False]
-
-
 @pytest.mark.parametrize("bad", [b"", b"[]", b"{", b"\xff", b"[" * 50_000, b'{"a": 1}' + b" " * 100])
 def test_what_is_no_object_or_too_long_is_no_row(bad: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(json_messages, "MAX_MESSAGE", 100)
     assert decoded(record(a=NUMBER), bad, {"a": 2})["a"] == [2.0]
-
-
-def test_words_that_json_does_not_have_are_read_as_some_writers_put_them() -> None:
-    found = decoded(record(a=NUMBER, b={"type": "array", "items": NUMBER}), b'{"a": NaN, "b": [Infinity, -1]}')
-    assert math.isnan(found["a"][0])
-    assert found["b"] == [[math.inf, -1.0]]
 
 
 @pytest.mark.parametrize(

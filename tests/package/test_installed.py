@@ -1,7 +1,5 @@
 """locfuse on somebody's computer: what is missing is one line with the command that installs it."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The printed preset: each equation against the expression in print, typed out here, and the lock-step of them."""
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -291,13 +289,16 @@ def folder(found: paper.Repeated, tmp_path_factory: pytest.TempPathFactory) -> P
     return out
 
 
-def test_every_figure_is_there_as_svg_and_pdf_and_on_the_page(folder: Path) -> None:
+def test_every_figure_is_there_and_figure_13_has_y_below_x_on_one_time_axis(folder: Path) -> None:
     page = (folder / "paper.html").read_text()
     for name in ("fig12", "fig12_print", "fig13", "fig13_print", "fig14a", "fig14b"):
         ET.fromstring((folder / f"{name}.svg").read_bytes())
         assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
         assert f'<section id="{name}">' in page
     assert "http" not in page.replace("http-equiv", "")
+    text = (folder / "fig13.svg").read_text()
+    assert text.index("deviation in x, m") < text.index("deviation in y, m")
+    assert text.count(">time, s<") == 1
 
 
 def test_the_table_sets_the_print_beside_our_filter(found: paper.Repeated, folder: Path) -> None:
@@ -327,23 +328,16 @@ def test_the_conclusion_names_the_smallest_error(found: paper.Repeated, folder: 
     )
 
 
-def test_the_distance_from_the_path_is_that_to_its_nearest_point(found: paper.Repeated) -> None:
-    for row in found.distances():
-        assert row["rms"] == pytest.approx(0.2, abs=1e-3)
-        assert row["largest"] == pytest.approx(0.2, abs=1e-3)
-
-
-def test_figure_13_has_y_below_x_on_one_time_axis(folder: Path) -> None:
-    text = (folder / "fig13.svg").read_text()
-    assert text.index("deviation in x, m") < text.index("deviation in y, m")
-    assert text.count(">time, s<") == 1
-
-
-def test_the_walls_of_figure_14_are_those_of_the_scenario(found: paper.Repeated) -> None:
+def test_the_walls_of_figure_14_are_the_scenario_s_and_distances_to_the_nearest_point(
+    found: paper.Repeated,
+) -> None:
     a, b = paper.path_panels(found.driven)
     walls = next(m for m in a.marks if m.of == paper.WALLS)
     assert (a.name, b.name) == ("fig14a", "fig14b")
     assert {8.0, 6.0, 0.0} <= set(np.ravel(walls.ends))  # type: ignore[union-attr]
+    for row in found.distances():
+        assert row["rms"] == pytest.approx(0.2, abs=1e-3)
+        assert row["largest"] == pytest.approx(0.2, abs=1e-3)
 
 
 def test_a_folder_that_holds_something_else_is_refused_before_any_work(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The schemas of robot.toml, report.json and --json, by an independent validator and by what the readers do."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from functools import cache

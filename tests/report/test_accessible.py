@@ -1,7 +1,5 @@
 """Everybody can read the report and the fleet page: contrast, headings, tables, names of drawings (WCAG 2.2)."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from html.parser import HTMLParser
@@ -54,14 +52,11 @@ def mixed(colour: Rgb, ground: Rgb, percent: float) -> Rgb:
     return tuple((percent * c + (100 - percent) * g) / 100 for c, g in zip(colour, ground, strict=True))
 
 
-def test_the_ratio_is_that_of_known_pairs() -> None:
+def test_the_ratio_is_that_of_known_pairs_and_every_colour_is_found() -> None:
     assert contrast((0.0, 0.0, 0.0), (255.0, 255.0, 255.0)) == pytest.approx(21.0)
     assert contrast((119.0, 119.0, 119.0), (255.0, 255.0, 255.0)) == pytest.approx(
         4.48, abs=0.005
     )  # #777: just fails
-
-
-def test_the_colours_of_text_and_of_grounds_are_found() -> None:
     assert {"fg", "muted", "good", "bad"} <= set(INKS)
     assert {"bg", "card"} <= set(GROUNDS)
 
@@ -126,17 +121,15 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", ["fleet", "report"])
-def test_a_page_has_a_language_one_title_and_headings_in_order(name: str, pages: dict[str, str]) -> None:
+def test_a_page_has_a_language_headings_in_order_header_cells_and_named_drawings(
+    name: str, pages: dict[str, str]
+) -> None:
     found = Outline(pages[name])
     assert found.lang == "en"
     assert found.headings.count(1) == 1
     assert found.headings[0] == 1
     steps = zip(found.headings, found.headings[1:], strict=False)
     assert [(a, b) for a, b in steps if b > a + 1] == []
-
-
-@pytest.mark.parametrize("name", ["fleet", "report"])
-def test_tables_have_header_cells_and_drawings_a_name(name: str, pages: dict[str, str]) -> None:
     found = Outline(pages[name])
     assert found.tags["table"] == found.tags["thead"] > 0
     assert found.tags["svg"] > 0
@@ -144,10 +137,6 @@ def test_tables_have_header_cells_and_drawings_a_name(name: str, pages: dict[str
     assert found.scopes["col"] > found.tags["table"]
     assert found.scopes["row"] > found.tags["table"]
     assert found.without_name == []
-
-
-@pytest.mark.parametrize("name", ["fleet", "report"])
-def test_a_list_of_definitions_holds_terms_and_definitions_only(name: str, pages: dict[str, str]) -> None:
     lists = re.findall(r"<dl.*?</dl>", pages[name], re.DOTALL)
     assert lists or name == "fleet"
     assert [tag for part in lists for tag in re.findall(r"<(p|h[1-6]|div|span)\b", part)] == []

@@ -1,7 +1,5 @@
 """What a reader needs to get the same result: the command, and the settings with units and sources."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil
@@ -51,12 +49,20 @@ def test_the_command_gives_the_same_figures_and_names_no_path(
         assert again[key] == report[key], key
 
 
-def test_the_command_is_the_same_from_python(report: dict[str, Any], log: Path) -> None:
+def test_the_command_is_the_same_from_python_and_changed_settings_say_unit_and_source(
+    report: dict[str, Any], log: Path
+) -> None:
     result = api.load(log, sets={"compass.sigma_deg": 4}).compare(
         ["odometry", "compass"], align="origin", advice=False
     )
     assert result.report["repeat"] == report["repeat"]
     assert result.report["changed_settings"] == report["changed_settings"]
+    changed = report["changed_settings"]
+    assert changed["compass.sigma_deg"] == {"value": 4, "unit": "°", "from": "--set"}
+    assert changed["wheels.radius"]["unit"] == "m"
+    assert changed["wheels.radius"]["from"] == "robot.toml in the log"
+    assert "compass.gate" not in changed  # as by default
+    assert not [key for key in changed if key.split(".")[0] in report["absent"]]
 
 
 def test_a_sample_log_is_named_and_every_choice_is_in_the_command(tmp_path: Path) -> None:
@@ -64,15 +70,6 @@ def test_a_sample_log_is_named_and_every_choice_is_in_the_command(tmp_path: Path
     found = compared("rounded_rectangle", tmp_path / "out", *words)["repeat"]
     expected = "locfuse compare rounded_rectangle --robot robot.toml --sensors compass --smooth --from 2 --to 20.5"
     assert found == expected
-
-
-def test_changed_settings_come_with_unit_and_source(report: dict[str, Any]) -> None:
-    changed = report["changed_settings"]
-    assert changed["compass.sigma_deg"] == {"value": 4, "unit": "°", "from": "--set"}
-    assert changed["wheels.radius"]["unit"] == "m"
-    assert changed["wheels.radius"]["from"] == "robot.toml in the log"
-    assert "compass.gate" not in changed  # as by default
-    assert not [key for key in changed if key.split(".")[0] in report["absent"]]
 
 
 def test_every_number_of_robot_toml_has_a_unit_or_is_known_to_have_none() -> None:

@@ -1,7 +1,5 @@
 """The page in a real browser: one cursor over all plots, values, zoom; and complete where no script runs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Several words after `compare`: logs give a summary, results stand side by side, parts are one log."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from csv import DictReader
@@ -58,10 +56,12 @@ def test_mean_median_and_worst_over_logs() -> None:
     assert "smoothed" not in found["configurations"]["all"]["figures"]
 
 
-def test_the_worst_anees_is_the_one_furthest_from_one() -> None:
+def test_the_worst_anees_is_furthest_from_one_and_names_become_no_markup() -> None:
     found = over.summarise({str(a): report({"all": 0.1}, anees=a) for a in (0.1, 1.0, 5.0)})
     figure = found["configurations"]["all"]["figures"]["anees"]
     assert (figure["worst"], figure["worst_log"]) == (0.1, "0.1")
+    found = over.summarise({"a|b*": report({"all": 0.1})})
+    assert r"a\|b\*" in over.render({**found, "locfuse": "0.2.0"})
 
 
 def test_the_best_has_the_smallest_mean_among_those_that_every_log_has() -> None:
@@ -91,11 +91,6 @@ def test_a_log_whose_figures_are_void_has_a_truth_and_it_is_said_what_is_wrong()
     found = summarised([Entry(name, report=slim({"": r})) for name, r in reports.items()])
     assert over.headline(found) == "No log has an error figure: 1 void, 1 without truth."
     assert "void: lost for 70%" in over.render(found)
-
-
-def test_names_from_logs_do_not_become_markup() -> None:
-    found = over.summarise({"a|b*": report({"all": 0.1})})
-    assert r"a\|b\*" in over.render({**found, "locfuse": "0.2.0"})
 
 
 def test_the_table_for_machines_has_a_row_per_log_and_configuration() -> None:
@@ -171,9 +166,7 @@ def test_several_logs_give_a_summary_and_a_folder_each(drives: list[Path], summa
 
 
 @pytest.mark.usefixtures("jobs_in_this_process")
-def test_a_summary_is_replaced_and_a_foreign_folder_is_not(
-    drives: list[Path], summary: Path, tmp_path: Path
-) -> None:
+def test_a_summary_is_replaced_and_a_foreign_folder_not(drives: list[Path], summary: Path, tmp_path: Path) -> None:
     before = (summary / "summary.json").read_bytes()
     done = ok("compare", *drives, "-o", summary, "--write", "json", "--json")
     assert (summary / "summary.json").read_bytes() == before == done.stdout.encode()
@@ -205,17 +198,18 @@ def test_results_are_set_side_by_side(drives: list[Path], summary: Path, tmp_pat
     assert f"{tmp_path / 'changes'}: changes.json, changes.md" in written.stdout
 
 
-def test_logs_and_results_are_not_mixed(drives: list[Path], summary: Path) -> None:
+def test_a_result_beside_itself_has_not_changed_and_a_log_or_a_broken_one_is_refused(
+    summary: Path, drives: list[Path], tmp_path: Path
+) -> None:
+    one = summary / drives[0].stem
+    done = ok("compare", one, one)
+    assert sum(line.split()[-1:] == ["="] for line in done.stdout.splitlines()) >= 2
     assert "either logs or results" in refused("compare", drives[0], summary / drives[0].stem, code=2)
     with pytest.raises(UsageError):
         results_of([str(drives[0]), str(summary / drives[0].stem)])
     assert results_of([str(summary / drives[0].stem)]) is None
-
-
-def test_a_result_beside_itself_has_not_changed(summary: Path, drives: list[Path]) -> None:
-    one = summary / drives[0].stem
-    done = ok("compare", one, one)
-    assert sum(line.split()[-1:] == ["="] for line in done.stdout.splitlines()) >= 2
+    (tmp_path / "report.json").write_text('{"configurations": 3}')
+    assert "not a report of locfuse" in refused("compare", summary / drives[0].stem, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -227,11 +221,6 @@ def test_what_needs_a_log_is_refused_beside_results_and_not_passed_by(
 ) -> None:
     results = [summary / drive.stem for drive in drives[:2]]
     assert f"{option[0]} is for logs" in refused("compare", *results, *option, code=2)
-
-
-def test_a_broken_result_is_refused_in_one_line(summary: Path, drives: list[Path], tmp_path: Path) -> None:
-    (tmp_path / "report.json").write_text('{"configurations": 3}')
-    assert "not a report of locfuse" in refused("compare", summary / drives[0].stem, tmp_path)
 
 
 def test_numbered_recordings_that_overlap_in_time_are_logs_of_their_own(drives: list[Path]) -> None:

@@ -1,7 +1,5 @@
 """One table for every medium: the same rows as Markdown, HTML, LaTeX, CSV, records, and on a terminal."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -88,7 +86,13 @@ def test_every_medium_shows_the_same_rows(report: dict[str, Any], build: Any) ->
     assert [[cell.replace("--", "-") for cell in row] for row in in_latex(table)] == shown
 
 
-def test_a_value_that_does_not_exist_is_the_mediums_dash() -> None:
+def test_units_stand_in_the_heading_and_what_does_not_exist_is_the_mediums_dash() -> None:
+    assert "| name | length, m | share |" in render.markdown(TABLE)
+    assert "name & length [m] & share" in render.latex(TABLE)
+    assert '<th scope="col">length,\u00a0m</th>' in render.html(TABLE)
+    heads, first, _ = text_table.lines(TABLE, None)
+    assert heads.split() == ["name", "len,", "m", "share"]
+    assert first.split() == ["short", "1.2", "50.0%"]
     assert in_markdown(TABLE)[1] == ["none", "-", "-"]
     assert in_html(TABLE)[1] == ["none", "–", "–"]
     assert in_latex(TABLE)[1] == ["none", "--", "--"]
@@ -97,21 +101,9 @@ def test_a_value_that_does_not_exist_is_the_mediums_dash() -> None:
     assert records(TABLE)[1]["length_m"] is None
 
 
-def test_units_stand_in_the_heading() -> None:
-    assert "| name | length, m | share |" in render.markdown(TABLE)
-    assert "name & length [m] & share" in render.latex(TABLE)
-    assert '<th scope="col">length,\u00a0m</th>' in render.html(TABLE)
-    heads, first, _ = text_table.lines(TABLE, None)
-    assert heads.split() == ["name", "len,", "m", "share"]
-    assert first.split() == ["short", "1.2", "50.0%"]
-
-
-def test_programs_get_full_precision_under_the_keys_of_report_json() -> None:
+def test_programs_get_full_precision_and_the_place_of_every_number() -> None:
     assert records(TABLE)[0] == {"name": "short", "length_m": 1.239, "share": 0.5}
     assert render.csv(TABLE).splitlines()[:2] == ["name,length_m,share", "short,1.239,0.5"]
-
-
-def test_every_number_of_a_page_names_its_place() -> None:
     assert Cells(render.html(TABLE)).data == {"/runs/short/length_m": 1.239, "/runs/short/share": 0.5}
 
 

@@ -1,7 +1,5 @@
 """Long drives stay light, `full` leaves nothing out, and no scene is too poor to be drawn."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from itertools import combinations
@@ -166,18 +164,20 @@ def test_the_viewer_gets_markdown_without_tags(tag: str) -> None:
 # --- thinning keeps what one looks for; geometry is held to closed forms and to se2
 
 
-def test_a_spike_of_one_sample_survives_thinning() -> None:
+def test_thinning_keeps_spikes_and_short_curves_and_no_gap_is_an_extreme() -> None:
     values = np.sin(np.arange(200_000) / 5000.0)
     values[123_457], values[77_771] = 50.0, -50.0
     picks = extremes(values, 4000)
     assert len(picks) <= 4000
     assert {0, 77_771, 123_457, 199_999} <= set(picks.tolist())
     assert (np.diff(picks) > 0).all()
-
-
-def test_a_short_curve_is_kept_whole() -> None:
     assert extremes(np.zeros(4000), 4000).tolist() == list(range(4000))
     assert extremes(np.zeros(0), 4000).tolist() == []
+    values = np.arange(50_000, dtype=float)
+    values[100:40_000] = np.nan
+    picks = extremes(values, 1000)
+    assert np.isnan(values[picks]).sum() <= 1000 * 0.9  # a bucket of nothing but gaps still says so
+    assert {49_999, 99, 40_000} <= set(picks.tolist())
 
 
 @pytest.mark.parametrize("n", [4001, 4003, 7999, 8001, 36_000])
@@ -188,14 +188,6 @@ def test_thinning_never_exceeds_the_limit_and_brackets_every_curve(n: int, curve
     assert len(picks) <= 4000
     for curve in values.T:
         assert {int(curve.argmin()), int(curve.argmax())} <= set(picks.tolist())
-
-
-def test_a_gap_is_no_extreme() -> None:
-    values = np.arange(50_000, dtype=float)
-    values[100:40_000] = np.nan
-    picks = extremes(values, 1000)
-    assert np.isnan(values[picks]).sum() <= 1000 * 0.9  # a bucket of nothing but gaps still says so
-    assert {49_999, 99, 40_000} <= set(picks.tolist())
 
 
 def test_scans_are_picked_evenly_with_both_ends() -> None:
@@ -221,12 +213,9 @@ def test_ellipses_are_three_sigma_of_the_covariance() -> None:
             assert tip @ np.linalg.solve(p, tip) == pytest.approx(9.0, rel=1e-6)
 
 
-def test_a_certain_position_is_a_point() -> None:
+def test_a_certain_position_is_a_point_and_a_line_lies_where_its_normal_form_says() -> None:
     axes, _ = ellipses(np.zeros((1, 3, 3)))
     assert axes.tolist() == [[0.0, 0.0]]
-
-
-def test_a_line_is_drawn_where_its_normal_form_says() -> None:
     ((a, b),) = segments(np.array([[2.0, math.pi / 2]]), np.array([[-1.0, 3.0]]))
     np.testing.assert_allclose([a, b], [[1.0, 2.0], [-3.0, 2.0]], atol=1e-12)
 

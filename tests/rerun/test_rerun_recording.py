@@ -1,7 +1,5 @@
 """A recording read back: what it holds is what the filter estimated, at the log's own times."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any, NamedTuple
@@ -55,7 +53,7 @@ def name_of(configuration: str) -> str:
     return configuration.replace("@", "\\@").replace("+", "\\+")
 
 
-def test_times_are_the_logs_and_steps_are_instants(made: Made) -> None:
+def test_times_are_the_logs_and_the_viewer_opens_on_seconds_since_the_start(made: Made) -> None:
     drive = made.loaded.drive
     pose = made.entities["world/all/pose"]
     np.testing.assert_array_equal(pose.ns, drive.epoch_ns + np.rint(drive.t * 1e9).astype(np.int64))
@@ -64,9 +62,6 @@ def test_times_are_the_logs_and_steps_are_instants(made: Made) -> None:
     columns = {name for e in made.entities.values() for part in e.parts for name in part.schema.names}
     timelines = {name for name in columns if ":" not in name}
     assert timelines - {"rerun.controls.RowId"} == {"drive", "log time", "step"}
-
-
-def test_the_viewer_opens_on_seconds_since_the_start(made: Made) -> None:
     pose = made.entities["world/all/pose"]
     seconds = [t.total_seconds() for t in pose.column("drive")]
     np.testing.assert_allclose(seconds, made.loaded.drive.t, atol=1e-6)  # read back in microseconds
@@ -74,19 +69,20 @@ def test_the_viewer_opens_on_seconds_since_the_start(made: Made) -> None:
     assert [value for name, value in panel.items() if name.endswith(":timeline")] == [[["drive"]]]
 
 
-def test_the_truth_lies_below_the_estimates(made: Made) -> None:
-    (truth,) = made.entities["world/truth/path"].static["LineStrips2D:draw_order"]
-    (lowest,) = made.entities["world/odometry/path"].static["LineStrips2D:draw_order"]
-    assert truth < lowest
-
-
-def test_the_legend_names_every_configuration_in_its_colour(made: Made) -> None:
+def test_the_legend_names_every_configuration_and_every_panel_opens_on_something(made: Made) -> None:
     names = {p.removeprefix("legend/") for p in made.entities if p.startswith("legend/")}
     assert {name_of(n) for n in made.estimates} <= names
     assert {"truth", "matched", "rejected", "landmark"} <= names
     for name in made.estimates:
         sample = made.entities[f"legend/{name_of(name)}"].static["Points2D:colors"]
         assert sample == made.entities[f"world/{name_of(name)}/path"].static["LineStrips2D:colors"]
+    views = {key: e.static for key, e in made.layout.items() if "ViewBlueprint:class_identifier" in e.static}
+    names = {first(v["ViewBlueprint:display_name"]) for v in views.values()}
+    assert {"Map", "Scan", "Omni image", "Panorama", "x [m]", "heading [deg]", "Gates", "Result"} <= names
+    assert {"NIS compass", "NIS lrf", "NIS camera", "lrf r [m]", "camera bearing [deg]", "/joint_states"} <= names
+    for view in views.values():
+        origin = first(view["ViewBlueprint:space_origin"]).strip("/")
+        assert any(path == origin or path.startswith(f"{origin}/") or not origin for path in made.entities), origin
 
 
 @pytest.mark.parametrize("configuration", ["odometry", "compass", "lrf", "camera", "all", "lrf@2Hz"])
@@ -107,9 +103,15 @@ def test_every_configuration_has_its_pose_path_and_ellipse(made: Made, configura
     np.testing.assert_allclose(axes[:, 0], 3.0 * largest, atol=1e-7, rtol=1e-5)
 
 
-def test_y_is_up_by_one_flip_at_the_root(made: Made) -> None:
+def test_y_is_up_the_truth_lies_below_the_estimates_and_the_result_table_is_there(made: Made) -> None:
     (matrix,) = made.entities["world"].static["Transform3D:mat3x3"]
     assert np.array(matrix).reshape(3, 3).tolist() == [[1, 0, 0], [0, -1, 0], [0, 0, 1]]
+    (truth,) = made.entities["world/truth/path"].static["LineStrips2D:draw_order"]
+    (lowest,) = made.entities["world/odometry/path"].static["LineStrips2D:draw_order"]
+    assert truth < lowest
+    (((text,), *_),) = [made.entities["result"].static["TextDocument:text"]]
+    assert "| odometry |" in text
+    assert "<" not in text  # the viewer shows tags as text
 
 
 def test_deviations_are_those_of_the_report(made: Made) -> None:
@@ -131,9 +133,7 @@ def test_deviations_are_those_of_the_report(made: Made) -> None:
 
 
 @pytest.mark.parametrize("configuration", ["lrf", "all", "lrf@2Hz"])
-def test_segments_stand_where_the_pose_puts_them_in_the_colour_of_their_verdict(
-    made: Made, configuration: str
-) -> None:
+def test_segments_stand_where_the_pose_puts_them_in_their_verdict_s_colour(made: Made, configuration: str) -> None:
     e, m = made.estimates[configuration], made.loaded.drive.measurements["lrf"]
     audit = e.audits["lrf"]
     if "@" in configuration:
@@ -258,22 +258,6 @@ def test_raw_topics_are_the_logs_numbers(made: Made) -> None:
     shown = made.entities[f"raw{topic}/magnetic_field.x"].array("Scalars:scalars")[:, 0]
     np.testing.assert_array_equal(shown, field)
     assert "raw/joint_states/position.left_wheel_joint" in made.entities
-
-
-def test_the_result_table_is_in_the_recording(made: Made) -> None:
-    (((text,), *_),) = [made.entities["result"].static["TextDocument:text"]]
-    assert "| odometry |" in text
-    assert "<" not in text  # the viewer shows tags as text
-
-
-def test_the_layout_opens_every_panel_on_something_that_is_there(made: Made) -> None:
-    views = {key: e.static for key, e in made.layout.items() if "ViewBlueprint:class_identifier" in e.static}
-    names = {first(v["ViewBlueprint:display_name"]) for v in views.values()}
-    assert {"Map", "Scan", "Omni image", "Panorama", "x [m]", "heading [deg]", "Gates", "Result"} <= names
-    assert {"NIS compass", "NIS lrf", "NIS camera", "lrf r [m]", "camera bearing [deg]", "/joint_states"} <= names
-    for view in views.values():
-        origin = first(view["ViewBlueprint:space_origin"]).strip("/")
-        assert any(path == origin or path.startswith(f"{origin}/") or not origin for path in made.entities), origin
 
 
 def test_paths_grow_and_each_configuration_has_one_switch(made: Made) -> None:

@@ -1,7 +1,5 @@
 """Maps of map_server: PGM and PNG with their YAML, and what in one line is refused."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from pathlib import Path
@@ -49,16 +47,13 @@ def test_a_png_of_any_depth_says_the_same(tmp_path: Path, dtype: type) -> None:
     np.testing.assert_array_equal(found.free, plain.free)
 
 
-def test_what_is_transparent_is_unknown(tmp_path: Path) -> None:
+def test_what_is_transparent_or_grey_as_map_saver_writes_it_is_unknown(tmp_path: Path) -> None:
     pixels = np.dstack([drawn()] * 3 + [np.full((3, 4), 255, np.uint8)])
     pixels[1, 1, 3] = 0
     png = cv2.imencode(".png", pixels)[1].tobytes()
     found = map_image.read(written(tmp_path, YAML.replace("pgm", "png"), png, "map.png"))
     assert not found.free[1, 1]
     assert not found.occupied[1, 1]
-
-
-def test_the_grey_of_map_saver_is_unknown_whatever_the_threshold(tmp_path: Path) -> None:
     image = drawn()
     image[1, 1] = 205
     data = b"P5\n4 3\n255\n" + image.tobytes()

@@ -1,7 +1,5 @@
 """An ekf.yaml of robot_localization: which table each input becomes, and what is said of the rest."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

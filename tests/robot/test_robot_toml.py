@@ -1,7 +1,5 @@
 """robot.toml: merged key by key, checked against typed settings, one line for whatever is wrong."""
 
-from __future__ import annotations
-
 import time
 import tomllib
 from pathlib import Path
@@ -159,12 +157,9 @@ def test_what_is_dumped_reads_back_the_same_to_the_last_bit(tables: dict[str, An
     assert dump(tables) == text
 
 
-def test_keys_without_a_value_are_left_out_of_a_dump() -> None:
+def test_a_dump_leaves_out_keys_without_a_value_and_refuses_what_it_could_not_read_back() -> None:
     text = dump({"order": "auto", "wheels": {"radius": 0.1, "track": None}})
     assert tomllib.loads(text) == {"order": "auto", "wheels": {"radius": 0.1}}
-
-
-def test_a_dump_refuses_what_it_could_not_read_back() -> None:
     with pytest.raises(LocfuseError, match=r"wheels\.radius = nan"):
         dump({"wheels": {"radius": float("nan")}})
 
@@ -199,17 +194,11 @@ topic = "/scan"
 """
 
 
-def test_values_change_and_every_other_character_stays() -> None:
+def test_values_change_and_what_is_behind_a_hash_comes_into_effect_where_it_stands() -> None:
     text = updated(MINE, {"wheels": {"radius": 0.0498}}, "x")
     assert text == MINE.replace("0.05 ", "0.0498 ")
-
-
-def test_a_key_behind_a_hash_is_filled_in_where_it_stands() -> None:
     text = updated(MINE, {"wheels": {"track": 0.61}}, "x")
     assert "\ntrack = 0.61  # not yet measured\n" in text
-
-
-def test_a_table_behind_a_hash_comes_into_effect() -> None:
     text = updated(MINE, {"compass": {"sigma_deg": 1.5}}, "x")
     assert "\n[compass]\nsigma_deg = 1.5\n\n[lrf]" in text
 
@@ -223,11 +212,8 @@ def test_new_keys_and_tables_are_added_and_say_who_did() -> None:
     assert text.rstrip().endswith("[gps]\norigin = [48.1, 11.5]  # locfuse tune")
 
 
-def test_a_value_that_holds_a_hash_is_replaced_whole() -> None:
+def test_a_value_that_holds_a_hash_is_replaced_whole_and_an_empty_file_is_filled() -> None:
     assert tomllib.loads(updated(MINE, {"wheels": {"left": "c"}}, "x"))["wheels"]["left"] == "c"
-
-
-def test_an_empty_file_is_filled() -> None:
     assert tomllib.loads(updated("", {"lrf": {"x": 0.2}}, "x")) == {"lrf": {"x": 0.2}}
 
 
@@ -266,9 +252,7 @@ def test_a_set_beyond_a_cap_is_refused_in_one_line(tmp_path: Path, text: str) ->
         ("wheels.time_offset=9223372036854775807", "is wheels.time_offset right? It is in seconds"),
     ],
 )
-def test_a_set_beyond_what_can_be_computed_with_is_refused_in_one_line(
-    tmp_path: Path, text: str, words: str
-) -> None:
+def test_a_set_beyond_what_can_be_computed_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
     log = write(tmp_path / "f.mcap", seconds=0.5)
     assert words in refused("run", log, "-o", tmp_path / "out", "--set", text, code=None)
 
@@ -287,26 +271,20 @@ def chain(n: int) -> str:
     return f"<robot>{joints}{wheels}</robot>"
 
 
-def test_a_description_of_thousands_of_joints_in_a_row_is_followed_to_its_end() -> None:
+def test_a_description_is_followed_up_to_the_cap_of_joints() -> None:
     begin = time.process_time()
     found = present(wheel_geometry(chain(MAX_JOINTS - 2)))
     assert found.track == pytest.approx(0.2)
     assert time.process_time() - begin < 20.0  # of CPU; a quarter as many took minutes
-
-
-def test_a_description_beyond_the_cap_of_joints_tells_nothing() -> None:
     assert wheel_geometry(chain(MAX_JOINTS)) is None
 
 
-def test_a_chain_of_thousands_of_frames_is_followed() -> None:
+def test_thousands_of_frames_are_followed_and_more_than_the_cap_refused() -> None:
     T = np.eye(4)
     T[0, 3] = 0.001
     edges = tuple(Transform(f"f{i}", f"f{i + 1}", T) for i in range(5000))
     mount = present(planar_mount(StaticTransforms(edges[::-1]), ("f0",), "f5000"))
     assert mount.x == pytest.approx(5.0)
-
-
-def test_more_frames_than_the_cap_are_refused() -> None:
     n = MAX_TRANSFORMS + 1
     first = np.array([0, n])
     columns = {name: Ragged(np.ones(n), first) for name in FIELDS}

@@ -1,7 +1,5 @@
 """Mounts from /tf_static: chains in either direction, conflicts, upside-down and yawed sensors."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -123,28 +121,19 @@ def test_a_transform_without_a_rotation_is_ignored_and_told(tmp_path: Path) -> N
     assert transforms.conflicts == (("laser", "a transform without a usable rotation is ignored"),)
 
 
-def test_frames_with_a_leading_slash_are_the_same_frames(tmp_path: Path) -> None:
+def test_a_leading_slash_or_a_namespace_does_not_matter_and_the_base_is_mounted_at_zero(tmp_path: Path) -> None:
     transforms = published(tmp_path, [edge("/base_link", "/laser", (0.3, 0, 0))])
     assert mount(transforms, "laser").x == mount(transforms, "/laser").x == pytest.approx(0.3)
-
-
-def test_a_namespaced_robot(tmp_path: Path) -> None:
     assert mount(published(tmp_path, [edge("base_link", "laser")], topic="/robot1/tf_static"), "laser").x == 0
+    assert mount(StaticTransforms(), "base_link") == FrameMount("base_link", "base_link", 0, 0, 0, 0, 0, 0, False)
 
 
-def test_a_loop_in_the_tree_ends(tmp_path: Path) -> None:
+def test_a_loop_in_the_tree_ends_and_an_unconnected_frame_has_no_mount(tmp_path: Path) -> None:
     transforms = published(tmp_path, [edge("a", "b"), edge("b", "c"), edge("c", "a")])
     assert planar_mount(transforms, BASES, "b") is None
-
-
-def test_an_unconnected_frame_and_a_log_without_tf_have_no_mount(tmp_path: Path) -> None:
     assert planar_mount(published(tmp_path, [edge("map", "laser")]), BASES, "laser") is None
     empty = open_log([write(tmp_path / "none.mcap", [])]).static_transforms()
     assert planar_mount(empty, BASES, "laser") is None
-
-
-def test_the_base_frame_itself_is_mounted_at_zero() -> None:
-    assert mount(StaticTransforms(), "base_link") == FrameMount("base_link", "base_link", 0, 0, 0, 0, 0, 0, False)
 
 
 @pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])

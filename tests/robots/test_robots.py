@@ -1,7 +1,5 @@
 """Robots that come with locfuse: every figure has a source, and `init` takes them where a log leaves them open."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

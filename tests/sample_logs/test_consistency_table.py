@@ -1,7 +1,5 @@
 """The table of `python -m benchmarks.consistency`: cases that exist, figures as named, a bound that holds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,19 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from benchmarks import consistency
-from benchmarks.consistency import (
-    CASES,
-    LASER,
-    MOVING,
-    SCENARIO,
-    Case,
-    Goals,
-    Roll,
-    bound,
-    inside,
-    moved,
-    without,
-)
+from benchmarks.consistency import CASES, LASER, MOVING, SCENARIO, Case, Goals, Roll, bound, inside, moved, without
 from benchmarks.experiment import simulated
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml

@@ -1,7 +1,5 @@
 """The shipped logs: small, readable by anyone, and what their scenarios and seeds give again."""
 
-from __future__ import annotations
-
 import functools
 import math
 import re
@@ -69,24 +67,20 @@ class EnoughError(Exception):
     """Ends a simulation."""
 
 
-def test_four_logs_come_with_the_package_by_name() -> None:
+def test_four_logs_come_by_name_one_with_its_licence_and_another_name_is_refused() -> None:
     assert sample_logs.names() == sorted([*NAMES, "labyrinth"])
     assert all(sample_logs.path(name).is_file() for name in sample_logs.names())
-
-
-def test_a_log_of_others_carries_its_licence() -> None:
     beside = sample_logs.path("labyrinth").with_suffix(".LICENSE.txt").read_bytes()
     assert attachments("labyrinth")["LICENSE.txt"] == beside
     assert b"https://creativecommons.org/licenses/by-sa/4.0/" in beside
-
-
-def test_a_name_there_is_not_is_refused_with_those_there_are() -> None:
     with pytest.raises(UsageError, match="disturbed, labyrinth, rounded_rectangle, rounded_triangle"):
         sample_logs.path("rounded_pentagon")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_log_is_small_and_holds_every_sensor_of_the_paper(name: str) -> None:
+def test_a_log_is_small_holds_every_sensor_and_carries_its_scenario_and_known_keys(
+    name: str, tmp_path: Path
+) -> None:
     assert sample_logs.path(name).stat().st_size <= 4_000_000
     expected = set(TOPICS) | ({"/faults"} if name == "disturbed" else set())
     assert set(recorded(name)) == expected
@@ -95,6 +89,16 @@ def test_a_log_is_small_and_holds_every_sensor_of_the_paper(name: str) -> None:
         assert len(recorded(name)[topic]) == pytest.approx(seconds * rate, abs=2)
     image = present(cv2.imdecode(recorded(name)["/omni/image/compressed"][0].data, cv2.IMREAD_COLOR))
     assert image.shape == (480, 480, 3)
+    file = tmp_path / "scenario.toml"
+    file.write_bytes(attachments(name)["scenario.toml"])
+    assert load.load(str(file)) == load.load(name)
+    tables = tomllib.loads(attachments(name)["robot.toml"].decode())
+    for table, values in tables.items():
+        if table in table_types():
+            msgspec.convert(values, table_types()[table])
+    assert tables["compass"] == {"topic": "/compass", "sigma_deg": 3.0}  # no offset, no iron, no true noise
+    assert set(tables["wheels"]) == {"topic", "left", "right", "radius", "track"}
+    assert "map" not in tables["lrf"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -108,24 +112,6 @@ def test_other_tools_read_it_whole(name: str) -> None:
     done = subprocess.run([rerun, "mcap", "check", path], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert len(re.findall(r"^ok\b", done.stdout, re.MULTILINE)) == len(recorded(name))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_log_carries_the_scenario_that_made_it(name: str, tmp_path: Path) -> None:
-    file = tmp_path / "scenario.toml"
-    file.write_bytes(attachments(name)["scenario.toml"])
-    assert load.load(str(file)) == load.load(name)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_robot_toml_holds_known_keys_and_nothing_the_simulator_drew(name: str) -> None:
-    tables = tomllib.loads(attachments(name)["robot.toml"].decode())
-    for table, values in tables.items():
-        if table in table_types():
-            msgspec.convert(values, table_types()[table])
-    assert tables["compass"] == {"topic": "/compass", "sigma_deg": 3.0}  # no offset, no iron, no true noise
-    assert set(tables["wheels"]) == {"topic", "left", "right", "radius", "track"}
-    assert "map" not in tables["lrf"]
 
 
 def rows(column: Any) -> Array:

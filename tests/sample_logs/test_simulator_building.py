@@ -1,7 +1,5 @@
 """The simulated building against closed forms: walls, glass, furniture, people; and the drives through it."""
 
-from __future__ import annotations
-
 import functools
 import math
 from pathlib import Path
@@ -94,16 +92,13 @@ def test_a_door_lets_rays_through_as_far_as_its_jambs_allow(side: Side, at: floa
     np.testing.assert_array_equal(np.isinf(seen), np.abs(off) < limit)
 
 
-def test_a_closed_door_is_a_niche_from_outside_and_flush_from_inside() -> None:
+def test_a_closed_door_is_a_niche_and_an_open_leaf_stands_in_the_room() -> None:
     room = Space(name="room", area=(6.0, 0.0, 10.0, 8.0), openings=(Opening(side="west", at=4.0, kind="closed"),))
     of = scene(hall(spaces=(Space(name="corridor", area=(0.0, 0.0, 6.0, 8.0)), room)))
     assert ranges(of, (3.0, 4.0), np.zeros(1))[0] == pytest.approx(3.0)
     assert ranges(of, (3.0, 5.0), np.zeros(1))[0] == pytest.approx(3.0 - 0.075)
     assert ranges(of, (8.0, 4.0), np.array([math.pi]))[0] == pytest.approx(2.0 - 0.075)
-
-
-def test_an_open_leaf_stands_in_the_room() -> None:
-    """Hinged at the lower end, as long as the door is wide, 90 degrees into the room."""
+    # Hinged at the lower end, as long as the door is wide, 90 degrees into the room.
     door = Opening(side="south", at=4.0, width=1.0, leaf_deg=90.0)
     of = scene(hall(spaces=(msgspec.structs.replace(HALL, openings=(door,)),)))
     assert ranges(of, (6.0, 1.0), np.array([math.pi]))[0] == pytest.approx(6.0 - 3.5)
@@ -121,12 +116,16 @@ def test_bent_walls_still_close_every_room() -> None:
     assert (counts == 2).all()
 
 
-def test_a_bend_is_smooth() -> None:
+def test_a_bend_is_smooth_and_drawn_by_the_seed_of_drive_or_building() -> None:
     flat = np.array([[0.0, 0.0, 40.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     chain = bent(flat, 0.02, streams(4))[:-2]
     slope = np.diff(chain[1:-1, [1, 3]], axis=1)[:, 0] / np.diff(chain[1:-1, [0, 2]], axis=1)[:, 0]
     assert 0.001 < np.abs(slope).max() < 0.03
     assert np.abs(np.diff(slope)).max() < 0.02
+    plain, own = hall(bow=0.02), hall(bow=0.02, seed=9)
+    np.testing.assert_array_equal(scene(plain, 1).faces, scene(plain, 1).faces)
+    assert not np.array_equal(scene(plain, 1).faces, scene(plain, 2).faces)
+    np.testing.assert_array_equal(scene(own, 1).faces, scene(own, 2).faces)
 
 
 def test_rays_end_on_the_bent_wall_and_not_on_the_straight_one() -> None:
@@ -138,13 +137,6 @@ def test_rays_end_on_the_bent_wall_and_not_on_the_straight_one() -> None:
         found = ranges(of, (x, 3.0), np.array([math.pi / 2]))[0]
         assert found == pytest.approx(np.interp(x, knots[:, 0], knots[:, 1]) - 3.0, abs=1e-9)
     assert 0.005 < np.abs(knots[:, 1] - 7.925).max() <= 0.02
-
-
-def test_walls_bend_by_the_seed_of_the_drive_or_of_the_building() -> None:
-    plain, own = hall(bow=0.02), hall(bow=0.02, seed=9)
-    np.testing.assert_array_equal(scene(plain, 1).faces, scene(plain, 1).faces)
-    assert not np.array_equal(scene(plain, 1).faces, scene(plain, 2).faces)
-    np.testing.assert_array_equal(scene(own, 1).faces, scene(own, 2).faces)
 
 
 # --- glass -----------------------------------------------------------------------------------------------
@@ -160,14 +152,11 @@ def glazed(**glass: float) -> BuildingScene:
     return scene(hall(spaces=spaces, glass=Glass(post_every=10.0, **glass)))
 
 
-def test_glass_returns_beams_within_its_angle_and_lets_the_others_through() -> None:
+def test_glass_returns_beams_within_its_angle_and_as_often_as_it_is_told() -> None:
     angle = np.radians(np.arange(-20.0, 20.5, 0.5) + 0.1)
     seen = ranges(glazed(within_deg=8.0, returns=1.0), (3.0, 4.0), angle)
     expected = np.where(np.abs(np.degrees(angle)) <= 8.0, 2.0, 6.925) / np.cos(angle)
     np.testing.assert_allclose(seen, expected, atol=1e-9)
-
-
-def test_glass_returns_as_often_as_it_is_told_and_the_same_at_the_same_time() -> None:
     of = glazed(within_deg=8.0, returns=0.7)
     angle = np.radians(np.linspace(-7.9, 7.9, 400))
     echoes = np.array([ranges(of, (3.0, 4.0), angle, t) < 3.0 for t in np.arange(50) * 0.2])
@@ -214,12 +203,9 @@ def test_a_table_is_four_thin_legs() -> None:
     assert 0 < (seen < wall - 0.1).mean() < 0.15
 
 
-def test_a_turned_box_shows_its_corner() -> None:
+def test_boxes_show_their_corners_and_low_ones_end_below_a_high_laser() -> None:
     of = furnished(Box(at=(6.0, 4.0), size=(2.0, 2.0), turn_deg=45.0))
     assert ranges(of, (3.0, 4.0), np.zeros(1))[0] == pytest.approx(3.0 - math.sqrt(2))
-
-
-def test_a_low_box_and_a_chair_end_below_a_high_laser() -> None:
     of = furnished(Box(at=(6.0, 4.0), size=(1.0, 1.0), height=0.6), SwivelChair(at=(5.0, 4.0)))
     n = np.full(1, 0.0)
     for z, expected in ((0.3, 2.0 - 0.035), (0.5, 2.5), (0.7, 6.925)):

@@ -1,7 +1,5 @@
 """Every fault does what it says between its labels, and nothing to anything else."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math
@@ -82,9 +80,7 @@ SENSOR_FAULTS = [
 
 
 @pytest.mark.parametrize(("fault", "topic"), SENSOR_FAULTS, ids=lambda v: type(v).__name__)
-def test_a_sensors_fault_changes_that_sensor_and_not_one_bit_of_another(
-    fault: Any, topic: str, clean: Drive
-) -> None:
+def test_a_sensors_fault_changes_it_and_not_one_bit_of_another(fault: Any, topic: str, clean: Drive) -> None:
     streams, _ = drive(fault)
     for other, stream in clean[0].items():
         assert same(stream, streams[other]) == (other != topic), other
@@ -308,19 +304,13 @@ def ways(fault: Any) -> tuple[float, float, float, float]:
     return rolled, float(ahead.sum()), float(left.sum()), float(np.average(middle, weights=np.abs(ahead)))
 
 
-def test_two_slipping_wheels_lose_their_share_of_the_way() -> None:
+def test_slip_and_creep_take_their_share_of_the_way() -> None:
     rolled, ahead, left, _ = ways(faults.Slip(wheel="both", ratio=0.1))
     assert ahead == pytest.approx(0.9 * rolled, abs=3e-4)
     assert left == pytest.approx(0.0, abs=1e-6)
-
-
-def test_a_robot_that_creeps_moves_sideways_by_a_share_of_its_way() -> None:
     rolled, ahead, left, _ = ways(faults.Creep(ratio=0.02))
     assert ahead == pytest.approx(rolled, abs=3e-4)  # a count is 0.16 mm
     assert left == pytest.approx(0.02 * rolled, abs=1e-5)
-
-
-def test_a_sloping_floor_takes_the_robot_downhill_whichever_way_it_looks() -> None:
     rolled, ahead, left, heading = ways(faults.Creep(ratio=0.02, downhill_deg=-60.0))
     down = math.radians(-60) - heading
     assert ahead == pytest.approx(rolled * (1 + 0.02 * math.cos(down)), abs=3e-4)
@@ -338,15 +328,12 @@ def test_a_kidnapped_robot_is_carried_while_its_wheels_turn_in_the_air() -> None
     assert steps.max() == pytest.approx(steps.min(), rel=1e-6)  # carried evenly, not thrown
 
 
-def test_a_spike_jumps_and_returns(clean: Drive) -> None:
+def test_a_spike_jumps_and_returns_and_a_counter_of_12_bits_unwraps(clean: Drive) -> None:
     spiked = matrix(drive(SENSOR_FAULTS[4][0])[0]["/joint_states"], "position")
     jump = np.round((spiked - matrix(clean[0]["/joint_states"], "position")) * 2000 / (2 * np.pi))
     assert np.flatnonzero(jump[:, 0]).tolist() == [150, 151]  # 3.00 s and 3.02 s
     assert set(jump[:, 0]) == {0.0, 5000.0}
     assert not jump[:, 1].any()
-
-
-def test_a_counter_of_12_bits_rolls_over_and_unwraps_to_the_true_one(clean: Drive) -> None:
     step = 2 * np.pi / 2000
     rolled = matrix(drive(SENSOR_FAULTS[5][0])[0]["/joint_states"], "position") / step
     assert rolled.min() >= -2048

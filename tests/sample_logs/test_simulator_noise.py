@@ -1,7 +1,5 @@
 """Every sensor's noise is what its scenario says: chi-square tests on residuals against closed forms."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 
@@ -94,13 +92,10 @@ def test_laser_rays_err_by_their_sigma_in_angle() -> None:
     assert agrees(residual)
 
 
-def test_rays_are_lost_as_often_as_asked() -> None:
+def test_rays_are_lost_as_often_as_asked_and_beyond_the_reach_they_are_infinite() -> None:
     measured = ranges(LrfSpec(lost=0.02), (3.0, 2.0, 0.5), 100)
     lost = int(np.isinf(measured).sum())
     assert binom.ppf(1e-4, measured.size, 0.02) < lost < binom.ppf(1 - 1e-4, measured.size, 0.02)
-
-
-def test_ranges_outside_the_reach_are_infinite_never_a_number() -> None:
     measured = ranges(LrfSpec(range_max=4.0, lost=0.0), (3.0, 2.0, 0.5), 20)
     assert np.isinf(measured).any()
     assert measured[np.isfinite(measured)].max() <= 4.0
@@ -208,7 +203,7 @@ def test_truth_has_no_noise_and_encoders_only_their_counts() -> None:
     assert np.abs(turned - true).max() <= 2 * math.pi / 2000
 
 
-def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_in_its_cone() -> None:
+def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_or_says_infinity() -> None:
     scenario = Scenario(room=EMPTY, landmark=HIGH)
     sonar = SonarSpec(name="front", x=0.25, yaw_deg=0.0)
     robot = standing(scenario, (5.0, 3.0, math.radians(6)))  # the wall's normal lies within the cone
@@ -216,9 +211,6 @@ def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_in_its_cone() -> None:
     measured = np.array([ranger.read(0.05)["range"] for _ in range(3000)])
     residual = (measured - (3.0 - 0.25 * math.cos(math.radians(6)))) / 0.02
     assert agrees(residual)
-
-
-def test_a_sonar_without_an_echo_says_infinity() -> None:
     scenario = Scenario(room=EMPTY, landmark=HIGH)
     ranger = Ranger(SonarSpec(name="front", x=0.2), World(scenario), standing(scenario, (2.0, 3.0, 0.0)),
                     np.random.default_rng(9))  # fmt: skip

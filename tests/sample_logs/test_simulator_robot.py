@@ -1,21 +1,23 @@
 """The robot as physics: encoders, motor control, exact motion, and a loop closed on what it has been told."""
 
-from __future__ import annotations
-
 import itertools
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from present import present
 
+from locfuse.cli.commands.simulate import simulate
 from locfuse.cli.session.simulate import localise
-from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.data import Array, LocfuseError, UsageError
 from locfuse.sample_logs import load
 from locfuse.sample_logs.follow import LegFollower, PathFollower
 from locfuse.sample_logs.messages import Pose, RawMessage, streams
 from locfuse.sample_logs.paths import polygon, tour
-from locfuse.sample_logs.record import in_memory
+from locfuse.sample_logs.record import in_memory, on_truth
 from locfuse.sample_logs.robot import SimulatedRobot, Trail, decode, phases
 from locfuse.sample_logs.scenario import Leg, Motor, Polygon, Room, Scenario, Tour, WheelsSpec
 from locfuse.sample_logs.simulate import EPOCH_NS, OBSTACLE_HEIGHT, Simulation, speed_stability
@@ -30,10 +32,14 @@ def counts_of(angle: Array, slots: int = 500) -> tuple[int, int]:
     return int(seen.counts.sum()), int(seen.missed.sum())
 
 
-def test_a_disc_of_500_slots_gives_2000_counts_a_turn_either_way() -> None:
+def test_a_disc_of_500_slots_gives_2000_counts_a_turn_and_what_is_missed_is_reported() -> None:
     forward = np.linspace(0.0, 2 * math.pi, 20_001) + 1e-4
     assert counts_of(forward) == (2000, 0)
     assert counts_of(forward[::-1]) == (-2000, 0)
+    two_counts_at_once = np.array([0.1, 2.1, 4.1, 4.2]) * 2 * math.pi / 2000
+    seen = decode(*phases(two_counts_at_once, 500))
+    assert seen.missed.tolist() == [True, True, False]
+    assert seen.counts.tolist() == [0, 0, 0]
 
 
 def test_the_decoder_agrees_with_counting_quarter_slots() -> None:
@@ -44,14 +50,7 @@ def test_the_decoder_agrees_with_counting_quarter_slots() -> None:
     np.testing.assert_array_equal(np.cumsum(counts), (quarters - quarters[0])[1:])
 
 
-def test_a_decoder_that_looks_too_seldom_reports_what_it_missed() -> None:
-    two_counts_at_once = np.array([0.1, 2.1, 4.1, 4.2]) * 2 * math.pi / 2000
-    seen = decode(*phases(two_counts_at_once, 500))
-    assert seen.missed.tolist() == [True, True, False]
-    assert seen.counts.tolist() == [0, 0, 0]
-
-
-def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
+def test_counts_never_leave_the_true_angle_and_one_read_too_seldom_says_so() -> None:
     robot = SimulatedRobot(Scenario(), (0.0, 0.0, 0.0), streams(3))
     rng = np.random.default_rng(3)
     for _ in range(300):
@@ -59,10 +58,7 @@ def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
         for wheel in robot.wheels:
             assert 0 <= wheel.angle / wheel.rad_per_count - wheel.counts < 1.0 + 1e-9
     assert sum(wheel.missed for wheel in robot.wheels) == 0
-
-
-def test_an_encoder_that_is_read_too_seldom_loses_counts_and_says_so() -> None:
-    """At 10 rad/s a disc of 500 slots gives 3183 counts/s; 2000 looks a second see two or none at once."""
+    # At 10 rad/s a disc of 500 slots gives 3183 counts/s; 2000 looks a second see two or none at once.
     robot = SimulatedRobot(Scenario(wheels=WheelsSpec(sampling=2000.0)), (0.0, 0.0, 0.0), streams(3))
     for _ in range(300):
         robot.drive((10.0, -10.0))
@@ -106,9 +102,13 @@ def test_the_rounded_rectangle_of_the_default_room_starts_and_measures_as_design
     assert path.curvature.max() == pytest.approx(1 / 0.6)
 
 
-def test_corners_that_do_not_fit_are_refused_with_the_edge() -> None:
+def test_corners_and_tours_that_do_not_fit_are_refused() -> None:
     with pytest.raises(LocfuseError, match=r"path.radius = 3.0 m does not fit: the edge after vertex 2"):
         polygon(Polygon(vertices=((0, 0), (9, 0), (9, 4), (0, 4)), radius=3.0))
+    room = Room(size=(1.0, 1.0), plates=())
+    plan = World(Scenario(room=room)).plan(OBSTACLE_HEIGHT)
+    with pytest.raises(LocfuseError, match="no tour"):
+        tour(Tour(), plan, room.size, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -120,13 +120,6 @@ def test_random_tours_stay_clear_of_everything(seed: int) -> None:
     assert 15 < len(path.pose) * 0.01 < 25
     gaps = np.hypot(*np.diff(path.pose[:, :2], axis=0).T)
     assert gaps.max() < 0.02  # in one piece
-
-
-def test_a_room_too_small_for_a_tour_is_an_error_not_an_endless_search() -> None:
-    room = Room(size=(1.0, 1.0), plates=())
-    plan = World(Scenario(room=room)).plan(OBSTACLE_HEIGHT)
-    with pytest.raises(LocfuseError, match="no tour"):
-        tour(Tour(), plan, room.size, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize(
@@ -213,13 +206,174 @@ def test_a_scan_is_cast_from_where_the_robot_is_at_each_ray() -> None:
     assert np.ptp(y[ahead]) < 0.01
 
 
-def test_a_robot_that_would_drive_into_a_wall_says_so() -> None:
+def test_a_robot_at_a_wall_and_a_drive_that_never_ends_are_stopped() -> None:
     scenario = load.load("disturbed", BLIND)
     with pytest.raises(LocfuseError, match=r"the robot hits something after 5\d.\d s: at \(2.\d\d, 0.\d\d\)"):
         in_memory(scenario, 1, localise("odometry"))
-
-
-def test_a_drive_that_never_ends_is_stopped() -> None:
     scenario = load.load("rounded_rectangle", (*BLIND, "control.time_limit=5"))
     with pytest.raises(LocfuseError, match=r"control\.time_limit = 5 s"):
         in_memory(scenario, 1)
+
+
+# --- scenarios, and the command that drives them
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(simulate, list(arguments))
+
+
+CREEP = 'faults=[{kind="creep", ratio=0.02}]'  # whose other keys are left out
+
+
+@pytest.mark.parametrize(("name", "sets"), [*((name, ()) for name in load.names()), ("tour", (CREEP,))])
+def test_a_scenario_says_what_it_is_and_survives_writing(name: str, sets: tuple[str, ...], tmp_path: Path) -> None:
+    scenario = load.load(name, sets)
+    assert 20 < len(scenario.title) < 120
+    copy = tmp_path / "copy.toml"
+    copy.write_text(load.dumps(scenario))
+    assert load.load(str(copy)) == scenario
+
+
+def test_the_same_seed_gives_the_same_drive_in_one_simulation_too() -> None:
+    scenario = load.load("tour", (*BLIND, "path.length=3"))
+    first, again, other = (in_memory(scenario, seed)[2].truth for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first[0], other[0])
+    simulation = Simulation(load.load("tour", (*BLIND, "path.length=3")), 1)
+    first, again = (simulation.run(None, lambda message: None).truth for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+
+
+def test_sources_of_chance_are_independent_of_each_other() -> None:
+    a, b, again = (streams(5)(name).standard_normal(1000) for name in ("lrf", "compass", "lrf"))
+    np.testing.assert_array_equal(a, again)
+    assert abs((a * b).mean()) < 0.12
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[wheels]\ntrak = 0.5", "no key trak in wheels; did you mean track?"),
+        ("[rom]\nsize = [3, 4]", "no key rom in a scenario; did you mean room?"),
+        ("[[faults]]\nkind = 'slipp'", "no kind slipp of faults[0]; did you mean slip?"),
+        ("[[faults]]\nkind = 'slip'\nweel = 'left'", "no key weel in faults[0]; did you mean wheel?"),
+        ("[path]\nkind = 'tour'\nradus = 1", "no key radus in path; did you mean radius?"),
+        ("[[sonar]]\nname = 'a'\nx = 1\nsigm = 1", "no key sigm in sonar[0]; did you mean sigma?"),
+        ("[lrf]\nrate = 0", "expected `float` > 0.0 - at `lrf.rate`"),
+        ("[lrf]\nrate = 'fast'", "expected `float`, got `str` - at `lrf.rate`"),
+        ("[lrf\n", "is not TOML"),
+        ("base = 'rounded_rectangel'", "did you mean rounded_rectangle?"),
+        ("base = 'hall'\n[building]\nspaces = [{name = 'a', aera = [0, 0, 1, 1]}]", "did you mean area?"),
+        ("base = 'hall'\n[building]\npeople = [{path = [[1, 2]]}]", "at least two points"),
+        ("base = 'office'\n[camera]\nenabled = true", "set camera.enabled = false"),
+        (
+            "[[faults]]\nkind = 'magnetic'\nx = 1\ny = 1\nstrength = 1\nstart = 5\nend = 4",
+            "end = 4 must come after",
+        ),
+        ("[[faults]]\nkind = 'people'\npath = [[1, 1], [2, 2]]", "a walk needs an `end`"),
+        ("[[faults]]\nkind = 'kidnap'\nx = 1\ny = 1", "a kidnapping needs an `end`"),
+        ("[[faults]]\nkind = 'slip'\nwheel = 'left'\nratio = 1.5", "`float` <= 1.0 - at `faults[0].ratio`"),
+    ],
+)
+def test_a_scenario_that_does_not_fit_is_refused_by_its_key(text: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    with pytest.raises(LocfuseError) as error:
+        load.load(str(file))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_scenario_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(LocfuseError, match="cannot be read as a scenario"):
+        load.load(str(file))
+
+
+def test_settings_take_toml_values_or_plain_text_and_reach_defaults() -> None:
+    changes = ("control.speed=0.2", "landmark.top=1.2", "camera.clockwise=true", "control.estimator=truth")
+    scenario = load.load("rounded_rectangle", changes)
+    assert scenario.control.speed == 0.2
+    assert scenario.landmark.top == 1.2
+    assert scenario.landmark.x == 7.9
+    assert scenario.camera.clockwise
+    assert scenario.control.estimator == "truth"
+
+
+@pytest.mark.parametrize("setting", ["control.speeed=0.2", "control.speed=fast", "control", "=3"])
+def test_a_setting_that_does_not_fit_is_the_command_lines_fault(setting: str) -> None:
+    with pytest.raises(UsageError):
+        load.load("rounded_rectangle", (setting,))
+
+
+def test_a_table_of_another_kind_replaces_the_old_one() -> None:
+    old = {"path": {"kind": "polygon", "radius": 0.6}, "lrf": {"x": 0.1}}
+    assert load.merge(old, {"path": {"kind": "tour"}, "lrf": {"y": 0.2}}) == {
+        "path": {"kind": "tour"},
+        "lrf": {"x": 0.1, "y": 0.2},
+    }
+
+
+def test_a_file_beats_a_shipped_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tour").write_text("title = 'mine, all mine'")
+    monkeypatch.chdir(tmp_path)
+    assert load.load("tour").title == "mine, all mine"
+
+
+def test_list_names_every_scenario_with_its_title() -> None:
+    lines = run("--list").output.splitlines()
+    assert [line.split()[0] for line in lines] == load.names()
+    assert all(len(line.split()) > 3 for line in lines)
+
+
+def test_show_prints_a_complete_scenario(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(run("disturbed", "--show", "--set", "lrf.rate=5").output)
+    scenario = load.load(str(file))
+    assert scenario.lrf.rate == 5
+    assert len(scenario.faults) == len(load.load("disturbed").faults)
+
+
+def test_a_drive_is_recorded_and_summed_up_as_json(tmp_path: Path) -> None:
+    log = tmp_path / "drive.mcap"
+    options = [text for setting in ("path.length=2", "camera.rate=0.5") for text in ("--set", setting)]
+    result = run("tour", "-o", str(log), "--seed", "4", "--json", *options)
+    assert result.exit_code == 0, result.output
+    facts = json.loads(result.output)
+    assert facts["seed"] == 4
+    assert facts["duration_s"] > 5
+    assert log.stat().st_size > 10_000
+
+
+def test_an_existing_file_is_only_replaced_when_asked(tmp_path: Path) -> None:
+    log = tmp_path / "drive.mcap"
+    log.write_bytes(b"my only bag")
+    result = run("tour", "-o", str(log))
+    assert isinstance(result.exception, UsageError)
+    assert "--overwrite" in str(result.exception)
+    assert log.read_bytes() == b"my only bag"
+
+
+@pytest.mark.parametrize("arguments", [(), ("tour",), ("nowhere", "-o", "x.mcap")])
+def test_a_command_line_that_says_too_little_is_refused(arguments: tuple[str, ...]) -> None:
+    assert isinstance(run(*arguments).exception, UsageError)
+
+
+def test_the_robot_can_steer_on_the_truth_on_odometry_or_on_the_filter() -> None:
+    """Fig. 14: with the EKF in the loop the robot comes back to its start, on odometry it does not."""
+    scenario = load.load("rounded_rectangle", ("camera.enabled=false", "lrf.rate=2"))
+    ends = {}
+    for word in ("odometry", "compass+lrf", "truth"):
+        _, _, outcome = in_memory(scenario, 1, localise(word))
+        ends[word] = float(np.hypot(*(outcome.truth[-1, :2] - (1.5, 1.5))))
+    assert ends["odometry"] > 0.5
+    assert ends["compass+lrf"] < 0.25
+    assert ends["truth"] < 0.15
+    assert localise("truth") is on_truth
+
+
+def test_steering_on_a_sensor_the_robot_lacks_is_refused() -> None:
+    tables = Simulation(Scenario(), 1).robot_tables
+    with pytest.raises(UsageError, match="this robot has no sonar; choose from truth, odometry, compass"):
+        localise("sonar")(tables)

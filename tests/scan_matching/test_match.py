@@ -1,7 +1,5 @@
 """Matching two scans: the pose between them is found; what the walls do not say is left to the prior."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ring_drive import box, scan, walls

@@ -1,7 +1,5 @@
 """The compass: conventions, offset, disturbance."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -50,10 +48,14 @@ def test_heading_numbers_follow_their_convention(convention: str, value: float, 
     np.testing.assert_allclose(m.z[:, 0], theta, atol=1e-12)
 
 
-def test_degrees_read_as_radians_are_refused_with_the_cure() -> None:
+def test_degrees_read_as_radians_are_refused_and_nan_is_left_out() -> None:
     s = stream("/heading", "std_msgs/msg/Float64", T, {"data": np.array([1.0, 2.0, 270.0, 3.0, 4.0])})
     with pytest.raises(LocfuseError, match=r"compass\.convention=enu_deg"):
         measured(s)
+    values = np.array([0.1, np.nan, 0.2, np.inf, 0.3])
+    m = measured(stream("/heading", "std_msgs/msg/Float64", T, {"data": values}))
+    assert len(m.t) == 3
+    assert m.dropped == {"not_finite": 2}
 
 
 @pytest.mark.parametrize("theta", [0.0, 1.0, 3.1, -3.1])
@@ -76,13 +78,6 @@ def test_an_imu_without_orientation_says_so() -> None:
     data = {f"orientation.{a}": np.full(n, 1.0 if a == "w" else 0.0) for a in "xyzw"}
     with pytest.raises(LocfuseError, match="no orientation"):
         measured(stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": covariance}))
-
-
-def test_nan_readings_are_counted_and_left_out() -> None:
-    values = np.array([0.1, np.nan, 0.2, np.inf, 0.3])
-    m = measured(stream("/heading", "std_msgs/msg/Float64", T, {"data": values}))
-    assert len(m.t) == 3
-    assert m.dropped == {"not_finite": 2}
 
 
 @pytest.mark.parametrize("theta", [0.0, math.pi, -math.pi + 1e-9, 12.0])
@@ -191,17 +186,15 @@ def corrected_headings(iron: Iron, read: Array) -> Array:
 
 
 @pytest.mark.parametrize(("hard", "soft"), CASES)
-def test_an_ellipse_without_noise_is_found_exactly(hard: tuple[float, ...], soft: tuple[float, ...]) -> None:
+def test_an_ellipse_is_found_exactly_and_with_the_sigmas_of_many_draws(
+    hard: tuple[float, ...], soft: tuple[float, ...]
+) -> None:
     angles = np.linspace(0.0, math.tau, 300)
     iron = fit_iron(field(hard, soft, angles))
     np.testing.assert_allclose(iron.hard, hard, atol=1e-6 * FIELD)
     error = se2.wrap_all(-corrected_headings(iron, field(hard, soft, angles)) - angles)
     np.testing.assert_allclose(error, 0.0, atol=1e-6)
     assert np.linalg.det(iron.soft) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(("hard", "soft"), CASES)
-def test_the_stated_sigmas_are_those_of_many_draws(hard: tuple[float, ...], soft: tuple[float, ...]) -> None:
     angles = np.linspace(0.0, math.tau, 400)
     found = [fit_iron(field(hard, soft, angles, noise=0.01, seed=s)) for s in range(60)]
     spread = np.std([f.hard for f in found], axis=0)
@@ -247,13 +240,10 @@ def test_a_straight_run_shows_no_iron_whatever_its_noise(seed: int) -> None:
         fit_iron(field((3e-7, -2e-7), (1.0, 1.0, 0.0), along, noise=0.01, seed=seed))
 
 
-def test_readings_on_no_ellipse_are_refused() -> None:
+def test_readings_on_no_ellipse_are_refused_and_those_of_absurd_strength_left_out() -> None:
     noise = np.random.default_rng(1).uniform(-1.0, 1.0, (500, 2))
     with pytest.raises(LocfuseError, match="ellipse"):
         fit_iron(noise)
-
-
-def test_readings_of_absurd_strength_are_left_out() -> None:
     good = np.column_stack((20e-6 * np.cos(np.arange(200.0)), 20e-6 * np.sin(np.arange(200.0))))
     readings = np.concatenate((good, [[1e200, 0.0], [math.nan, 1.0], [3e-3, 0.0]]))
     assert plausible(readings).tolist() == [True] * 200 + [False] * 3

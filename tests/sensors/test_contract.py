@@ -1,7 +1,5 @@
 """What every sensor of the registry owes the house: a new one is held to it by being registered."""
 
-from __future__ import annotations
-
 import copyreg
 import math
 from collections.abc import Iterator, Sequence
@@ -65,7 +63,7 @@ def changed(settings: Any) -> Any:
 
 
 @each_sensor
-def test_a_sensor_speaks_of_keys_that_its_table_has(sensor: Sensor) -> None:
+def test_a_sensor_speaks_of_keys_that_its_table_has_and_asks_in_words(sensor: Sensor) -> None:
     keys = set(sensor.Settings.__struct_fields__)
     bias = [key for key in sensor.bias[::3] if key is not None] if sensor.bias else []
     others = [key for key in (sensor.drift_key, sensor.scale_key) if key is not None]
@@ -73,6 +71,14 @@ def test_a_sensor_speaks_of_keys_that_its_table_has(sensor: Sensor) -> None:
     assert sensor.drift_key is None or sensor.bias is not None
     for msgtype in sensor.reads:
         assert any(sensor.concerns(key, msgtype) for key in keys)
+    for key, ask in sensor.asks.items():
+        assert len(ask.words.split()) > 3, key
+        assert key in sensor.Settings.__struct_fields__
+        assert not ask.needed or sensor.missing(sensor.Settings()) is not None
+    for key, words in sensor.guesses.items():
+        assert words.startswith("guess: "), key
+    missing = sensor.missing(sensor.Settings())
+    assert missing is None or f"{sensor.name}." in missing
 
 
 @each_sensor
@@ -84,18 +90,6 @@ def test_its_first_sigma_is_in_the_unit_of_its_first_number(sensor: Sensor) -> N
         assert getattr(sensor.Settings(), key) > 0.0
     with pytest.raises(ValueError, match=sensor.noise_keys[0]):
         sensor.Settings(**dict[str, Any]({sensor.noise_keys[0]: 0.0}))
-
-
-@each_sensor
-def test_init_asks_in_words(sensor: Sensor) -> None:
-    for key, ask in sensor.asks.items():
-        assert len(ask.words.split()) > 3, key
-        assert key in sensor.Settings.__struct_fields__
-        assert not ask.needed or sensor.missing(sensor.Settings()) is not None
-    for key, words in sensor.guesses.items():
-        assert words.startswith("guess: "), key
-    missing = sensor.missing(sensor.Settings())
-    assert missing is None or f"{sensor.name}." in missing
 
 
 # ---- needs ----
@@ -115,17 +109,13 @@ def test_a_sensor_needs_registered_others_and_says_why(sensor: Sensor) -> None:
 
 
 @each_sensor
-def test_measurements_have_the_numbers_that_it_names(sensor: Sensor) -> None:
+def test_measurements_have_the_numbers_that_it_names_later_by_its_time_offset(sensor: Sensor) -> None:
     m = six_sensors.drive()[0].measurements[sensor.name]
     d = len(sensor.components)
     assert m.z.shape[1] == d
     assert m.R_unit.shape[1:] == m.floor.shape == (d, d)
     assert m.first[-1] == len(m.z) > 0
     assert (np.diff(m.t) >= 0.0).all()
-
-
-@each_sensor
-def test_a_time_offset_is_added_to_its_stamps(sensor: Sensor) -> None:
     drive, robot = six_sensors.drive()
     stream: Any = six_sensors.streams()[0][sensor.name]
     settings = robot.settings(sensor.name)
@@ -345,7 +335,7 @@ def moved(s: Innovation, model: Model, m: Measurements, i: int, belief: JointBel
 
 
 @each_sensor
-def test_components_have_names_and_units(sensor: Sensor) -> None:
+def test_components_and_states_have_names_and_units(sensor: Sensor) -> None:
     shown = [*sensor.components, *(c for state in sensor.states.values() for c in state)]
     assert shown
     for c in shown:
@@ -353,10 +343,6 @@ def test_components_have_names_and_units(sensor: Sensor) -> None:
     names = [c.name for c in sensor.components]
     assert len(set(names)) == len(names)
     assert all(name.isidentifier() for name in names)
-
-
-@each_sensor
-def test_every_state_that_a_report_draws_has_a_name(sensor: Sensor) -> None:
     blocks = [b for v in VARIANTS.get(sensor.name, [{}]) for b in blocks_of(sensor, v.get(sensor.name, {}))]
     for name, width in blocks:
         if not name.startswith("_"):

@@ -1,7 +1,5 @@
 """GPS: metres against published geodesic lengths, and a frame that is found without a guess."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

@@ -1,7 +1,5 @@
 """The gyro: turns against a kept heading, held to a batch solution of the same measurements."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Landmarks with ids: range and bearing to a known map, and what is wrong with a map."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -428,7 +426,7 @@ def test_the_labyrinth_is_driven_from_an_unknown_start() -> None:
     assert 0.7 < table["ranges"]["anees"] < 1.5
 
 
-def test_the_start_is_exact_where_the_ranges_are() -> None:
+def test_start_and_anchors_are_exact_where_the_ranges_are() -> None:
     t, angle = angles(20.0)
     rel = path_of(angle)[::10]
     true, ids = moved(rel), np.arange(len(rel)) % 4 + 1
@@ -436,9 +434,6 @@ def test_the_start_is_exact_where_the_ranges_are() -> None:
     ranges = np.hypot(*(true[:, :2] - at).T) + TOO_LONG
     found = present(start_among(at, rel[:, :2], t[::10], ranges, (0.05, 0.2)))
     assert found.values == pytest.approx([*START, TOO_LONG], abs=2e-3)
-
-
-def test_an_anchor_is_exact_where_the_ranges_are() -> None:
     t, angle = angles(20.0)
     rel = path_of(angle)[::10]
     ranges = np.hypot(*(rel[:, :2] - ANCHORS[1]).T)

@@ -1,7 +1,5 @@
 """The laser: Jacobians by finite differences, frames, deskewing, and what must not be matched."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Somebody else's poses and speeds, in the map, in a frame of their own, or drifting: consistent by truth."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The beacon of tests/helpers/beacon.py is laid down as an installed package, a lo
 nothing else is touched.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -100,15 +98,12 @@ def compared(log: Path) -> Path:
     return out
 
 
-def test_info_says_what_reads_it_and_what_it_lacks(log: Path) -> None:
+def test_info_says_what_reads_it_and_init_asks_for_its_place(log: Path) -> None:
     done = locfuse("info", log)
     assert "not yet  beacon: beacon.place is not set" in done.stdout
     known = json.loads(locfuse("info", log, "--json", *SET).stdout)
     assert known["roles"]["beacon"]["topics"] == ["/beacon/range"]
     assert known["configurations"]["beacon"] is None
-
-
-def test_init_asks_for_its_place(log: Path) -> None:
     done = locfuse("init", log)
     table = done.stdout.partition("[beacon]")[2].partition("\n[")[0]
     assert 'topic = "/beacon/range"' in table
@@ -116,7 +111,7 @@ def test_init_asks_for_its_place(log: Path) -> None:
     assert "beacon.place" in done.stderr
 
 
-def test_compare_lists_it_and_it_helps(compared: Path) -> None:
+def test_compare_lists_it_it_helps_and_the_report_names_it_with_its_unit(compared: Path) -> None:
     rows = (compared.parent / "stdout.txt").read_text().splitlines()
     assert any(row.split()[:1] == ["beacon"] for row in rows)
     assert any(row.split()[:2] == ["all", "beacon"] for row in rows)
@@ -124,9 +119,6 @@ def test_compare_lists_it_and_it_helps(compared: Path) -> None:
     alone, without = (report["configurations"][name] for name in ("beacon", "odometry"))
     assert alone["sensors"]["beacon"]["accepted"] > 50
     assert alone["position_rmse_m"] < without["position_rmse_m"]
-
-
-def test_report_and_figures_name_it_with_its_unit(compared: Path) -> None:
     page = (compared / "report.html").read_text()
     assert "beacon: innovation of range" in page
     assert "beacon range, m" in page
@@ -177,9 +169,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("code", BROKEN, ids=list(BROKEN.values()))
-def test_a_broken_package_is_one_line_with_a_fix(
-    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_package_is_a_line_with_a_fix(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = package(tmp_path, "broken_beacon:Beacon", "locfuse-broken", code)
     monkeypatch.setitem(sys.modules, "beacon_of_tests", beacon)
     monkeypatch.delitem(sys.modules, "broken_beacon", raising=False)

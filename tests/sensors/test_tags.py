@@ -1,7 +1,5 @@
 """Tags as their detectors publish them: poses in a camera's frame, or pixels; with a known map and without."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -377,7 +375,9 @@ RELEASES = pytest.mark.parametrize(
 
 
 @RELEASES
-def test_tags_in_pictures_of_every_release(results: str, centre: str, tracked: bool, tmp_path: Path) -> None:
+def test_tags_in_pictures_and_with_places_of_every_release(
+    results: str, centre: str, tracked: bool, tmp_path: Path
+) -> None:
     """A point to the right of the middle of the picture has a negative bearing: -atan2(right, ahead)."""
     boxes = []
     for tag, (right, ahead) in TAGS.items():
@@ -390,10 +390,6 @@ def test_tags_in_pictures_of_every_release(results: str, centre: str, tracked: b
     bearings = [-math.atan2(*TAGS[tag]) for tag in (3, 12, 12)]
     np.testing.assert_allclose(found.bearings, bearings, atol=1e-12)
     assert found.ranges is None
-
-
-@RELEASES
-def test_tags_with_places_of_every_release(results: str, centre: str, tracked: bool, tmp_path: Path) -> None:
     tags = [
         {"results": [hypothesis(results, tag)], "bbox": {"center": {"position": {"x": right, "z": ahead}}}}
         for tag, (right, ahead) in TAGS.items()
@@ -404,12 +400,9 @@ def test_tags_with_places_of_every_release(results: str, centre: str, tracked: b
     np.testing.assert_allclose(found.ranges, [math.hypot(*place) for place in TAGS.values()] * 2, atol=1e-12)
 
 
-def test_an_id_of_a_tracker_comes_before_the_class(tmp_path: Path) -> None:
+def test_an_id_of_a_tracker_comes_before_the_class_and_words_are_no_landmarks(tmp_path: Path) -> None:
     tag = {"id": "7", "results": [hypothesis(NESTED, 3)], "bbox": {"center": {"position": {"z": 2.0}}}}
     assert seen(tmp_path, 3, release(NESTED, POINTED, True), [[tag]]).ids.tolist() == [7]
-
-
-def test_objects_whose_classes_are_words_are_no_landmarks(tmp_path: Path) -> None:
     chair = {"results": [{"hypothesis": {"class_id": "chair"}}], "bbox": {"center": {"position": {"z": 2.0}}}}
     assert seen(tmp_path, 3, release(NESTED, POINTED, True), [[chair]]).ids.tolist() == [NO_ID]
 

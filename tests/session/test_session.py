@@ -1,9 +1,12 @@
 """A session and its results: the commands' files byte for byte, arrays, tables, and what a notebook shows."""
 
-from __future__ import annotations
-
+import base64
 import csv
+import json
 import re
+import shutil
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +14,11 @@ import numpy as np
 import pytest
 from commands import locfuse as command
 from commands import ok
+from hostile import write
 
 import locfuse
 from locfuse.cli.analysis import load
+from locfuse.cli.session.python_words import in_python, in_tools
 from locfuse.fusion.camera import detect
 from locfuse.fusion.fuse import BLOCK_INSTANTS
 from locfuse.fusion.lines.scans import lines_in_base
@@ -48,9 +53,7 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_other_settings_do_not_decode_the_pictures_again(
-    session: locfuse.Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_settings_decode_no_picture_again(session: locfuse.Session, monkeypatch: pytest.MonkeyPatch) -> None:
     looked: list[Any] = []
 
     def none(stream: Any, by: Any) -> list[Any]:
@@ -159,15 +162,12 @@ def test_a_set_keeps_the_type_of_its_value(value: Any, text: str) -> None:
     assert np.array_equal(back, value)
 
 
-def test_poses_and_covariances_have_the_shapes_the_page_promises(compared: locfuse.Comparison) -> None:
+def test_a_result_has_the_shapes_of_the_page_and_says_what_it_is_of(compared: locfuse.Comparison) -> None:
     e = compared.estimates["lrf"]
     assert e.pose.shape == (len(e.t), 3)
     assert e.P.shape == (len(e.t), 3, 3)
     np.testing.assert_array_equal(e.t, compared.drive.t)
     assert len(e.audits["lrf"].nis) > 1000
-
-
-def test_a_result_says_what_it_is_of_as_values(compared: locfuse.Comparison) -> None:
     e = compared.estimates["compass+lrf@2Hz-smoothed"]
     assert (e.configuration, e.smoothed, e.sensors, e.rates) == (
         "compass+lrf@2Hz", True, ("compass", "lrf"), {"lrf": 2.0},
@@ -178,32 +178,15 @@ def test_a_result_says_what_it_is_of_as_values(compared: locfuse.Comparison) -> 
     assert compared.evaluations[e.name].name == e.name
 
 
-def test_the_table_has_the_columns_and_figures_of_the_csv(compared: locfuse.Comparison, by_command: Path) -> None:
+def test_the_table_is_that_of_the_csv_and_what_is_printed_one_short_line(
+    compared: locfuse.Comparison, by_command: Path, session: locfuse.Session
+) -> None:
     with (by_command / "report.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     table = compared.table()
     assert [list(row) for row in table] == [list(row) for row in rows]
     for row, text in zip(table, rows, strict=True):
         assert {k: "" if v is None else str(v) for k, v in row.items()} == text
-
-
-def test_a_notebook_shows_verdicts_and_the_main_table(compared: locfuse.Comparison) -> None:
-    page = compared._repr_html_()
-    words = re.split("<[^>]*>", page)
-    assert f"lrf {compared.verdicts['lrf']['verdict']}." in words
-    assert f"{1000.0 * compared.report['configurations']['lrf']['position_rmse_m']:.1f}" in words
-    assert page.count("<tr") == 1 + len(compared.estimates)
-
-
-def test_text_from_a_log_is_no_markup_in_a_notebook(compared: locfuse.Comparison) -> None:
-    from locfuse.formats.report import notebook
-
-    evil = "<script>alert(1)</script>"
-    report = {**compared.report, "verdicts": {"lrf": {"verdict": "helps", "words": evil}}}
-    assert "<script" not in notebook.render(report)
-
-
-def test_what_is_printed_is_one_short_line(session: locfuse.Session, compared: locfuse.Comparison) -> None:
     for thing in (session, compared, compared.estimates, session.run("odometry", advice=False)):
         assert "\n" not in repr(thing)
         assert len(repr(thing)) < 200
@@ -211,9 +194,22 @@ def test_what_is_printed_is_one_short_line(session: locfuse.Session, compared: l
     assert "no truth" in repr(locfuse.load(LOG, between=(None, TO), sets={"truth.topic": "none"}))
 
 
-def test_step_by_step_gives_the_numbers_of_the_session(
-    session: locfuse.Session, compared: locfuse.Comparison
+def test_a_notebook_shows_verdicts_and_the_main_table_without_markup_of_a_log(
+    compared: locfuse.Comparison,
 ) -> None:
+    page = compared._repr_html_()
+    words = re.split("<[^>]*>", page)
+    assert f"lrf {compared.verdicts['lrf']['verdict']}." in words
+    assert f"{1000.0 * compared.report['configurations']['lrf']['position_rmse_m']:.1f}" in words
+    assert page.count("<tr") == 1 + len(compared.estimates)
+    from locfuse.formats.report import notebook
+
+    evil = "<script>alert(1)</script>"
+    report = {**compared.report, "verdicts": {"lrf": {"verdict": "helps", "words": evil}}}
+    assert "<script" not in notebook.render(report)
+
+
+def test_step_by_step_gives_a_session_s_numbers(session: locfuse.Session, compared: locfuse.Comparison) -> None:
     for sensors, name in (("lrf", "lrf"), (["compass", "lrf@2Hz"], "compass+lrf@2Hz")):
         filtered = locfuse.fuse(session.drive, session.robot, sensors)
         np.testing.assert_array_equal(filtered.pose, compared.estimates[name].pose)
@@ -242,13 +238,10 @@ def test_a_map_of_one_run_is_localised_in_by_another_and_the_session_stays_as_it
     assert again.run("lrf", advice=False).report["settings"]["lrf"]["map"] == "given"
 
 
-def test_a_log_opens_without_being_measured() -> None:
+def test_a_log_opens_without_being_measured_and_progress_names_the_steps() -> None:
     log = locfuse.open_log(LOG)
     assert log.topics["/scan"].count == 548
     assert len(log.stream("/scan").columns("range_max")["range_max"]) == 548
-
-
-def test_progress_names_the_steps() -> None:
     steps: list[str] = []
     locfuse.load(LOG, progress=steps.append).run("odometry", advice=False)
     assert steps[:4] == ["opening", "reading", "measuring the wheels", "measuring compass"]
@@ -308,3 +301,214 @@ def test_a_simulated_drive_is_the_commands_log_and_a_temporary_one_goes_with_its
     assert not path.parent.exists()
     with pytest.raises(locfuse.LocfuseError, match="exists"):
         locfuse.simulate("straight_runs", tmp_path / "b.mcap", sets=sets)
+
+
+# --- the rest of the command line in Python: the same values and files, words of Python
+
+
+@pytest.fixture(scope="module")
+def three(session: locfuse.Session) -> locfuse.Comparison:
+    return session.compare(["odometry", "compass", "lrf"])
+
+
+def test_info_gives_what_the_command_prints_also_where_nothing_runs_yet() -> None:
+    sets = ("--set", "wheels.radius=-1")
+    for words, settings in (((), None), (sets, {"wheels.radius": -1})):
+        done = command("info", LOG, "--json", *words)
+        if done.exit_code in {0, 3}:
+            assert locfuse.info(LOG, sets=settings) == json.loads(done.stdout)
+        else:
+            with pytest.raises(locfuse.LocfuseError):
+                locfuse.info(LOG, sets=settings)
+    assert locfuse.load(LOG).info() == locfuse.info(LOG)
+
+
+def test_tuning_gives_the_commands_values_and_its_file(tmp_path: Path) -> None:
+    log, sets = write(tmp_path / "drive.mcap", seconds=10.0), ("--set", "compass.sigma_deg=9")
+    done = ok("tune", log, "--sensors", "compass", *sets, "--json", "-o", tmp_path / "a.toml")
+    found = locfuse.load(log).with_settings({"compass.sigma_deg": 9}).tune(sensors="compass")
+    assert json.loads(done.stdout) == json.loads(json.dumps(found.values()))
+    assert found.write(tmp_path / "b.toml").read_text() == (tmp_path / "a.toml").read_text()
+    assert "compass.sigma_deg=" in repr(found)
+    with pytest.raises(locfuse.LocfuseError, match="overwrite=True"):
+        found.write(tmp_path / "b.toml")
+
+
+def test_calibrating_gives_the_commands_values_and_its_file(tmp_path: Path) -> None:
+    done = ok("calibrate", LOG, "rounded_triangle", "--json", "-o", tmp_path / "a.toml")
+    found = locfuse.load(LOG).calibrate("rounded_triangle")
+    assert json.loads(done.stdout) == json.loads(json.dumps(found.values()))
+    assert found.write(tmp_path / "b.toml").read_text() == (tmp_path / "a.toml").read_text()
+    assert found._repr_html_().count("<tr>") == 1 + len(found.rows())
+
+
+def test_a_result_says_what_its_report_says_and_columns_are_data_frames(three: locfuse.Comparison) -> None:
+    assert three.headline == three.report["headline"]
+    assert three.findings == three.report["findings"]
+    assert locfuse.Summary({"a": three}).headline
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(three.audit("lrf", "lrf"))
+    assert frame[frame["verdict"] == "accepted"]["nis"].notna().all()
+    assert len(pandas.DataFrame(three.errors("lrf"))) > 100
+
+
+def test_errors_and_audits_are_columns_as_the_report_counts(three: locfuse.Comparison) -> None:
+    errors = three.errors("lrf")
+    assert list(errors) == ["t", "dx", "dy", "heading", "nees"]
+    assert len({len(column) for column in errors.values()}) == 1
+    rmse = np.sqrt(np.mean(errors["dx"] ** 2 + errors["dy"] ** 2))
+    assert rmse == pytest.approx(three.evaluations["lrf"].figures["position_rmse_m"])
+    with pytest.raises(locfuse.LocfuseError, match="did you mean lrf"):
+        three.errors("lrg")
+    audit = three.audit("lrf", "lrf")
+    names, counts = np.unique(audit["verdict"], return_counts=True)
+    reported = three.report["configurations"]["lrf"]["sensors"]["lrf"]["verdicts"]
+    assert dict(zip(names.tolist(), counts.tolist(), strict=True)) == {k: v for k, v in reported.items() if v}
+    assert {"innovation_r", "sigma_r", "innovation_psi", "sigma_psi"} < set(audit)
+    assert np.all(np.diff(audit["t"]) >= 0.0)
+
+
+def test_plot_draws_every_path_on_the_axes_given(three: locfuse.Comparison) -> None:
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    assert three.plot(axes) is axes
+    names = axes.get_legend_handles_labels()[1]
+    assert {"odometry", "compass", "lrf", "truth"} <= set(names)
+    ends = {tuple(np.round((line.get_xdata()[-1], line.get_ydata()[-1]), 1)) for line in axes.lines}
+    assert tuple(np.round(three.estimates["odometry"].pose[-1, :2], 1)) in ends
+
+
+def test_plot_without_matplotlib_is_the_figure(three: locfuse.Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("matplotlib", "matplotlib.pyplot"):
+        monkeypatch.setitem(sys.modules, name, None)
+    svg = three.plot()._repr_svg_()
+    assert svg.startswith('<svg xmlns="http://www.w3.org/2000/svg"')
+    assert svg.count("<svg") == svg.count("</svg>") == svg.count("<style>") == 1
+
+
+def test_a_notebook_shows_headline_findings_and_the_paths_of_a_run_too(session: locfuse.Session) -> None:
+    run = session.run("compass", advice=False)
+    shown = run._repr_html_()
+    assert "<table" in shown
+    (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', shown)
+    assert b"<title>compass</title>" in base64.b64decode(picture)
+    run.report["headline"] = "<b>0</b>"
+    assert "<b>0</b>" not in run._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("typed", "spoken"),
+    [
+        ("--set wheels.track=1 --set 'lrf.topic=/a b'", 'sets={"wheels.track": 1, "lrf.topic": "/a b"}'),
+        ("--set beacon.place=[X,Y]", 'sets={"beacon.place": [X,Y]}'),
+        ("give one with --set wheels.radius=", 'give one with sets={"wheels.radius": ...}'),
+        ("--set wheels.track=<metres> helps", 'sets={"wheels.track": <metres>} helps'),
+        ("--align origin judges", 'align="origin" judges'),
+        ("--reference: this log has a truth", "reference: this log has a truth"),
+        ("--no-reference or --smooth", "reference=False or smooth=True"),
+        ("--from 3 --to 9: the drive ends", "between=(3, 9): the drive ends"),
+        ("see: locfuse info a.mcap", 'see: locfuse.info("a.mcap")'),
+        (
+            "see: locfuse info a.mcap --robot r.toml --set wheels.track=1 --check",
+            'see: locfuse.load("a.mcap", robot="r.toml", sets={"wheels.track": 1}).findings()',
+        ),
+        ("2 -- 3 of log--7.mcap", "2 -- 3 of log--7.mcap"),
+    ],
+)  # fmt: skip
+def test_options_become_keywords(typed: str, spoken: str) -> None:
+    assert in_python(typed) == spoken
+    assert in_python(spoken) == spoken
+
+
+@pytest.mark.parametrize(
+    ("typed", "spoken"),
+    [
+        ("--set lrf.walls=flat --set a.b=true", 'settings={"lrf.walls": "flat", "a.b": true}'),
+        ("see: locfuse info a.mcap --set a.b=1 --check", 'see: info("a.mcap", settings={"a.b": 1}, check=true)'),
+        ("see: locfuse calibrate a.mcap --set a.b=1", 'see: calibrate(["a.mcap"], settings={"a.b": 1})'),
+        ("see: locfuse compare a.mcap", 'see: compare("a.mcap")'),
+        ("judge the shape with --align origin", 'judge the shape with align="origin"'),
+    ],
+)
+def test_options_become_arguments_of_tools(typed: str, spoken: str) -> None:
+    assert in_tools(typed) == spoken
+
+
+def test_errors_speak_python_and_the_command_its_own_words(session: locfuse.Session, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    wrong: dict[str, Callable[[], Any]] = {
+        "sets": lambda: session.with_settings({"lrf.topic": "/x"}),
+        "jitter=-1": lambda: session.compare(jitter=-1),
+        "reference": lambda: session.compare(reference=True),
+        "sensors": lambda: session.run("bacon"),
+        "estimates": lambda: session.compare(estimates={"amcl": "/nowhere"}),
+        "write": lambda: session.run("odometry").write(tmp_path / "new", write="pdf"),
+        "overwrite=True": lambda: session.run("odometry").write(tmp_path / "out"),
+        'sets={"wheels.track"': lambda: locfuse.load(LOG, sets=["wheels.track"]),
+    }
+    for word, call in wrong.items():
+        with pytest.raises(locfuse.LocfuseError) as problem:
+            call()
+        assert word in str(problem.value), problem.value
+        assert "--" not in str(problem.value)
+    done = command("run", LOG, "--sensors", "odometry", "-o", tmp_path / "out")
+    assert "--overwrite" in done.stderr
+
+
+# --- several logs in Python and on the command line: the same files, one log at a time
+
+
+LIGHT = {
+    "camera.enabled": False,
+    "lrf.enabled": False,
+    "path.legs": [{"forward": 1.5}, {"turn_deg": 180}, {"forward": 1.5}],
+}
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("drives")
+    for seed, name in enumerate(("monday", "tuesday")):
+        locfuse.simulate("straight_runs", folder / f"{name}.mcap", seed=seed, sets=LIGHT)
+    return [folder / "monday.mcap", folder / "tuesday.mcap"]
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("write", [None, "md,tum"])
+def test_a_summary_writes_the_files_byte_for_byte(drives: list[Path], tmp_path: Path, write: str | None) -> None:
+    words = ("--write", write) if write else ()
+    ok("compare", *drives, "-o", tmp_path / "a", *words)
+    written = locfuse.compare(*drives).write(tmp_path / "b", write=write)
+    assert tree(tmp_path / "a") == tree(tmp_path / "b")
+    assert {p.name for p in written} == {p.name for p in (tmp_path / "a").iterdir() if p.is_file()}
+
+
+def test_a_summary_holds_every_logs_comparison_and_table(drives: list[Path]) -> None:
+    summary = locfuse.compare(*drives, sensors=["odometry", "compass"])
+    assert list(summary.results) == ["monday", "tuesday"]
+    rows = summary.table()
+    assert [(r["log"], r["configuration"]) for r in rows] == [
+        (log, name) for log in ("monday", "tuesday") for name in ("odometry", "compass")
+    ]
+    alone = locfuse.compare(drives[1], sensors=["odometry", "compass"], smooth=False)
+    one = summary.results["tuesday"].report
+    same = {"findings": alone.report["findings"], "fixes": alone.report["fixes"]}
+    assert {**one, **same} == {**alone.report, "measured": one["measured"]}
+    assert one["findings"] is None  # several logs are compared, a single one is evaluated
+    mean = sum(r["position_rmse_m"] for r in rows if r["configuration"] == "compass") / 2
+    assert summary.report["configurations"]["compass"]["figures"]["position_rmse_m"]["mean"] == pytest.approx(mean)
+    assert f"{mean:.4f}" in summary._repr_html_()
+    assert repr(summary).startswith("<Summary of monday, tuesday: Best is ")
+
+
+def test_a_list_is_one_log_and_the_same_log_twice_is_one(drives: list[Path], tmp_path: Path) -> None:
+    assert list(locfuse.compare(drives[0], drives[0], sensors="odometry").results) == ["monday"]
+    twin = tmp_path / "monday.mcap"
+    shutil.copy(drives[0], twin)
+    both = locfuse.compare([drives[0]], [twin], sensors="odometry")
+    assert list(both.results) == ["monday", "monday_2"]

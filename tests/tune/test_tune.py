@@ -1,7 +1,5 @@
 """Noise by likelihood: the tape against the filter itself, and tuning against the noise that was drawn."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

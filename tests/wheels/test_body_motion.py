@@ -1,7 +1,5 @@
 """Motion as strangers record it: frames in /tf, twists, wheel speeds, steering; each gives its own path."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -107,10 +105,13 @@ def test_frames_of_tf_are_chained_and_the_slower_one_is_interpolated(tmp_path: P
     np.testing.assert_allclose(backward, -(c * CIRCLE[:, 0] + s * CIRCLE[:, 1]), atol=1e-9)
 
 
-def test_frames_that_loop_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_frames_that_loop_or_are_not_there_are_one_line(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", tf(T, CIRCLE), tf(T, CIRCLE, "base_link", "odom"))
     assert "frames form a loop: base_link -> odom -> base_link" in refused("run", log, "-o", tmp_path / "out")
     assert "  /tf: frames form a loop: base_link -> odom -> base_link\n" in locfuse("info", log).stdout
+    log = log_of(tmp_path / "x.mcap", tf(T, CIRCLE))
+    refusal = refused("run", log, "-o", tmp_path / "out", "--set", "wheels.topic=/tf:odom:base_footprint")
+    assert "/tf has no frame base_footprint; it has base_link, odom" in refusal
 
 
 def test_two_frames_of_tf_are_the_truth_where_they_are_named(tmp_path: Path) -> None:
@@ -121,12 +122,6 @@ def test_two_frames_of_tf_are_the_truth_where_they_are_named(tmp_path: Path) -> 
     found = reported("compare", log, *words).rows["odometry"]
     expected = 0.1 * math.sqrt(float(np.square(CIRCLE[:, :2]).sum(axis=1).mean()))
     assert found["position_rmse_m"] == pytest.approx(expected, rel=1e-3)
-
-
-def test_a_frame_that_is_not_there_is_named(tmp_path: Path) -> None:
-    log = log_of(tmp_path / "x.mcap", tf(T, CIRCLE))
-    refusal = refused("run", log, "-o", tmp_path / "out", "--set", "wheels.topic=/tf:odom:base_footprint")
-    assert "/tf has no frame base_footprint; it has base_link, odom" in refusal
 
 
 @pytest.mark.parametrize("wrap", [1, 2], ids=["TwistStamped", "TwistWithCovarianceStamped"])
@@ -340,9 +335,7 @@ def test_an_odometry_that_stands_while_fixes_move_is_refused_in_words(tmp_path: 
 
 
 @pytest.mark.parametrize(("mirrored", "signs"), [("right", (1, -1)), ("left", (-1, 1)), ("both", (-1, -1))])
-def test_a_mirrored_wheel_does_not_hide_radius_and_track(
-    mirrored: str, signs: tuple[int, int], tmp_path: Path
-) -> None:
+def test_mirrored_wheels_hide_no_radius_and_track(mirrored: str, signs: tuple[int, int], tmp_path: Path) -> None:
     t, angle = angles(40.0)
     poses = np.array([pose_of(angle[: i + 1]) for i in range(0, len(t), 5)])
     log = log_of(tmp_path / "x.mcap", joint_states(t, angle * signs), odometry(t[::5], poses))

@@ -1,20 +1,20 @@
 """Calibration against closed forms, against noise that was drawn, and against the simulator."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import locfuse, ok, refused
+from bags import real_log
+from commands import locfuse, ok, refused, reported
 from msgspec.structs import replace
 from scipy.stats import chi2
+from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
 from benchmarks.experiment import simulated
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, LocfuseError, Measurements, Truth
+from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth
 from locfuse.fusion.wheels.calibrate import (
     STRAIGHT,
     TURN,
@@ -24,6 +24,9 @@ from locfuse.fusion.wheels.calibrate import (
     find_pieces,
     find_runs,
 )
+from locfuse.fusion.wheels.calibrate_by_gyro import calibrate_by_gyro
+from locfuse.fusion.wheels.calibrate_by_scans import NAMES, LaserCalibration, ScanMotions, calibrate, first_guess
+from locfuse.fusion.wheels.calibrate_by_scans import Intervals as Pieces
 from locfuse.fusion.wheels.motion import Wheels
 
 K, TRACK = 4e-4, 0.6
@@ -81,15 +84,12 @@ def legs(
     )
 
 
-def test_straight_runs_and_turns_are_found_with_their_directions() -> None:
+def test_straight_runs_and_turns_are_found_and_arcs_and_short_moves_are_neither() -> None:
     runs = find_runs(legs(0, [("forward", 3.0), ("turn", 2.0), ("forward", -2.0), ("turn", -6.0)]).wheels)
     kinds, starts, ends = zip(*runs, strict=True)
     assert kinds == (STRAIGHT, TURN, STRAIGHT, TURN)
     lengths = (np.array(ends) - starts) * 0.3 / np.array([3.0, 0.3 * 2.0, 2.0, 0.3 * 6.0])
     np.testing.assert_allclose(lengths, 1.0, atol=0.15)
-
-
-def test_arcs_and_short_moves_are_neither() -> None:
     t = np.arange(0.0, 20.0, 0.02)
     arc = Wheels.from_wheels(t, 0.2 * t, 0.4 * t, TRACK, K)
     assert len(find_runs(arc)) == 0
@@ -125,9 +125,7 @@ def test_without_truth_noise_the_interval_is_the_chi_square_one() -> None:
 
 
 @pytest.mark.parametrize("plan", [STRAIGHT_RUNS, TURNS], ids=["straight", "turns"])
-def test_the_noise_that_was_drawn_lies_in_its_interval_as_often_as_that_says(
-    plan: list[tuple[str, float]],
-) -> None:
+def test_the_noise_drawn_lies_in_its_interval_as_often_as_that_says(plan: list[tuple[str, float]]) -> None:
     found = [calibrate_wheels([legs(1000 + seed, plan)]).k for seed in range(20)]
     assert sum(f.low <= K <= f.high for f in found) >= 17  # of 95 %: fewer in one of 60 such tests
     assert np.mean([f.value for f in found]) == pytest.approx(K, rel=0.06)
@@ -256,3 +254,204 @@ def test_a_log_that_allows_nothing_says_why(tmp_path: Path) -> None:
     refusal = refused("calibrate", log)
     assert "straight runs" in refusal
     assert "magnetometer" in refusal
+
+
+# --- wheels calibrated by a gyro
+
+GYRO_TRACK, RATIO, DELAY, BIAS = 0.42, 1.03, 0.3, 0.002
+WHITE = 1e-4
+
+
+def drive(noise: float, seed: int = 0, track: float = 0.3) -> tuple[Wheels, Array, Array]:
+    """Wheels told by another track, which slip by `noise` per metre, and a late gyro of the true turns."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 300.0, 0.05)
+    speed = 0.5 + 0.2 * np.sin(0.13 * t)
+    rate = 0.5 * np.sin(0.31 * t) + 0.3 * np.sin(0.05 * t)
+    true = np.stack((speed - 0.5 * GYRO_TRACK * rate, speed + 0.5 * GYRO_TRACK * rate), axis=-1)[1:] * 0.05
+    share = np.array([2.0 / (1.0 + RATIO), 2.0 * RATIO / (1.0 + RATIO)])
+    counted = true / share + rng.normal(0.0, 1.0, true.shape) * np.sqrt(noise * np.abs(true))
+    left, right = (np.append(0.0, np.cumsum(side)) for side in counted.T)
+    turned = np.append(0.0, np.cumsum((true[:, 1] - true[:, 0]) / GYRO_TRACK))
+    own = turned + BIAS * t + np.append(0.0, np.cumsum(rng.normal(0.0, WHITE * math.sqrt(0.05), len(t) - 1)))
+    return Wheels.from_wheels(t, left, right, track, 4e-4), t - DELAY, own
+
+
+def test_track_and_ratio_are_found_within_what_is_claimed_and_the_noise_at_every_scale() -> None:
+    noise = 2e-4
+    found = calibrate_by_gyro([drive(noise, seed, 0.36) for seed in (1, 2)], 0.0, WHITE)
+    ratio = (2.0 + found.parameters[1]) / (2.0 - found.parameters[1])
+    track = 0.36 * (1.0 + found.parameters[2])
+    assert found.slides == 0.0
+    assert ratio == pytest.approx(RATIO, abs=4.0 * found.sigmas[1])
+    assert track == pytest.approx(GYRO_TRACK, abs=4.0 * 0.3 * found.sigmas[2])
+    assert max(found.sigmas[1:]) < 0.01
+    assert math.isnan(found.sigmas[0])  # a gyro knows no lengths
+    assert found.delay == pytest.approx(DELAY, abs=0.05)
+    assert list(found.noise.values())[2:] == pytest.approx([noise] * 3, rel=0.5)
+
+
+def test_what_both_sides_of_a_skidding_robot_slide_together_is_in_the_noise() -> None:
+    """Both wheels slide alike, anything up to twice the mean in 10 s: its error is as claimed, of 20 drives."""
+    ratios = []
+    for seed in range(20):
+        wheels, t, own = drive(1e-6, seed)
+        rng = np.random.default_rng(1000 + seed)
+        slides = 0.5 * (GYRO_TRACK - wheels.track)
+        turned = np.interp(np.arange(0.0, 300.1, 10.0), t + DELAY, own - BIAS * t)
+        slid = float((rng.uniform(-1.0, 1.0, 30) * slides * np.abs(np.diff(turned))).sum())
+        found = calibrate_by_gyro([(wheels, t, own)], 0.0, WHITE)
+        assert found.slides == pytest.approx(slides, rel=0.1)
+        claimed = 0.25 * found.k.value * float(np.abs(wheels.rolled).sum())  # variance of the mean of both wheels
+        ratios.append(slid**2 / claimed)
+    assert 0.25 < np.mean(ratios) < 2.0  # half: the two wheels of the model slide independently
+
+
+def test_a_drive_that_hardly_turns_and_one_that_turns_otherwise_are_refused() -> None:
+    wheels, t, own = drive(1e-4)
+    with pytest.raises(LocfuseError, match="at least 180 degrees"):
+        calibrate_by_gyro([(wheels, t, 0.001 * own)], 0.0, WHITE)
+    with pytest.raises(LocfuseError, match="of the gyro's turning: is its axis up"):
+        calibrate_by_gyro([(wheels, t, -own)], 0.0, WHITE)
+
+
+def test_a_robot_that_skids_gets_its_track_and_ratio_without_truth(tmp_path: Path) -> None:
+    log = real_log("warthog/warthog.mcap")
+    sheet = ("--set", "wheels.radius=0.30", "--set", "wheels.track=1.14")
+    late = locfuse("calibrate", log, *sheet)
+    assert "Set it first: --set gyro.time_offset=0.176" in late.stderr
+    told = (*sheet, "--set", "gyro.time_offset=0.176")
+    found = ok("calibrate", log, *told, "-o", tmp_path / "robot.toml", "--json")
+    values = json.loads(found.stdout)["gyro"]
+    assert 1.78 < values["track"]["value"] < 1.92
+    assert values["time_offset_s"] == pytest.approx(0.0, abs=0.04)
+    truth = ("--set", "truth.topic=/icp_pose", "--align", "origin", "--no-advice")
+    words = ("--robot", tmp_path / "robot.toml", "--set", "wheels.radius=0.30", "--sensors", "odometry")
+    assert reported("run", log, *words, *truth).rows["odometry"]["position_rmse_m"] < 1.0
+    placed = ("--set", "start.theta_deg=-73.1", "--set", "truth.time_offset=-0.07", "--set", "truth.sigma=0.0023")
+    odometry = reported("run", log, *words, *truth[:2], *placed, "--no-advice").rows["odometry"]
+    assert 0.5 < odometry["anees"] < 2.0
+
+
+# --- wheels and the laser's mount calibrated by scans alone
+
+LASER_TRACK, LASER_K, DT = 0.5, 4e-4, 0.05
+MOUNT = np.array([0.18, -0.07, math.radians(70.0)])
+MATCH = np.array([0.003, 0.003, math.radians(0.15)])  # noise of one match
+WRONG = (0.04, -0.03, 0.08)  # of the left radius, the right one, the track: what the wheels are computed with
+LATE = 0.12  # s that the laser's stamps are late
+
+
+def laser_drive(seed: int, turns: bool = True, straight: bool = True, seconds: float = 90.0) -> ScanMotions:
+    """A drive that speeds up, slows down and turns both ways, as wrong wheels and a late laser tell it."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, DT)
+    speed = (0.35 + 0.15 * np.sin(t / 1.7)) * straight
+    rate = (0.5 * np.sin(t / 3.1) + 0.3 * np.sin(t / 1.3)) * turns
+    ds, turn = speed[:-1] * DT, rate[:-1] * DT
+    pose = Wheels.from_twists(t, np.stack((ds, 0.0 * ds, turn), axis=-1), LASER_TRACK, LASER_K).pose
+    sides = np.stack((ds - 0.5 * LASER_TRACK * turn, ds + 0.5 * LASER_TRACK * turn), axis=-1)
+    sides += np.sqrt(LASER_K * np.abs(sides)) * rng.normal(size=sides.shape)
+    left, right = (np.append(0.0, np.cumsum(side)) for side in (sides / (1.0 + np.array(WRONG[:2]))).T)
+    wheels = Wheels.from_wheels(t, left, right, LASER_TRACK / (1.0 + WRONG[2]), LASER_K)
+    seen = se2.compose(pose[::4], np.broadcast_to(MOUNT, pose[::4].shape))
+    steps = se2.between(seen[:-1], seen[1:]) + MATCH * rng.normal(size=(len(seen) - 1, 3))
+    P = np.broadcast_to(np.diag(MATCH**2), (len(steps), 3, 3))
+    return ScanMotions(wheels, Wheels.from_matches(t[::4] + LATE, se2.log(steps), P, LASER_TRACK, LASER_K), 0.0)
+
+
+def true() -> Array:
+    left, right, track = WRONG
+    return np.array([0.5 * (left + right), right - left, track, *MOUNT, -LATE])
+
+
+def test_all_parameters_are_found_and_their_sigmas_are_right() -> None:
+    """Six drives: no parameter further off than three sigma, and none whose sigma is idle talk."""
+    found = [calibrate([laser_drive(seed)]) for seed in range(6)]
+    z = np.array([(one.parameters - true()) / one.sigmas for one in found])
+    assert np.isfinite(z).all()
+    assert np.abs(z).max() < 3.0
+    sigmas = np.mean([one.sigmas for one in found], axis=0)
+    assert (sigmas < (0.01, 0.01, 0.02, 0.03, 0.03, 0.02, 0.03)).all()
+    assert found[0].noise == pytest.approx(LASER_K, rel=0.5)
+
+
+def test_the_closed_form_alone_comes_near_from_nothing() -> None:
+    """The mount is turned by 70 degrees and the laser is late: no guess is asked for."""
+    p = first_guess([Pieces.of(laser_drive(0))])
+    assert np.abs(p - true())[[0, 2, 3, 4, 5]] == pytest.approx(0.0, abs=0.06)
+    assert p[6] == pytest.approx(-LATE, abs=0.06)
+
+
+def test_several_drives_tell_more_than_one() -> None:
+    one, three = calibrate([laser_drive(0)]), calibrate([laser_drive(seed) for seed in range(3)])
+    assert three.intervals > 2.5 * one.intervals
+    assert (three.sigmas <= one.sigmas).all()
+
+
+@pytest.mark.parametrize(
+    ("turns", "straight", "undetermined"),
+    [(False, True, {"track", "x", "y"}), (True, False, {"scale", "difference", "track", "yaw"})],
+)
+def test_what_a_drive_does_not_tell_is_said(turns: bool, straight: bool, undetermined: set[str]) -> None:
+    """Straight on nothing says where the laser sits; on the spot nothing says how far a wheel rolls."""
+    found = calibrate([laser_drive(0, turns, straight)])
+    assert undetermined <= set(found.undetermined()) | _vague(found)
+
+
+def _vague(found: LaserCalibration) -> set[str]:
+    """Names whose sigma is larger than ten times what a drive with both leaves."""
+    both = calibrate([laser_drive(0)]).sigmas
+    return {name for name, s, b in zip(NAMES, found.sigmas, both, strict=True) if s > 10.0 * b}
+
+
+def test_slips_and_wrong_matches_are_left_out() -> None:
+    motion = laser_drive(1)
+    twist = motion.laser.twist.copy()
+    twist[50] += (0.5, 0.3, 0.6)
+    assert motion.laser.matched is not None
+    wrong = Wheels.from_matches(motion.laser.t, twist, motion.laser.matched, LASER_TRACK, LASER_K)
+    found = calibrate([motion._replace(laser=wrong)])
+    assert found.outliers >= 1
+    assert np.abs((found.parameters - true()) / found.sigmas).max() < 3.0
+
+
+def test_wheels_in_another_unit_and_a_short_drive_are_refused_in_words() -> None:
+    motion = laser_drive(0)
+    far = Wheels.from_twists(motion.wheels.t, motion.wheels.twist * (57.3, 57.3, 1.0), LASER_TRACK, LASER_K)
+    with pytest.raises(LocfuseError, match=r"goes 0\.0\d+ times as far as by the wheels"):
+        calibrate([motion._replace(wheels=far)])
+    with pytest.raises(LocfuseError, match="at least 12"):
+        calibrate([laser_drive(0, seconds=4.0)])
+
+
+LEGS = (
+    "{turn_deg=80, speed=0.25}, {forward=2.0, speed=0.4}, {turn_deg=-120, speed=0.3}, {forward=1.5},"
+    "{turn_deg=-170, speed=0.3}, {forward=2.5, speed=0.5}, {turn_deg=200, speed=0.3}, {forward=1.5}"
+)
+
+
+def test_the_command_finds_wheels_and_mount_of_a_simulated_robot(tmp_path: Path) -> None:
+    """Configured 4 cm too long wheels, 8 % too narrow, and a laser at the middle: without truth all is found."""
+    log, robot = tmp_path / "x.mcap", tmp_path / "robot.toml"
+    path = f'path={{kind="legs", x=3.2, y=2.4, theta_deg=60.0, legs=[{LEGS}]}}'
+    sets = (path, "control.estimator=truth", "compass.enabled=false", "camera.enabled=false", "lrf.rate=5")
+    words = [word for one in sets for word in ("--set", one)]
+    assert locfuse("simulate", "rounded_rectangle", *words, "--seed", "1", "-o", log).exit_code == 0
+    wrong = ("wheels.radius=0.052", "wheels.track=0.55", "lrf.x=0", "truth.topic=none")
+    words = [word for one in wrong for word in ("--set", one)]
+    done = ok("calibrate", log, *words, "-o", robot, "--json")
+    found = json.loads(done.stdout)["laser"]
+    for key, value in {"radius": 0.05, "ratio": 1.0, "track": 0.6, "x": 0.2, "y": 0.0, "yaw_deg": 0.0}.items():
+        sigma = (found[key]["high"] - found[key]["low"]) / (2.0 * 1.96)
+        assert abs(found[key]["value"] - value) < 3.0 * sigma, key
+    assert (found["x"]["high"] - found["x"]["low"]) < 0.1
+    text = robot.read_text()
+    assert "track = " in text
+    assert "x = 0.1" in text or "x = 0.2" in text
+    assert "the laser's metre is taken for the right one" in done.stderr
+
+
+def test_a_log_without_a_laser_says_what_is_missing(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", joint_states(*angles(5.0)))
+    assert "no wheels and laser together in x" in refused("calibrate", log, *GEOMETRY)

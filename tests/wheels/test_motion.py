@@ -1,16 +1,20 @@
 """Wheel motion against closed forms, brute force and Monte Carlo."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from lock_step import simulated
 from textbook import numeric_jacobian
 
+from locfuse.formats.report.findings import notes_of
 from locfuse.fusion import se2
+from locfuse.fusion.data import Estimates
+from locfuse.fusion.fuse import fuse
 from locfuse.fusion.wheels.motion import Wheels, body_increments
+from locfuse.fusion.wheels.states import derivative, geometry
 
 TRACK, K = 0.6, 4e-4
 RNG = np.random.default_rng(5)
@@ -124,14 +128,11 @@ def test_a_straight_run_has_the_closed_form_variances_at_any_encoder_rate(steps:
         assert Q[1, 1] == pytest.approx(2 * K * D**3 / (3 * TRACK**2), rel=2e-3)
 
 
-def test_a_turn_on_the_spot_has_the_closed_form_variance() -> None:
+def test_a_turn_on_the_spot_has_the_closed_form_variance_and_at_rest_nothing_grows() -> None:
     phi = 2.5
     wheels = wheels_from(np.tile([-phi * TRACK / 2 / 50, phi * TRACK / 2 / 50], (50, 1)))
     Q = wheels.between(np.array([0.0]), np.array([wheels.t[-1]])).Q[0]
     assert Q[2, 2] == pytest.approx(K * phi / TRACK, rel=1e-9)
-
-
-def test_nothing_grows_at_rest() -> None:
     wheels = wheels_from(np.zeros((50, 2)))
     motion = wheels.between(np.array([0.0]), np.array([1.0]))
     assert not motion.Q.any()
@@ -281,9 +282,7 @@ def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
 
 
 @pytest.mark.parametrize(("seconds", "stray"), [(2.0, 0.2 * 2.0 / 4.0 / math.sqrt(3.0)), (60.0, 0.5)])
-def test_the_place_after_a_gap_strays_by_a_uniform_heading_and_at_most_over_a_disc(
-    seconds: float, stray: float
-) -> None:
+def test_places_after_a_gap_stray_by_a_uniform_heading_at_most_over_a_disc(seconds: float, stray: float) -> None:
     """A heading uniform within w T / 4 to either side; a place uniform in a disc has half its radius per axis."""
     t = np.append(np.arange(0.0, 40.0, 0.1), 39.9 + seconds)
     way, turn = 0.3 * t, 0.2 * t  # rad/s is the fastest turning seen
@@ -321,3 +320,72 @@ def test_in_however_long_a_silence_a_heading_is_at_most_unknown() -> None:
     wheels = Wheels.from_wheels(t, way[:, 0], way[:, 1], TRACK, K)
     middle = wheels.between(np.array([20.0]), np.array([5e8]))
     assert 0.1 < middle.Q[0, 2, 2] < math.pi**2 / 3.0 + 1.0
+
+
+# --- radius and track as states
+
+
+def test_geometry_s_derivative_equals_finite_differences() -> None:
+    for x in ([0.0, 0.0, 0.0], [0.05, -0.02, 0.3], [-0.1, 0.03, -0.2]):
+        np.testing.assert_allclose(derivative(np.array(x)), numeric_jacobian(geometry, np.array(x)), atol=1e-8)
+
+
+def test_states_mean_what_wheels_of_that_geometry_do() -> None:
+    """Told track 0.5, really 0.6, wheels 4 % larger: the linear motion is the true one."""
+    rng = np.random.default_rng(0)
+    t = np.arange(50) * np.float64(0.02)
+    left, right = np.cumsum(rng.uniform(0.0, 0.01, (2, 50)), axis=1)
+    x = np.array([0.04, 0.04, 1.04 * (1.0 - 0.5 / 0.6)])
+    told = Wheels.from_wheels(t, left, right, 0.5, 1e-4).between(t[:-1], t[1:], parameters=True)
+    real = Wheels.from_wheels(t, 1.04 * left, 1.04 * right, 0.6, 1e-4).between(t[:-1], t[1:])
+    np.testing.assert_allclose(told.u + told.J @ x, real.u, atol=2e-6)
+    np.testing.assert_allclose(geometry(x), [0.04, 0.0, 0.2], atol=1e-12)
+
+
+def drive(sensors: Sequence[str], *sets: str) -> Estimates:
+    found, robot = simulated(1000, robot_sets=("wheels.estimate=true", *sets))
+    return fuse(found, robot, sensors)
+
+
+@pytest.mark.parametrize("told", [0.5, 0.72])
+def test_a_wrong_track_is_found(told: float) -> None:
+    (words,) = [n for n in drive(["lrf"], f"wheels.track={told}").notes if n.startswith("wheels")]
+    track, sigma = (float(w.rstrip(")")) for w in words.split("track ")[1].split(" (1 sigma: "))
+    assert track == pytest.approx(0.6, abs=3 * sigma)
+    assert sigma < 0.02
+
+
+def test_wheels_told_10_percent_too_small_leave_the_metre_in_doubt() -> None:
+    (words,) = [n for n in drive(["lrf"], "wheels.radius=0.045").notes if "not identifiable" in n]
+    assert "larger than configured" in words
+    scale = float(words.split("lrf.range_scale should be ")[1].split()[0])
+    assert scale == pytest.approx(0.9, abs=0.03)  # the prior of 2 % holds back a little
+
+
+def test_a_compass_sees_neither_radius_nor_track_but_their_quotient() -> None:
+    compass, wheels = drive(["compass"]).notes, drive([]).notes
+    assert any("not identifiable from compass: only track over radius is" in n for n in compass)
+    assert any("not identifiable from wheels alone" in n for n in wheels)
+
+
+def test_what_several_configurations_say_is_said_once() -> None:
+    runs = {"odometry": {"notes": []}, "lrf": {"notes": ["lrf: slipped"]}, "all": {"notes": ["lrf: slipped"]}}
+    assert notes_of({"notes": ["clock"], "configurations": runs}) == ["clock", "lrf: slipped (the same in all)"]
+    assert notes_of({"notes": [], "configurations": {"all": runs["all"]}}) == ["lrf: slipped"]
+
+
+def test_where_notes_differ_in_numbers_those_of_every_configuration_and_stream_are_shown() -> None:
+    places = "lrf: {} submaps, {} revisited places"
+    runs = {
+        "lrf": {"notes": [places.format(9, 19), "lrf: 29 slips", "lrf: 30 slips"]},
+        "lrf@2Hz": {"notes": [places.format(9, 5), "lrf: 29 slips", "lrf: 4 slips"]},
+        "all": {"notes": [places.format(8, 5), "lrf: 29 slips"]},
+    }
+    log = ["lrf: 0.05 s late (3%)", "compass: 0.12 s late (3%)", "3 readings share a stamp"]
+    assert notes_of({"notes": log, "configurations": runs}) == [
+        "lrf, compass: 0.05 (compass: 0.12) s late (3%)",
+        "3 readings share a stamp",
+        "lrf: 9 (all: 8) submaps, 19 (lrf@2Hz, all: 5) revisited places",
+        "lrf: 29 slips (the same in lrf@2Hz, all)",
+        "lrf: 30 (lrf@2Hz: 4) slips",
+    ]

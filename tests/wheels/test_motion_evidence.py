@@ -1,27 +1,27 @@
 """Which motion of a log is the robot's: by the share of a scan that lies on one a second before, else by kind."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import real_log
-from commands import locfuse, reported
+from bags import Said, real_log
+from commands import locfuse, ok, reported
 from laser_room import ROOM, circle, ranges_of, scan_stream, scans_of
 from present import present
-from wheel_bags import chosen, joint_states, log_of, odometry, poses_in, stamps, twists
+from wheel_bags import chosen, joint_states, log_of, messages, odometry, poses_in, stamps, turned, twists
 
 from locfuse.cli.analysis.choose import choose
+from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.robot_tables import make_robot
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
-from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.motion import Wheels, distances_explained, turns_explained
 from locfuse.fusion.wheels.odometry import pose_and_speed, unlike_a_robot
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
@@ -112,9 +112,15 @@ def test_an_odometry_that_stands_while_the_laser_moves_gives_way(half: int, tmp_
     assert "/odom" in choice.notes[0].words
 
 
-def test_where_all_stand_the_odometry_stays(tmp_path: Path) -> None:
+def test_a_robot_at_rest_a_frozen_laser_and_a_short_log_leave_the_odometry(tmp_path: Path) -> None:
     still = np.zeros_like(TRUTH)
     choice = chosen(tmp_path, odometry(T, still), scans_of(T, still))
+    assert choice.of("wheels") == ("/odom",)
+    frozen = scans_of(T[:1], TRUTH[:1])[0]
+    scans = [frozen._replace(log_time=ns) for ns in stamps(T)]
+    assert chosen(tmp_path, odometry(T, TRUTH), scans).of("wheels") == ("/odom",)
+    t, truth = circle(5.0)
+    choice = chosen(tmp_path, odometry(t, truth), scans_of(t, truth))
     assert choice.of("wheels") == ("/odom",)
 
 
@@ -128,12 +134,6 @@ def test_a_twist_never_comes_before_scans_and_what_it_is_worth_is_said(tmp_path:
     assert chosen(tmp_path, twists(T, "/speed", 0.6, -0.2)).of("wheels") == ("/speed",)
 
 
-def test_a_laser_that_repeats_one_scan_judges_nothing(tmp_path: Path) -> None:
-    frozen = scans_of(T[:1], TRUTH[:1])[0]
-    scans = [frozen._replace(log_time=ns) for ns in stamps(T)]
-    assert chosen(tmp_path, odometry(T, TRUTH), scans).of("wheels") == ("/odom",)
-
-
 def test_a_laser_that_freezes_for_some_time_does_not_judge_a_motion_there() -> None:
     true, rng = moved_by(TRUTH), np.random.default_rng(1)
     ranges = np.stack([ranges_of(pose, ROOM, rng) for pose in TRUTH])
@@ -143,12 +143,6 @@ def test_a_laser_that_freezes_for_some_time_does_not_judge_a_motion_there() -> N
     for rows in (pairs.first, pairs.later):
         assert not ((rows > a) & (rows < b)).any()
     assert len(pairs.points) == len(pairs.surface) == len(pairs.first)
-
-
-def test_a_log_of_five_seconds_is_judged_as_well(tmp_path: Path) -> None:
-    t, truth = circle(5.0)
-    choice = chosen(tmp_path, odometry(t, truth), scans_of(t, truth))
-    assert choice.of("wheels") == ("/odom",)
 
 
 # ---- what is no motion of the robot ----
@@ -162,9 +156,7 @@ def test_a_log_of_five_seconds_is_judged_as_well(tmp_path: Path) -> None:
         ("/aruco_single/pose", "camera_color_frame", "of something that a camera sees"),
     ],
 )
-def test_poses_that_are_not_the_robots_void_every_figure(
-    topic: str, frame: str, words: str, tmp_path: Path
-) -> None:
+def test_poses_not_the_robots_void_every_figure(topic: str, frame: str, words: str, tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", poses_in(frame, T, TRUTH, topic))
     done = reported("compare", log, code=3)
     assert words in done.stderr
@@ -205,15 +197,12 @@ def test_poses_of_the_robot_are_taken_before_a_marker_and_a_setpoint(tmp_path: P
     assert chosen(tmp_path, *said).of("wheels") == ("/slam/pose",)
 
 
-def test_no_robot_drives_sideways_at_ten_metres_a_second_and_a_mecanum_does_at_one() -> None:
+def test_what_no_robot_drives_is_no_motion_and_a_mecanum_or_a_fast_car_is_one() -> None:
     t = np.arange(0.0, 20.0, 0.1)
     steps = np.stack((0.03 * np.ones(199), np.full(199, 1.0), np.zeros(199)), axis=-1)
     none = np.zeros(199, dtype=bool)
     assert unlike_a_robot(t, steps, none) == "it moves sideways at 10 m/s: its heading is not that of the body"
     assert not unlike_a_robot(t, steps * (1.0, 0.1, 1.0), none)
-
-
-def test_steps_that_jump_again_and_again_are_no_motion_and_a_fast_car_is_one() -> None:
     t = np.arange(0.0, 20.0, 0.1)
     fast = np.tile((2.5, 0.0, 0.0), (199, 1))  # 25 m/s, evenly
     assert not unlike_a_robot(t, fast, np.zeros(199, dtype=bool))
@@ -335,3 +324,154 @@ def test_a_gate_may_name_a_configuration_of_two_words(tmp_path: Path) -> None:
     done = locfuse("compare", log, "--no-advice", "-o", tmp_path / "out", *gates)
     assert done.exit_code == 4
     assert re.findall("gate: .* > (.):", done.stderr) == ["0"]
+
+
+# --- without a laser the motion is taken that explains what gyro, compass or fixes saw
+
+AT = np.arange(0.0, 40.0, 0.1)
+TURN = 1.5 * np.sin(0.3 * AT)  # rad; 1 m/s along it
+STEP = np.stack((np.cos(TURN), np.sin(TURN)), axis=-1) * 0.1
+WAY = np.column_stack((np.cumsum(STEP, axis=0), TURN))
+OTHER = np.column_stack((0.3 * AT, 0.0 * AT, 0.9 * np.cos(0.8 * AT) - 0.9))  # of another robot
+METRES_PER_DEGREE = 111_320.0
+
+
+def imu(turn: Array = TURN, late_s: float = 0.0) -> list[Said]:
+    rows = (
+        {"angular_velocity": {"z": rate}, "orientation": turned(heading)}
+        for rate, heading in zip(np.gradient(turn, AT).tolist(), turn.tolist(), strict=True)
+    )
+    return messages("/imu", "sensor_msgs/msg/Imu", AT + late_s, rows, "imu")
+
+
+def fixes(places: Array) -> list[Said]:
+    rows = (
+        {"latitude": y / METRES_PER_DEGREE, "longitude": x / METRES_PER_DEGREE}
+        for x, y, _ in places[::10].tolist()
+    )
+    return messages("/fix", "sensor_msgs/msg/NavSatFix", AT[::10], rows, "gps")
+
+
+def speeds(topic: str, turn: Array, frame: str | None = "base_link") -> list[Said]:
+    return twists(AT, topic, 1.0, np.gradient(turn, AT), frame)
+
+
+# ---- the shares ----
+
+
+def wheels_of(poses: Array) -> Wheels:
+    from locfuse.fusion import se2
+
+    return Wheels.from_twists(AT, se2.log(se2.between(poses[:-1], poses[1:])), 0.3, 0.0)
+
+
+def test_a_motion_explains_its_own_turns_and_ways_and_a_standing_one_none() -> None:
+    true, still = wheels_of(WAY), wheels_of(np.zeros_like(WAY))
+    assert turns_explained(true, AT, TURN) == pytest.approx(1.0, abs=1e-9)
+    assert turns_explained(true, AT + 0.5, TURN) == pytest.approx(1.0, abs=0.01)  # a late clock
+    assert turns_explained(true, AT, -TURN) == pytest.approx(1.0, abs=1e-9)  # an axis that points down
+    assert distances_explained(true, AT, WAY[:, :2]) == pytest.approx(1.0, abs=1e-9)
+    assert turns_explained(still, AT, TURN) == 0.0
+    assert distances_explained(still, AT, WAY[:, :2]) == 0.0
+
+
+def test_half_of_every_turn_explains_three_quarters_and_a_sensor_at_rest_nothing() -> None:
+    half = wheels_of(np.column_stack((WAY[:, :2], 0.5 * TURN)))
+    assert turns_explained(half, AT, TURN) == pytest.approx(0.75, abs=0.01)
+    true = wheels_of(WAY)
+    assert turns_explained(true, AT, 0.01 * TURN) is None
+    assert distances_explained(true, AT, 0.1 * WAY[:, :2]) is None
+
+
+# ---- which topic is taken ----
+
+
+def test_of_two_odometries_of_one_kind_the_gyro_chooses_and_without_it_the_user_must(tmp_path: Path) -> None:
+    both = odometry(AT, OTHER, "/odom1"), odometry(AT, WAY, "/odom2")
+    choice = chosen(tmp_path, *both, imu())
+    assert choice.of("wheels") == ("/odom2",)
+    (note,) = choice.notes
+    assert note.words.startswith("/odom2 is used: /odom1 explains ")
+    assert "of the turning of /imu; it explains 100% of the turning of /imu" in note.words
+    assert note.fixes == ("wheels.topic=/odom2",)
+    with pytest.raises(LocfuseError, match="2 topics that fit: /odom1, /odom2"):
+        chosen(tmp_path, *both)
+
+
+def test_measured_speeds_come_before_an_odometry_that_does_not_turn_as_the_gyro_does(tmp_path: Path) -> None:
+    choice = chosen(tmp_path, odometry(AT, OTHER), speeds("/base_speed", TURN), imu(late_s=0.4))
+    assert choice.of("wheels") == ("/base_speed",)
+    assert "/odom explains" in choice.notes[0].words
+    assert chosen(tmp_path, odometry(AT, WAY), speeds("/base_speed", OTHER[:, 2]), imu()).of("wheels") == (
+        "/odom",
+    )
+
+
+@pytest.mark.parametrize("half", [False, True], ids=["it never moves", "it ends half-way"])
+def test_an_odometry_that_does_not_go_as_far_as_the_fixes_gives_way(half: bool, tmp_path: Path) -> None:
+    straight = np.column_stack((1.0 * AT, 0.0 * AT, 0.0 * AT))
+    bad = odometry(AT[:150], straight[:150]) if half else odometry(AT, np.zeros_like(WAY))
+    choice = chosen(tmp_path, bad, speeds("/base_speed", 0.0 * AT), fixes(straight))
+    assert choice.of("wheels") == ("/base_speed",)
+    assert "of the way between the fixes of /fix" in choice.notes[0].words
+
+
+def test_where_nothing_judges_two_motions_the_better_kind_is_taken_and_said_to_be_unjudged(tmp_path: Path) -> None:
+    choice = chosen(tmp_path, odometry(AT, WAY), speeds("/base_speed", OTHER[:, 2]))
+    assert choice.of("wheels") == ("/odom",)
+    assert "of the motion by /base_speed; nothing shows which is right" in choice.notes[0].words
+    assert chosen(tmp_path, odometry(AT, WAY), speeds("/base_speed", TURN)).notes == []
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        (
+            [odometry(AT, OTHER), speeds("/speed", TURN)],
+            "/odom is used: it explains 0% of the motion by /speed",
+        ),
+        (
+            [odometry(AT[:200], WAY[:200]), imu()],
+            "The motion by /odom covers 19.9 s of the 39.9 s of this log. ",
+        ),
+        ([odometry(AT, 0.0 * WAY), speeds("/cmd_vel", TURN)], "The robot does not move in this log"),
+    ],
+    ids=["two disagree", "it ends half-way", "all that was measured stands"],
+)
+def test_what_makes_figures_doubtful_comes_before_them(said: list[list[Said]], words: str, tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", *said)
+    done = ok("compare", log, "--no-advice", "-o", tmp_path / "out")
+    assert done.stdout.startswith(words)
+    assert ("next:" in locfuse("init", log).stderr) == ("not move" not in words)
+
+
+def test_a_command_is_taken_only_where_nothing_was_measured_and_of_two_that_of_the_gyro(tmp_path: Path) -> None:
+    command = speeds("/cmd_vel", TURN, None)
+    assert chosen(tmp_path, odometry(AT, OTHER), command, imu()).of("wheels") == ("/odom",)
+    alone = chosen(tmp_path, command, imu())
+    assert alone.of("wheels") == ("/cmd_vel",)
+    assert alone.notes[0].is_fault
+    said = speeds("/a/cmd_vel", OTHER[:, 2], None), speeds("/b/cmd_vel", TURN, None)
+    choice = chosen(tmp_path, *said, imu())
+    assert choice.of("wheels") == ("/b/cmd_vel",)
+    assert "/a/cmd_vel explains" in choice.notes[0].words
+
+
+def test_a_gyro_that_no_motion_explains_judges_nothing(tmp_path: Path) -> None:
+    noise = np.cumsum(np.random.default_rng(3).normal(0.0, 0.4, len(AT)))
+    choice = chosen(tmp_path, odometry(AT, WAY), speeds("/base_speed", TURN), imu(noise))
+    assert choice.of("wheels") == ("/odom",)
+
+
+def test_what_was_read_to_choose_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from locfuse.cli.analysis import load as loading
+
+    log = log_of(tmp_path / "x.mcap", odometry(AT, OTHER, "/odom1"), odometry(AT, WAY, "/odom2"), imu())
+    monkeypatch.setattr(loading, "read_wheels", lambda *_: pytest.fail("the wheels are read twice"))
+    assert load([log], LogOptions()).choice.of("wheels") == ("/odom2",)
+
+
+def test_an_odometry_that_holds_other_sensors_by_its_name_says_so(tmp_path: Path) -> None:
+    (note,) = chosen(tmp_path, odometry(AT, WAY, "/odometry/filtered"), imu()).notes
+    assert note.words.startswith("/odometry/filtered already holds other sensors (IMU, GPS), by its name")
+    assert chosen(tmp_path, odometry(AT, WAY, "/odometry/wheel"), imu()).notes == []

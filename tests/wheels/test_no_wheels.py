@@ -1,7 +1,5 @@
 """A log with a laser and nothing else: the motion comes from its scans, and P says where they say nothing."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path
@@ -176,10 +174,15 @@ def test_noise_scales_the_covariance() -> None:
     np.testing.assert_allclose(four.matched, 4.0 * once.matched)
 
 
-def test_a_laser_that_sees_nothing_is_refused_in_one_line() -> None:
+def test_scans_of_nothing_of_one_stamp_or_unmatched_are_one_line() -> None:
     t, truth = circle(4.0)
     with pytest.raises(LocfuseError, match="no scan of /scan sees enough"):
         moved(t, truth, np.array([(90.0, 0.0, 91.0, 0.0)]))
+    t, truth = circle(1.0)
+    with pytest.raises(LocfuseError, match="the 5 scans of /scan have one stamp"):
+        moved(np.zeros_like(t), truth, ROOM)
+    with pytest.raises(LocfuseError, match="has to be matched first"):
+        read_wheels(stream_of(*circle(1.0), ROOM), WheelSettings())
 
 
 def test_two_scans_of_one_stamp_are_one_instant() -> None:
@@ -187,17 +190,6 @@ def test_two_scans_of_one_stamp_are_one_instant() -> None:
     way = moved(np.insert(t, 20, t[20]), np.insert(truth, 20, truth[20], axis=0), ROOM).wheels
     np.testing.assert_array_equal(way.t, in_the_room().wheels.t)
     np.testing.assert_allclose(way.pose[-1], in_the_room().wheels.pose[-1], atol=0.02)
-
-
-def test_scans_that_all_have_one_stamp_are_refused_in_one_line() -> None:
-    t, truth = circle(1.0)
-    with pytest.raises(LocfuseError, match="the 5 scans of /scan have one stamp"):
-        moved(np.zeros_like(t), truth, ROOM)
-
-
-def test_scans_are_no_wheels_before_they_are_matched() -> None:
-    with pytest.raises(LocfuseError, match="has to be matched first"):
-        read_wheels(stream_of(*circle(1.0), ROOM), WheelSettings())
 
 
 # ---- as a user meets it ----

@@ -1,7 +1,5 @@
 """Bags as strangers record them: names, frames and doubles that no standard rules out; what is chosen of them."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from collections.abc import Mapping, Sequence
@@ -110,9 +108,7 @@ def end_of(log: Log) -> Array:
         ("/odometry/filtered", "/odometry/gps"),
     ],
 )
-def test_an_odometry_of_the_wheels_is_taken_before_one_that_was_made_of_more(
-    wheels: str, other: str, tmp_path: Path
-) -> None:
+def test_an_odometry_of_wheels_is_taken_before_one_made_of_more(wheels: str, other: str, tmp_path: Path) -> None:
     log = opened(tmp_path, driven(wheels), driven(other, STANDING))
     choice = chosen(log)
     assert choice.of("wheels") == (wheels,)
@@ -181,9 +177,7 @@ def test_init_writes_the_laser_that_is_used_and_calls_it_a_guess(tmp_path: Path)
         ),
     ],
 )
-def test_wheels_are_known_by_the_names_that_robots_give_them(
-    joints: tuple[str, ...], pair: tuple[str, str]
-) -> None:
+def test_wheels_are_known_by_names_that_robots_give_them(joints: tuple[str, ...], pair: tuple[str, str]) -> None:
     assert joint_names([joints], "/joint_states", WheelSettings()) == pair
 
 
@@ -373,9 +367,7 @@ def imus(topic: str, oriented: bool = True) -> list[Said]:
 @pytest.mark.parametrize(
     ("used", "other"), [("/imu/data", "/camera/imu"), ("/imu1/imu", "/gripper/imu"), ("/z_imu/data", "/livox/imu")]
 )
-def test_of_several_imus_the_one_on_the_body_is_read_by_compass_and_gyro(
-    used: str, other: str, tmp_path: Path
-) -> None:
+def test_of_imus_the_one_on_the_body_is_read_by_compass_and_gyro(used: str, other: str, tmp_path: Path) -> None:
     choice = chosen(opened(tmp_path, driven("/odom"), imus(used), imus(other)))
     assert (choice.of("compass"), choice.of("gyro")) == ((used,), (used,))
     choice = chosen(opened(tmp_path, driven("/odom"), imus(used, oriented=False), imus(other, oriented=False)))
@@ -490,9 +482,7 @@ def test_a_motor_without_steering_is_refused_in_words(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("used", "other"), [("/ackermann_cmd", "/drive"), ("/drive", "/teleop")])
-def test_of_several_commands_the_one_that_the_base_obeys_is_taken_and_said(
-    used: str, other: str, tmp_path: Path
-) -> None:
+def test_of_commands_the_one_that_the_base_obeys_is_taken_and_said(used: str, other: str, tmp_path: Path) -> None:
     logs = commanded(tmp_path, used, SPEED), commanded(tmp_path, other, 2 * SPEED, 0.0)
     pose, notes = end_of_run(logs, {"wheels.wheelbase": WHEELBASE})
     assert pose == pytest.approx(CIRCLE[-1], abs=1e-5)

@@ -1,7 +1,5 @@
 """A tricycle by a traction counter that rolls over and an absolute steering encoder, calibrated by truth."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Smoothing: against textbook RTS, a filter that carries all its past, and the truth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -327,16 +325,13 @@ def test_maps_that_are_not_weighed_optimally_are_refused(mode: str) -> None:
     fuse_and_smooth(drive, robot, ["compass"])
 
 
-def test_a_given_map_of_too_many_walls_to_smooth_is_refused_with_both_numbers() -> None:
+def test_too_many_walls_and_a_laser_without_a_scan_in_the_drive_are_refused() -> None:
     walls = tuple(MapLine(i, float(i), 0.0, (0.0, 1.0), 1e-6 * np.eye(2)) for i in range(MAX_WALLS + 1))
     robot = replace(World(settings={"lrf": {"map": "given"}}).robot(), lines=walls)
     check_smoothing(replace(robot, lines=walls[1:]), ["lrf"])
     check_smoothing(robot, ["compass"])
     with pytest.raises(UsageError, match=r"the given map has 301 walls, and smoothing takes at most 300; leave"):
         check_smoothing(robot, ["lrf"])
-
-
-def test_a_laser_of_which_no_scan_falls_in_the_drive_is_refused_with_its_offset() -> None:
     session = locfuse.load("rounded_triangle", sets=("lrf.time_offset=3600",))
     with pytest.raises(
         locfuse.LocfuseError, match=r"of its 428 readings .* another clock: .*lrf\.time_offset.*-0\.\d+"

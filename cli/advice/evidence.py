@@ -46,13 +46,13 @@ from locfuse.fusion.checks.probes import (
     probe_of,
 )
 from locfuse.fusion.checks.slip import of_spins
+from locfuse.fusion.checks.start import START
 from locfuse.fusion.checks.tried import Candidate, Fixes, keys, together
 from locfuse.fusion.checks.truth import (
     AXES,
     CREEP,
     POINT,
     SIZE,
-    START,
     STEP,
     UNIT,
     WHEEL_SCALE,

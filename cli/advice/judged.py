@@ -19,8 +19,9 @@ from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import of_offset, ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import WheelSlip, beside_path, slip
+from locfuse.fusion.checks.start import START
 from locfuse.fusion.checks.tried import Candidate, Fixes, keys
-from locfuse.fusion.checks.truth import FEW, START
+from locfuse.fusion.checks.truth import FEW
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, judge, many_refused
 from locfuse.fusion.judge.evaluate import covariance_check

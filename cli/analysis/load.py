@@ -24,7 +24,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.checks.examine import holes, longest_part, of_holes
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser_ranges import of_angles
-from locfuse.fusion.checks.truth import START_SIGMAS, start_pose
+from locfuse.fusion.checks.start import START_SIGMAS, start_pose
 from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.measure import begun, led_back, measure, windowed
 from locfuse.fusion.paper import preset as filters

@@ -31,7 +31,8 @@ from locfuse.fusion.checks.examine import BLIND, MIXED, examine, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
 from locfuse.fusion.checks.publishers import PUBLISHERS
-from locfuse.fusion.checks.truth import FEW, POINT, START, of_few
+from locfuse.fusion.checks.start import START
+from locfuse.fusion.checks.truth import FEW, POINT, of_few
 from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -38,7 +38,7 @@ from .lag import (
     find_lag,
     headings,
 )
-from .truth import MIN_START_ERROR_M, MIN_START_ERROR_RAD
+from .start import MIN_START_ERROR_M, MIN_START_ERROR_RAD
 
 WINDOW_S = 1.0  # s over which distances are compared
 MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s

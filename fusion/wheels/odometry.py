@@ -86,7 +86,7 @@ MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and largest share o
 # length of the mean unit step in the body's frame: least one with which steps have one direction; gain by a mirror
 MIN_ALONG, MIN_MIRROR_GAIN = 0.9, 0.3
 MAX_SPEED_MISFIT = 0.3  # mean difference of steps by speed and by pose, as share of the step, if speeds are used
-MIN_OFF_RAD, MAX_OFF_RAD = math.radians(10.0), math.radians(150.0)  # beyond: the speed may have the wrong sign
+MIN_OFF_RAD, MAX_OFF_RAD = math.radians(3.0), math.radians(150.0)  # beyond: the speed may have the wrong sign
 MAX_REVERSE_SHARE = 0.1  # largest ratio of steps that are reverse in pose and speed to those reverse in speed only
 
 

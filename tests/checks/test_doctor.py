@@ -22,6 +22,7 @@ from locfuse.fusion.checks.examine import _scales, gaps, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.laser import WallMotion, WallPairs, bumped, laser_motion, of_laser, of_radius, range_fix
 from locfuse.fusion.checks.probes import path_scale
+from locfuse.fusion.checks.start import start_pose
 from locfuse.fusion.checks.truth import (
     SIZE,
     UNIT,
@@ -31,7 +32,6 @@ from locfuse.fusion.checks.truth import (
     of_size,
     of_truth,
     of_unit,
-    start_pose,
     unusable,
     wheels_metre,
 )

@@ -36,6 +36,7 @@ RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is comp
 RATIO = "ratio"  # code of the finding on wheels of different size
 RATIO_ERRORS = Least(0.01, 4.0), Least(0.005, 3.0)  # smallest error of the ratio: reported, tried
 SEVERE_RATIO_ERROR, RATIO_SIGMAS = 0.03, 4.0
+GYRO_SCALE, GYRO_ERRORS = "gyro scale", (Least(0.02, 4.0), Least(0.01, 3.0))  # smallest error: reported, tried
 MAX_HEADINGS = 5000  # of the truth, for the wheels' ratio
 RATES = ("gyro", "twist")  # sensors that measure a rate: their bias looks like wheels of different size
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
@@ -295,10 +296,7 @@ def of_ratio(
         return []
     by = {name: t for name, t in by_sensor.items() if name not in RATES}
     if truth is not None:
-        t, heading = _directions(truth, drive.wheels)
-        some = np.arange(0, len(t), 1 + len(t) // MAX_HEADINGS)
-        shown = explain(t[some], heading[some], drive.wheels, np.zeros(len(some))) if len(some) else None
-        named = {} if shown is None else {"truth": shown}
+        named = _by_truth(truth, drive.wheels)
         by = {**by, **named} if truth.theta is None else {**named, **by}  # directions of travel are least exact
     least = RATIO_ERRORS[least is not None]
     for name, fit in by.items():
@@ -315,6 +313,49 @@ def of_ratio(
         severe = abs(off) > SEVERE_RATIO_ERROR + RATIO_SIGMAS * fit.ratio_sigma
         return [Finding("wheels", RATIO, words, (f"wheels.ratio={ratio:.4g}",), severe)]
     return []
+
+
+def _by_truth(truth: Truth, wheels: Wheels) -> dict[str, Turning]:
+    t, heading = _directions(truth, wheels)
+    some = np.arange(0, len(t), 1 + len(t) // MAX_HEADINGS)
+    shown = explain(t[some], heading[some], wheels, np.zeros(len(some))) if len(some) else None
+    return {} if shown is None else {"truth": shown}
+
+
+def of_gyro(
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], least: Least | None = None
+) -> list[Finding]:
+    """Return a finding if a gyro turns farther or less far than the headings of the truth or of another sensor."""
+    known, fits, truth = headings(drive.measurements), dict(by_sensor), drive.truth
+    if "gyro" not in known or "gyro" not in fits:
+        return []
+    if truth is not None and truth.theta is not None:
+        known["truth"], fits = _directions(truth, drive.wheels), fits | _by_truth(truth, drive.wheels)
+    name = next((n for n in ("truth", "lrf", "compass") if n in known and n in fits), None)
+    if name is None:
+        return []
+    (t, heading), (own_t, own) = ((known[n][0] + fits[n].offset, known[n][1]) for n in (name, "gyro"))
+    start = own_t[(own_t >= t[0]) & (own_t + RATIO_WINDOW_S <= min(t[-1], own_t[-1]))]
+    if len(start) < MIN_WINDOWS:
+        return []
+    turned = changes(start, RATIO_WINDOW_S, own_t, own)
+    A = np.stack((turned, np.ones(len(start))), axis=-1).astype(np.complex128)  # a bias turns every window alike
+    seen = changes(start, RATIO_WINDOW_S, t, heading).astype(np.complex128)
+
+    def fitted(some: Ints) -> float:
+        return float(robust(A[some], seen[some])[0].real)
+
+    scale = fitted(np.arange(len(start)))
+    sigma = float(jackknife(fitted, len(start), RATIO_STRETCHES))
+    least = GYRO_ERRORS[least is not None]
+    if turned.std() < MIN_RMS_TURN_RAD or abs(scale - 1.0) < least.error + least.sigmas * sigma:
+        return []
+    words = (
+        f"it turns {abs(1.0 / scale - 1.0):.1%} too {'far' if scale < 1.0 else 'little'} by the headings of "
+        f"{'the scans' if name == 'lrf' else f'the {name}'} (1 sigma {sigma:.1%})"
+    )
+    now = float(robot.settings("gyro").scale)
+    return [Finding("gyro", GYRO_SCALE, words, (f"gyro.scale={now * scale:.4g}",))]
 
 
 def _directions(truth: Truth, wheels: Wheels) -> tuple[Array, Array]:

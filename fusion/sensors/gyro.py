@@ -53,6 +53,7 @@ class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     pitch_deg: float = 0.0  # degrees, likewise
     period: float = 0.1  # s: readings are summed up to this, so that their rate costs nothing in the filter
     sigma_deg: float = 0.05  # angle random walk, degrees per sqrt(s)
+    scale: float = 1.0  # true turn / measured turn: rates are multiplied by it
     sigma_scale: float = 0.005  # relative error of the gyro's scale, taken as noise of every turn
     bias_deg: float | None = None  # degrees per s; not set: estimated from the drive
     sigma_bias_deg: float = 1.0  # 1 sigma of an estimated bias at the start, degrees per s
@@ -205,9 +206,9 @@ class GyroModel(Model):
 
 def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Array:
     """Return the turning rates (n,) [rad/s] about the robot's vertical axis."""
+    factor = settings.scale * (math.radians(1.0) if settings.unit == "deg" else 1.0)
     if "data" in columns:  # a bare number is the rate itself
-        bare = np.asarray(columns["data"], dtype=np.float64)
-        return np.radians(bare) if settings.unit == "deg" else bare
+        return factor * np.asarray(columns["data"], dtype=np.float64)
     omega = np.column_stack([columns[f"angular_velocity.{a}"] for a in "xyz"])
     covariance = columns["angular_velocity_covariance"]
     if len(omega) and (covariance[:, 0] == -1.0).all():
@@ -218,8 +219,8 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
     if not finite.any():
         says = "says 0" if len(finite) or not len(omega) else "has no finite angular velocity"
         raise LocfuseError(f"{topic} {says} in all {len(omega)} messages: no gyro writes there", role="gyro")
-    rate: Array = omega @ rotation_3d(settings.roll_deg, settings.pitch_deg, 0.0)[2]
-    return np.radians(rate) if settings.unit == "deg" else rate
+    rate: Array = factor * (omega @ rotation_3d(settings.roll_deg, settings.pitch_deg, 0.0)[2])
+    return rate
 
 
 def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings: GyroSettings) -> dict[str, Array]:

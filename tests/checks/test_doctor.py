@@ -10,6 +10,7 @@ import pytest
 from bags import real_log
 from msgspec.structs import replace
 from present import present
+from rows import readings
 from small_drive import START, TRACK, drive, path, robot
 
 import locfuse
@@ -35,10 +36,11 @@ from locfuse.fusion.checks.truth import (
     unusable,
     wheels_metre,
 )
-from locfuse.fusion.checks.turning import explain, of_ratio, of_track, turnings
+from locfuse.fusion.checks.turning import explain, of_gyro, of_ratio, of_track, turnings
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.se2 import rotation_3d
+from locfuse.fusion.sensors.gyro import GyroSettings
 from locfuse.fusion.wheels.motion import Wheels
 
 
@@ -178,6 +180,23 @@ def test_a_larger_wheel_is_named_by_headings_and_not_by_rates(by: str) -> None:
     assert of_ratio(nothing, robot(), {"gyro": shown["lrf"]}) == []
     states = replace(robot(), wheels=replace(robot().wheels, estimate=True))
     assert of_ratio(larger, states, shown) == []
+
+
+@pytest.mark.parametrize("by", ["truth", "compass", "lrf"])
+@pytest.mark.parametrize("scale", [0.94, 1.0])
+def test_a_gyro_of_another_scale_is_named_by_headings_and_its_bias_is_not(by: str, scale: float) -> None:
+    right = drive(5, robot(), truth=by == "truth")
+    t, pose = path(1.0)
+    at = np.arange(0.0, t[-1], 0.1)
+    turned = np.interp(at, t, pose[:, 2]) / scale + 0.01 * at
+    known = {name: m for name, m in right.measurements.items() if name == by}
+    both = replace(right, measurements={**known, "gyro": readings(at, turned[:, None], 1e-3)})
+    settings = replace(robot(), sensors={**robot().sensors, "gyro": GyroSettings(scale=0.5)})
+    found = of_gyro(both, settings, turnings(both))
+    assert [f.code for f in found] == ["gyro scale"] * (scale != 1.0)
+    assert told(found).get("gyro.scale", 0.5) == pytest.approx(0.5 * scale, rel=0.01)
+    alone = replace(right, truth=None, measurements={"gyro": both.measurements["gyro"]})
+    assert of_gyro(alone, settings, turnings(alone)) == []
 
 
 def test_a_wrong_track_or_range_scale_is_no_radius_and_a_straight_run_tells_no_track() -> None:

@@ -380,6 +380,8 @@ COMPASS_TRAPS = (
          "turns -0.9", True, "gyro", True),
     Trap("a gyro in degrees", gyro(np.eye(3), angular_velocity__z=math.degrees), "times as far as the wheels",
          True, "gyro", True),
+    Trap("a gyro that turns too far", gyro(np.eye(3), angular_velocity__z=lambda v: 1.1 * v),
+         "too far by the headings of", False, "gyro"),
     Trap("a compass late by 0.3 s", late(COMPASS, 0.3), "stamps look 0.3", True, "compass"),
 )  # fmt: skip
 

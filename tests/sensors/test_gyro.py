@@ -151,15 +151,14 @@ def test_the_bias_is_found_while_standing_and_the_heading_beats_the_wheels() -> 
     assert nees[standing + 50 :].mean() < 6.0
 
 
-def test_readings_are_summed_so_that_their_rate_costs_nothing() -> None:
+def test_readings_are_scaled_and_summed_so_that_their_rate_costs_nothing() -> None:
     rng = np.random.default_rng(6)
     t, theta, speed = way(20.0, rate=200.0)
-    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": imu(t, theta, rng)}, robot())
+    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": imu(t, theta, rng)}, robot({"scale": 1.02}))
     m = drive.measurements["gyro"]
     assert 195 <= len(m.t) <= 201
-    np.testing.assert_allclose(
-        m.z[:, 0] - m.z[0, 0], np.interp(m.t, t, theta) - np.interp(m.t[0], t, theta), atol=2e-3
-    )
+    turned = np.interp(m.t, t, theta) - np.interp(m.t[0], t, theta)
+    np.testing.assert_allclose(m.z[:, 0] - m.z[0, 0], 1.02 * turned, atol=2e-3)
 
 
 @pytest.mark.parametrize("turned", [(180.0, 0.0), (90.0, 0.0), (-90.0, 0.0), (0.0, 90.0), (30.0, -50.0)])

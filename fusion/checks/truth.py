@@ -46,7 +46,7 @@ WINDOW_S = 1.0  # s over which steps are compared
 WINDOWS_S = 1.0, 2.0, 4.0, 8.0  # s over which distances are compared: longer where the wheels roll slowly
 MIN_WINDOWS, MAX_BEND_RAD = 20, 1.0  # windows for a ratio of distances; turn by the wheels in a straight window
 STRETCH_COUNT = 8  # of the drive, for the jackknife
-MIN_WAY_M = 0.1  # m per window, by the wheels
+MIN_WAY_M, MIN_WAY_SIGMAS = 0.1, 10.0  # per window, by the wheels: m; standard deviations of the truth
 MIN_SEEN_M = 1e-6  # m per window, by the truth: a truth at rest does not show the wheels' scale
 MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' distances
 WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
@@ -344,8 +344,8 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     """Return the ratio of truth distances to wheel distances, and its sigma; None for a short path.
 
     Distances between positions one of WINDOWS_S apart are compared: the shortest in which the wheels roll far
-    enough. In shorter windows the truth's noise would increase the distances; in longer windows, and where the
-    robot turns, wrong turns would change them.
+    enough for the truth's noise. In shorter windows it would increase the distances; in longer windows, and where
+    the robot turns, wrong turns would change them.
     """
     truth = drive.truth
     if truth is None:
@@ -361,7 +361,7 @@ def _metre_over(window: float, truth: Truth, wheels: Wheels) -> tuple[float, flo
     moved = wheels.relative(start, start + window)
     point = np.tile(truth.point, (len(start), 1))
     seen, own = np.hypot(*step), np.hypot(*(moved[:, :2] + se2.rotated(moved[:, 2], point) - point).T)
-    used = (own > MIN_WAY_M) & (seen > MIN_SEEN_M)
+    used = (own > max(MIN_WAY_M, MIN_WAY_SIGMAS * truth.sigma)) & (seen > MIN_SEEN_M)
     straight = used & (np.abs(moved[:, 2]) < MAX_BEND_RAD)
     used = straight if straight.sum() >= MIN_WINDOWS else used
     ratio = seen[used] / own[used]

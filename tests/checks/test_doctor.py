@@ -167,6 +167,14 @@ def test_a_radius_that_is_far_off_is_named_and_the_track_is_left(factor: float, 
     assert not found
 
 
+def test_the_noise_of_a_truth_does_not_lengthen_its_metre() -> None:
+    healthy = drive(1, robot())
+    noise = 0.1 * np.random.default_rng(3).normal(size=truth_of(healthy).xy.shape)
+    noisy = with_truth(healthy, xy=truth_of(healthy).xy + noise)
+    assert present(wheels_metre(noisy))[0] > 1.04  # in windows that are short for this noise
+    assert present(wheels_metre(with_truth(noisy, sigma=0.1)))[0] == pytest.approx(1.0, abs=0.015)
+
+
 @pytest.mark.parametrize("by", ["truth", "positions", "compass", "lrf"])
 def test_a_larger_wheel_is_named_by_headings_and_not_by_rates(by: str) -> None:
     right = drive(5, robot(), truth=by in {"truth", "positions"})

@@ -2,6 +2,7 @@
 
 import json
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -455,3 +456,9 @@ def test_the_command_finds_wheels_and_mount_of_a_simulated_robot(tmp_path: Path)
 def test_a_log_without_a_laser_says_what_is_missing(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", joint_states(*angles(5.0)))
     assert "no wheels and laser together in x" in refused("calibrate", log, *GEOMETRY)
+
+
+def test_a_larger_wheel_is_calibrated_though_a_finding_names_it(tmp_path: Path) -> None:
+    ok("calibrate", "rounded_rectangle", "--set", "wheels.ratio=0.9", "-o", tmp_path / "robot.toml")
+    found = tomllib.loads((tmp_path / "robot.toml").read_text(encoding="utf-8"))
+    assert found["wheels"]["ratio"] == pytest.approx(1.0, abs=0.03)

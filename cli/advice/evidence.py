@@ -31,6 +31,7 @@ from locfuse.fusion.checks.compass import ROOM
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.lag import SAID_SIGMAS
+from locfuse.fusion.checks.landmarks import CLOCKWISE
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
 from locfuse.fusion.checks.laser_ranges import OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
@@ -81,7 +82,14 @@ SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious wit
 # codes of findings with a measured value: by truth, magnetic field, stamps or straight walls
 MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, YAW, "iron", ROOM, CREEP, RIMS)
 MAX_SCAN_PERIOD_S = 0.4  # with a longer one the laser's path follows the wheels between scans
-KEYLESS = {OPEN_SCALE, CREEP, BUMP, SWAPPED, UNEVEN}  # findings that are named although no setting fixes them
+KEYLESS = {
+    OPEN_SCALE,
+    CREEP,
+    BUMP,
+    SWAPPED,
+    UNEVEN,
+    CLOCKWISE,
+}  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 
 

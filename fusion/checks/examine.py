@@ -25,6 +25,7 @@ from .clocks import EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
 from .encoder import STUCK, of_degrees, of_stuck_wheel
 from .finding import Finding, Least
+from .landmarks import of_landmarks
 from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_offset, of_range_unit, of_scatter, unreturned
 from .publishers import PUBLISHERS, of_publishers
@@ -88,6 +89,7 @@ def examine(
     found += unit
     if unit or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared
+    found += of_landmarks(drive, robot)
     if "camera" in drive.measurements:
         from .pictures import of_calibration, of_handedness  # imported here since it needs OpenCV
 

@@ -73,6 +73,7 @@ DETECTIONS = "locfuse/msg/Detections"  # a file beside the log
 TAGS = "locfuse/msg/TagFrames"  # frames of /tf: a row for each tag, in the camera's optical axes
 LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 NO_ID = -1
+MAX_BEARING_RAD, MAX_BEYOND_SHARE = 4.0 * math.pi, 0.05  # with a larger share beyond this they are not radians
 BUNDLE_ID = -(2**62)  # id of a detection that consists of several tags: it is not used
 
 
@@ -298,6 +299,11 @@ class Landmarks(Sensor):
             )
         dropped = dict(stream.dropped)
         valid = np.asarray(plausible(seen.bearings))
+        beyond = np.abs(seen.bearings[valid]) > MAX_BEARING_RAD
+        if beyond.sum() > MAX_BEYOND_SHARE * len(beyond):
+            most = float(np.abs(seen.bearings[valid]).max())
+            words = f"the bearings of {stream.topic} reach {most:.0f}: they look like degrees. Write radians"
+            raise LocfuseError(words, role="landmarks")
         if seen.ranges is not None:
             valid = valid & plausible(seen.ranges) & (seen.ranges > 0.0)
         keep, notes = used(IdReadings(stream.topic, seen.t_ns, seen.ids, camera, valid), settings, dropped)

@@ -1,6 +1,7 @@
 """Landmarks with ids: range and bearing to a known map, and what is wrong with a map."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,16 @@ def test_what_is_missing_is_said_in_one_line(
     log, *_ = written(tmp_path)
     monkeypatch.chdir(tmp_path)
     assert says in refused("run", log, *GEOMETRY, "--sensors", "landmarks", *sets(*keys), "-o", tmp_path / "out")
+
+
+def test_bearings_in_degrees_are_refused(tmp_path: Path) -> None:
+    log, _ = written(tmp_path)
+    head, *lines = (tmp_path / "detections.csv").read_text().splitlines()
+    rows = (line.rsplit(",", 1) for line in lines)
+    degrees = "\n".join([head, *(f"{start},{math.degrees(float(bearing))}" for start, bearing in rows)])
+    (tmp_path / "detections.csv").write_text(degrees)
+    says = refused("run", log, *GEOMETRY, "--sensors", "landmarks", *files_of(tmp_path), "-o", tmp_path / "out")
+    assert re.search(r"the bearings of \S*detections.csv reach 180: they look like degrees. Write radians", says)
 
 
 def test_info_finds_the_file_and_init_writes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,7 +77,7 @@ def test_every_number_of_robot_toml_has_a_unit_or_is_known_to_have_none() -> Non
         "wheels.ratio", "wheels.servo_offset",
         "wheels.sigma_scale", "wheels.sigma_track", "compass.field_tolerance", "compass.soft_iron",
         "lrf.range_scale", "lrf.min_points", "camera.red_ratio", "camera.min_slender", "gyro.sigma_scale",
-        "landmarks.ignore",
+        "landmarks.ignore", "gyro.scale",
         "ranges.ignore",
         "landmarks.range_depth", "twist.sigma_scale",
     }  # fmt: skip

@@ -34,6 +34,7 @@ MIN_PAIRS, PARTS = 40, 8  # pairs; parts of the jackknife
 MIN_TURN_RAD, MIN_TURNS = 0.2, 20  # turn between two detections; pairs with one, to tell mirrored bearings
 MAX_MIRRORED_SHARE = 0.7  # largest ratio of median residuals, mirrored to as measured, of mirrored bearings
 MIN_YAW_RAD, MIN_SCALE, SIGMAS = math.radians(3.0), 0.05, 4.0  # smallest errors; standard errors
+MIN_SLOPE = 1e-6  # of 1 / c
 MAX_UNIT_RATIO = 1.5  # largest factor between the observed scale and that of a unit
 
 
@@ -98,6 +99,8 @@ def of_landmarks(drive: Drive, robot: Robot) -> list[Finding]:
         words = f"its bearings grow clockwise by {by}: write them counter-clockwise"
         return [Finding("landmarks", CLOCKWISE, words, (), True)]
     found, _ = pairs.slope(every)
+    if abs(found) < MIN_SLOPE:
+        return []  # the detections stay the same while the robot drives
     unit = next((u for f, u in UNITS.items() if 1.0 / MAX_UNIT_RATIO < abs(found) / f < MAX_UNIT_RATIO), None)
     if unit is not None:
         times = f"{float(f'{abs(found):.2g}'):g}"

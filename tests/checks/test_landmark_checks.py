@@ -66,3 +66,13 @@ def test_yaw_and_scale_of_a_detector_are_measured(truth: bool) -> None:
     assert not scale.fixes
     off = float(scale.message.partition("ranges are ")[2].partition("%")[0])
     assert off == pytest.approx(25.0, abs=3.0)
+
+
+def test_detections_that_stay_the_same_tell_nothing() -> None:
+    one, at = drive(5, robot()), np.arange(1.0, 40.0, 0.5)
+    settings = replace(robot(), sensors={"landmarks": LandmarksSettings()})
+    for bearing, distance in ((0.0, 0.0), (0.3, 1.0)):
+        z = np.tile([bearing, distance], (len(at), 1))
+        m = readings(at, z, 0.01, id=np.zeros(len(at)))
+        found = of_landmarks(replace(one, measurements={"landmarks": m}), settings)
+        assert not any(f.severe for f in found)

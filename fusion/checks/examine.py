@@ -30,7 +30,18 @@ from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_offset, of_range_unit, of_scatter, unreturned
 from .publishers import PUBLISHERS, of_publishers
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
-from .turning import MIRROR, Turning, clock_offset, far_by_scans, of_gyro, of_ratio, of_track, of_turning, turnings
+from .turning import (
+    MIRROR,
+    Turning,
+    and_truth,
+    clock_offset,
+    far_by_scans,
+    of_gyro,
+    of_ratio,
+    of_track,
+    of_turning,
+    turnings,
+)
 
 MIN_DURATION_S = 5.0  # of a drive by which sensors are judged
 MIN_READINGS = 10  # readings from which a sensor is judged
@@ -146,7 +157,8 @@ def _scales(
     track = of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, least)
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
-    ratio = [*of_ratio(drive, robot, by_sensor, least), *of_gyro(drive, robot, by_sensor, least)]
+    fits = and_truth(drive, by_sensor)
+    ratio = [*of_ratio(drive, robot, fits, least), *of_gyro(drive, robot, fits, least)]
     return [*size, *radius, *scaled, *track, *ratio, *of_laser(motion, robot, factor, least, by_truth)]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -517,12 +517,12 @@ def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
     return [Finding(run.sensors[0], OPEN_SCALE, words + hint, fixes), *found_too]
 
 
-def robust(A: Plane, y: Plane) -> Plane:
+def robust(A: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
     """Return the least-squares solution (k,) of A x = y, A (n, k), y (n,), without outliers.
 
     Points of the plane are complex numbers, so an element of x scales and turns.
     """
-    keep, x = np.ones(len(y), dtype=bool), np.zeros(A.shape[1], np.complex128)
+    keep, x = np.ones(len(y), dtype=bool), np.zeros(A.shape[1], A.dtype)
     for _ in range(3):
         x = np.asarray(np.linalg.lstsq(A[keep], y[keep], rcond=None)[0])
         rest = np.abs(y - A @ x)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import cast
+from typing import NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Drive, Ints, Stream, Truth, changes, totals
+from locfuse.fusion.data import Array, Drive, Ints, Stream, changes, totals
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
@@ -35,7 +35,7 @@ WINDOW_S, MIN_WINDOWS = 1.0, 20  # s over which turns are compared; their least 
 RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is compared; parts of the jackknife
 RATIO = "ratio"  # code of the finding on wheels of different size
 RATIO_ERRORS = Least(0.01, 4.0), Least(0.005, 3.0)  # smallest error of the ratio: reported, tried
-SEVERE_RATIO_ERROR, RATIO_SIGMAS = 0.03, 4.0
+SEVERE_RATIO_ERROR = 0.03
 GYRO_SCALE, GYRO_ERRORS = "gyro scale", (Least(0.02, 4.0), Least(0.01, 3.0))  # smallest error: reported, tried
 MAX_HEADINGS = 5000  # of the truth, for the wheels' ratio
 RATES = ("gyro", "twist")  # sensors that measure a rate: their bias looks like wheels of different size
@@ -63,27 +63,39 @@ class Turning(msgspec.Struct, frozen=True):
     sigma: float  # standard error of a - b
     explained: float  # share of its variance
     offset: float  # s to add to its stamps
-    ratio: float = (
-        1.0  # per metre of the right wheel / per metre of the left one, of headings whose rate has no bias
-    )
-    ratio_sigma: float = math.inf
 
 
-def turnings(drive: Drive) -> dict[str, Turning]:
-    """Return the fit of turns by wheel distances, for each sensor that measures turns."""
+class Headings(NamedTuple):
+    """Headings of the truth or of one sensor."""
+
+    t: Array  # (n,) s
+    angle: Array  # (n,) rad, unwrapped
+    without_lines: Array  # (n,) number of readings so far whose turn is unknown
+
+
+def headings_of(drive: Drive) -> dict[str, Headings]:
+    """Return the headings of each sensor that measures turns."""
     found = {}
     for name, (t, own) in headings(drive.measurements).items():
         # while no lines match, the turn is exactly zero
         unknown = np.cumsum(np.diff(own, prepend=np.nan) == 0.0) * float(REGISTRY[name].heading_holds)
-        turning = explain(t, own, drive.wheels, unknown)
-        if turning is not None:
-            found[name] = turning
+        found[name] = Headings(t, own, unknown)
     return found
+
+
+def turnings(drive: Drive) -> dict[str, Turning]:
+    """Return the fit of turns by wheel distances, for each sensor that measures turns."""
+    return _fits(headings_of(drive), drive.wheels)
+
+
+def _fits(known: Mapping[str, Headings], wheels: Wheels) -> dict[str, Turning]:
+    found = {name: explain(h.t, h.angle, wheels, h.without_lines) for name, h in known.items()}
+    return {name: fit for name, fit in found.items() if fit is not None}
 
 
 def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> Turning | None:
     """Return the fit of turns by wheel distances at the best clock offset; None if they do not fit."""
-    start, own = _turns(t, heading, wheels, without_lines, WINDOW_S)
+    start, own = _turns(Headings(t, heading, without_lines), wheels, WINDOW_S)
     if len(start) < MIN_WINDOWS or math.sqrt(float((own**2).mean())) < MIN_RMS_TURN_RAD:
         return None
     way = totals(wheels.rolled)
@@ -92,28 +104,15 @@ def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> T
         fit = _fit(own, changes(start + offset, WINDOW_S, wheels.t, way), offset)
         if fit is not None and (best is None or fit.explained > best.explained):
             best = fit
-    if best is None or best.explained <= MIN_EXPLAINED_SHARE:
-        return None
-    start, own = _turns(t, heading, wheels, without_lines, RATIO_WINDOW_S)
-    left, right = changes(start + best.offset, RATIO_WINDOW_S, wheels.t, way).T
-    A = np.stack((right - left, right + left), axis=-1).astype(np.complex128)
-
-    def ratio(some: Ints) -> float | None:
-        turn, drift = robust(A[some], own[some].astype(np.complex128)).real.tolist()
-        return (turn + drift) / (turn - drift) if abs(drift) < abs(turn) else None
-
-    rows = np.arange(len(start))
-    if len(rows) < MIN_WINDOWS or (found := ratio(rows)) is None:
-        return best
-    return replace(best, ratio=found, ratio_sigma=float(jackknife(ratio, len(rows), RATIO_STRETCHES)))
+    return best if best is not None and best.explained > MIN_EXPLAINED_SHARE else None
 
 
-def _turns(t: Array, heading: Array, wheels: Wheels, without_lines: Array, span: float) -> tuple[Array, Array]:
+def _turns(h: Headings, wheels: Wheels, span: float) -> tuple[Array, Array]:
     """Return the starts (n,) [s] of windows of `span` seconds with lines throughout, and the turns (n,) [rad]."""
-    start = t[(t >= wheels.t[0] + MAX_LAG_S) & (t <= wheels.t[-1] - MAX_LAG_S - span)]
-    start = start[start + span <= t[-1]]
-    start = start[np.interp(start + span, t, without_lines) == np.interp(start, t, without_lines)]
-    return start, changes(start, span, t, heading)
+    start = h.t[(h.t >= wheels.t[0] + MAX_LAG_S) & (h.t <= wheels.t[-1] - MAX_LAG_S - span)]
+    start = start[start + span <= h.t[-1]]
+    start = start[changes(start, span, h.t, h.without_lines) == 0.0]
+    return start, changes(start, span, h.t, h.angle)
 
 
 def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
@@ -290,86 +289,110 @@ def of_track(
 def of_ratio(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], least: Least | None = None
 ) -> list[Finding]:
-    """Return a finding if headings drift with the distance, by truth or a sensor: one wheel is larger."""
+    """Return a finding if headings drift with the distance, by truth or a sensor: one wheel is larger.
+
+    `by_sensor` may have a fit of the truth.
+    """
     wheels, truth = robot.wheels, drive.truth
     if wheels.radius is None or wheels.track is None or wheels.estimate or wheels.is_of_driver:
         return []
-    by = {name: t for name, t in by_sensor.items() if name not in RATES}
-    if truth is not None:
-        named = _by_truth(truth, drive.wheels)
-        by = {**by, **named} if truth.theta is None else {**named, **by}  # directions of travel are least exact
-    least = RATIO_ERRORS[least is not None]
-    for name, fit in by.items():
-        off = fit.ratio - 1.0
-        if not math.isfinite(fit.ratio_sigma):
-            continue
-        if abs(off) < least.error + least.sigmas * fit.ratio_sigma:
-            return []
-        ratio, source = wheels.ratio * fit.ratio, "the scans" if name == "lrf" else f"the {name}"
-        words = (
-            f"by the headings of {source} the right wheel's radius is {ratio:.3f} times the left one's (1 sigma "
-            f"{fit.ratio_sigma:.3f}), configured {wheels.ratio:g}"
-        )
-        severe = abs(off) > SEVERE_RATIO_ERROR + RATIO_SIGMAS * fit.ratio_sigma
-        return [Finding("wheels", RATIO, words, (f"wheels.ratio={ratio:.4g}",), severe)]
-    return []
+    known = headings_of(drive) | _of_truth(drive)
+    names = [name for name in by_sensor if name in known and name not in RATES]
+    # directions of travel are less exact than headings
+    names.sort(key=lambda name: name == "truth", reverse=truth is not None and truth.theta is not None)
+    found = ((name, _ratio(known[name], by_sensor[name].offset, drive.wheels)) for name in names)
+    name, (ratio, sigma) = next(((name, fit) for name, fit in found if fit is not None), ("", (1.0, 0.0)))
+    least, off = RATIO_ERRORS[least is not None], abs(ratio - 1.0)
+    if off < least.error + least.sigmas * sigma:
+        return []
+    ratio *= wheels.ratio
+    words = (
+        f"by the headings of {_source(name)} the right wheel's radius is {ratio:.3f} times the left one's (1 "
+        f"sigma {sigma:.3f}), configured {wheels.ratio:g}"
+    )
+    severe = off > SEVERE_RATIO_ERROR + RATIO_ERRORS[0].sigmas * sigma
+    return [Finding("wheels", RATIO, words, (f"wheels.ratio={ratio:.4g}",), severe)]
 
 
-def _by_truth(truth: Truth, wheels: Wheels) -> dict[str, Turning]:
-    t, heading = _directions(truth, wheels)
-    some = np.arange(0, len(t), 1 + len(t) // MAX_HEADINGS)
-    shown = explain(t[some], heading[some], wheels, np.zeros(len(some))) if len(some) else None
-    return {} if shown is None else {"truth": shown}
+def _ratio(known: Headings, offset: float, wheels: Wheels) -> tuple[float, float] | None:
+    """Return the turn per metre of the right wheel / that of the left one, and its sigma; None if unclear.
+
+    The rate of the headings must have no bias. `offset` [s] is added to their times.
+    """
+    start, own = _turns(known, wheels, RATIO_WINDOW_S)
+    if len(start) < MIN_WINDOWS:
+        return None
+    left, right = changes(start + offset, RATIO_WINDOW_S, wheels.t, totals(wheels.rolled)).T
+    A = np.stack((right - left, right + left), axis=-1)
+
+    def ratio(some: Ints) -> float | None:
+        turn, drift = robust(A[some], own[some]).tolist()
+        return (turn + drift) / (turn - drift) if abs(drift) < abs(turn) else None
+
+    found, sigma = ratio(np.arange(len(start))), float(jackknife(ratio, len(start), RATIO_STRETCHES))
+    return None if found is None or not math.isfinite(sigma) else (found, sigma)
+
+
+def and_truth(drive: Drive, by_sensor: Mapping[str, Turning]) -> dict[str, Turning]:
+    """Return the fits of turns with that of the truth, if it turns as the wheels do."""
+    return {**by_sensor, **_fits(_of_truth(drive), drive.wheels)}
 
 
 def of_gyro(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], least: Least | None = None
 ) -> list[Finding]:
-    """Return a finding if a gyro turns farther or less far than the headings of the truth or of another sensor."""
-    known, fits, truth = headings(drive.measurements), dict(by_sensor), drive.truth
-    if "gyro" not in known or "gyro" not in fits:
-        return []
+    """Return a finding if a gyro turns farther or less far than the headings of the truth or of another sensor.
+
+    `by_sensor` may have a fit of the truth.
+    """
+    known, truth = headings_of(drive), drive.truth
     if truth is not None and truth.theta is not None:
-        known["truth"], fits = _directions(truth, drive.wheels), fits | _by_truth(truth, drive.wheels)
-    name = next((n for n in ("truth", "lrf", "compass") if n in known and n in fits), None)
-    if name is None:
+        known["truth"] = Headings(truth.t, np.unwrap(truth.theta), np.zeros(len(truth.t)))
+    name = next((n for n in ("truth", "lrf", "compass") if n in known and n in by_sensor), None)
+    if name is None or "gyro" not in known or "gyro" not in by_sensor:
         return []
-    (t, heading), (own_t, own) = ((known[n][0] + fits[n].offset, known[n][1]) for n in (name, "gyro"))
+    (t, heading), (own_t, own) = ((known[n].t + by_sensor[n].offset, known[n].angle) for n in (name, "gyro"))
     start = own_t[(own_t >= t[0]) & (own_t + RATIO_WINDOW_S <= min(t[-1], own_t[-1]))]
     if len(start) < MIN_WINDOWS:
         return []
-    turned = changes(start, RATIO_WINDOW_S, own_t, own)
-    A = np.stack((turned, np.ones(len(start))), axis=-1).astype(np.complex128)  # a bias turns every window alike
-    seen = changes(start, RATIO_WINDOW_S, t, heading).astype(np.complex128)
+    turned, seen = changes(start, RATIO_WINDOW_S, own_t, own), changes(start, RATIO_WINDOW_S, t, heading)
+    A = np.stack((turned, np.ones(len(start))), axis=-1)  # a bias turns every window alike
 
     def fitted(some: Ints) -> float:
-        return float(robust(A[some], seen[some])[0].real)
+        return float(robust(A[some], seen[some])[0])
 
     scale = fitted(np.arange(len(start)))
     sigma = float(jackknife(fitted, len(start), RATIO_STRETCHES))
     least = GYRO_ERRORS[least is not None]
     if turned.std() < MIN_RMS_TURN_RAD or abs(scale - 1.0) < least.error + least.sigmas * sigma:
         return []
-    words = (
-        f"it turns {abs(1.0 / scale - 1.0):.1%} too {'far' if scale < 1.0 else 'little'} by the headings of "
-        f"{'the scans' if name == 'lrf' else f'the {name}'} (1 sigma {sigma:.1%})"
-    )
-    now = float(robot.settings("gyro").scale)
-    return [Finding("gyro", GYRO_SCALE, words, (f"gyro.scale={now * scale:.4g}",))]
+    far = f"{abs(1.0 / scale - 1.0):.1%} too {'far' if scale < 1.0 else 'little'}"
+    words = f"it turns {far} by the headings of {_source(name)} (1 sigma {sigma:.1%})"
+    return [Finding("gyro", GYRO_SCALE, words, (f"gyro.scale={float(robot.settings('gyro').scale) * scale:.4g}",))]
 
 
-def _directions(truth: Truth, wheels: Wheels) -> tuple[Array, Array]:
-    """Return times (n,) [s] and headings (n,) [rad] of the truth, or without them its directions of travel."""
+def _source(name: str) -> str:
+    return "the scans" if name == "lrf" else f"the {name}"
+
+
+def _of_truth(drive: Drive) -> dict[str, Headings]:
+    """Return at most MAX_HEADINGS headings of the truth, or without them directions of travel; {} if unknown."""
+    truth, wheels = drive.truth, drive.wheels
+    if truth is None:
+        return {}
     if truth.theta is not None:
-        return truth.t, np.unwrap(truth.theta)
-    inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
-    t, xy = truth.t[inside], truth.xy[inside]
-    way = wheels.driven(t)
-    end = np.searchsorted(way, way + CHORD_M)
-    first = np.flatnonzero(end < len(t))
-    ahead = (xy[end[first]] - xy[first]).T
-    middle, kept = np.unique(0.5 * (t[first] + t[end[first]]), return_index=True)
-    return middle, np.unwrap(np.arctan2(ahead[1], ahead[0])[kept])
+        t, heading = truth.t, np.unwrap(truth.theta)
+    else:
+        inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+        at, xy = truth.t[inside], truth.xy[inside]
+        way = wheels.driven(at)
+        end = np.searchsorted(way, way + CHORD_M)
+        first = np.flatnonzero(end < len(at))
+        ahead = (xy[end[first]] - xy[first]).T
+        t, kept = np.unique(0.5 * (at[first] + at[end[first]]), return_index=True)
+        heading = np.unwrap(np.arctan2(ahead[1], ahead[0])[kept])
+    some = np.arange(0, len(t), 1 + len(t) // MAX_HEADINGS)
+    return {"truth": Headings(t[some], heading[some], np.zeros(len(some)))} if len(some) else {}
 
 
 def observed_track(

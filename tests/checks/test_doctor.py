@@ -36,7 +36,7 @@ from locfuse.fusion.checks.truth import (
     unusable,
     wheels_metre,
 )
-from locfuse.fusion.checks.turning import explain, of_gyro, of_ratio, of_track, turnings
+from locfuse.fusion.checks.turning import and_truth, explain, of_gyro, of_ratio, of_track, turnings
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.se2 import rotation_3d
@@ -181,7 +181,7 @@ def test_a_larger_wheel_is_named_by_headings_and_not_by_rates(by: str) -> None:
     right = with_truth(right, theta=None) if by == "positions" else right
     larger = rolled(right, right.wheels.rolled * [1.0, 0.94])  # the right wheel is larger than it is said to be
     shown = turnings(larger)
-    (found,) = of_ratio(larger, robot(), {by: shown[by]} if by in shown else {})
+    (found,) = of_ratio(larger, robot(), and_truth(larger, {by: shown[by]} if by in shown else {}))
     assert told([found])["wheels.ratio"] == pytest.approx(1.0 / 0.94, rel=0.015)
     assert of_ratio(right, robot(), turnings(right)) == []
     nothing = replace(larger, truth=None)
@@ -200,7 +200,7 @@ def test_a_gyro_of_another_scale_is_named_by_headings_and_its_bias_is_not(by: st
     known = {name: m for name, m in right.measurements.items() if name == by}
     both = replace(right, measurements={**known, "gyro": readings(at, turned[:, None], 1e-3)})
     settings = replace(robot(), sensors={**robot().sensors, "gyro": GyroSettings(scale=0.5)})
-    found = of_gyro(both, settings, turnings(both))
+    found = of_gyro(both, settings, and_truth(both, turnings(both)))
     assert [f.code for f in found] == ["gyro scale"] * (scale != 1.0)
     assert told(found).get("gyro.scale", 0.5) == pytest.approx(0.5 * scale, rel=0.01)
     alone = replace(right, truth=None, measurements={"gyro": both.measurements["gyro"]})

@@ -317,6 +317,8 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     if found is None:
         return []
     factor, sigma = found.scale, float(found.sigma[2])
+    if factor == 0.0:
+        return []  # a truth that stays in one place has no scale
     off, apart = abs(math.log(factor)), abs(math.log(motion.scale))
     if off < max(MIN_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma / factor) or apart > MAX_APART_SHARE * off:
         return []

@@ -428,6 +428,7 @@ def test_a_truth_that_does_not_move_measures_no_wheels(place: float) -> None:
     still = with_truth(healthy, xy=place * rng.integers(0, 3, truth_of(healthy).xy.shape))
     assert wheels_metre(still) is None
     assert metre(still, robot()) == (1.0, [])
+    assert of_size(still, seen(still)) == []
 
 
 @pytest.mark.parametrize("factor", [0.95, 1.05])

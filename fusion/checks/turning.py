@@ -38,7 +38,8 @@ RATIO_ERRORS = Least(0.01, 4.0), Least(0.005, 3.0)  # smallest error of the rati
 SEVERE_RATIO_ERROR = 0.03
 GYRO_SCALE, GYRO_ERRORS = "gyro scale", (Least(0.02, 4.0), Least(0.01, 3.0))  # smallest error: reported, tried
 MAX_HEADINGS = 5000  # of the truth, for the wheels' ratio
-RATES = ("gyro", "twist")  # sensors that measure a rate: their bias looks like wheels of different size
+RATES = ("gyro", "twist")  # sensors that measure a rate, which has a bias
+MIN_SPEED_SPREAD = 0.2  # least standard deviation of the speed as share of its mean, beside a bias
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
 MIN_RMS_TURN_RAD = math.radians(5.0)  # least rms turn of a window
 MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turns that the wheels must explain, with either sign
@@ -297,10 +298,11 @@ def of_ratio(
     if wheels.radius is None or wheels.track is None or wheels.estimate or wheels.is_of_driver:
         return []
     known = headings_of(drive) | _of_truth(drive)
-    names = [name for name in by_sensor if name in known and name not in RATES]
+    names = [name for name in by_sensor if name in known]
     # directions of travel are less exact than headings
     names.sort(key=lambda name: name == "truth", reverse=truth is not None and truth.theta is not None)
-    found = ((name, _ratio(known[name], by_sensor[name].offset, drive.wheels)) for name in names)
+    names.sort(key=RATES.__contains__)
+    found = ((n, _ratio(known[n], by_sensor[n].offset, drive.wheels, n in RATES)) for n in names)
     name, (ratio, sigma) = next(((name, fit) for name, fit in found if fit is not None), ("", (1.0, 0.0)))
     least, off = RATIO_ERRORS[least is not None], abs(ratio - 1.0)
     if off < least.error + least.sigmas * sigma:
@@ -314,19 +316,21 @@ def of_ratio(
     return [Finding("wheels", RATIO, words, (f"wheels.ratio={ratio:.4g}",), severe)]
 
 
-def _ratio(known: Headings, offset: float, wheels: Wheels) -> tuple[float, float] | None:
+def _ratio(known: Headings, offset: float, wheels: Wheels, biased: bool) -> tuple[float, float] | None:
     """Return the turn per metre of the right wheel / that of the left one, and its sigma; None if unclear.
 
-    The rate of the headings must have no bias. `offset` [s] is added to their times.
+    The rate of the headings has an unknown bias if `biased`. `offset` [s] is added to their times.
     """
     start, own = _turns(known, wheels, RATIO_WINDOW_S)
     if len(start) < MIN_WINDOWS:
         return None
     left, right = changes(start + offset, RATIO_WINDOW_S, wheels.t, totals(wheels.rolled)).T
-    A = np.stack((right - left, right + left), axis=-1)
+    if biased and np.std(right + left) < MIN_SPEED_SPREAD * abs(np.mean(right + left)):
+        return None  # at constant speed a bias looks like a ratio
+    A = np.stack((right - left, right + left, np.ones(len(start)))[: 3 if biased else 2], axis=-1)
 
     def ratio(some: Ints) -> float | None:
-        turn, drift = robust(A[some], own[some]).tolist()
+        turn, drift = robust(A[some], own[some]).tolist()[:2]
         return (turn + drift) / (turn - drift) if abs(drift) < abs(turn) else None
 
     found, sigma = ratio(np.arange(len(start))), float(jackknife(ratio, len(start), RATIO_STRETCHES))

@@ -12,12 +12,21 @@ from numpy.typing import ArrayLike
 EXACT_DOF, MAX_NEWTON_STEPS = 300, 50
 CONFIDENCE = 0.95  # confidence of intervals and bounds
 SIGMAS_95 = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
+CLIP_SIGMAS = 3.0  # robust standard deviations at which an error is clipped
 MAD_OF_NORMAL = 0.6745  # median absolute deviation / standard deviation of a normal distribution
 
 
 def robust_sigma(errors: ArrayLike) -> float:
     """Return the standard deviation of errors about 0, from their median size: a few outliers do not matter."""
     return float(np.median(np.abs(errors))) / MAD_OF_NORMAL
+
+
+def clipped_rms(errors: ArrayLike) -> float:
+    """Return the rms of errors (n,) about 0, each at most CLIP_SIGMAS times their robust standard deviation.
+
+    It changes more smoothly with the errors than `robust_sigma` does.
+    """
+    return float(np.sqrt(np.mean(np.minimum(np.abs(errors), CLIP_SIGMAS * robust_sigma(errors)) ** 2)))
 
 
 @cache

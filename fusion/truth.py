@@ -165,6 +165,13 @@ def heading_notes(truth: Truth, msgtype: str) -> tuple[str, ...]:
     return ("its heading never changes: only its positions are used",)
 
 
+def poses_at(truth: Truth, t: Array) -> Array:
+    """Return poses (n, 3) of the base at times t (n,) [s]; without headings those of the point, theta NaN."""
+    if truth.theta is not None:
+        return body_poses(truth, t)
+    return np.stack([*(np.interp(t, truth.t, column) for column in truth.xy.T), np.full(len(t), np.nan)], axis=-1)
+
+
 def body_poses(truth: Truth, t: Array) -> Array:
     """Return poses (n, 3) of the robot's base, interpolated from the truth at times t (n,) [s]; theta not wrapped.
 

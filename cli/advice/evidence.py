@@ -35,6 +35,8 @@ from locfuse.fusion.checks.landmarks import CLOCKWISE
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
 from locfuse.fusion.checks.laser_ranges import OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
+from locfuse.fusion.checks.points import MAP
+from locfuse.fusion.checks.points import SCALE as RANGE_SCALE
 from locfuse.fusion.checks.probes import (
     GPS,
     MOUNT,
@@ -89,6 +91,8 @@ KEYLESS = {
     SWAPPED,
     UNEVEN,
     CLOCKWISE,
+    MAP,
+    RANGE_SCALE,
 }  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 

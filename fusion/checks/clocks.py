@@ -23,7 +23,7 @@ from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Str
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import parts_of
-from locfuse.fusion.truth import body_poses
+from locfuse.fusion.truth import poses_at
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
@@ -48,7 +48,6 @@ MAX_RIVAL_CORRELATION = 0.7  # at other lags: a drive that repeats itself would 
 MIN_FAR_CHANGE = 0.02  # m or rad per window, least standard deviation from which a lag is found
 MIN_TRUTH_LAG_S, MAX_MISFIT_RATIO, MIN_CORRELATION = 0.06, 0.75, 0.9
 SEVERE_LAG_S = 0.1  # s: at half a metre per second and a radian per second this is centimetres and degrees
-MAX_STAMPED_RATIO = 0.85  # largest ratio of the misfits with recorded and with shifted stamps, to show the clock
 MIN_LAG_S = 0.01  # s: a smaller lag is not reported
 SPEED_SIGMA_S = 0.03  # s, 1 sigma of a lag by speeds or positions
 MODEL_SIGMA_S = 0.002  # s, 1 sigma by model errors, added to the sigma of every lag
@@ -66,7 +65,10 @@ MAX_EVEN_CORRELATION = -0.35  # of neighbouring intervals: it is -0.5 for an eve
 MAX_ALTERNATING_CORRELATION = 0.3  # of every second interval: it is 0 for an even clock, 1 for long, short, long
 MIN_EVEN_PERIODS = 50
 WHEEL_LAG_SHARE = 0.1  # share of the wheels' lag that a laser's run may contain
-AS_STAMPED = Lag(0.0, 1.0, 1.0)
+MAX_PLACED, PLACE_STEP_S = 2000, 0.05  # readings that are used; s, steps of the lag
+LAG_STEPS = 6  # to each side of the best lag, that a parabola is fitted to
+MAX_PLACED_RATIO = 0.85  # largest ratio of residuals at the best lag to those LAG_STEPS away, to show the clock
+PLACES_SIGMA_S = 0.02  # s, 1 sigma of a lag by residuals of positions, by model errors
 Pair = tuple[str, str]  # two clocks
 
 
@@ -226,7 +228,7 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
         if own is not None:
             found[LASER, "truth"] = _of_a_run(own, by_motion)
         found["truth", base] = by_motion
-        found |= dict.fromkeys(_on_truths_clock(drive, robot, by_motion), AS_STAMPED)
+        found |= _lags_by_places(drive, robot)
     return {pair: _known(lag) for pair, lag in found.items() if lag is not None}
 
 
@@ -314,25 +316,43 @@ def explained(
     )
 
 
-def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
-    """Return (sensor, "truth") for each sensor on the truth's clock.
+def _lags_by_places(drive: Drive, robot: Robot) -> dict[Pair, Lag]:
+    """Return the lag of each sensor of positions, such as landmarks, relative to the truth's clock.
 
-    Their readings fit the truth clearly better with the recorded stamps than with stamps shifted by `lag`, the lag
-    of the truth relative to the wheels. This test is for sensors of positions, such as landmarks. (If the robot
-    follows commands late, the truth seems to be late.)
+    It is the shift of the stamps with the smallest residuals at the truth's poses. A sensor whose residuals hardly
+    depend on the shift has none.
     """
-    truth = drive.truth
-    if truth is None or truth.theta is None or lag is None or abs(lag.offset) < MIN_LAG_S:
-        return []
-    found = []
+    truth, lags = drive.truth, np.arange(-MAX_LAG_S, MAX_LAG_S + PLACE_STEP_S / 2, PLACE_STEP_S)
+    if truth is None:
+        return {}
+    found = {}
     for name, every in drive.measurements.items():
-        inside = (every.t > truth.t[0] + MAX_LAG_S) & (every.t < truth.t[-1] - MAX_LAG_S)
-        m = every.take(np.flatnonzero(inside))
-        poses = (body_poses(truth, m.t - shift) for shift in (0.0, lag.offset))
-        spreads = [REGISTRY[name].misfit(m, robot.settings(name), at) for at in poses]
-        stamped, shifted = spreads
-        if stamped is not None and shifted is not None and stamped < MAX_STAMPED_RATIO * shifted:
-            found.append((name, "truth"))
+        inside = np.flatnonzero((every.t > truth.t[0] + MAX_LAG_S) & (every.t < truth.t[-1] - MAX_LAG_S))
+        m = every.take(inside[:: 1 + len(inside) // MAX_PLACED])
+        if len(m.t) < MIN_READINGS:
+            continue
+
+        def spreads(some: Measurements, lags: Array, name: str = name) -> list[float]:
+            at = (poses_at(truth, some.t + lag) for lag in lags)
+            found = [REGISTRY[name].misfit(some, robot.settings(name), poses) for poses in at]
+            return [math.nan if spread is None else spread for spread in found]
+
+        scores = spreads(m, lags)
+        if (
+            not np.isfinite(scores).all()
+            or not LAG_STEPS <= (best := int(np.argmin(scores))) < len(lags) - LAG_STEPS
+        ):
+            continue
+        near = lags[best - LAG_STEPS : best + LAG_STEPS + 1]
+        if scores[best] > MAX_PLACED_RATIO * min(scores[best - LAG_STEPS], scores[best + LAG_STEPS]):
+            continue
+
+        def lag(rows: Ints, m: Measurements = m, near: Array = near) -> float:
+            second, first, _ = np.polyfit(near, np.square(spreads(m.take(rows), near)), 2).tolist()
+            return float(-0.5 * first / second)
+
+        offset, sigma = lag(np.arange(len(m.t))), float(jackknife(lag, len(m.t), PART_COUNT))
+        found[name, "truth"] = Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S), "truth")
     return found
 
 

@@ -164,6 +164,8 @@ def improves(before: Marks, after: Marks) -> bool:
         if turns_right(before, after) and less >= -MAX_CHANCE_LOSS * before.position:
             return True
         nearer = _off(before) - _off(after)
+        if (before.anees or 1.0) < 1.0 and less < 0.0:
+            return False  # a covariance that was too large is no reason for a larger error
         # a better ANEES must outweigh a larger error: an ANEES of 176 is as useless as one of 220
         return nearer > MIN_LN_ANEES_GAIN and gain(before, after) > WEIGHT_OF_ANEES * MIN_LN_ANEES_GAIN - 1e-9
     if before.prediction is not None and after.prediction is not None:

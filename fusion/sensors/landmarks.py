@@ -31,7 +31,7 @@ from typing import Any, ClassVar, NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import chi_square, robust_sigma
+from locfuse.fusion.chi_square import chi_square, clipped_rms, robust_sigma
 from locfuse.fusion.data import (
     Array,
     Colour,
@@ -337,7 +337,7 @@ class Landmarks(Sensor):
         turned = pose[:, 2] + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # one camera: its yaw does not change the spread
         off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + turned)
         off = wrap_all(off - np.median(off))
-        return robust_sigma(off) if len(off) >= MIN_FIT else None
+        return clipped_rms(off) if len(off) >= MIN_FIT else None
 
     def model(self, settings: LandmarksSettings) -> Model:
         """Return the filter model of the landmarks for a new run."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.se2 import direction, sight
+from locfuse.fusion.se2 import direction, sight, transform
 from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
 from locfuse.fusion.streams import count_dropped, seconds
 
@@ -52,6 +52,12 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
         if not isinstance(self.map, dict):
             raise LocfuseError(f"{self.table}.map = {self.map} was not read", role=self.table)
         return {self._id(key): place for key, place in self.map.items()}
+
+    def detector(self, poses: Array) -> Array:
+        """Return the detector's positions (n, 2) [m] for robot poses (n, 3); headings matter only with x or y."""
+        if self.x == self.y == 0.0:
+            return poses[:, :2]
+        return transform(poses, np.array([self.x, self.y]))
 
     def _id(self, key: str) -> int:
         try:

@@ -16,14 +16,14 @@ positions are states, initialised by the ranges from the first part of the drive
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square, robust_sigma
+from locfuse.fusion.chi_square import chi_square, clipped_rms, robust_sigma
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
@@ -58,6 +58,8 @@ OFFSET = "range_offset_of_anchors"
 AHEAD, LEFT, SPREAD = "anchor_ahead", "anchor_left", "anchor_sigma"
 REUSED_SIGMA_FACTOR = 3.0  # on the sigma of a start or anchor by ranges: the filter uses these ranges too
 MIN_SPREAD_M = 0.1
+UNITS = {150.0: "mm", 15.0: "cm", 2.5: "feet"}  # by how many times values are larger than possible in metres
+MIN_MOVED_M = 0.5  # least motion of the robot, to know the unit of its ranges
 EXACT_M = 1e-6  # sigma of a given offset
 
 
@@ -85,16 +87,22 @@ def start_among(
     return _shortest_fit(anchors, seen, guesses, t, ranges, sigmas)
 
 
-def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> RangeFit | None:
+def anchor_beside(
+    seen: Array,
+    t: Array,
+    ranges: Array,
+    sigmas: tuple[float, float],
+    stretches: Sequence[float] = STRETCHES_S,
+) -> RangeFit | None:
     """Fit an anchor's position and the range offset to ranges (n,) [m]; None if the fit is ambiguous.
 
     The position is in the frame of the antenna positions `seen` (n, 2) [m] at times t (n,) [s]; `sigmas` [m] are
-    those of a range and of the offset.
+    those of a range and of the offset. The first of the `stretches` [s] with an unambiguous fit is used.
     """
     turns = np.arange(GRID_DIRECTIONS) * (2.0 * np.pi / GRID_DIRECTIONS)
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(GRID_DIRECTIONS)))
-    return _shortest_fit(np.zeros_like(seen), -seen, guesses, t, ranges, sigmas)
+    return _shortest_fit(np.zeros_like(seen), -seen, guesses, t, ranges, sigmas, stretches)
 
 
 def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
@@ -109,11 +117,17 @@ def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
 
 
 def _shortest_fit(
-    anchors: Array, seen: Array, guesses: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
+    anchors: Array,
+    seen: Array,
+    guesses: Array,
+    t: Array,
+    ranges: Array,
+    sigmas: tuple[float, float],
+    stretches: Sequence[float] = STRETCHES_S,
 ) -> RangeFit | None:
     """Fit longer and longer initial parts of the drive; return the first unambiguous fit, else None."""
     tried = 0
-    for length in STRETCHES_S:
+    for length in stretches:
         n = int(np.searchsorted(t, t[0] + length, side="right"))
         if n < MIN_ROWS or n == tried:
             continue
@@ -217,10 +231,6 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
         """Standard deviations (range, range offset) [m] for the search of a start pose or an anchor position."""
         return self.sigma, EXACT_M if self.offset is not None else self.sigma_offset
 
-    def detector(self, rel: Array) -> Array:
-        """Return the antenna's positions (n, 2) [m] for robot poses (n, 3)."""
-        return se2.compose(rel, np.array([self.x, self.y, 0.0]))[:, :2]
-
 
 class Ranges(Sensor):
     """The range sensor: reads ranges to anchors with ids."""
@@ -267,6 +277,7 @@ class Ranges(Sensor):
             notes += unclear
             extra = dict(zip((AHEAD, LEFT, SPREAD), guesses[keep].T, strict=True))
         t, first = by_instant(stream.t_ns[keep], epoch_ns, settings.time_offset)
+        _refuse_other_units(stream.topic, np.repeat(t, np.diff(first)), ids[keep], z[keep], settings, wheels)
         n = int(keep.sum())
         return Measurements(
             t=t,
@@ -300,9 +311,54 @@ class Ranges(Sensor):
         sigma = REUSED_SIGMA_FACTOR * np.sqrt(np.diag(found.covariance))
         return FoundStart(pose, max(float(sigma[:2].max()), MIN_SPREAD_M), float(sigma[2]))
 
+    def misfit(self, m: Measurements, settings: RangesSettings, poses: Array) -> float | None:
+        """Return the spread [m] of range errors, each anchor's median apart; None for an estimated map."""
+        ids = m.extra["id"]
+        if settings.grows or not len(ids):
+            return None
+        places = settings.places
+        anchors = np.array([places[int(i)] for i in ids])
+        eye = settings.detector(np.repeat(poses, np.diff(m.first), axis=0))
+        off = m.z[:, 0] - np.hypot(*(eye - anchors).T)
+        for one in np.unique(ids):
+            off[ids == one] -= np.median(off[ids == one])
+        return clipped_rms(off)
+
     def model(self, settings: RangesSettings) -> Model:
         """Return the filter model of the ranges for a new run."""
         return GrowingRanges(settings) if settings.grows else RangesModel(settings)
+
+
+def _refuse_other_units(
+    topic: str, t: Array, ids: Ints, z: Array, settings: RangesSettings, wheels: WheelMotion
+) -> None:
+    """Raise LocfuseError if ranges z (n,), or the map, are not in metres.
+
+    A range changes at most as far as the robot moves, and two anchors stand at most as far apart as the sum of
+    their ranges.
+    """
+    ways = []
+    for one in np.unique(ids):
+        rows = np.flatnonzero(ids == one)
+        moved = wheels.relative(np.full(len(rows), t[rows[0]]), t[rows])[:, :2]
+        ways.append((float(np.ptp(z[rows])), 2.0 * float(np.hypot(*moved.T).max())))
+    most = [change / far for change, far in ways if far > MIN_MOVED_M]
+    unit = _unit(float(np.median(most))) if most else None
+    if unit is not None:
+        words = f"ranges change {np.median(most):.0f} times as much as the robot moves: they look like {unit}"
+        raise LocfuseError(f"{topic}: {words}. Write metres", role="ranges")
+    places = np.array([settings.places[int(i)] for i in ids]) if not settings.grows else np.zeros((0, 2))
+    apart = np.hypot(*np.diff(places, axis=0).T)[np.diff(ids) != 0] if len(places) else np.zeros(0)
+    sums = (z[1:] + z[:-1])[np.diff(ids) != 0]
+    unit = _unit(float(np.median(apart / sums))) if len(apart) >= MIN_ROWS else None
+    if unit is not None:
+        words = f"its anchors stand {np.median(apart / sums):.0f} times as far apart as the ranges allow"
+        raise LocfuseError(f"ranges.map: {words}: it looks like {unit}. Write metres", role="ranges")
+
+
+def _unit(times: float) -> str | None:
+    """Return the unit of values that are `times` as large as they can be in metres; None for metres."""
+    return next((unit for least, unit in UNITS.items() if times > least), None)
 
 
 def _places_of(

@@ -321,11 +321,11 @@ def moved(poses: Array) -> Array:
 
 def by_ranges(
     folder: Path, *words: str, seed: int = 1, anchors: Any = ANCHORS, far: float = 0.0, turns: bool = True,
-    code: int = 0, seconds: float = 60.0,
+    code: int = 0, seconds: float = 60.0, times: float = 1.0,
 ) -> tuple[dict[str, Any], str]:  # fmt: skip
     """Compare a log with its truth, ranges to one anchor every 0.1 s and a map.
 
-    `far`: share of ranges that come 1.5 m too long, by way of a wall.
+    `far`: share of ranges that come 1.5 m too long, by way of a wall. All are written `times` as long.
     """
     t, angle = angles(seconds)
     if not turns:
@@ -335,7 +335,7 @@ def by_ranges(
     for n, i in enumerate(range(5, len(t), 5)):
         key = sorted(anchors)[n % len(anchors)]
         r = float(np.hypot(*(true[i, :2] - anchors[key]))) + TOO_LONG + SIGMA * rng.standard_normal()
-        lines.append(f"{T0 // S + t[i]:.9f},{key},{r + 1.5 * (rng.random() < far)!r}")
+        lines.append(f"{T0 // S + t[i]:.9f},{key},{times * (r + 1.5 * (rng.random() < far))!r}")
     (folder / "ranges.csv").write_text("\n".join(lines) + "\n")
     log, given = log_of(folder / "x.mcap", joint_states(t, angle)), map_file(folder, anchors)
     own = sets(f"ranges.file={folder / 'ranges.csv'}", f"ranges.map={given}", f"ranges.sigma={SIGMA}")
@@ -355,6 +355,17 @@ def test_over_many_drives_the_error_is_as_large_as_the_covariance_says(tmp_path:
     words = (*sets("wheels.noise=1e-6"), "--sensors", "ranges")
     anees = [by_ranges(tmp_path, *words, seed=seed)[0]["ranges"]["anees"] for seed in range(6)]
     assert 0.5 < np.mean(anees) < 1.6
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [(1000.0, "times as much as the robot moves: they look like mm. Write metres"),
+     (0.01, "as far apart as the ranges allow: it looks like cm. Write metres")],
+)  # fmt: skip
+def test_ranges_or_a_map_in_another_unit_are_refused(tmp_path: Path, times: float, words: str) -> None:
+    rows, stderr = by_ranges(tmp_path, times=times, code=3, seconds=25.0)
+    assert "ranges" not in rows
+    assert words in stderr
 
 
 def test_ranges_by_way_of_a_wall_are_refused(tmp_path: Path) -> None:

@@ -6,9 +6,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .chi_square import clipped_rms
 
 Array = NDArray[np.float64]
 Plain = tuple[float, float, float]  # one pose
@@ -222,6 +225,27 @@ def transform(pose: Array, points: Array) -> Array:
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = points[..., 0], points[..., 1]
     return np.stack((pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y), axis=-1)
+
+
+def in_other_frame(z: Array, poses: Array) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the linear equation A x = y of positions z (n, >= 2) [m] in another frame, at poses (n, 3).
+
+    y = z_x + i z_y, and x = (c, c l, d) with the rotation and scale c of the frame, the point l on the body whose
+    positions z are, and a shift d; without headings (NaN) x = (c, d).
+    """
+    columns = [poses[:, :2] @ (1.0, 1.0j), np.exp(1.0j * poses[:, 2]), np.ones(len(poses))]
+    if not np.isfinite(poses[:, 2]).all():
+        del columns[1]
+    return np.stack(columns, axis=-1), z[:, :2] @ (1.0, 1.0j)
+
+
+def spread_in_other_frame(z: Array, poses: Array) -> float | None:
+    """Return the clipped rms [m] of the residuals of `in_other_frame`; None for too few positions."""
+    A, y = in_other_frame(z, poses)
+    if len(y) <= A.shape[1]:
+        return None
+    x, *_ = np.linalg.lstsq(A, y, rcond=None)
+    return clipped_rms(np.abs(y - A @ x))
 
 
 def laid_on(a: Array, b: Array) -> tuple[float, float]:

@@ -388,6 +388,15 @@ class Sensor(ABC):
         """
         return "has_covariance" in m.extra and bool(m.extra["has_covariance"].any())
 
+    def claimed(self, m: Measurements) -> dict[str, float]:
+        """Return the sigmas (rms) that messages claim, by noise key; {} if they do not, or for no position."""
+        if not self.locates or not self.brings_covariance(m):
+            return {}
+        mean = m.R.mean(axis=0)
+        variances = [float(mean[i, i]) * c.scale**2 for i, c in enumerate(self.components)]
+        parts = variances[:2], variances[2:]  # of a position, of a heading
+        return {key: math.sqrt(sum(part) / len(part)) for key, part in zip(self.noise_keys, parts, strict=False)}
+
     # ---- its mount ----
 
     placed: ClassVar[bool] = False

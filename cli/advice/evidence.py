@@ -37,11 +37,10 @@ from locfuse.fusion.checks.laser_ranges import OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
 from locfuse.fusion.checks.points import MAP
 from locfuse.fusion.checks.points import SCALE as RANGE_SCALE
+from locfuse.fusion.checks.positions import GPS, PATH, SPEEDS, of_antenna, of_claims, of_east
 from locfuse.fusion.checks.probes import (
-    GPS,
     MOUNT,
     beyond_prior,
-    of_antenna,
     of_mount,
     of_offsets,
     of_probe,
@@ -92,6 +91,8 @@ KEYLESS = {
     UNEVEN,
     CLOCKWISE,
     MAP,
+    PATH,
+    SPEEDS,
     RANGE_SCALE,
 }  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
@@ -132,6 +133,7 @@ class Evidence(NoiseFindings):
             (self.start, self.clocks, self.other_clocks, self.geometry),
             (
                 self.offsets,
+                self.claims,
                 self.slips,
                 *(partial(self._on_even_clocks, f) for f in (self.noise, self.unexplained)),
             ),
@@ -198,6 +200,8 @@ class Evidence(NoiseFindings):
             measured = ways[0][1:]  # the start pose, if `_with_start` added it
             if clock.name == "wheels" and not measured and (start := start_kept(clock.offset, drive, robot)):
                 ways = ((*ways[0], *start), *ways)
+            if clock.name == GPS:
+                ways = (*ways, self._with_antenna(ways[0]))
             one = self._candidate(finding, ways, not finding.severe)
             proven = finding.severe and len(clock.against) > 1
             shape = by_truth and clock.name == LASER
@@ -211,6 +215,12 @@ class Evidence(NoiseFindings):
         loaded = self.trial.under(together(self.fixes, fixes))
         found = [] if loaded is None else of_truth(loaded.drive, loaded.robot)
         return together(fixes, next((f.fixes for f in found if f.code == START), ()))
+
+    def _with_antenna(self, fixes: Fixes) -> Fixes:
+        """Add the position of a GPS antenna under a new time offset: a late clock looks like another position."""
+        loaded = self.trial.under(together(self.fixes, fixes))
+        found = None if loaded is None else of_antenna(loaded.drive, loaded.robot, ())
+        return fixes if found is None else together(fixes, found[0].fixes)
 
     def _late_pictures(self) -> Iterator[Candidate]:
         """Yield time offsets to try for an inconsistent camera, and the fix of a constant bearing error.
@@ -339,7 +349,9 @@ class Evidence(NoiseFindings):
         if (found := of_antenna(self.loaded.drive, self.loaded.robot, runs)) is None:
             return []
         finding, rival = found
-        return [self._candidate(finding, (finding.fixes, rival), not finding.severe)]
+        return [
+            self._candidate(finding, (finding.fixes, rival) if rival else (finding.fixes,), not finding.severe)
+        ]
 
     def _probed(self) -> Iterator[Finding]:
         """Yield findings on mounts and track from runs that estimate them, one sensor at a time."""
@@ -389,6 +401,8 @@ class Evidence(NoiseFindings):
             replace(self._candidate(Finding(s, "biased", v.words), (as_fixes(v.fix_values),), True), measured=True)
             for s, v in self._biases_again.items()
         ]
+        if self._using(GPS):
+            found += [self._candidate(f, (f.fixes,), True) for f in of_east(self.loaded.drive, self.loaded.robot)]
         start = self._start_heading()
         found += start
         for sensor, verdict in self.consistency.items():
@@ -402,6 +416,11 @@ class Evidence(NoiseFindings):
                 finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(self._candidate(finding, tuple(options)))
         return found
+
+    def claims(self) -> list[Candidate]:
+        """Return candidate sigmas of sensors of positions that are less exact, by the truth, than they claim."""
+        found = of_claims(self.loaded.drive, self.loaded.robot)
+        return [self._candidate(f, (f.fixes,)) for f in found if self.judges(f.role)]
 
     @property
     def _may_be_mirrored(self) -> bool:

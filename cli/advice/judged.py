@@ -178,7 +178,7 @@ class NoiseFindings(Judged):
                 seen, words = self._with_wheel_noise(sensor, seen, words)
             code, words = (verdict.verdict, words) if seen else self._by_truth(sensor)
             found += self._shared_by_lines(sensor, verdict)
-            options = tuple(dict.fromkeys((*seen, *more)))
+            options = tuple(dict.fromkeys((*self._by_settings(sensor), *one) for one in (*seen, *more)))
             if sensor != LASER:  # the laser's noise is checked by its raw ranges
                 settings = self.loaded.robot.settings(sensor)
                 options = tuple(fixes for fixes in options if useful(fixes, settings))
@@ -192,6 +192,15 @@ class NoiseFindings(Judged):
         if doubtful and not as_configured:
             found.append(self._wheel_noise())
         return found
+
+    def _claimed(self, sensor: str) -> dict[str, float]:
+        """Return the sigmas that a sensor's messages claim, by noise key; {} if its settings give them."""
+        m = self.loaded.drive.measurements.get(sensor)
+        return {} if m is None else REGISTRY[sensor].claimed(m)
+
+    def _by_settings(self, sensor: str) -> Fixes:
+        """Return the setting by which a sensor's noise keys count, if its messages claim covariances."""
+        return (f"{sensor}.covariance=sigma",) if self._claimed(sensor) else ()
 
     def _shared_by_lines(self, sensor: str, verdict: Consistency) -> list[Candidate]:
         """Return fixes with larger line noise floors, if laser lines scatter more than their beams explain.
@@ -339,7 +348,8 @@ class NoiseFindings(Judged):
             return []  # too large for noise
         if sensor == LASER and factor > 1.0 and self._ranges_sigma is not None and not self._ranges_scatter:
             return []  # its raw ranges scatter as configured: something else is wrong
-        return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in noise_keys)]
+        now = self._claimed(sensor) or {k: getattr(settings, k) for k in noise_keys}
+        return [tuple(f"{sensor}.{k}={value * factor:.2g}" for k, value in now.items())]
 
     def _by_truth(self, sensor: str) -> tuple[str, str]:
         """Return the verdict on a sensor's noise by its run's ANEES, and a sentence with errors in sigmas.
@@ -383,7 +393,7 @@ def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
 
 def useful(fixes: Fixes, settings: Any) -> bool:
     """Return whether a proposed sigma is plausible; a much larger one would disable the sensor."""
-    changed = (fix.partition("=") for fix in fixes)
+    changed = (fix.partition("=") for fix in fixes if ".covariance=" not in fix)
     pairs = ((float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed)
     return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
 

@@ -67,8 +67,8 @@ MIN_EVEN_PERIODS = 50
 WHEEL_LAG_SHARE = 0.1  # share of the wheels' lag that a laser's run may contain
 MAX_PLACED, PLACE_STEP_S = 2000, 0.05  # readings that are used; s, steps of the lag
 LAG_STEPS = 6  # to each side of the best lag, that a parabola is fitted to
-MAX_PLACED_RATIO = 0.85  # largest ratio of residuals at the best lag to those LAG_STEPS away, to show the clock
-PLACES_SIGMA_S = 0.02  # s, 1 sigma of a lag by residuals of positions, by model errors
+# s: 1 sigma of a lag by residuals of positions, by model errors; largest sigma, which slow drives exceed
+PLACES_SIGMA_S, MAX_PLACES_SIGMA_S = 0.02, 0.1
 Pair = tuple[str, str]  # two clocks
 
 
@@ -228,7 +228,7 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
         if own is not None:
             found[LASER, "truth"] = _of_a_run(own, by_motion)
         found["truth", base] = by_motion
-        found |= _lags_by_places(drive, robot)
+        found = {**_lags_by_places(drive, robot), **found}
     return {pair: _known(lag) for pair, lag in found.items() if lag is not None}
 
 
@@ -309,7 +309,11 @@ def explained(
     chi = float(rest @ rest)
     worse = max(1.0, chi / max(1, len(y) - len(off)))
     C = np.linalg.inv((A * w[:, None]).T @ (A * w[:, None])) * worse if len(off) else np.zeros((0, 0))
-    against = {name: [q for p in rows for q in p if name in p and q not in off] for name in off}
+    against = {
+        name: [q for p in rows for q in p if name in p and q not in off]
+        or [q for p in rows for q in p if name in p and q != name]
+        for name in off
+    }
     return chi, tuple(
         Clock(name, float(x[i]), math.sqrt(float(C[i, i])), tuple(dict.fromkeys(against[name])))
         for i, name in enumerate(off)
@@ -344,15 +348,14 @@ def _lags_by_places(drive: Drive, robot: Robot) -> dict[Pair, Lag]:
         ):
             continue
         near = lags[best - LAG_STEPS : best + LAG_STEPS + 1]
-        if scores[best] > MAX_PLACED_RATIO * min(scores[best - LAG_STEPS], scores[best + LAG_STEPS]):
-            continue
 
         def lag(rows: Ints, m: Measurements = m, near: Array = near) -> float:
             second, first, _ = np.polyfit(near, np.square(spreads(m.take(rows), near)), 2).tolist()
             return float(-0.5 * first / second)
 
         offset, sigma = lag(np.arange(len(m.t))), float(jackknife(lag, len(m.t), PART_COUNT))
-        found[name, "truth"] = Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S), "truth")
+        if sigma < MAX_PLACES_SIGMA_S and abs(offset - lags[best]) < LAG_STEPS * PLACE_STEP_S:
+            found[name, "truth"] = Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S), "truth")
     return found
 
 

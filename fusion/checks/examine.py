@@ -29,6 +29,7 @@ from .landmarks import of_landmarks
 from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
+from .positions import of_positions
 from .publishers import PUBLISHERS, of_publishers
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
@@ -102,6 +103,7 @@ def examine(
     if unit or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared
     found += of_landmarks(drive, robot) or of_points(drive, robot)
+    found += of_positions(drive, robot)
     if "camera" in drive.measurements:
         from .pictures import of_calibration, of_handedness  # imported here since it needs OpenCV
 

@@ -6,13 +6,12 @@ A probe is a filter run in which the mount of one sensor and the track are state
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
-from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Drive, Estimates, Truth
+from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, MountedSettings, to_a_tenth_of
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import laid_on, wrap
@@ -22,7 +21,6 @@ from locfuse.fusion.wheels.states import WHEELS
 
 from .finding import Finding
 from .laser import range_fix
-from .truth import Plane, axle_path, robust
 
 # codes of the findings: on a mount; on mount or sideways motion of the wheels
 MOUNT, DIRECTION = "mount", "direction"
@@ -175,86 +173,3 @@ def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
         value = math.degrees(wrap(math.radians(value)))
         words = f"its offset is estimated on every drive, here {value:.2f}° (± {sigma:.1g})"
         yield Finding(sensor, "offset", words, (f"{sensor}.{bias.key}={value:.2f}",))
-
-
-# ---- the antenna of a GPS receiver, which is rarely at the middle of the base ----
-
-GPS, ANTENNA = "gps", "antenna"  # sensor; code of the finding
-WINDOW_S, SPEED_S = 5.0, 0.2  # s between two compared fixes; s before and after a time, for the speed at this time
-MIN_WINDOWS, STRETCH_COUNT = 40, 8  # windows; stretches of the drive, for the jackknife
-MIN_TURNED = 1.0  # sum of squared changes of the direction of driving, unit vectors
-# m, standard errors: smallest error reported; m
-MIN_ANTENNA_M, ANTENNA_SIGMAS, SEVERE_ANTENNA_M = 0.05, 4.0, 0.1
-
-
-class Antenna(NamedTuple):
-    """Antenna position on the base by the headings of one run, and the clock error that would explain the same."""
-
-    rest: float  # m, median residual of the steps
-    x: float  # m
-    y: float  # m
-    sigma: float  # m
-    early: float  # s by which the stamps of the fixes would be early; negative: late
-
-
-def of_antenna(drive: Drive, robot: Robot, runs: Iterable[Estimates]) -> tuple[Finding, tuple[str, ...]] | None:
-    """Return a finding on the antenna's position on the base, and an alternative fix: the clock of the fixes.
-
-    `runs` do not use the fixes, whose noise would be in the headings. The run that explains the fixes best is
-    used.
-    """
-    settings = robot.settings(GPS)
-    fits = [a for e in runs if (a := _antenna(drive, settings, e)) is not None]
-    if not fits:
-        return None
-    found = min(fits, key=lambda fit: fit.rest)
-    away = math.hypot(found.x - settings.x, found.y - settings.y)
-    if away < max(MIN_ANTENNA_M, ANTENNA_SIGMAS * found.sigma):
-        return None
-    lag = f"{abs(found.early):.2f} s {'early' if found.early > 0.0 else 'late'}"
-    words = (
-        f"its antenna seems to sit at ({found.x:.2f}, {found.y:.2f}) m on the base (1 sigma {found.sigma:.2g}), "
-        f"not at ({settings.x:g}, {settings.y:g}), or its fixes are {lag}"
-    )
-    fixes = f"gps.x={found.x:.3f}", f"gps.y={found.y:.3f}"
-    rival = f"gps.time_offset={settings.time_offset + found.early:z.3f}"
-    return Finding(GPS, ANTENNA, words, fixes, away > SEVERE_ANTENNA_M), (rival,)
-
-
-def _antenna(drive: Drive, settings: Any, run: Estimates) -> Antenna | None:
-    """Fit the antenna to the fixes by the headings of a run; None for a drive that is too short or too straight.
-
-    Points are complex numbers. Over WINDOW_S, the fixes change by a (dp + dr l). dp is the change of the axle's
-    position by the wheels' distances and the run's headings, dr that of exp(i theta), l the antenna position, and
-    the factor a rotates the map to east and north. At a constant speed, a late fix has the same effect as an
-    antenna further back.
-    """
-    m, theta = drive.measurements[GPS], np.unwrap(run.pose[:, 2])
-    path = axle_path(Truth("", run.t, run.pose[:, :2], theta), drive.wheels)
-    last = np.searchsorted(m.t, m.t + WINDOW_S)
-    first = np.flatnonzero(last < len(m.t))
-    last = last[first]
-    if path is None or len(first) < MIN_WINDOWS:
-        return None
-    before, p, after = (np.interp(m.t + s, run.t, path @ (1.0, 1.0j)) for s in (-SPEED_S, 0.0, SPEED_S))
-    pointing, speed = np.exp(1.0j * np.interp(m.t, run.t, theta)), (after - before) / (2.0 * SPEED_S)
-    y, moved, turned, faster = (c[last] - c[first] for c in (m.z @ (1.0, 1.0j), p, pointing, speed))
-    if (np.abs(turned) ** 2).sum() < MIN_TURNED:
-        return None
-
-    def lever(some: Any) -> tuple[float, float]:
-        ratio, _ = _ratio(moved[some], turned[some], y[some])
-        return ratio.real, ratio.imag
-
-    ratio, rest = _ratio(moved, turned, y)
-    sigma = float(np.hypot(*jackknife(lever, len(y), STRETCH_COUNT)))
-    lever_now = np.exp(1.0j * np.angle(np.vdot(moved, y))) * (settings.x + 1.0j * settings.y) * turned
-    early, _ = _ratio(moved, faster, y - lever_now)
-    return Antenna(rest, ratio.real, ratio.imag, sigma, early.real)
-
-
-def _ratio(moved: Plane, other: Plane, y: Plane) -> tuple[complex, float]:
-    """Fit a * moved + b * other = y to complex columns (n,); return b / a and the median residual [m]."""
-    A = np.stack((moved, other), axis=-1)
-    x = robust(A, y)
-    return complex(x[1] / x[0]), float(np.median(np.abs(y - A @ x)))

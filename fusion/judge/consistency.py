@@ -148,10 +148,10 @@ def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
     return Consistency(verdict, words, factor, fix_values)
 
 
-def of_messages(found: Consistency) -> Consistency:
-    """Return the verdict for a sensor whose messages contain covariances.
+def of_messages(found: Consistency, sensor: str, claimed: Mapping[str, float]) -> Consistency:
+    """Return the verdict for a sensor whose messages contain covariances, with `claimed` sigmas by noise key.
 
-    No setting changes these, so the verdict has no fix.
+    Their sigmas replace the covariances if `covariance` is set to "sigma".
     """
     if found.scale is None or found.verdict not in {"understated", "overstated", "correlated"}:
         return found
@@ -161,10 +161,13 @@ def of_messages(found: Consistency) -> Consistency:
     elif found.verdict == "understated":
         words = f"its messages claim errors about {times} smaller than they are"
         if math.isinf(found.scale):
-            words = "its messages claim to have no errors: their covariances are 0"
+            words = "its messages claim errors that are far smaller than they are"
     else:
         words = f"its messages claim errors about {times} larger than they are"
-    return Consistency(found.verdict, words, found.scale)
+    if found.verdict == "correlated" or not math.isfinite(found.scale):
+        return Consistency(found.verdict, words, found.scale)
+    fix_values = {f"{sensor}.{key}": rounded(found.scale * value) for key, value in claimed.items()}
+    return Consistency(found.verdict, words, found.scale, fix_values)
 
 
 def biased_against(sensor: str, settings: Any, h: ComparedReadings) -> Consistency:
@@ -338,7 +341,9 @@ class NoiseEvidence:
         """Return the verdict on a sensor."""
         found = self._finding(sensor)
         m = next(r.drive.measurements[sensor] for r in self.runs if sensor in r.estimates.sensors)
-        return of_messages(found) if REGISTRY[sensor].brings_covariance(m) else found
+        if not REGISTRY[sensor].brings_covariance(m):
+            return found
+        return of_messages(found, sensor, REGISTRY[sensor].claimed(m))
 
     def _finding(self, sensor: str) -> Consistency:
         settings = self.robot.settings(sensor)

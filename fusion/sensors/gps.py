@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_on
     east_deg: float | None = None  # where east lies in the map, ccw from its x axis; not set: estimated
     x: float = 0.0  # m, antenna on the base
     y: float = 0.0  # m, likewise
+    covariance: Literal["message", "sigma"] = "message"  # "sigma": the key below, whatever the receiver claims
     sigma: float = 1.5  # m per axis, if the receiver reports no covariance
 
 
@@ -106,7 +107,7 @@ class Gps(Sensor):
             t=t[good],
             first=np.arange(n + 1),
             z=east_north(where[:, 0], where[:, 1], origin),
-            R_unit=_covariance(columns, settings.sigma)[good] / settings.sigma**2,
+            R_unit=_covariance(columns, settings)[good] / settings.sigma**2,
             scale=settings.sigma,
             floor=np.zeros((2, 2)),
             dropped=dropped,
@@ -115,6 +116,10 @@ class Gps(Sensor):
     def brings_covariance(self, m: Measurements) -> bool:
         """Return whether the receiver reports covariances, which replace the setting `sigma`."""
         return bool((m.R_unit != np.eye(2)).any())
+
+    def misfit(self, m: Measurements, settings: GpsSettings, poses: Array) -> float | None:
+        """Return the spread [m] of the fixes about poses (n, 3), with any antenna and direction of east."""
+        return se2.spread_in_other_frame(m.z, poses)
 
     def model(self, settings: GpsSettings) -> Model:
         """Return the filter model of the GPS receiver for a new run."""
@@ -130,14 +135,14 @@ def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDAr
     return real
 
 
-def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
-    """Return covariances of (east, north), (n, 2, 2) [m^2]: the receiver's if valid, else sigma^2 I."""
+def _covariance(columns: Mapping[str, Any], settings: GpsSettings) -> Array:
+    """Return covariances of (east, north), (n, 2, 2) [m^2]: the receiver's if valid and wanted, else sigma^2 I."""
     matrix = _flat_covariances(columns["position_covariance"])
     own = matrix[:, [0, 1, 3, 4]].reshape(-1, 2, 2)
-    known = np.asarray(columns["position_covariance_type"]) > 0
+    known = (np.asarray(columns["position_covariance_type"]) > 0) & (settings.covariance == "message")
     known &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
     known &= np.linalg.det(np.where(known[:, None, None], own, np.eye(2))) > 0.0
-    return np.where(known[:, None, None], se2.symmetric(own), sigma**2 * np.eye(2))
+    return np.where(known[:, None, None], se2.symmetric(own), settings.sigma**2 * np.eye(2))
 
 
 def _flat_covariances(column: Array | Ragged) -> Array:

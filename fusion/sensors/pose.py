@@ -164,6 +164,10 @@ class PoseSensor(Sensor):
         """Return times (n,) [s] and headings (n,) [rad, unwrapped] of the other estimator."""
         return m.t, np.unwrap(m.z[:, 2])
 
+    def misfit(self, m: Measurements, settings: PoseSettings, poses: Array) -> float | None:
+        """Return the spread [m] of the positions about poses (n, 3), for any body and frame; None for a drift."""
+        return None if m.extra["drifts"].any() else se2.spread_in_other_frame(m.z, poses)
+
     def reversal(self, settings: PoseSettings, msgtype: str) -> Reversal:
         """Return why poses turn opposite to the wheels: their z axis points down; no setting corrects that."""
         return Reversal("its z axis looks down (NED): it has to be turned before it is recorded")

@@ -123,15 +123,20 @@ def test_a_sigma_is_too_large_only_where_residuals_show_it(changed: dict[str, fl
             2.0,
             "errors last longer than a reading, while its messages claim each to be independent",
         ),
-        ("understated", float("inf"), "its messages claim to have no errors: their covariances are 0"),
+        ("understated", float("inf"), "its messages claim errors that are far smaller than they are"),
         ("consistent", 1.0, "as it was"),
         ("understated", None, "as it was"),
     ],
 )
-def test_of_noise_that_messages_bring_no_setting_is_the_fix(verdict: Any, scale: float | None, words: str) -> None:
-    found = of_messages(Consistency(verdict, "as it was", scale, {"compass.sigma_deg": 2.0}))
+def test_sigmas_replace_the_noise_that_messages_bring(verdict: Any, scale: float | None, words: str) -> None:
+    found = of_messages(Consistency(verdict, "as it was", scale, {"gps.sigma": 2.0}), "gps", {"sigma": 0.5})
     assert (found.verdict, found.scale, found.words) == (verdict, scale, words)
-    assert bool(found.fix_values) is (words == "as it was")
+    if words == "as it was":
+        assert found.fix_values == {"gps.sigma": 2.0}
+    elif verdict == "correlated" or math.isinf(scale or 0.0):
+        assert found.fix_values == {}
+    else:
+        assert found.fix_values == {"gps.sigma": pytest.approx(0.5 * (scale or 0.0), rel=0.05)}
 
 
 @pytest.mark.parametrize(("error", "given"), [(0.29, False), (0.31, True)])

@@ -10,7 +10,7 @@ import pytest
 from pose_streams import odometry_stream, reckoned, slipping
 
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.fusion.checks.probes import of_antenna
+from locfuse.fusion.checks.positions import of_antenna
 from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, Measurements
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.geodesy import east_north

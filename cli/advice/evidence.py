@@ -48,7 +48,7 @@ from locfuse.fusion.checks.probes import (
     probe_of,
 )
 from locfuse.fusion.checks.slip import of_spins
-from locfuse.fusion.checks.start import START
+from locfuse.fusion.checks.start import START, start_by_shape
 from locfuse.fusion.checks.tried import Candidate, Fixes, keys, together
 from locfuse.fusion.checks.truth import (
     AXES,
@@ -160,8 +160,10 @@ class Evidence(NoiseFindings):
 
     def start(self) -> list[Candidate]:
         """Return the finding on a wrong start, which is fixed first since it affects every error."""
-        found = (f for f in self.doctor if f.code == START and f.fixes)
-        return [replace(self._candidate(f, (f.fixes,), not f.severe), measured=True) for f in found]
+        found, truth = (f for f in self.doctor if f.code == START and f.fixes), self.loaded.drive.truth
+        by_shape = () if truth is None else start_by_shape(truth, self.loaded.drive)
+        ways = ((f, (f.fixes, by_shape) if by_shape else (f.fixes,)) for f in found)
+        return [replace(self._candidate(f, either, not f.severe), measured=True) for f, either in ways]
 
     @cached_property
     def wrong(self) -> list[tuple[Clock, ...]]:

@@ -212,7 +212,7 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
     wheels, truth = drive.wheels, drive.truth
     turned = headings(drive.measurements)
     base = LASER if wheels.matched is not None else "wheels"  # if scans give the motion
-    found = {(name, base): find_lag(*h, by_wheels(wheels)) for name, h in turned.items() if name != base}
+    found = {(name, base): wheel_lag(*h, wheels) for name, h in turned.items() if name != base}
     by_run = next((e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost), None)
     for one, other in combinations(turned, 2):
         found[one, other] = _between_two(turned[one], turned[other], wheels)
@@ -400,21 +400,24 @@ def truth_lag(drive: Drive) -> Lag | None:
     turning = None
     if truth.theta is not None:
         turning = find_lag(truth.t, np.unwrap(truth.theta), by_wheels(wheels))
-    return turning or way_lag(truth, drive) or far_lag(truth, wheels)
+    theta = None if truth.theta is None else np.unwrap(truth.theta)
+    return turning or way_lag(truth, drive) or far_lag(truth.t, truth.xy, theta, wheels)
 
 
-def far_lag(truth: Truth, wheels: Wheels) -> Lag | None:
-    """Return a lag of truth and wheels above MAX_LAG_S, by turns or speeds; None if no lag or several lags fit."""
-    ends = ((t[0], min(t[-1], t[0] + MAX_FAR_S) - WINDOW_S) for t in (truth.t, wheels.t))
+def far_lag(t: Array, xy: Array | None, theta: Array | None, wheels: Wheels) -> Lag | None:
+    """Return a lag to the wheels above MAX_LAG_S, by turns or speeds; None if no lag or several lags fit.
+
+    `xy` (n, 2) [m] and `theta` (n,) [rad, unwrapped] are positions and headings at times t (n,) [s], if known.
+    """
+    ends = ((t[0], min(t[-1], t[0] + MAX_FAR_S) - WINDOW_S) for t in (t, wheels.t))
     own, theirs = (np.arange(first, last, FAR_STEP_S) for first, last in ends)
     if min(len(own), len(theirs)) < MIN_FAR_STEPS:
         return None
-    xy = changes(own, WINDOW_S, truth.t, truth.xy).T
-    moved = wheels.relative(theirs, theirs + WINDOW_S)
-    pairs = [(np.hypot(*xy), np.hypot(*moved[:, :2].T))]
-    if truth.theta is not None:
-        turned = changes(own, WINDOW_S, truth.t, np.unwrap(truth.theta))
-        pairs.insert(0, (turned, moved[:, 2]))
+    moved, pairs = wheels.relative(theirs, theirs + WINDOW_S), list[tuple[Array, Array]]()
+    if theta is not None:
+        pairs.append((changes(own, WINDOW_S, t, theta), moved[:, 2]))
+    if xy is not None:
+        pairs.append((np.hypot(*changes(own, WINDOW_S, t, xy).T), np.hypot(*moved[:, :2].T)))
     least = min(len(own), len(theirs)) // 2  # of the steps that overlap
     # step i of the wheels is compared with step i + shift of the truth
     shifts = np.arange(least - len(theirs), len(own) - least + 1)
@@ -460,7 +463,12 @@ def way_lag(truth: Truth, drive: Drive) -> Lag | None:
     return Lag(float(lags[best]), scores[best], scores[int(np.argmin(np.abs(lags)))], spread=spread)
 
 
+def wheel_lag(t: Array, heading: Array, wheels: Wheels) -> Lag | None:
+    """Return the lag of headings (n,) [rad, unwrapped] at t (n,) [s] relative to the wheels, also a large one."""
+    return find_lag(t, heading, by_wheels(wheels)) or far_lag(t, None, heading, wheels)
+
+
 def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict[str, Lag]:
     """Return the lag of each sensor's clock relative to the wheels', from the first readings of the drive."""
-    found = {name: find_lag(*heading, by_wheels(wheels)) for name, heading in headings(measurements).items()}
+    found = {name: wheel_lag(*heading, wheels) for name, heading in headings(measurements).items()}
     return {name: lag for name, lag in found.items() if lag is not None}

@@ -27,7 +27,7 @@ from .encoder import STUCK, of_degrees, of_stuck_wheel
 from .finding import Finding, Least
 from .landmarks import of_landmarks
 from .laser import laser_motion, of_laser, of_radius, of_sweep
-from .laser_ranges import of_offset, of_range_unit, of_scatter, unreturned
+from .laser_ranges import of_angles, of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
 from .positions import of_positions
 from .publishers import PUBLISHERS, of_publishers
@@ -276,6 +276,7 @@ def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str]
             return []
         held = unreturned(stream(name), MAX_EMPTY_SHARE) if name == "lrf" else ""
         why = f"its ranges are {held}. {CHECK_SENSOR}" if held else "it is dead, or its settings do not fit"
+        why = next((f.message for f in of_angles(stream(name)) if f.severe), why) if name == "lrf" else why
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: {why}"
         return [Finding(name, BLIND, words, severe=REGISTRY[name].blind_is_severe)]
     total = len(stream(name).t_ns) if unused else 0

@@ -25,7 +25,7 @@ MIN_TRIPLES = 1000  # of neighbouring ranges, for an estimate of the noise
 MAX_SCATTER = 1.4  # times sigma_range: more noise is reported
 # quantiles of |x| for normal x, and their values in standard deviations, to recognise Gaussian noise
 NORMAL_SHARES, NORMAL_SIZES = (0.1, 0.25, 0.5), (0.1257, 0.3186, 0.6745)
-MAX_NOISE_M = 0.1  # m: more scatter is not noise of a laser
+MAX_NOISE_M = 0.3  # m: more scatter is not noise of a laser
 MAX_SIGMA_RATIO = 1.2  # largest ratio of the sigmas by these quantiles
 OFFSET = "range offset"  # code of the finding
 MAX_LIMIT_RATIO = 10.0  # of a range and range_max: walls in mm are 1000 times as far as in m, at 1 % of range_max
@@ -38,6 +38,7 @@ MIN_STRETCH_TRIPLES, STRETCH_COUNT = 200, 8  # in each stretch; stretches for th
 # limits of a finding: m; standard errors, without and with a trial of its fix
 MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS, TRIED_SIGMAS = 0.02, 0.03, 5.0, 3.0
 SPAN_FIELDS = ("angle_min", "angle_max", "angle_increment", "ranges")
+MIN_DEGREES = 8.0 * math.pi  # rad: of beams that cover more, the angles are in degrees
 MAX_OFF_STEPS = 3.0  # increments: smaller differences are wrong counts of beams
 
 
@@ -76,6 +77,9 @@ def of_angles(stream: Stream) -> list[Finding]:
     low, high, step = (np.asarray(columns[k], np.float64) for k in SPAN_FIELDS[:3])
     beams = cast("Ragged", columns["ranges"]).lengths
     by_ends, by_steps = np.abs(high - low), np.abs(step) * (beams - 1)
+    if float(np.median(by_steps)) > MIN_DEGREES and len(by_steps):
+        words = f"its beams cover {np.median(by_steps):.0f} rad: its angles look like degrees; write radians"
+        return [Finding("lrf", "angle increment", words, severe=True)]
     wrong = (np.abs(by_steps - by_ends) > MAX_OFF_STEPS * np.abs(step)) & (by_ends > 0.0) & (beams > 1)
     if 2 * wrong.sum() <= len(wrong):
         return []

@@ -58,8 +58,9 @@ def of_start(
     drives = severe and robot.start_given and wheels.driven(wheels.t[0] + DRIVES_S) > STANDS_M
     begun = ", and the robot drives at the first reading: its beginning may be lost" if drives else ""
     where = f"the drive is at {at:.1f} s" if fitted.t else "the drive starts"
+    turned = "" if by_points else f" and {math.degrees(turn):.1f} deg"
     words = (
-        f"it starts {away:.2f} m and {math.degrees(turn):.1f} deg from where {where}{begun}; set the start, or "
+        f"it starts {away:.2f} m{turned} from where {where}{begun}; set the start, or "
         "judge the shape only (--align origin)"
     )
     degrees = math.degrees(se2.wrap(theta))
@@ -67,6 +68,15 @@ def of_start(
     unsure = (f"start.sigma_theta_deg={math.degrees(aside):.1f}",) if aside else ()
     fixes = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={degrees:.1f}", *unsure, *moments)
     return [Finding("truth", START, words, fixes, severe)]
+
+
+def start_by_shape(truth: Truth, drive: Drive) -> tuple[str, ...]:
+    """Return the start settings by the shape of the path of a truth without headings; () if unclear."""
+    fitted = start_pose(truth, drive) if truth.theta is None else None
+    if fitted is None or fitted.t != float(drive.wheels.t[0]):
+        return ()
+    x, y, theta = fitted.pose.tolist()
+    return f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={math.degrees(theta):.1f}"
 
 
 class TruthStart(NamedTuple):

@@ -350,10 +350,10 @@ def test_a_truth_on_its_own_clock_is_found_if_the_drive_never_repeats_itself(lat
     t = T[: len(twist) + 1]
     wheels = Wheels.from_twists(t, twist, 0.6, 4e-4)
     truth = Truth("/truth", t[::5] + late, wheels.pose[::5, :2], wheels.pose[::5, 2] if headings else None)
-    assert present(far_lag(truth, wheels)).offset == pytest.approx(-late, abs=0.1)
+    assert present(far_lag(truth.t, truth.xy, truth.theta, wheels)).offset == pytest.approx(-late, abs=0.1)
 
 
 def test_a_drive_that_repeats_itself_shows_no_far_lag() -> None:
     wheels, true = turned(0)
     truth = Truth("/truth", T + 20.0, wheels.pose[:, :2], se2.wrap_all(true))
-    assert far_lag(truth, wheels) is None
+    assert far_lag(truth.t, truth.xy, truth.theta, wheels) is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, cast
 
@@ -11,12 +11,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream, totals
+from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream, stretches, totals
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # a gap is longer than both: s, median periods
 MIN_BLANK_STEPS = 20.0  # median steps: from a larger value, a step to zero is no motion
 # least readings to compare; largest ratio of the change over two readings to that over one (one source: 1 to 2)
 MIN_IN_TURN, MAX_TURN_RATIO = 20, 0.5
+# of readings that are stuck: least time with one value, least turn in it, share of this turn that is not shown
+MIN_STUCK_S, MIN_STUCK_TURN_RAD, MAX_SHOWN_SHARE = 1.0, 0.35, 0.5
 
 
 def concat(parts: Sequence[Column]) -> Column:
@@ -207,6 +209,23 @@ def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
     total = np.zeros_like(rates)
     np.cumsum(0.5 * (rates[1:] + rates[:-1]) * held, axis=0, out=total[1:])
     return total, totals(gap)[: len(t)]
+
+
+def stuck(value: Array, rate: Array, t: Array, turned: Callable[[Array], Array]) -> NDArray[np.bool_]:
+    """Return flags (n,) of readings that repeat one value for MIN_STUCK_S while the robot turns otherwise.
+
+    `value` (n,) at times t (n,) [s] means a turning rate (n,) [rad/s]; `turned` gives the headings by the wheels.
+    """
+    flags = np.zeros(len(t), dtype=bool)
+    for first, last in stretches(np.diff(value) == 0.0):
+        begin, end = t[first], t[last + 1]
+        by_wheels = float(np.diff(turned(np.array((begin, end))))[0])
+        off = abs(by_wheels - rate[first] * (end - begin))
+        # at standstill a coarse sensor without noise repeats one value too
+        turns = abs(by_wheels) > MIN_STUCK_TURN_RAD and off > MAX_SHOWN_SHARE * abs(by_wheels)
+        if turns and end - begin >= MIN_STUCK_S:
+            flags[first : last + 2] = True
+    return flags
 
 
 def last_of_periods(t: Array, period: float) -> Ints:

@@ -30,6 +30,7 @@ from locfuse.fusion.checks.clocks import (
 from locfuse.fusion.checks.compass import ROOM
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
+from locfuse.fusion.checks.gyro import SATURATED, of_rest_noise
 from locfuse.fusion.checks.lag import SAID_SIGMAS
 from locfuse.fusion.checks.landmarks import CLOCKWISE
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
@@ -94,6 +95,7 @@ KEYLESS = {
     PATH,
     SPEEDS,
     RANGE_SCALE,
+    SATURATED,
 }  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 
@@ -420,8 +422,12 @@ class Evidence(NoiseFindings):
         return found
 
     def claims(self) -> list[Candidate]:
-        """Return candidate sigmas of sensors of positions that are less exact, by the truth, than they claim."""
-        found = of_claims(self.loaded.drive, self.loaded.robot)
+        """Return candidate sigmas of sensors of positions that are less exact, by the truth, than they claim.
+
+        Also that of a gyro by its noise at standstill.
+        """
+        drive, robot = self.loaded.drive, self.loaded.robot
+        found = [*of_claims(drive, robot), *of_rest_noise(drive, robot)]
         return [self._candidate(f, (f.fixes,)) for f in found if self.judges(f.role)]
 
     @property

@@ -25,6 +25,7 @@ from .clocks import EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
 from .encoder import STUCK, of_degrees, of_stuck_wheel
 from .finding import Finding, Least
+from .gyro import of_gyro, of_saturation
 from .landmarks import of_landmarks
 from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_angles, of_offset, of_range_unit, of_scatter, unreturned
@@ -38,7 +39,6 @@ from .turning import (
     and_truth,
     clock_offset,
     far_by_scans,
-    of_gyro,
     of_ratio,
     of_track,
     of_turning,
@@ -103,7 +103,7 @@ def examine(
     if unit or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared
     found += of_landmarks(drive, robot) or of_points(drive, robot)
-    found += of_positions(drive, robot)
+    found += [*of_positions(drive, robot), *of_saturation(drive, robot, streams)]
     if "camera" in drive.measurements:
         from .pictures import of_calibration, of_handedness  # imported here since it needs OpenCV
 

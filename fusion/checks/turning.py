@@ -36,7 +36,6 @@ RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is comp
 RATIO = "ratio"  # code of the finding on wheels of different size
 RATIO_ERRORS = Least(0.01, 4.0), Least(0.005, 3.0)  # smallest error of the ratio: reported, tried
 SEVERE_RATIO_ERROR = 0.03
-GYRO_SCALE, GYRO_ERRORS = "gyro scale", (Least(0.02, 4.0), Least(0.01, 3.0))  # smallest error: reported, tried
 MAX_HEADINGS = 5000  # of the truth, for the wheels' ratio
 RATES = ("gyro", "twist")  # sensors that measure a rate, which has a bias
 MIN_SPEED_SPREAD = 0.2  # least standard deviation of the speed as share of its mean, beside a bias
@@ -309,7 +308,7 @@ def of_ratio(
         return []
     ratio *= wheels.ratio
     words = (
-        f"by the headings of {_source(name)} the right wheel's radius is {ratio:.3f} times the left one's (1 "
+        f"by the headings of {source_words(name)} the right wheel's radius is {ratio:.3f} times the left one's (1 "
         f"sigma {sigma:.3f}), configured {wheels.ratio:g}"
     )
     severe = off > SEVERE_RATIO_ERROR + RATIO_ERRORS[0].sigmas * sigma
@@ -342,40 +341,8 @@ def and_truth(drive: Drive, by_sensor: Mapping[str, Turning]) -> dict[str, Turni
     return {**by_sensor, **_fits(_of_truth(drive), drive.wheels)}
 
 
-def of_gyro(
-    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], least: Least | None = None
-) -> list[Finding]:
-    """Return a finding if a gyro turns farther or less far than the headings of the truth or of another sensor.
-
-    `by_sensor` may have a fit of the truth.
-    """
-    known, truth = headings_of(drive), drive.truth
-    if truth is not None and truth.theta is not None:
-        known["truth"] = Headings(truth.t, np.unwrap(truth.theta), np.zeros(len(truth.t)))
-    name = next((n for n in ("truth", "lrf", "compass") if n in known and n in by_sensor), None)
-    if name is None or "gyro" not in known or "gyro" not in by_sensor:
-        return []
-    (t, heading), (own_t, own) = ((known[n].t + by_sensor[n].offset, known[n].angle) for n in (name, "gyro"))
-    start = own_t[(own_t >= t[0]) & (own_t + RATIO_WINDOW_S <= min(t[-1], own_t[-1]))]
-    if len(start) < MIN_WINDOWS:
-        return []
-    turned, seen = changes(start, RATIO_WINDOW_S, own_t, own), changes(start, RATIO_WINDOW_S, t, heading)
-    A = np.stack((turned, np.ones(len(start))), axis=-1)  # a bias turns every window alike
-
-    def fitted(some: Ints) -> float:
-        return float(robust(A[some], seen[some])[0])
-
-    scale = fitted(np.arange(len(start)))
-    sigma = float(jackknife(fitted, len(start), RATIO_STRETCHES))
-    least = GYRO_ERRORS[least is not None]
-    if turned.std() < MIN_RMS_TURN_RAD or abs(scale - 1.0) < least.error + least.sigmas * sigma:
-        return []
-    far = f"{abs(1.0 / scale - 1.0):.1%} too {'far' if scale < 1.0 else 'little'}"
-    words = f"it turns {far} by the headings of {_source(name)} (1 sigma {sigma:.1%})"
-    return [Finding("gyro", GYRO_SCALE, words, (f"gyro.scale={float(robot.settings('gyro').scale) * scale:.4g}",))]
-
-
-def _source(name: str) -> str:
+def source_words(name: str) -> str:
+    """Return the words for the truth or a sensor whose headings show something."""
     return "the scans" if name == "lrf" else f"the {name}"
 
 

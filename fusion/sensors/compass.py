@@ -31,7 +31,7 @@ from locfuse.fusion.sensor import (
     WheelMotion,
     given_or_state,
 )
-from locfuse.fusion.streams import arrays, count_dropped, seconds
+from locfuse.fusion.streams import arrays, count_dropped, seconds, stuck
 
 from .level import LevelledField, levelled
 
@@ -129,8 +129,11 @@ class Compass(Sensor):
         t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         good = np.isfinite(heading)
         _refuse_stuck(t[good], heading[good], wheels, stream.topic)
+        held = np.zeros(len(heading), dtype=bool)
+        held[good] = stuck(heading[good], np.zeros(int(good.sum())), t[good], wheels.heading)
         dropped = dict(stream.dropped)
-        count_dropped(dropped, not_finite=~good)
+        count_dropped(dropped, not_finite=~good, stuck=held)
+        good &= ~held
         n, sigma = int(good.sum()), math.radians(settings.sigma_deg)
         strength = strength[good]
         usual = float(np.median(strength)) if n else 0.0  # other strengths are disturbed by steel and motors

@@ -29,7 +29,7 @@ from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion, given_or_state
-from locfuse.fusion.streams import arrays, count_dropped, last_of_periods, seconds, summed
+from locfuse.fusion.streams import arrays, count_dropped, last_of_periods, seconds, stuck, summed
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # in a standstill: encoders flicker by a tick
 MAX_BIAS_SIGMAS = 4.0  # prior sigmas: with a larger bias at rest, the robot was turned by hand
@@ -99,8 +99,11 @@ class Gyro(Sensor):
         rate = up_rate(columns, settings, stream.topic)
         t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         good = np.isfinite(rate)
+        held = np.zeros(len(rate), dtype=bool)
+        held[good] = stuck(rate[good], rate[good], t[good], wheels.heading)
         dropped = dict(stream.dropped)
-        count_dropped(dropped, not_finite=~good)
+        count_dropped(dropped, not_finite=~good, stuck=held)
+        good &= ~held
         t, rate = t[good], rate[good]
         angle, piece = summed(t, rate)
         keep = last_of_periods(t, settings.period)
@@ -282,7 +285,8 @@ def _check_against(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, top
         fix = "gyro.unit=deg"
         raise LocfuseError(f"{turns} it is in degrees:", role="gyro", fixes=(fix,), hint=f"--set {fix}")
     if slope > 0:
-        raise LocfuseError(turns, role="gyro", hint="check wheels.radius and wheels.track, and gyro.unit")
+        scale = f"or, if the wheels are right, --set gyro.scale={1.0 / slope:.3g}"
+        raise LocfuseError(turns, role="gyro", hint=f"check wheels.radius, wheels.track and gyro.unit; {scale}")
     fix = "gyro.roll_deg=180"
     hint = f"--set {fix}; or both wheels are mirrored (wheels.mirrored=both)"
     raise LocfuseError(f"{turns} is it upside-down?", role="gyro", fixes=(fix,), hint=hint)

@@ -21,6 +21,7 @@ from locfuse.fusion.checks.clocks import CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import _scales, gaps, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
+from locfuse.fusion.checks.gyro import of_gyro
 from locfuse.fusion.checks.laser import WallMotion, WallPairs, bumped, laser_motion, of_laser, of_radius, range_fix
 from locfuse.fusion.checks.probes import path_scale
 from locfuse.fusion.checks.start import start_pose
@@ -36,7 +37,7 @@ from locfuse.fusion.checks.truth import (
     unusable,
     wheels_metre,
 )
-from locfuse.fusion.checks.turning import and_truth, explain, of_gyro, of_ratio, of_track, turnings
+from locfuse.fusion.checks.turning import and_truth, explain, of_ratio, of_track, turnings
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.se2 import rotation_3d

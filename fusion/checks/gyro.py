@@ -1,0 +1,128 @@
+"""Gyro checks: scale and bias by headings of the truth or another sensor, noise, and rates beyond its range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from locfuse.fusion.change import jackknife
+from locfuse.fusion.chi_square import robust_sigma
+from locfuse.fusion.data import Array, Drive, Ints, Stream, changes
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.gyro import rests, up_rate
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import arrays, seconds
+
+from .finding import Finding, Least
+from .truth import robust
+from .turning import MIN_RMS_TURN_RAD, MIN_WINDOWS, Headings, Turning, headings_of, source_words
+
+SCALE, ERRORS = "gyro scale", (Least(0.02, 4.0), Least(0.01, 3.0))  # smallest error: reported, tried
+BIAS, SATURATED = "gyro bias", "saturated"  # codes of findings on a bias that moves, on rates beyond the range
+WINDOW_S, PART_COUNT = 3.0, 8  # s over which turns are compared; parts of the drive, with a bias each
+STRETCHES = 8  # parts of the jackknife
+MIN_BIAS_STEP_DEG, BIAS_SIGMAS = 0.1, 4.0  # degrees/s; standard errors: smallest change of a bias that is reported
+MIN_DRIFT_RATIO = 3.0  # least ratio of the observed drift of a bias to the configured one
+MIN_CLIPPED, MIN_CLIPPED_SHARE = 20, 0.005  # readings with the largest rate; share of all
+MIN_CLIPPED_RATIO = 1.15  # (wheels' rate / gyro's rate) of these readings to that of other turns
+RATE_SPAN_S = 0.1  # s before and after a reading, for the turning rate of the wheels
+NOISE = "gyro noise"  # code of the finding on the noise at standstill
+MIN_REST_READINGS, MIN_NOISE_RATIO = 20, 3.0  # of one standstill; least ratio of observed to configured noise
+
+
+def of_gyro(
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], least: Least | None = None
+) -> list[Finding]:
+    """Return findings if a gyro's scale is wrong, or its bias moves, by headings of the truth or another sensor.
+
+    `by_sensor` may have a fit of the truth. Each part of the drive has a bias of its own.
+    """
+    known, truth = headings_of(drive), drive.truth
+    if truth is not None and truth.theta is not None:
+        known["truth"] = Headings(truth.t, np.unwrap(truth.theta), np.zeros(len(truth.t)))
+    name = next((n for n in ("truth", "lrf", "compass") if n in known and n in by_sensor), None)
+    if name is None or "gyro" not in known or "gyro" not in by_sensor:
+        return []
+    (t, heading), (own_t, own) = ((known[n].t + by_sensor[n].offset, known[n].angle) for n in (name, "gyro"))
+    start = own_t[(own_t >= t[0]) & (own_t + WINDOW_S <= min(t[-1], own_t[-1]))]
+    if len(start) < MIN_WINDOWS:
+        return []
+    turned, seen = changes(start, WINDOW_S, own_t, own), changes(start, WINDOW_S, t, heading)
+    part = np.minimum((start - start[0]) / (start[-1] - start[0]) * PART_COUNT, PART_COUNT - 1).astype(np.int64)
+    A = np.column_stack((turned, np.eye(PART_COUNT)[part]))
+
+    def fitted(some: Ints) -> float:
+        return float(robust(A[some], seen[some])[0])
+
+    x = robust(A, seen)
+    scale, sigma = float(x[0]), float(jackknife(fitted, len(start), STRETCHES))
+    least = ERRORS[least is not None]
+    if turned.std() >= MIN_RMS_TURN_RAD and abs(scale - 1.0) >= least.error + least.sigmas * sigma:
+        far = f"{abs(1.0 / scale - 1.0):.1%} too {'far' if scale < 1.0 else 'little'}"
+        words = f"it turns {far} by the headings of {source_words(name)} (1 sigma {sigma:.1%})"
+        fix = f"gyro.scale={float(robot.settings('gyro').scale) * scale:.4g}"
+        return [Finding("gyro", SCALE, words, (fix,))]
+    return _of_bias(np.degrees(-x[1:]) / WINDOW_S, seen - A @ x, float(start[-1] - start[0]), robot, name)
+
+
+def _of_bias(bias: Array, rest: Array, duration: float, robot: Robot, name: str) -> list[Finding]:
+    """Return a finding if the bias (PART_COUNT,) [degrees/s] moves from part to part of a drive of `duration` [s].
+
+    `rest` (n,) are the residuals [rad] of turns over WINDOW_S.
+    """
+    length = duration / PART_COUNT
+    sigma = math.degrees(robust_sigma(rest)) / WINDOW_S / math.sqrt(max(length / WINDOW_S, 1.0))
+    steps = np.diff(bias)
+    if float(np.ptp(bias)) < MIN_BIAS_STEP_DEG + BIAS_SIGMAS * sigma:
+        return []
+    drift = float(np.sqrt(np.square(steps).mean() / length))
+    if drift < MIN_DRIFT_RATIO * robot.settings("gyro").bias_drift_deg:
+        return []
+    moves = f"its bias moves by {np.ptp(bias):.2g} degrees/s during the drive (1 sigma {sigma:.1g})"
+    words = f"{moves}, by the headings of {source_words(name)}"
+    return [Finding("gyro", BIAS, words, (f"gyro.bias_drift_deg={drift:.2g}",))]
+
+
+def of_saturation(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
+    """Return a finding if a gyro often reads its largest rate while the wheels turn faster."""
+    if "gyro" not in drive.measurements:
+        return []
+    stream, settings = streams["gyro"], robot.settings("gyro")
+    rate = np.abs(up_rate(arrays(stream, *REGISTRY["gyro"].reads[stream.msgtype]), settings, stream.topic))
+    t = seconds(stream.t_ns, drive.epoch_ns, settings.time_offset)
+    by_wheels = np.abs(drive.wheels.heading(t + RATE_SPAN_S) - drive.wheels.heading(t - RATE_SPAN_S))
+    by_wheels /= 2.0 * RATE_SPAN_S
+    most = float(np.max(rate, initial=0.0, where=np.isfinite(rate)))
+    largest = rate >= most * (1.0 - 1e-9)
+    others = ~largest & (rate > 0.5 * most)
+    if largest.sum() < max(MIN_CLIPPED, MIN_CLIPPED_SHARE * len(rate)) or not others.any() or not most:
+        return []
+    # wheels that skid turn farther than the robot, at all rates
+    if np.median(by_wheels[largest]) / most < MIN_CLIPPED_RATIO * np.median(by_wheels[others] / rate[others]):
+        return []
+    share = f"{largest.mean():.1%} of its readings are {most:.3g} rad/s, the largest"
+    words = f"{share}, while the wheels turn faster: set a larger range in its driver"
+    return [Finding("gyro", SATURATED, words, (), True)]
+
+
+def of_rest_noise(drive: Drive, robot: Robot) -> list[Finding]:
+    """Return a finding if a gyro's turns scatter at standstill by more than its configured angle random walk."""
+    m = drive.measurements.get("gyro")
+    if m is None or len(m.t) < MIN_REST_READINGS:
+        return []
+    where = drive.wheels.relative(np.full(len(m.t), m.t[0]), m.t)
+    turns = [
+        np.diff(m.z[a : b + 1, 0]) / np.sqrt(np.diff(m.t[a : b + 1]))
+        for a, b in rests(where, m.extra["piece"].astype(np.int64))
+        if b - a >= MIN_REST_READINGS
+    ]
+    if not turns:
+        return []
+    sigma = math.degrees(robust_sigma(np.concatenate([one - np.median(one) for one in turns])))
+    now = robot.settings("gyro").sigma_deg
+    if sigma < MIN_NOISE_RATIO * now:
+        return []
+    words = f"at standstill its turns scatter by {sigma:.2g} degrees per sqrt(s) (1 sigma), configured {now:g}"
+    return [Finding("gyro", NOISE, words, (f"gyro.sigma_deg={sigma:.2g}",))]

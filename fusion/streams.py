@@ -218,13 +218,13 @@ def stuck(value: Array, rate: Array, t: Array, turned: Callable[[Array], Array])
     """
     flags = np.zeros(len(t), dtype=bool)
     for first, last in stretches(np.diff(value) == 0.0):
-        begin, end = t[first], t[last + 1]
-        by_wheels = float(np.diff(turned(np.array((begin, end))))[0])
-        off = abs(by_wheels - rate[first] * (end - begin))
+        held = slice(first, last + 2)
+        if t[last + 1] - t[first] < MIN_STUCK_S:
+            continue
+        by_wheels = turned(t[held])
+        turns, off = np.ptp(by_wheels), np.ptp(by_wheels - rate[first] * t[held])
         # at standstill a coarse sensor without noise repeats one value too
-        turns = abs(by_wheels) > MIN_STUCK_TURN_RAD and off > MAX_SHOWN_SHARE * abs(by_wheels)
-        if turns and end - begin >= MIN_STUCK_S:
-            flags[first : last + 2] = True
+        flags[held] = turns > MIN_STUCK_TURN_RAD and off > MAX_SHOWN_SHARE * turns
     return flags
 
 

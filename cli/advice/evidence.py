@@ -27,7 +27,7 @@ from locfuse.fusion.checks.clocks import (
     start_kept,
     wrong_clocks,
 )
-from locfuse.fusion.checks.compass import ROOM
+from locfuse.fusion.checks.compass import ROOM, of_offset_by_truth
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.gyro import SATURATED, of_rest_noise
@@ -424,10 +424,10 @@ class Evidence(NoiseFindings):
     def claims(self) -> list[Candidate]:
         """Return candidate sigmas of sensors of positions that are less exact, by the truth, than they claim.
 
-        Also that of a gyro by its noise at standstill.
+        Also that of a gyro by its noise at standstill, and the drift of a compass offset.
         """
         drive, robot = self.loaded.drive, self.loaded.robot
-        found = [*of_claims(drive, robot), *of_rest_noise(drive, robot)]
+        found = [*of_claims(drive, robot), *of_rest_noise(drive, robot), *of_offset_by_truth(drive, robot)]
         return [self._candidate(f, (f.fixes,)) for f in found if self.judges(f.role)]
 
     @property

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import cast
 
 import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, LocfuseError, Stream
+from locfuse.fusion.change import jackknife
+from locfuse.fusion.chi_square import MAD_OF_NORMAL, robust_sigma
+from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
@@ -18,6 +21,7 @@ from locfuse.fusion.sensors.iron import MAX_MISSING_ARC_RAD, Iron, fit_iron, iro
 from locfuse.fusion.streams import numbers
 
 from .finding import Finding
+from .truth import robust
 from .turning import Turning, explain
 
 MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
@@ -153,6 +157,7 @@ def angles(up: Array) -> tuple[int, int]:
 
 
 MIN_ERROR_DEG, SEVERE_ERROR_DEG = 1.0, 5.0  # rms over a turn
+MIN_FITTED, PARTS = 50, 8  # readings that are fitted by the truth; parts of the jackknife
 MIN_SIGMAS = 5.0  # standard errors of the circle's centre
 ROOM, TOLERANCE = "iron in the room", 0.05  # code of the finding; its value for compass.field_tolerance
 MIN_DISTURBED = 0.12  # relative deviation of the field's strength near iron in the room
@@ -168,13 +173,92 @@ def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
     inside = plausible(field) & (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
     # about a wrong centre the angle of the field turns too far, so the robot's heading is used
-    if not inside.any() or np.ptp(drive.wheels.heading(t[inside])) < 2.0 * math.pi - MAX_MISSING_ARC_RAD:
+    whole = inside.any() and np.ptp(drive.wheels.heading(t[inside])) >= 2.0 * math.pi - MAX_MISSING_ARC_RAD
+    iron = None
+    with suppress(LocfuseError):  # no full turn
+        iron = fit_iron(field[inside]) if whole else None
+    iron = iron or _iron_by_truth(field[inside], t[inside], drive)
+    if iron is None:
         return []
-    try:
-        iron = fit_iron(field[inside])
-    except LocfuseError:
-        return []  # no full turn
     return [*_on_robot(iron, settings), *_in_room(iron, field[inside], t[inside], drive, robot)]
+
+
+def _iron_by_truth(field: Array, t: Array, drive: Drive) -> Iron | None:
+    """Fit iron to field readings (n, 2) at times t (n,) [s] by the truth's headings; None if these are few.
+
+    With complex numbers any ellipse is m = c + a e^(i theta) + b e^(-i theta). No full turn is needed.
+    """
+    truth = drive.truth
+    if truth is None or truth.theta is None:
+        return None
+    inside = (t >= truth.t[0]) & (t <= truth.t[-1])
+    theta, m = np.interp(t[inside], truth.t, np.unwrap(truth.theta)), field[inside] @ (1.0, 1.0j)
+    if len(m) < MIN_FITTED or np.ptp(theta) < MIN_FIELD_ARC_RAD:
+        return None
+    unit = float(np.abs(m).max()) or 1.0
+    A, m = np.stack((np.ones(len(m)), np.exp(1.0j * theta), np.exp(-1.0j * theta)), axis=-1), m / unit
+
+    def fitted(some: Ints) -> Array:
+        c, a, b = robust(A[some], m[some]).tolist()
+        raw = np.array([[a.real + b.real, b.imag - a.imag], [a.imag + b.imag, a.real - b.real]])
+        values, axes = np.linalg.eigh(raw @ raw.T)
+        size = math.sqrt(math.sqrt(max(float(values.prod()), 1e-30)))
+        soft = axes @ np.diag(size / np.sqrt(np.maximum(values, 1e-15))) @ axes.T
+        return np.array([c.real, c.imag, *soft.ravel(), size])
+
+    found, errors = fitted(np.arange(len(m))), jackknife(fitted, len(m), PARTS)
+    hard, soft, size = found[:2], found[2:6].reshape(2, 2), float(found[6])
+    there = (m - complex(*hard)).view(np.float64).reshape(-1, 2) @ soft
+    rest = np.abs(np.hypot(*there.T) / size - 1.0)
+    return Iron(
+        hard=unit * hard,
+        soft=soft,
+        hard_sigma=unit * errors[:2],
+        soft_sigma=errors[2:6].reshape(2, 2),
+        strength=unit * size,
+        scatter=float(np.median(rest)) / MAD_OF_NORMAL,
+        error_before_deg=iron_error_deg(hard, np.eye(2) / size),
+        gap_deg=0.0,
+        readings=len(m),
+    )
+
+
+MOVES, PART_COUNT, WANDER_S = (
+    "offset moves",
+    8,
+    2.0,
+)  # code; parts of the drive; s over which errors are correlated
+MIN_IN_PART = 10  # readings
+MIN_MOVE_DEG, MOVE_SIGMAS = 3.0, 4.0  # smallest reported change of the offset; standard errors
+
+
+def of_offset_by_truth(drive: Drive, robot: Robot) -> list[Finding]:
+    """Return a finding if the compass offset moves or steps during the drive, by the truth's headings."""
+    m, truth, settings = drive.measurements.get("compass"), drive.truth, robot.settings("compass")
+    if m is None or truth is None or truth.theta is None or settings.offset_drift_deg:
+        return []
+    inside = (m.t >= truth.t[0]) & (m.t <= truth.t[-1])
+    t, theta = m.t[inside], np.interp(m.t[inside], truth.t, np.unwrap(truth.theta))
+    if len(t) < MIN_FITTED or t[-1] - t[0] < PART_COUNT * WANDER_S:
+        return []
+    off = np.unwrap(np.unwrap(m.z[inside, 0]) - theta)
+    part = np.minimum((t - t[0]) / (t[-1] - t[0]) * PART_COUNT, PART_COUNT - 1).astype(np.int64)
+    iron = [f(k * theta) for f in (np.cos, np.sin) for k in (1, 2)]
+    A = np.column_stack((np.eye(PART_COUNT)[part], *iron))
+    x = robust(A, off)
+    length = float(t[-1] - t[0]) / PART_COUNT
+    sigma = math.degrees(robust_sigma(off - A @ x)) / math.sqrt(length / WANDER_S)
+    kept = np.flatnonzero(np.bincount(part, minlength=PART_COUNT) >= MIN_IN_PART)
+    offsets = np.degrees(x[kept])
+    steps, most = np.diff(offsets), float(np.ptp(offsets))
+    if len(steps) == 0 or most < MIN_MOVE_DEG + MOVE_SIGMAS * sigma:
+        return []
+    i = int(np.argmax(np.abs(steps)))
+    at = t[0] + kept[i + 1] * length
+    when = f", most of it near {at:.0f} s" if abs(steps[i]) > 0.5 * most else ""
+    words = f"by the truth its offset moves by {most:.0f}° (1 sigma {sigma:.1g}°){when}: iron, or its mount"
+    drift = math.sqrt(float(np.square(steps).mean()) / length)
+    return [Finding("compass", MOVES, words, (f"compass.offset_drift_deg={drift:.2g}",))]
 
 
 def _on_robot(iron: Iron, settings: CompassSettings) -> list[Finding]:

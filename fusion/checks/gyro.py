@@ -22,6 +22,7 @@ from .turning import MIN_RMS_TURN_RAD, MIN_WINDOWS, Headings, Turning, headings_
 SCALE, ERRORS = "gyro scale", (Least(0.02, 4.0), Least(0.01, 3.0))  # smallest error: reported, tried
 BIAS, SATURATED = "gyro bias", "saturated"  # codes of findings on a bias that moves, on rates beyond the range
 WINDOW_S, PART_COUNT = 3.0, 8  # s over which turns are compared; parts of the drive, with a bias each
+MIN_IN_PART = 10  # windows in a part
 STRETCHES = 8  # parts of the jackknife
 MIN_BIAS_STEP_DEG, BIAS_SIGMAS = 0.1, 4.0  # degrees/s; standard errors: smallest change of a bias that is reported
 MIN_DRIFT_RATIO = 3.0  # least ratio of the observed drift of a bias to the configured one
@@ -64,18 +65,19 @@ def of_gyro(
         words = f"it turns {far} by the headings of {source_words(name)} (1 sigma {sigma:.1%})"
         fix = f"gyro.scale={float(robot.settings('gyro').scale) * scale:.4g}"
         return [Finding("gyro", SCALE, words, (fix,))]
-    return _of_bias(np.degrees(-x[1:]) / WINDOW_S, seen - A @ x, float(start[-1] - start[0]), robot, name)
+    full = np.bincount(part, minlength=PART_COUNT) >= MIN_IN_PART
+    return _of_bias(np.degrees(-x[1:][full]) / WINDOW_S, seen - A @ x, float(start[-1] - start[0]), robot, name)
 
 
 def _of_bias(bias: Array, rest: Array, duration: float, robot: Robot, name: str) -> list[Finding]:
-    """Return a finding if the bias (PART_COUNT,) [degrees/s] moves from part to part of a drive of `duration` [s].
+    """Return a finding if the bias (k,) [degrees/s] moves from part to part of a drive of `duration` [s].
 
     `rest` (n,) are the residuals [rad] of turns over WINDOW_S.
     """
     length = duration / PART_COUNT
     sigma = math.degrees(robust_sigma(rest)) / WINDOW_S / math.sqrt(max(length / WINDOW_S, 1.0))
     steps = np.diff(bias)
-    if float(np.ptp(bias)) < MIN_BIAS_STEP_DEG + BIAS_SIGMAS * sigma:
+    if len(steps) == 0 or float(np.ptp(bias)) < MIN_BIAS_STEP_DEG + BIAS_SIGMAS * sigma:
         return []
     drift = float(np.sqrt(np.square(steps).mean() / length))
     if drift < MIN_DRIFT_RATIO * robot.settings("gyro").bias_drift_deg:

@@ -25,7 +25,7 @@ MIN_TRIPLES = 1000  # of neighbouring ranges, for an estimate of the noise
 MAX_SCATTER = 1.4  # times sigma_range: more noise is reported
 # quantiles of |x| for normal x, and their values in standard deviations, to recognise Gaussian noise
 NORMAL_SHARES, NORMAL_SIZES = (0.1, 0.25, 0.5), (0.1257, 0.3186, 0.6745)
-MAX_NOISE_M = 0.3  # m: more scatter is not noise of a laser
+MAX_NOISE_M = 0.15  # m: more scatter is not noise of a laser
 MAX_SIGMA_RATIO = 1.2  # largest ratio of the sigmas by these quantiles
 OFFSET = "range offset"  # code of the finding
 MAX_LIMIT_RATIO = 10.0  # of a range and range_max: walls in mm are 1000 times as far as in m, at 1 % of range_max

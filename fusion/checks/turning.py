@@ -40,6 +40,8 @@ MAX_HEADINGS = 5000  # of the truth, for the wheels' ratio
 RATES = ("gyro", "twist")  # sensors that measure a rate, which has a bias
 MIN_SPEED_SPREAD = 0.2  # least standard deviation of the speed as share of its mean, beside a bias
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
+# least correlation of turns that shows opposite senses, least rms of a turn
+MIN_AGAINST_CORRELATION, MIN_AGAINST_TURN_RAD = 0.8, math.radians(2.0)
 MIN_RMS_TURN_RAD = math.radians(5.0)  # least rms turn of a window
 MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turns that the wheels must explain, with either sign
 MAX_WHEEL_CORRELATION = 0.98  # of both wheels, above which their effects cannot be separated
@@ -162,8 +164,12 @@ def of_turning(
     found = _against_the_truth(drive, robot, by_sensor, streams["wheels"])
     if not found and not by_sensor and counts_wheels:
         found = _by_the_wheels_alone(drive.wheels, robot)
-    if found or not by_sensor:
+    if found:
         return found
+    if unlike := _against_truths_turns(drive, by_sensor):
+        return [_reversed(name, robot, streams, "truth") for name in unlike]
+    if not by_sensor:
+        return []
     back = _against(by_sensor)
     if len(back) > 1 and len(back) == len(by_sensor):
         return [_exchanged(drive, robot, by_sensor, back, streams["wheels"])]
@@ -234,11 +240,34 @@ def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
     return ("wheels.mirrored=both",)
 
 
-def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream]) -> Finding:
-    """Return the finding on one sensor that turns opposite to the wheels."""
+def _against_truths_turns(drive: Drive, by_sensor: Mapping[str, Turning]) -> list[str]:
+    """Return the sensors that turn opposite to the truth, of those whose turns the wheels do not explain."""
+    truth = drive.truth
+    if truth is None or truth.theta is None:
+        return []
+    found = []
+    for name, known in headings_of(drive).items():
+        start, turned = _turns(known, drive.wheels, WINDOW_S)
+        start, turned = (c[(start >= truth.t[0]) & (start + WINDOW_S <= truth.t[-1])] for c in (start, turned))
+        if name in by_sensor or len(start) < MIN_WINDOWS:
+            continue
+        by_truth = changes(start, WINDOW_S, truth.t, np.unwrap(truth.theta))
+        if _turning_correlation(by_truth, turned) < -MIN_AGAINST_CORRELATION:
+            found.append(name)
+    return found
+
+
+def _turning_correlation(a: Array, b: Array) -> float:
+    """Return the correlation of turns (n,) [rad]; 0 if one of them hardly turns."""
+    turns = min(float(np.sqrt((one**2).mean())) for one in (a, b)) > MIN_AGAINST_TURN_RAD
+    return float(np.corrcoef(a, b)[0, 1]) if turns else 0.0
+
+
+def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream], whom: str = "wheels") -> Finding:
+    """Return the finding on one sensor that turns opposite to the wheels, or to the truth."""
     why, sets = REGISTRY[name].reversal(robot.settings(name), streams[name].msgtype)
     fixes = tuple(f"{name}.{key}={_toml(value)}" for key, value in sets.items())
-    return Finding(name, "reversed", f"it turns the other way round than the wheels: {why}", fixes, True)
+    return Finding(name, "reversed", f"it turns the other way round than the {whom}: {why}", fixes, True)
 
 
 def _toml(value: str | float | bool) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -17,9 +18,11 @@ from msgspec.structs import replace
 
 from locfuse.fusion.checks.examine import too_short
 from locfuse.fusion.data import Drive, LocfuseError, Measurements
+from locfuse.fusion.lines.points import SCANS_PER_BLOCK, understood
+from locfuse.fusion.lines.scans import equal_scans
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.level import FIELD, IMU
-from locfuse.fusion.sensors.lrf import laser_of
+from locfuse.fusion.sensors.lrf import Lrf, laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, looks_like_truth
@@ -44,6 +47,7 @@ WORSE_SHARE = 0.10  # largest loss of a motion against scan matching
 BELOW_STILL_SHARE = 0.05  # largest loss of a motion against standing still
 BETTER_SHARE = 0.015  # least gain of scan matching over wheels of known size for a note ...
 MAX_MISFIT_SIGMAS = 2.0  # ... that also needs turns of the wheels that differ by more than their noise
+UNDERSTOOD_BLOCKS = 12  # blocks of scans that show which beams see the robot itself
 TELLING_SHARE = 0.03  # least gain of scan matching over standing still; with less the scans judge no motion
 ALIKE_SHARE = 0.10  # least difference between two motions of one kind; with less none is preferred
 
@@ -188,7 +192,10 @@ class MotionEvidence:
         with suppress(LocfuseError):  # frames in a loop are reported where they are used
             placed = mount_tables(transforms_of(self._log, [stream.frame_id]), {"lrf": [stream]}).get("lrf", {})
         unset = {key: placed[key] for key in MOUNT_KEYS if key in placed and not getattr(settings, key)}
-        return laser_of(replace(settings, **unset))
+        laser = laser_of(replace(settings, **unset))
+        blocks = stream.blocks(*Lrf.reads[stream.msgtype], rows=SCANS_PER_BLOCK)
+        first = islice((columns for _, columns in blocks), UNDERSTOOD_BLOCKS)
+        return understood(laser, (scans for columns in first for _, scans in equal_scans(columns)))
 
 
 class MotionSensor(NamedTuple):

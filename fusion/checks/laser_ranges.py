@@ -12,6 +12,7 @@ import numpy as np
 from locfuse.fusion.change import jackknife
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, LocfuseError, Measurements, Ragged, Stream
+from locfuse.fusion.lines.points import understood
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 from locfuse.fusion.streams import take
@@ -132,8 +133,8 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
     Three beams an angle a apart hit a straight wall if r1 = 2 cos(a) r0 r2 / (r0 + r2). An offset changes the
     difference of both sides by 1 - 2 cos(a) (r0^2 + r2^2) / (r0 + r2)^2 times the offset; a scale error does not.
     """
-    laser, add = laser_of(settings), 0.0
     sampled = [scans for columns in _sample(stream, FIRST_SCANS) for _, scans in equal_scans(columns)]
+    laser, add = understood(laser_of(settings), sampled), 0.0
     for _ in range(2):  # linearised at 0, then at the first solution
         other = laser._replace(offset=laser.offset + add)
         parts = [bends for scans in sampled for bends in _bends(*returns(scans, other))]

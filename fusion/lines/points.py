@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Block, Ints, Stream
 from locfuse.fusion.sensor import WheelMotion
@@ -22,10 +23,19 @@ MIN_REPEATS, NEAR_SHARE, CROWD_FACTOR = 20, 0.99, 3
 SCANS_PER_BLOCK = 256  # scans processed at once (benchmarks: "lines per scan")
 
 
+# a beam that sees the robot: largest range, largest difference from its first range, m; least share within that
+MAX_BODY_M, SAME_M, MIN_SAME_SHARE = 0.6, 0.05, 0.95
+# least number of scans; largest share of such beams; largest median share of equal ranges of the other beams
+MIN_BODY_SCANS, MAX_BLOCKED_SHARE, MAX_USUAL_SHARE = 50, 0.5, 0.3
+
+
 class Longest:
-    """Longest range in a stream of scans, and its number of occurrences: it may mean "no return"."""
+    """Longest range in a stream of scans, which may mean "no return", and the beams that see the robot itself."""
 
     def __init__(self) -> None:
+        self._first: Array = np.zeros(0)  # (b,) m, first range of each beam; NaN without one
+        self._seen: Ints = np.zeros(0, np.int64)  # (b,) number of ranges of each beam
+        self._same: Ints = np.zeros(0, np.int64)  # (b,) number of those near its first range
         self.value = 0.0  # m
         self.count = 0  # number of ranges equal to `value`
         self._near = 0  # number of other ranges of at least NEAR_SHARE * value
@@ -38,6 +48,7 @@ class Longest:
         ranges, far = scans["ranges"], limits(scans)[1]
         if not ranges.size:
             return
+        self._add_beams(ranges)
         unknown = np.flatnonzero(~limited(scans))
         self._scans, self._unlimited = self._scans + len(far), self._unlimited + len(unknown)
         if len(unknown):
@@ -56,16 +67,59 @@ class Longest:
         self.count += equal
         self._near += int(np.count_nonzero(ranges >= NEAR_SHARE * self.value)) - equal
 
+    def _add_beams(self, ranges: Array) -> None:
+        """Count the ranges (k, b) [m] of each beam that are near its first range."""
+        if not len(self._first):
+            b = ranges.shape[1]
+            self._first = np.full(b, np.nan)
+            self._seen, self._same = np.zeros(b, np.int64), np.zeros(b, np.int64)
+        if len(self._first) != ranges.shape[1]:
+            return
+        valid = np.isfinite(ranges) & (ranges > 0.0)
+        new = np.flatnonzero(np.isnan(self._first) & valid.any(axis=0))
+        self._first[new] = ranges[valid[:, new].argmax(axis=0), new]
+        self._seen += valid.sum(axis=0)
+        with np.errstate(invalid="ignore"):
+            self._same += (np.abs(ranges - self._first) < SAME_M).sum(axis=0)
+
+    @property
+    def blocked(self) -> NDArray[np.bool_] | None:
+        """Return the mask (b,) of beams that see the robot: always the same near range while others change."""
+        if not self._scans >= MIN_BODY_SCANS:
+            return None
+        share = self._same / np.maximum(self._seen, 1)
+        body = (self._first < MAX_BODY_M) & (share >= MIN_SAME_SHARE) & (self._seen > 0.5 * self._scans)
+        others = share[~body & (self._seen > 0)]
+        if not body.any() or body.mean() > MAX_BLOCKED_SHARE or not len(others):
+            return None
+        mask: NDArray[np.bool_] = body
+        return mask if float(np.median(others)) < MAX_USUAL_SHARE else None
+
     @property
     def no_return(self) -> float | None:
         """Return the range [m] that means "no return"; None if the longest range comes from a wall."""
         repeated = self.count >= MIN_REPEATS and self.count > CROWD_FACTOR * self._near
         return self.value if repeated else None
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Return notes for the user: on ranges that count as no return, and on invalid limits."""
+    def laser(self, laser: Laser) -> Laser:
+        """Return the laser without the beams that see the robot, and without the range that means "no return"."""
+        if self.blocked is not None:
+            laser = laser._replace(blocked=self.blocked)
+        if laser.range_max is None and self.no_return is not None:
+            laser = laser._replace(range_max=float(np.nextafter(self.no_return, 0.0)))
+        return laser
+
+    def notes(self, laser: Laser) -> tuple[str, ...]:
+        """Return notes for the user: on unused beams and ranges of a laser, and on invalid limits."""
         words = []
+        if (blocked := self.blocked) is not None:
+            near = float(np.median(self._first[blocked]))
+            words.append(
+                f"{blocked.sum()} of {len(blocked)} beams read {near:.2f} m in all scans while others change: "
+                "they see the robot itself and are left out"
+            )
+        if laser.range_max is not None:
+            return tuple(words)
         if self.no_return is not None:
             share = self.count / self._read
             words.append(
@@ -87,16 +141,22 @@ def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Lase
 
     `read` reads the scans and adds all their ranges to its `Longest`. If the longest range means "no return", they
     are read again with a `range_max` below this range, which the returned laser has. If the user configured
-    `range_max`, all ranges up to it are used.
+    `range_max`, all ranges up to it are used. Beams that see the robot itself are left out too.
     """
     longest = Longest()
     found = read(laser, longest)
-    if laser.range_max is not None:
-        return found, laser, ()
-    if longest.no_return is not None:
-        laser = laser._replace(range_max=float(np.nextafter(longest.no_return, 0.0)))
-        found = read(laser, Longest())
-    return found, laser, longest.notes
+    understood = longest.laser(laser)
+    if understood is not laser:
+        found = read(understood, Longest())
+    return found, understood, longest.notes(laser)
+
+
+def understood(laser: Laser, some: Iterable[Mapping[str, Any]]) -> Laser:
+    """Return the laser without beams and ranges that show no walls, by some scans of equal numbers of beams."""
+    longest = Longest()
+    for scans in some:
+        longest.add(scans)
+    return longest.laser(laser)
 
 
 class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):

@@ -104,6 +104,7 @@ class Laser(NamedTuple):
     deskew: bool
     lines: LineSettings
     backward: bool = False  # whether the last beam of a scan is measured first, for any sign of time_increment
+    blocked: NDArray[np.bool_] | None = None  # (b,) beams that see the robot itself
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
@@ -232,6 +233,8 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
     near, far = limits(scans)
     far = np.minimum(far, laser.range_max or np.inf)
     invalid = ~((near[:, None] <= ranges) & (ranges <= far[:, None]))  # also true for NaN
+    if laser.blocked is not None and len(laser.blocked) == ranges.shape[1]:
+        invalid |= laser.blocked[taken]
     ranges *= laser.scale
     ranges += laser.offset
     ranges[invalid] = np.nan

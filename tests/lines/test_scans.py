@@ -113,7 +113,8 @@ def test_how_the_log_is_cut_into_blocks_does_not_matter() -> None:
         pieces.add(within(ranges[i : i + 1]))
         backwards.add(within(ranges[-1 - i][None]))
     assert whole.no_return == pieces.no_return == backwards.no_return == WORD
-    assert whole.notes == pieces.notes == backwards.notes
+    laser = laser_of(LrfSettings())
+    assert whole.notes(laser) == pieces.notes(laser) == backwards.notes(laser)
     assert whole.count == int((ranges == WORD).sum())
 
 
@@ -123,6 +124,29 @@ def test_scans_without_a_beam_or_a_return_say_nothing() -> None:
     longest.add(within(np.full((3, 40), np.nan)))
     longest.add(within(np.full((3, 40), 13.0)))  # beyond range_max: known to be none
     assert longest.no_return is None
+
+
+@pytest.mark.parametrize("body", [0.25, 1.5])
+def test_beams_that_see_the_robot_itself_are_no_walls(body: float) -> None:
+    """Farther away they may be a wall beside the robot, and if nothing changes the robot stands."""
+    right, some = yard(math.inf), np.s_[10:40]
+    ranges = np.array(right.data["ranges"].values).reshape(SCANS, BEAMS)  # type: ignore[union-attr]
+    free, held = ranges.copy(), ranges.copy()
+    free[:, some] = math.inf
+    held[:, some] = body + 0.01 * np.random.default_rng(1).standard_normal((SCANS, 30))
+    found, expected = (lines_of(scan_stream(STAMPS, r)) for r in (held, free))
+    notes = [note for note in found.notes if "see the robot itself" in note]
+    assert len(notes) == (body < 0.6)
+    assert all(note.startswith("30 of 120 beams read 0.25 m in all scans") for note in notes)
+    if notes:
+        np.testing.assert_array_equal(found.z, expected.z)
+        laser = laser_of(LrfSettings())
+        by_held, by_free = (match_scans(scan_stream(STAMPS, r), laser) for r in (held, free))
+        paths = [matched.reading(WheelSettings(), 0.0).wheels.pose for matched in (by_held, by_free)]
+        np.testing.assert_array_equal(*paths)
+    stands = Longest()
+    stands.add(within(np.tile(held[:1], (SCANS, 1))))
+    assert stands.blocked is None
 
 
 # --- a laser that freezes: its driver sends one scan again and again

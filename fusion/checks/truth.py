@@ -53,8 +53,10 @@ WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
 MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps it is unusable
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a jump is longer than this factor times the wheels' step plus this distance
 MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
+APART_SIGMAS = 6.0  # standard errors of x and of y, together: the other one may be unclear
 # sideways steps: least size in m, and in median differences from the wheels; largest number
 MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5
+MIN_STEP_RATIO = 2.0  # of a step to the usual large ones
 MIN_STEPS, READINGS_AROUND = 100, 5  # steps for an estimate of the noise; readings before and after a step
 WINDOW_STEPS = 41  # steps of a path over which its direction is computed; one wrong step hardly turns it
 CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # sigmas at which steps are clipped; standard errors of significant noise
@@ -70,6 +72,9 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     few = of_few(drive)
     if truth is None or few:
         return few
+    noisy = _noise_like_jumps(truth, drive)
+    if noisy:
+        return noisy
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive)
     yaw = of_yaw(swings, robot)
@@ -119,9 +124,11 @@ def _inside(truth: Truth, wheels: Wheels) -> Mask:
     return within
 
 
-def _steps(truth: Truth, drive: Drive) -> list[Finding]:
+def _steps(truth: Truth | None, drive: Drive) -> list[Finding]:
     """Return a finding if the truth steps off the wheels' path between two stamps and does not come back."""
-    truth = with_headings(truth, drive.wheels)
+    if truth is None:
+        return []
+    truth = with_headings(_without_repeats(truth), drive.wheels)
     path = axle_path(truth, drive.wheels)
     if path is None or truth.theta is None:
         return []
@@ -130,7 +137,9 @@ def _steps(truth: Truth, drive: Drive) -> list[Finding]:
     size = np.hypot(*step.T)
     if inside.sum() < MIN_STEPS:
         return []
-    limit = max(MIN_STEP_M, STEP_SIGMAS * float(np.median(size[inside])))
+    # wheels that slip often give many larger steps; a step of the truth is far larger than these
+    usual = float(np.partition(size[inside], -MAX_STEPS - 1)[-MAX_STEPS - 1])
+    limit = max(MIN_STEP_M, STEP_SIGMAS * float(np.median(size[inside])), MIN_STEP_RATIO * usual)
     found = []
     for k in np.flatnonzero(inside & (size > limit)).tolist():
         before, after = body[max(0, k - READINGS_AROUND) : k + 1], body[k + 1 : k + 2 + READINGS_AROUND]
@@ -142,6 +151,13 @@ def _steps(truth: Truth, drive: Drive) -> list[Finding]:
     where = ", ".join(f"{away:.2f} m at {t:.1f} s" for t, away in found)
     words = f"it steps aside by {where}, while the robot rolls on: errors after that are the truth's"
     return [Finding("truth", STEP, words, (), True)]
+
+
+def _without_repeats(truth: Truth) -> Truth:
+    """Return the truth without poses that equal the pose before: a held pose seems to step when it is renewed."""
+    new = np.append(True, np.diff(truth.xy, axis=0).any(axis=1))
+    theta = None if truth.theta is None else truth.theta[new]
+    return replace(truth, t=truth.t[new], xy=truth.xy[new], theta=theta)
 
 
 def _gaps(truth: Truth) -> list[Finding]:
@@ -229,9 +245,21 @@ def jumps_of(drive: Drive) -> Jumps | None:
     return Jumps(number, int(away.sum()), number - 2 * len(stretches(away)), len(limit))
 
 
-def _jumps(drive: Drive) -> list[Finding]:
+def _noise_like_jumps(truth: Truth, drive: Drive) -> list[Finding]:
+    """Return the finding on the truth's noise if this alone makes it jump too often to be used."""
     found = jumps_of(drive)
-    if found is None:
+    if found is None or not found.unusable:
+        return []
+    noise = _noise(truth, drive)
+    sigma = max(truth.sigma, _scatter(truth, drive.wheels).xy)
+    rest = jumps_of(replace(drive, truth=replace(truth, sigma=sigma)))
+    return noise if rest is None or not rest.unusable else []
+
+
+def _jumps(drive: Drive) -> list[Finding]:
+    """Return a finding on jumps of the truth; [] for few that do not return: `_steps` gives their times."""
+    found = jumps_of(drive)
+    if found is None or (not found.spikes and 0 < found.staying <= MAX_STEPS and _steps(drive.truth, drive)):
         return []
     speed = max(1.0, math.ceil(3.0 * _fastest(drive)))
     return [Finding("truth", JUMP, found.words, (f"truth.max_speed={speed:g}",), True)]
@@ -297,6 +325,10 @@ def of_unit(drive: Drive) -> list[Finding]:
     unit = next((u for f, u in UNITS.items() if 1.0 / MAX_UNIT_RATIO < factor / f < MAX_UNIT_RATIO), None)
     if unit is None or not slowest < speed < fastest or slowest < factor * speed < fastest:
         return []
+    from .clocks import truth_lag  # imported here since it imports this file
+
+    if (lag := truth_lag(drive)) is not None and abs(lag.offset) > WINDOW_S:
+        return []  # distances at other times
     words = (
         f"its distances are {float(f'{factor:.2g}'):g} times the wheels': its unit looks like {unit}. "
         "Errors by it mean nothing until it is recorded in m"
@@ -462,7 +494,8 @@ def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
         return []
     (x, y), sigma, configured = found.x[:2].tolist(), float(np.hypot(*found.sigma[:2])), truth.point
     away = math.hypot(x - configured[0], y - configured[1])
-    if away < max(MIN_POINT_ERROR_M, POINT_SIGMAS * sigma):
+    apart = float(np.hypot(*((found.x[:2] - configured) / np.maximum(found.sigma[:2], 1e-9))))
+    if away < MIN_POINT_ERROR_M or (away < POINT_SIGMAS * sigma and apart < APART_SIGMAS):
         return []
     words = (
         f"it swings as the body point ({x:.3f}, {y:.3f}) m does (1 sigma {sigma:.3f}), not "

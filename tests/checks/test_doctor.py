@@ -26,7 +26,9 @@ from locfuse.fusion.checks.laser import WallMotion, WallPairs, bumped, laser_mot
 from locfuse.fusion.checks.probes import path_scale
 from locfuse.fusion.checks.start import start_pose
 from locfuse.fusion.checks.truth import (
+    JUMP,
     SIZE,
+    STEP,
     UNIT,
     jumps_of,
     metre,
@@ -658,3 +660,35 @@ def test_a_mount_3_cm_off_is_no_bump_where_the_robot_drives_a_curve(begin: int) 
 def test_few_walls_tell_nothing() -> None:
     few = WallPairs(*(column[::20] for column in walls(8.0, 1)))
     assert bumped(few, 1.0) is None
+
+
+# a truth that jumps, repeats itself, or is far from the wheels' time
+
+
+def test_noise_that_looks_like_jumps_of_the_truth_gets_its_sigma() -> None:
+    healthy = drive(5, robot())
+    noise = 0.25 * np.random.default_rng(3).normal(size=truth_of(healthy).xy.shape)
+    found = of_truth(with_truth(healthy, xy=truth_of(healthy).xy + noise), robot())
+    assert [f.code for f in found] == ["noise"]
+    assert told(found)["truth.sigma"] == pytest.approx(0.25, rel=0.15)
+
+
+@pytest.mark.parametrize("size", [0.15, 0.8])
+def test_one_step_of_the_truth_is_named_beside_wheels_that_slip_often(size: float) -> None:
+    right = drive(5, robot())
+    slips = right.wheels.rolled + 0.05 * (np.arange(len(right.wheels.rolled)) % 100 == 0)[:, None]
+    slipping, truth = rolled(right, slips), truth_of(right)
+    assert STEP not in {f.code for f in of_truth(slipping, robot())}
+    aside = truth.xy + np.outer(truth.t > 30.0, [0.0, size])
+    found = [f for f in of_truth(with_truth(slipping, xy=aside), robot()) if f.code in {STEP, JUMP}]
+    assert [f.code for f in found] == [STEP]
+    said, when = found[0].message.partition("aside by ")[2].split(" s, ")[0].split(" m at ")
+    assert (float(said), float(when)) == (pytest.approx(size, abs=0.03), pytest.approx(30.0, abs=0.2))
+
+
+def test_a_truth_that_holds_each_pose_for_a_second_does_not_step() -> None:
+    healthy = drive(5, robot())
+    truth = truth_of(healthy)
+    held = np.arange(len(truth.t)) // 10 * 10
+    found = of_truth(with_truth(healthy, xy=truth.xy[held], theta=np.asarray(truth.theta)[held]), robot())
+    assert STEP not in {f.code for f in found}

@@ -29,6 +29,8 @@ NS_PER_MS = 10**6
 # stamps has changed. A difference from STEP_NS to JUMP_NS means this only if messages were recorded evenly: a
 # recorder that waits causes such a difference too
 JUMP_NS, STEP_NS, MIN_EVEN_STEPS = 10 * 10**9, 10**9, 10
+# ns, messages: a smaller difference counts if it stays over so many messages before and after it
+LASTING_NS, LASTING_MESSAGES = 250 * NS_PER_MS, 20
 MIN_PIECE_SHARE = 0.25  # share of messages; a smaller piece on the recording's clock is not preferred
 MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 # small message types with headers that most logs have; their stamps show which clock is used
@@ -209,18 +211,27 @@ def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
     """
     delay, period = log_time - stamp, np.diff(log_time)
     step = np.abs(np.diff(delay))
-    cut = step > JUMP_NS
+    cut, least = step > JUMP_NS, STEP_NS
     if len(period) >= MIN_EVEN_STEPS:
-        cut |= (step > STEP_NS) & (np.abs(period - np.median(period)) < 0.5 * step)
+        even = np.abs(period - np.median(period)) < 0.5 * step
+        cut |= (step > STEP_NS) & even
+        for k in np.flatnonzero((step > LASTING_NS) & even & ~cut).tolist():
+            before, after = (
+                delay[max(0, k + 1 - LASTING_MESSAGES) : k + 1],
+                delay[k + 1 : k + 1 + LASTING_MESSAGES],
+            )
+            lasts = abs(np.median(after) - np.median(before)) > LASTING_NS
+            cut[k] = lasts and min(len(before), len(after)) == LASTING_MESSAGES
+            least = LASTING_NS if cut[k] else least
     cuts = np.flatnonzero(cut) + 1
     if not len(cuts):
         return np.zeros(len(stamp), bool)
     edges = np.concatenate(([0], cuts, [len(stamp)]))
     lengths = np.diff(edges)
-    middle = delay[edges[:-1] + lengths // 2]  # the delay of a piece is that of its middle message
+    middle = np.array([np.median(piece) for piece in np.split(delay, cuts)])
     near = (np.abs(middle) < STEP_NS) & (lengths >= MIN_PIECE_SHARE * len(stamp))  # most logs have one clock
     trusted = np.argmax(np.where(near, lengths, 0) if near.any() else lengths)
-    off = np.abs(middle - middle[trusted]) > STEP_NS
+    off = np.abs(middle - middle[trusted]) > least
     return np.repeat(off, lengths)
 
 

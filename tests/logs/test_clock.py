@@ -146,7 +146,10 @@ def test_moving_stamps_into_their_order_is_isotonic_regression() -> None:
     np.testing.assert_allclose(in_order(stamp) - T0, expected, atol=1.0)
 
 
-@pytest.mark.parametrize(("since", "by", "of_larger"), [(200, -15 * S, 0), (100, 500 * S, 500 * S)])
+STEPS = [(200, -15 * S, 0), (100, 500 * S, 500 * S), (200, S, 0), (200, 4 * S // 10, 0), (200, -4 * S // 10, 0)]
+
+
+@pytest.mark.parametrize(("since", "by", "of_larger"), STEPS)
 def test_a_clock_that_is_set_for_good_goes_on(since: int, by: int, of_larger: int) -> None:
     """As when a simulation is reset: the smaller part is dated on the clock of the larger one."""
     log_time, truth = np.add(recording(300), ((3600 * S,), (0,)))

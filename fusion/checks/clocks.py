@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -67,6 +68,7 @@ MIN_EVEN_PERIODS = 50
 WHEEL_LAG_SHARE = 0.1  # share of the wheels' lag that a laser's run may contain
 MAX_PLACED, PLACE_STEP_S = 2000, 0.05  # readings that are used; s, steps of the lag
 LAG_STEPS = 6  # to each side of the best lag, that a parabola is fitted to
+MAX_FAR_PLACES_S, MAX_FAR_RATIO = 60.0, 0.5  # s, such as leap seconds; largest ratio of the residuals there
 # s: 1 sigma of a lag by residuals of positions, by model errors; largest sigma, which slow drives exceed
 PLACES_SIGMA_S, MAX_PLACES_SIGMA_S = 0.02, 0.1
 Pair = tuple[str, str]  # two clocks
@@ -321,42 +323,59 @@ def explained(
 
 
 def _lags_by_places(drive: Drive, robot: Robot) -> dict[Pair, Lag]:
-    """Return the lag of each sensor of positions, such as landmarks, relative to the truth's clock.
-
-    It is the shift of the stamps with the smallest residuals at the truth's poses. A sensor whose residuals hardly
-    depend on the shift has none.
-    """
-    truth, lags = drive.truth, np.arange(-MAX_LAG_S, MAX_LAG_S + PLACE_STEP_S / 2, PLACE_STEP_S)
-    if truth is None:
-        return {}
-    found = {}
-    for name, every in drive.measurements.items():
-        inside = np.flatnonzero((every.t > truth.t[0] + MAX_LAG_S) & (every.t < truth.t[-1] - MAX_LAG_S))
-        m = every.take(inside[:: 1 + len(inside) // MAX_PLACED])
-        if len(m.t) < MIN_READINGS:
-            continue
-
-        def spreads(some: Measurements, lags: Array, name: str = name) -> list[float]:
-            at = (poses_at(truth, some.t + lag) for lag in lags)
-            found = [REGISTRY[name].misfit(some, robot.settings(name), poses) for poses in at]
-            return [math.nan if spread is None else spread for spread in found]
-
-        scores = spreads(m, lags)
+    """Return the lag of each sensor of positions, such as landmarks, relative to the truth's clock."""
+    truth, found = drive.truth, dict[Pair, Lag]()
+    for name, every in drive.measurements.items() if truth is not None else ():
+        m = every.take(np.arange(0, len(every.t), 1 + len(every.t) // MAX_PLACED))
+        misfit = partial(REGISTRY[name].misfit, settings=robot.settings(name))
         if (
-            not np.isfinite(scores).all()
-            or not LAG_STEPS <= (best := int(np.argmin(scores))) < len(lags) - LAG_STEPS
+            truth is not None
+            and len(m.t) >= MIN_READINGS
+            and (lag := _lag_by_places(m, misfit, truth)) is not None
         ):
-            continue
-        near = lags[best - LAG_STEPS : best + LAG_STEPS + 1]
+            found[name, "truth"] = lag
+    return found
 
-        def lag(rows: Ints, m: Measurements = m, near: Array = near) -> float:
-            second, first, _ = np.polyfit(near, np.square(spreads(m.take(rows), near)), 2).tolist()
+
+def _lag_by_places(m: Measurements, misfit: Callable[..., float | None], truth: Truth) -> Lag | None:
+    """Return the shift of the stamps with the smallest residuals at the truth's poses; None if it is not clear.
+
+    Without a clear one below MAX_LAG_S, larger ones are tried, such as leap seconds.
+    """
+
+    def spreads(some: Measurements, lags: Array) -> Array:
+        found = []
+        for lag in lags.tolist():
+            inside = np.flatnonzero((some.t + lag >= truth.t[0]) & (some.t + lag <= truth.t[-1]))
+            seen = some.take(inside) if 2 * len(inside) > len(some.t) else None
+            spread = None if seen is None else misfit(seen, poses=poses_at(truth, seen.t + lag))
+            found.append(math.inf if spread is None or math.isnan(spread) else spread)
+        return np.array(found)
+
+    def about(middle: float, steps: int, most: float) -> Lag | None:
+        lags: Array = middle + PLACE_STEP_S * np.arange(-steps, steps + 1, dtype=np.float64)
+        if not np.isfinite(spreads(m, lags)).all():
+            return None
+
+        def lag(rows: Ints) -> float:
+            second, first, _ = np.polyfit(lags, np.square(spreads(m.take(rows), lags)), 2).tolist()
             return float(-0.5 * first / second)
 
         offset, sigma = lag(np.arange(len(m.t))), float(jackknife(lag, len(m.t), PART_COUNT))
-        if sigma < MAX_PLACES_SIGMA_S and abs(offset - lags[best]) < LAG_STEPS * PLACE_STEP_S:
-            found[name, "truth"] = Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S), "truth")
-    return found
+        if not (sigma < most and lags[0] < offset < lags[-1]):
+            return None
+        return Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S), "truth")
+
+    near: Array = np.arange(-MAX_LAG_S, MAX_LAG_S + PLACE_STEP_S / 2, PLACE_STEP_S, dtype=np.float64)
+    far: Array = np.arange(-MAX_FAR_PLACES_S, MAX_FAR_PLACES_S, LAG_STEPS * PLACE_STEP_S, dtype=np.float64)
+    scores = spreads(m, near)
+    found = about(float(near[np.argmin(scores)]), LAG_STEPS, MAX_PLACES_SIGMA_S)
+    if found is not None and abs(found.offset) < MAX_LAG_S:
+        return found
+    farther = spreads(m, far)
+    if not farther.min() < MAX_FAR_RATIO * scores.min():
+        return None
+    return about(float(far[np.argmin(farther)]), 2 * LAG_STEPS, MAX_LAG_S)
 
 
 def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:

@@ -37,7 +37,9 @@ MIN_OFF_M, SIGMAS = 0.15, 4.0  # m; standard errors: smallest error of a place a
 MIN_SCALE_ERROR, MAX_REST_SHARE = 0.03, 0.7  # smallest error of the range scale; residual spread with / without it
 MAX_SPREAD_RATIO = 1.3  # of the residuals with an offset alone to those with another place, to call it an offset
 COMMON_SIGMA_M = 0.02  # m, 1 sigma of the offset that all ranges share
+MIN_YAW_RAD = math.radians(2.0)  # smallest error of a detector's direction
 MAX_SAID = 3  # points in a message
+MIN_SIZE_ERROR = 0.1  # smallest error of a map's size
 MIN_FRAME_POINTS = 3  # points by which two frames are compared
 
 
@@ -88,8 +90,18 @@ def _of_map(drive: Drive, robot: Robot, name: str) -> list[Finding]:
     scale = _range_scale(drive, truth, settings) if isinstance(settings, RangesSettings) else []
     if scale:
         return scale
-    seen = (_places_by_ranges if isinstance(settings, RangesSettings) else _places_seen)(drive, truth, settings)
-    return _compared(name, settings, seen)
+    if isinstance(settings, RangesSettings):
+        return _compared(name, settings, _places_by_ranges(drive, truth, settings))
+    seen = _places_seen(drive, truth, settings)
+    if seen is None:
+        return []
+    if abs(seen.yaw) > MIN_YAW_RAD + SIGMAS * seen.yaw_sigma:
+        turned = getattr(settings, "yaw_deg", 0.0) + math.degrees(seen.yaw)
+        words = (
+            f"by the truth its detector is turned by {turned:.1f}° (1 sigma {math.degrees(seen.yaw_sigma):.1f}°)"
+        )
+        return [Finding(name, "yaw", words, (f"landmarks.yaw_deg={turned:.1f}",), True)]
+    return _compared(name, settings, seen.places)
 
 
 def _at_truth(drive: Drive, truth: Truth, settings: PointsSettings) -> tuple[Array, Array, Array]:
@@ -150,24 +162,46 @@ def _places_by_ranges(drive: Drive, truth: Truth, settings: RangesSettings) -> d
     return found
 
 
-def _places_seen(drive: Drive, truth: Truth, settings: PointsSettings) -> dict[int, Place]:
-    """Return the place of each landmark by ranges and bearings from the truth's poses; {} without headings."""
+class Seen(NamedTuple):
+    """Places of landmarks by the truth, and the constant errors of the detector."""
+
+    places: dict[int, Place]
+    yaw: float  # rad by which the detector is turned from its configured direction
+    yaw_sigma: float
+
+
+def _places_seen(drive: Drive, truth: Truth, settings: PointsSettings) -> Seen | None:
+    """Fit each landmark's place, one offset of all ranges and one yaw error to the detections; None for few.
+
+    A detection at the distance r in the direction u, from the detector at e, is of a landmark at
+    e + (r - offset) u + yaw r n, with n normal to u: the equation is linear. No map is needed.
+    """
     m = drive.measurements["landmarks"]
     if m.z.shape[1] < 2 or truth.theta is None:
-        return {}
+        return None
     t, ids, inside = _at_truth(drive, truth, settings)
-    mounts = mounts_of(m, (settings.x, settings.y, math.radians(getattr(settings, "yaw_deg", 0.0))))[inside]
-    eye = se2.compose(poses_at(truth, t), mounts)
-    bearing, far = m.z[inside].T
+    known = [one for one in settings.places if (ids == one).sum() >= MIN_READINGS]
+    rows = np.flatnonzero(np.isin(ids, known))
+    if not len(rows):
+        return None
+    mounts = mounts_of(m, (settings.x, settings.y, math.radians(getattr(settings, "yaw_deg", 0.0))))[inside][rows]
+    eye, (bearing, far) = se2.compose(poses_at(truth, t[rows]), mounts), m.z[inside][rows].T
     ahead = eye[:, 2] + bearing
-    seen = eye[:, :2] + far[:, None] * np.stack((np.cos(ahead), np.sin(ahead)), axis=-1)
-    found = {}
-    for one in settings.places:
-        rows = np.flatnonzero(ids == one)
-        if len(rows) >= MIN_READINGS:
-            xy = np.median(seen[rows], axis=0)
-            found[one] = Place(xy, robust_sigma(np.hypot(*(seen[rows] - xy).T)) / math.sqrt(PARTS))
-    return found
+    u = np.stack((np.cos(ahead), np.sin(ahead)), axis=-1)
+    n = np.stack((-u[:, 1], u[:, 0]), axis=-1)
+    which = (ids[rows][:, None] == known).astype(np.float64)  # (k, landmarks)
+    zero = np.zeros_like(which)
+    along = (np.column_stack((which, zero, u[:, 0])), np.column_stack((zero, which, u[:, 1])))
+    A = np.stack([np.column_stack((one, -far * n[:, i])) for i, one in enumerate(along)], axis=1)
+    y = eye[:, :2] + far[:, None] * u
+
+    def fitted(some: Ints) -> Array:
+        return robust(A[some].reshape(-1, A.shape[-1]), y[some].ravel())
+
+    x, errors = fitted(np.arange(len(rows))), jackknife(fitted, len(rows), PARTS)
+    sigmas, k = np.broadcast_to(errors, x.shape), len(known)
+    places = {one: Place(x[[i, k + i]], float(np.hypot(sigmas[i], sigmas[k + i]))) for i, one in enumerate(known)}
+    return Seen(places, float(x[-1]), float(sigmas[-1]))
 
 
 def _compared(name: str, settings: PointsSettings, seen: Mapping[int, Place]) -> list[Finding]:
@@ -219,11 +253,14 @@ def _frame(a: Array, b: Array, limit: Array) -> str:
     for mirrored in (False, True):
         here = a @ (1.0, -1.0j if mirrored else 1.0j)
         turn, shift = robust(np.stack((here, np.ones(len(a))), axis=-1), there).tolist()
-        turn /= abs(turn) or 1.0
+        size = abs(turn) or 1.0
+        scaled = abs(size - 1.0) > MIN_SIZE_ERROR
+        turn /= 1.0 if scaled else size
         shift = complex(np.median((there - turn * here).real), np.median((there - turn * here).imag))
         if (np.abs(there - turn * here - shift) < limit).all():
             angle = math.degrees(math.atan2(turn.imag, turn.real))
-            moved = f"and shifted by ({shift.real:.2f}, {shift.imag:.2f}) m"
             how = "mirrored (an axis has the other sign, or x and y are exchanged), and " if mirrored else ""
-            return f"by the truth its map is {how}turned by {angle:.0f}° {moved}: write both in one frame"
+            how = f"{1.0 / size:.3g} times too large, {how}" if scaled else how
+            moved = f"turned by {angle:.0f}° and shifted by ({shift.real:.2f}, {shift.imag:.2f}) m"
+            return f"by the truth its map is {how}{moved}: write both in one frame, in metres"
     return ""

@@ -114,7 +114,8 @@ def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int])
     triples = np.stack((seen.t_ns, ids, seen.detector), axis=-1)
     _, place, counts = np.unique(triples, axis=0, return_inverse=True, return_counts=True)
     twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
-    count_dropped(dropped, not_finite=~valid, no_id=valid & (ids < 0), ignored=valid & unwanted)
+    count_dropped(dropped, nan_or_not_positive=~valid)
+    count_dropped(dropped, no_id=valid & (ids < 0), ignored=valid & unwanted)
     count_dropped(dropped, not_in_map=valid & numbered & ~known, same_id=valid & known & twice)
     return valid & known & ~twice
 

@@ -81,6 +81,17 @@ def test_what_is_wrong_with_a_map_is_named(sensor: str, told: Places, words: str
     assert wrong.fixes == ((f"{sensor}.ignore=[1]",) if words.startswith("id 1 ") else wrong.fixes)
 
 
+def test_a_turned_detector_and_a_map_in_other_units_are_named() -> None:
+    one, settings = seen("landmarks", lambda a: a)
+    m = one.measurements["landmarks"]
+    turned = replace(m, z=m.z - [math.radians(8.0), 0.3])  # and ranges with an offset, which the filter estimates
+    (yaw,) = of_points(replace(one, measurements={"landmarks": turned}), settings)
+    assert float(yaw.fixes[0].removeprefix("landmarks.yaw_deg=")) == pytest.approx(8.0, abs=0.5)
+    assert of_points(replace(one, measurements={"landmarks": replace(m, z=m.z - [0.0, -0.3])}), settings) == []
+    (size,) = found("landmarks", lambda a: 100.0 * a)
+    assert size.message.startswith("by the truth its map is 100 times too large, turned by 0°")
+
+
 def test_one_anchor_with_longer_ranges_and_ranges_of_another_scale_are_named() -> None:
     (longer,) = found("ranges", longer=0.5)
     assert longer.message == "by the truth the ranges of id 2 are 0.50 m longer than those of the others"
@@ -101,12 +112,12 @@ def test_a_point_that_repeats_one_value_is_left_out(sensor: str) -> None:
 
 
 @pytest.mark.parametrize("sensor", ["ranges", "landmarks"])
-@pytest.mark.parametrize("late", [0.0, 0.5])
+@pytest.mark.parametrize("late", [0.0, 0.5, 12.0])
 def test_the_clock_of_ranges_and_landmarks_is_measured_by_the_truth(sensor: str, late: float) -> None:
     one, settings = seen(sensor, lambda a: a, late=late)
     lag = differences(one, settings)[sensor, "truth"]
     assert lag.offset == pytest.approx(-late, abs=max(0.03, 3.0 * lag.sigma))
-    assert lag.sigma < 0.06
+    assert lag.sigma < (0.06 if late < 1.0 else 0.3)
     if sensor == "ranges":  # their antenna has no direction
         positions = replace(one, truth=replace(present(one.truth), theta=None))
-        assert differences(positions, settings)[sensor, "truth"].offset == pytest.approx(-late, abs=0.05)
+        assert differences(positions, settings)[sensor, "truth"].offset == pytest.approx(-late, abs=0.1)

@@ -105,7 +105,7 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
 def rival_of(explanations: Sequence[Sequence[Clock]]) -> Clock | None:
     """Return the clock of a second explanation with one wrong clock, as good as the first; None if none is."""
     first, *others = explanations or ((),)
-    return next((e[0] for e in others if len(first) == len(e) == 1), None)
+    return next((e[0] for e in others if len(first) == len(e) == 1 and e[0].name != first[0].name), None)
 
 
 def rival_words(rival: Clock | None, robot: Robot) -> str:

@@ -544,7 +544,12 @@ def judged_pairs(
 ) -> dict[str, tuple[Marks, Marks]]:
     """Return each judge's figures before and after a fix; {} if one of them gets worse."""
     pairs: dict[str, tuple[Marks, Marks]] = {}
-    settled = chance_alone = False
+    chance_alone = False
+    # a value that others confirm, and that halves one error, is right even if other rows lose by it
+    proven = candidate.proven and any(
+        settles(*pair) for pair in scored(kept, together(kept, fixes), candidate.judges, trial).values()
+    )
+    settled = proven
     for name in candidate.judges:
         found = scored(kept, together(kept, fixes), (name,), trial)
         if not found:
@@ -554,7 +559,8 @@ def judged_pairs(
         # after one error fell to less than half, others may get worse by chance
         right = candidate.measured and turns_right(one, other)
         chance = name in candidate.minor or settled or right
-        worse = worsens_far if name in candidate.others else worsens_alone if chance else worsens
+        far = proven or name in candidate.others
+        worse = worsens_far if far else worsens_alone if chance else worsens
         if worse(one, other):
             if name not in candidate.minor or not was_chance(one, other):
                 return {}

@@ -53,7 +53,7 @@ WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
 MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps it is unusable
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a jump is longer than this factor times the wheels' step plus this distance
 MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
-APART_SIGMAS = 6.0  # standard errors of x and of y, together: the other one may be unclear
+APART_SIGMAS, MIN_APART_M = 6.0, 0.1  # standard errors of x and of y, one of which may be unclear; m
 # sideways steps: least size in m, and in median differences from the wheels; largest number
 MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5
 MIN_STEP_RATIO = 2.0  # of a step to the usual large ones
@@ -495,7 +495,8 @@ def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
     (x, y), sigma, configured = found.x[:2].tolist(), float(np.hypot(*found.sigma[:2])), truth.point
     away = math.hypot(x - configured[0], y - configured[1])
     apart = float(np.hypot(*((found.x[:2] - configured) / np.maximum(found.sigma[:2], 1e-9))))
-    if away < MIN_POINT_ERROR_M or (away < POINT_SIGMAS * sigma and apart < APART_SIGMAS):
+    unclear = apart < APART_SIGMAS or away < MIN_APART_M
+    if away < MIN_POINT_ERROR_M or (away < POINT_SIGMAS * sigma and unclear):
         return []
     words = (
         f"it swings as the body point ({x:.3f}, {y:.3f}) m does (1 sigma {sigma:.3f}), not "

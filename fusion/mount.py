@@ -23,6 +23,7 @@ ASK_MOUNT = (
     "How well they are known: sigma_x, sigma_y, sigma_yaw_deg (of a laser 0.01 m and 0.5 degrees unless set)"
 )
 PARTS = ("x", "y", "yaw")  # components of a mount: suffixes of its states' names
+MAX_MOUNT_M = 20.0  # m: a sensor farther from the base is in other units
 SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: default sigmas of an observable mount
 MAX_PRIOR_SIGMAS = 3.0  # configured sigmas; a larger change may come from another error
 OTHER_MOUNT = "it seems to sit at"  # start of the note on a changed mount
@@ -55,8 +56,11 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
         return self.x, self.y, math.radians(self.yaw_deg)
 
     def __post_init__(self) -> None:
-        """Raise ValueError if a standard deviation is negative or not finite."""
+        """Raise ValueError if a standard deviation is negative or not finite, or a position is not in metres."""
         super().__post_init__()
+        for key in ("x", "y"):
+            if abs(getattr(self, key)) > MAX_MOUNT_M:
+                raise ValueError(f"{key} = {getattr(self, key):g} must be in metres, at most {MAX_MOUNT_M:g} m")
         for key in ("sigma_x", "sigma_y", "sigma_yaw_deg"):
             if not 0.0 <= (getattr(self, key) or 0.0) < math.inf:
                 raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")

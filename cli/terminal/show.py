@@ -221,7 +221,8 @@ def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: boo
     found = unwarned(report)
     lines(sentence(f, brief=not verbose) for f in found if verbose or not _is_note(f))
     if (all_fixes := together(report)) is not None:
-        text = all_fixes if folder is None else f"All fixes together: --robot {folder / 'fixes.toml'}"
+        both = "" if folder is None else f"--robot {folder / 'robot.toml'} --robot {folder / 'fixes.toml'}"
+        text = f"All fixes together, in place of your --robot and --set: {both}" if both else all_fixes
         lines([text], bold=[text])
 
 

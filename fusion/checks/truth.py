@@ -32,6 +32,7 @@ MAX_UNIT_RATIO = 1.5  # largest factor between the observed ratio and one of the
 # a truth without one of its axes: largest extent of this axis as share of the drive's; least extent of the drive,
 # m; largest share of the squared distances over WINDOW_S that the truth shows
 MAX_LEVEL_SHARE, MIN_EXTENT_M, MAX_SEEN_SHARE = 0.1, 0.5, 0.8
+MAX_STILL_M = 0.02  # extent of a truth that does not move
 # standard errors; largest difference of wheels and laser, as share of the truth's scale error
 MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
 MIN_SCALE_SHARE = 0.05  # least share of a path's squared steps that no tracked point explains, to find its scale
@@ -303,6 +304,13 @@ def of_axes(drive: Drive) -> list[Finding]:
     _, _, axes = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)
     wide, narrow = np.ptp(path @ axes.T, axis=0).tolist()
     level = np.ptp(xy, axis=0)
+    if wide > MIN_EXTENT_M and level.max() < MAX_STILL_M:
+        words = f"its positions stay within {level.max():.2f} m, while the wheels drive {wide:.1f} m far"
+        return [
+            Finding(
+                "truth", AXES, f"{words}: it does not track this robot, or the wheels turn in the air", (), True
+            )
+        ]
     last = np.minimum(np.searchsorted(t, t + WINDOW_S), len(t) - 1)
     seen, rolled = float(((xy[last] - xy) ** 2).sum()), float(((path[last] - path) ** 2).sum())
     share = MAX_LEVEL_SHARE * narrow

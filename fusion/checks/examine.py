@@ -21,7 +21,7 @@ from locfuse.fusion.truth import heading_notes
 from locfuse.fusion.wheels.odometry import BODY_READS
 from locfuse.fusion.wheels.repairs import gaps_of
 
-from .clocks import EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
+from .clocks import CLOCK, EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
 from .encoder import STUCK, of_degrees, of_stuck_wheel
 from .finding import Finding, Least
@@ -112,8 +112,22 @@ def examine(
     if least is None:  # callers that try fixes compare clocks themselves
         scales += of_clocks(drive, robot)
         scales += unseen(drive) if scales else []
-    truth = [] if any(o.code == SIZE for o in scales) else of_truth(drive, robot)
+    truth = [] if any(o.code == SIZE for o in scales) else of_truth(_on_clocks(drive, robot, scales), robot)
     return [*found, *scales, *truth]
+
+
+def _on_clocks(drive: Drive, robot: Robot, found: Sequence[Finding]) -> Drive:
+    """Return the drive with its truth on the wheels' clock, if a finding has a time offset of one of both.
+
+    All fixes of a log are set together, so the start must be that under the other clock.
+    """
+    fixes = dict(fix.split("=") for f in found if f.code == CLOCK for fix in f.fixes)
+    clocks = ("truth", 1.0, robot.truth.time_offset), ("wheels", -1.0, robot.wheels.time_offset)
+    named = ((f"{role}.time_offset", sign, now) for role, sign, now in clocks)
+    later = [sign * (float(fixes[key]) - now) for key, sign, now in named if key in fixes]
+    if drive.truth is None or not later:
+        return drive
+    return replace(drive, truth=replace(drive.truth, t=drive.truth.t + sum(later)))
 
 
 def too_short(drive: Drive) -> str:

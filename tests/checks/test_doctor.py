@@ -19,7 +19,7 @@ from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
-from locfuse.fusion.checks.examine import _scales, gaps, unseen
+from locfuse.fusion.checks.examine import _scales, examine, gaps, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.gyro import of_gyro
 from locfuse.fusion.checks.laser import WallMotion, WallPairs, bumped, laser_motion, of_laser, of_radius, range_fix
@@ -40,7 +40,7 @@ from locfuse.fusion.checks.truth import (
     wheels_metre,
 )
 from locfuse.fusion.checks.turning import and_truth, explain, of_ratio, of_track, turnings
-from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
+from locfuse.fusion.data import Array, ArrayStream, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.gyro import GyroSettings
@@ -692,3 +692,14 @@ def test_a_truth_that_holds_each_pose_for_a_second_does_not_step() -> None:
     held = np.arange(len(truth.t)) // 10 * 10
     found = of_truth(with_truth(healthy, xy=truth.xy[held], theta=np.asarray(truth.theta)[held]), robot())
     assert STEP not in {f.code for f in found}
+
+
+def test_a_start_is_measured_on_the_clock_that_is_set_with_it() -> None:
+    healthy = drive(5, robot())
+    late = with_truth(healthy, t=truth_of(healthy).t + 0.5)
+    streams = {"wheels": ArrayStream("/joint_states", "sensor_msgs/msg/JointState", np.zeros(0, np.int64), {})}
+    alone = replace(late, measurements={})
+    codes = {f.code: f.fixes for f in examine(alone, robot(), streams)}
+    assert float(codes["lag"][0].removeprefix("truth.time_offset=")) == pytest.approx(-0.5, abs=0.02)
+    assert "start" not in codes
+    assert "start" in {f.code for f in of_truth(alone, robot())}

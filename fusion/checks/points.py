@@ -25,11 +25,7 @@ from locfuse.fusion.truth import poses_at
 from .finding import Finding
 from .truth import robust
 
-MAP, SAME, LONG = (
-    "map",
-    "same value",
-    "long ranges",
-)  # codes of findings: the map, a point that repeats, one offset
+MAP, SAME = "map", "same value"  # codes of findings on a wrong map, on a point that repeats one value
 SCALE = "range scale"  # code of the finding on ranges that are too long by a factor
 MIN_READINGS, PARTS = 20, 8  # of one point; parts of the jackknife
 MIN_MOVED_M = 0.3  # extent of the robot's path while a point repeats one value
@@ -84,22 +80,20 @@ def _ignoring(settings: PointsSettings, name: str, ids: Sequence[int]) -> tuple[
 
 
 def _of_map(drive: Drive, robot: Robot, name: str) -> list[Finding]:
+    """Return the finding on the map, the scale of the ranges, or the direction of the detector, by the truth."""
     truth, settings = drive.truth, robot.settings(name)
     if truth is None or settings.grows:
         return []
-    scale = _range_scale(drive, truth, settings) if isinstance(settings, RangesSettings) else []
-    if scale:
-        return scale
     if isinstance(settings, RangesSettings):
-        return _compared(name, settings, _places_by_ranges(drive, truth, settings))
+        scale = _range_scale(drive, truth, settings)
+        return scale or _compared(name, settings, _places_by_ranges(drive, truth, settings))
     seen = _places_seen(drive, truth, settings)
     if seen is None:
         return []
     if abs(seen.yaw) > MIN_YAW_RAD + SIGMAS * seen.yaw_sigma:
         turned = getattr(settings, "yaw_deg", 0.0) + math.degrees(seen.yaw)
-        words = (
-            f"by the truth its detector is turned by {turned:.1f}° (1 sigma {math.degrees(seen.yaw_sigma):.1f}°)"
-        )
+        sigma = f"1 sigma {math.degrees(seen.yaw_sigma):.1f}°"
+        words = f"by the truth its detector is turned by {turned:.1f}° ({sigma})"
         return [Finding(name, "yaw", words, (f"landmarks.yaw_deg={turned:.1f}",), True)]
     return _compared(name, settings, seen.places)
 
@@ -260,7 +254,7 @@ def _frame(a: Array, b: Array, limit: Array) -> str:
         if (np.abs(there - turn * here - shift) < limit).all():
             angle = math.degrees(math.atan2(turn.imag, turn.real))
             how = "mirrored (an axis has the other sign, or x and y are exchanged), and " if mirrored else ""
-            how = f"{1.0 / size:.3g} times too large, {how}" if scaled else how
+            how = f"{1.0 / size:.3g} times as large, {how}" if scaled else how
             moved = f"turned by {angle:.0f}° and shifted by ({shift.real:.2f}, {shift.imag:.2f}) m"
             return f"by the truth its map is {how}{moved}: write both in one frame, in metres"
     return ""

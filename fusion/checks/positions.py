@@ -212,7 +212,7 @@ def of_claims(drive: Drive, robot: Robot) -> list[Finding]:
         x = robust(A, y)
         rest = y - A @ x
         seen = [robust_sigma(np.concatenate((rest.real, rest.imag)))]
-        if m.z.shape[1] == 3 and np.isfinite(poses[:, 2]).all():
+        if sensor == POSE and robot.settings(POSE).heading and np.isfinite(poses[:, 2]).all():
             off = np.exp(1.0j * (m.z[:, 2] - poses[:, 2]))
             seen.append(math.degrees(robust_sigma(np.angle(off / np.mean(off)))))
         keys, claimed = REGISTRY[sensor].noise_keys, REGISTRY[sensor].claimed(m)

@@ -89,7 +89,7 @@ def test_a_turned_detector_and_a_map_in_other_units_are_named() -> None:
     assert float(yaw.fixes[0].removeprefix("landmarks.yaw_deg=")) == pytest.approx(8.0, abs=0.5)
     assert of_points(replace(one, measurements={"landmarks": replace(m, z=m.z - [0.0, -0.3])}), settings) == []
     (size,) = found("landmarks", lambda a: 100.0 * a)
-    assert size.message.startswith("by the truth its map is 100 times too large, turned by 0°")
+    assert size.message.startswith("by the truth its map is 100 times as large, turned by 0°")
 
 
 def test_one_anchor_with_longer_ranges_and_ranges_of_another_scale_are_named() -> None:

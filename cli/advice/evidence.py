@@ -122,6 +122,7 @@ class Evidence(NoiseFindings):
             or bool(self._spins)
             or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS_SCALE))
             or self._walls_bend
+            or any(f.severe for f in self.doctor)
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:

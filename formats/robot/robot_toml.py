@@ -17,6 +17,7 @@ from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import units
 
+BARE_POINT = re.compile(r"^([+-]?)\.(?=\d)")  # .5 is a number for most people, but not for TOML
 MAX_LISTED_KEYS = 12  # in an error message
 MOUNT_KEYS = ("x", "y", "yaw_deg")  # sensor mount in the base frame; each key has a sigma_<key>
 MAX_NUMBER = 1e20  # larger than the range of a 64-bit counter
@@ -124,7 +125,7 @@ def as_set(key: str, value: Any) -> str:
 
 def _value(text: str) -> Any:
     try:
-        parsed = tomllib.loads(f"value = {text}")
+        parsed = tomllib.loads("value = " + BARE_POINT.sub(r"\g<1>0.", text))
     except (ValueError, RecursionError):
         return text
     return parsed["value"] if parsed.keys() == {"value"} else text

@@ -120,6 +120,8 @@ def test_what_comes_later_wins_key_by_key() -> None:
         ('lrf.topic="/scan"', "/scan"),
         ("lrf.topic=3", 3),
         ("lrf.topic=0.5", 0.5),
+        ("lrf.topic=-.5", -0.5),
+        ("lrf.topic=.5.csv", ".5.csv"),
         ("lrf.topic=true", True),
         ("lrf.topic=[1, 2]", [1, 2]),
         ("lrf.topic=a=b", "a=b"),

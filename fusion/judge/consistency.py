@@ -32,6 +32,7 @@ Verdict = Literal[
 MAX_DRAWN_RATIO = 2.0  # sigma of a mean / its sigma by the readings' noise; above it, the reference adds errors
 MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between both limits is consistent
 MIN_SIGMAS = 3.0  # least significant difference, in standard errors
+LEAST_CLAIM = 0.01  # m or degrees: a smaller claimed sigma counts as 0
 MIN_BIAS_SIGMAS = 0.5  # least reported bias, in sigmas of the noise
 MIN_SLOW_VARIANCE_RATIO = 3.0  # slow errors with this multiple of the reference's variance are the sensor's
 MIN_MEAN_VARIANCE_RATIO = 4.0  # largest consistent variance of a mean / claimed variance
@@ -162,6 +163,8 @@ def of_messages(found: Consistency, sensor: str, claimed: Mapping[str, float]) -
         words = f"its messages claim errors about {times} smaller than they are"
         if math.isinf(found.scale):
             words = "its messages claim errors that are far smaller than they are"
+            if max(claimed.values(), default=0.0) < LEAST_CLAIM:
+                words = "its messages claim to have no errors: their covariances are 0"
     else:
         words = f"its messages claim errors about {times} larger than they are"
     if found.verdict == "correlated" or not math.isfinite(found.scale):

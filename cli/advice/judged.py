@@ -5,6 +5,7 @@ Sensor noise is judged by residuals, raw ranges and truth; wheel noise by slip.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Any
@@ -27,6 +28,7 @@ from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, judg
 from locfuse.fusion.judge.evaluate import covariance_check
 from locfuse.fusion.judge.innovations import OwnInnovations, own
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.truth import poses_at
 
 from .trial import Trial
 
@@ -155,6 +157,7 @@ class Judged:
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 TOO_LOW = 2.0  # times the observed sigma is tried too: the gate has rejected the largest residuals
 MAX_OFFERED_FACTOR = 8.0  # largest proposed increase of a sigma: more would disable the sensor
+MAX_TRUTH_FACTOR = 2.0  # largest sigma that is tried, as multiple of the error by truth
 MAX_NOISE_FACTOR = 4.0  # largest change of a sigma by ANEES, up or down
 FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
 NOISE_VERDICTS = {"understated", "overstated", "correlated"}
@@ -181,7 +184,10 @@ class NoiseFindings(Judged):
             options = tuple(dict.fromkeys((*self._by_settings(sensor), *one) for one in (*seen, *more)))
             if sensor != LASER:  # the laser's noise is checked by its raw ranges
                 settings = self.loaded.robot.settings(sensor)
-                options = tuple(fixes for fixes in options if useful(fixes, settings))
+                most = self._most_by_truth(sensor)
+                options = tuple(fixes for fixes in options if useful(fixes, settings) and first_of(fixes) <= most)
+                if seen and not options and math.isfinite(most):
+                    continue  # the truth shows that its readings are as exact as configured
             if options:
                 found.append(self._candidate(Finding(sensor, code, words), options, not seen))
             elif seen:
@@ -192,6 +198,22 @@ class NoiseFindings(Judged):
         if doubtful and not as_configured:
             found.append(self._wheel_noise())
         return found
+
+    def _most_by_truth(self, sensor: str) -> float:
+        """Return the largest sigma to try, for the first noise key of a sensor: a multiple of its error by truth.
+
+        Infinite if the truth does not show the sensor's error.
+        """
+        drive, settings = self.loaded.drive, self.loaded.robot.settings(sensor)
+        if drive.truth is None:
+            return math.inf
+        every = drive.measurements[sensor]
+        m = every.take(np.flatnonzero((every.t >= drive.truth.t[0]) & (every.t <= drive.truth.t[-1])))
+        spread = REGISTRY[sensor].misfit(m, settings, poses_at(drive.truth, m.t)) if len(m.t) else None
+        if spread is None or not math.isfinite(spread):
+            return math.inf
+        now = float(getattr(settings, REGISTRY[sensor].noise_keys[0]))
+        return max(now, MAX_TRUTH_FACTOR * spread * REGISTRY[sensor].components[0].scale)
 
     def _claimed(self, sensor: str) -> dict[str, float]:
         """Return the sigmas that a sensor's messages claim, by noise key; {} if its settings give them."""
@@ -389,6 +411,12 @@ def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
     """Return the smaller range sigma [m] that a laser's lines show, None if they do not."""
     shown = sensor == LASER and verdict.verdict == "overstated"
     return verdict.fix_values.get(f"{LASER}.sigma_range") if shown else None
+
+
+def first_of(fixes: Fixes) -> float:
+    """Return the first number of a fix; 0 without one."""
+    values = (fix.partition("=")[2] for fix in fixes if ".covariance=" not in fix)
+    return float(next(values, "0"))
 
 
 def useful(fixes: Fixes, settings: Any) -> bool:

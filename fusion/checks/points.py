@@ -204,7 +204,9 @@ def _compared(name: str, settings: PointsSettings, seen: Mapping[int, Place]) ->
     a = np.array([settings.places[i] for i in ids]).reshape(-1, 2)
     b = np.array([seen[i].xy for i in ids]).reshape(-1, 2)
     limit = MIN_OFF_M + SIGMAS * np.array([seen[i].sigma for i in ids])
-    off = np.flatnonzero(np.hypot(*(a - b).T) > limit)
+    # the ranges of an anchor that an offset explains do not contradict its place
+    explained = np.array([math.isfinite(seen[i].offset_sigma) for i in ids], dtype=bool)
+    off = np.flatnonzero((np.hypot(*(a - b).T) > limit) & ~explained)
     if 2 * len(off) >= len(ids) >= MIN_FRAME_POINTS and (how := _frame(a, b, limit)):
         return [Finding(name, MAP, how, (), True)]
     if len(off) > 1 and (places := _exchanged(a[off], b[off], limit[off])) is not None:

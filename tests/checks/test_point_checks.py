@@ -96,6 +96,9 @@ def test_one_anchor_with_longer_ranges_and_ranges_of_another_scale_are_named() -
     (longer,) = found("ranges", longer=0.5)
     assert longer.message == "by the truth the ranges of id 2 are 0.50 m longer than those of the others"
     assert longer.fixes == ("ranges.ignore=[2]",)
+    one, settings = seen("ranges", lambda a: a)
+    m = one.measurements["ranges"]
+    assert of_points(replace(one, measurements={"ranges": replace(m, z=m.z + 0.4)}), settings) == []
     (scale,) = found("ranges", scale=1.1)
     assert float(scale.message.partition("ranges are ")[2].partition("%")[0]) == pytest.approx(10.0, abs=0.5)
     assert not scale.fixes

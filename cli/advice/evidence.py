@@ -31,7 +31,7 @@ from locfuse.fusion.checks.compass import ROOM, of_offset_by_truth
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.gyro import SATURATED, of_rest_noise
-from locfuse.fusion.checks.lag import SAID_SIGMAS
+from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag
 from locfuse.fusion.checks.landmarks import CLOCKWISE
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
 from locfuse.fusion.checks.laser_ranges import OFFSET
@@ -169,9 +169,14 @@ class Evidence(NoiseFindings):
         return [replace(self._candidate(f, either, not f.severe), measured=True) for f, either in ways]
 
     @cached_property
+    def _lags(self) -> dict[tuple[str, str], Lag]:
+        """Time lags of pairs of clocks."""
+        return differences(self.loaded.drive, self.loaded.robot, self.compared.estimates)
+
+    @cached_property
     def wrong(self) -> list[tuple[Clock, ...]]:
         """Sets of wrong clocks that each explain the time lags between sensors, the best explanation first."""
-        found = differences(self.loaded.drive, self.loaded.robot, self.compared.estimates)
+        found = self._lags
         again = any(".time_offset=" in fix for fix in self.fixes)
         return wrong_clocks(found, TRIED_SIGMAS, MIN_AGAIN_S if again else MIN_LAG_S)
 
@@ -230,9 +235,12 @@ class Evidence(NoiseFindings):
     def _late_pictures(self) -> Iterator[Candidate]:
         """Yield time offsets to try for an inconsistent camera, and the fix of a constant bearing error.
 
-        Bearings do not show a lag directly, so these are guesses, made only without a severe camera finding.
+        Without truth bearings do not show a lag directly, so these are guesses, made only without a severe camera
+        finding.
         """
         verdict = self.consistency.get("camera")
+        if ("camera", "truth") in self._lags:
+            return  # measured
         if any(f.role == "camera" and f.severe and f.fixes for f in self.doctor) or verdict is None:
             return
         if verdict.verdict in {*UNREMARKABLE, "overstated"} or not self.judges("camera"):

@@ -15,11 +15,11 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from locfuse.fusion.camera.optics import FIELDS
-from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.chi_square import chi_square, clipped_rms
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
-from locfuse.fusion.se2 import sight, wrap
+from locfuse.fusion.se2 import sight, transform, wrap, wrap_all
 from locfuse.fusion.sensor import NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
 from locfuse.fusion.streams import seconds
 
@@ -114,6 +114,17 @@ class Camera(Sensor):
     def landmark(self, settings: CameraSettings) -> Point | None:
         """Return the position of the red landmark, (x, y) [m, map frame]; None if not set."""
         return settings.landmark
+
+    def misfit(self, m: Measurements, settings: CameraSettings, poses: Array) -> float | None:
+        """Return the spread [rad] of the bearings of the largest candidates about poses (n, 3), without a mean."""
+        seen = np.flatnonzero(np.diff(m.first) > 0)
+        if settings.landmark is None or not len(seen) or not np.isfinite(poses).all():
+            return None
+        pose = poses[seen]
+        at = np.array(settings.landmark) - transform(pose, np.array([settings.x, settings.y]))
+        off = wrap_all(m.z[m.first[seen], 0] - np.arctan2(at[:, 1], at[:, 0]) + pose[:, 2])
+        middle = np.angle(np.exp(1.0j * off).mean())
+        return clipped_rms(wrap_all(off - middle))
 
     def measure(
         self, stream: Stream, settings: CameraSettings, wheels: WheelMotion, epoch_ns: int

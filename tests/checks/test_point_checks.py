@@ -16,6 +16,7 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.points import of_points
 from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.camera import CameraSettings
 from locfuse.fusion.sensors.landmarks import LandmarksSettings
 from locfuse.fusion.sensors.ranges import RangesSettings
 
@@ -124,3 +125,15 @@ def test_the_clock_of_ranges_and_landmarks_is_measured_by_the_truth(sensor: str,
     if sensor == "ranges":  # their antenna has no direction
         positions = replace(one, truth=replace(present(one.truth), theta=None))
         assert differences(positions, settings)[sensor, "truth"].offset == pytest.approx(-late, abs=0.1)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2])
+def test_the_clock_of_a_camera_is_measured_by_the_truth(late: float) -> None:
+    """Its zero direction may be wrong by any angle."""
+    one, settings = seen("landmarks", lambda a: a, late=late)
+    m = one.measurements["landmarks"]
+    first = m.extra["id"] == 0.0
+    z: Array = se2.wrap_all(m.z[first, :1] + 0.7)
+    pictures = replace(one, measurements={"camera": readings(np.unique(m.t), z, 0.01)})
+    camera = replace(settings, sensors={"camera": CameraSettings(landmark=(0.5, 0.5))})
+    assert differences(pictures, camera)["camera", "truth"].offset == pytest.approx(-late, abs=0.02)

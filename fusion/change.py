@@ -1,4 +1,4 @@
-"""Statistics of a series in time order: its best split into two parts, and jackknife standard errors.
+"""Statistics of a series: best split into two parts, jackknife standard errors, least squares without outliers.
 
 Each part of a split has its own least-squares slope. With x = 1, a slope is a mean, and the split is a step of the
 mean (Hinkley, Biometrika 1970).
@@ -11,9 +11,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .data import Array, Ints
 
+OUTLIER_LIMIT, ROBUST_ROUNDS = 4.0, 3  # medians of the residuals; fits without outliers
 MIN_SQUARES = 1e-12  # least sum of x^2 in a part; smaller sums are raised to this
 
 
@@ -55,3 +57,17 @@ def jackknife(estimate: Callable[[Ints], Any], n: int, parts: int) -> Array:
         return np.array(math.inf)
     errors: Array = np.std(found, axis=0) * math.sqrt(parts - 1)
     return errors
+
+
+def robust(A: NDArray[Any], y: NDArray[Any], least: float = 1e-4) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the least-squares solution (k,) of A x = y, A (n, k), y (n,), without outliers, and the rows in use.
+
+    Residuals above OUTLIER_LIMIT times their median, but at least times `least`, are left out. Points of the plane
+    are complex numbers, so an element of x scales and turns.
+    """
+    keep, x = np.ones(len(y), dtype=bool), np.zeros(A.shape[1], A.dtype)
+    for _ in range(ROBUST_ROUNDS):
+        x = np.asarray(np.linalg.lstsq(A[keep], y[keep], rcond=None)[0])
+        rest = np.abs(y - A @ x)
+        keep = rest <= OUTLIER_LIMIT * max(float(np.median(rest)), least)
+    return x, keep

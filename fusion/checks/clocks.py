@@ -19,7 +19,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.chi_square import MAD_OF_NORMAL
+from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Stream, Truth, changes
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -125,7 +125,7 @@ def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
     dt = np.diff(t)
     period = float(np.median(dt))
     # an interval has the errors of two stamps
-    sigma = float(np.median(np.abs(dt - period))) / MAD_OF_NORMAL / math.sqrt(2.0)
+    sigma = robust_sigma(dt - period) / math.sqrt(2.0)
     if sigma < max(MIN_SCATTER_S, MIN_SCATTER_SHARE * period):
         return []
     off = np.clip(dt, 0.0, 2.0 * period)  # limits the effect of dropped readings

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife
+from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.chi_square import MAD_OF_NORMAL, robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Stream
 from locfuse.fusion.robot import Robot
@@ -21,7 +21,6 @@ from locfuse.fusion.sensors.iron import MAX_MISSING_ARC_RAD, Iron, fit_iron, iro
 from locfuse.fusion.streams import numbers
 
 from .finding import Finding
-from .truth import robust
 from .turning import Turning, explain
 
 MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
@@ -199,7 +198,7 @@ def _iron_by_truth(field: Array, t: Array, drive: Drive) -> Iron | None:
     A, m = np.stack((np.ones(len(m)), np.exp(1.0j * theta), np.exp(-1.0j * theta)), axis=-1), m / unit
 
     def fitted(some: Ints) -> Array:
-        c, a, b = robust(A[some], m[some]).tolist()
+        c, a, b = robust(A[some], m[some])[0].tolist()
         raw = np.array([[a.real + b.real, b.imag - a.imag], [a.imag + b.imag, a.real - b.real]])
         values, axes = np.linalg.eigh(raw @ raw.T)
         size = math.sqrt(math.sqrt(max(float(values.prod()), 1e-30)))
@@ -245,7 +244,7 @@ def of_offset_by_truth(drive: Drive, robot: Robot) -> list[Finding]:
     part = np.minimum((t - t[0]) / (t[-1] - t[0]) * PART_COUNT, PART_COUNT - 1).astype(np.int64)
     iron = [f(k * theta) for f in (np.cos, np.sin) for k in (1, 2)]
     A = np.column_stack((np.eye(PART_COUNT)[part], *iron))
-    x = robust(A, off)
+    x, _ = robust(A, off)
     length = float(t[-1] - t[0]) / PART_COUNT
     sigma = math.degrees(robust_sigma(off - A @ x)) / math.sqrt(length / WANDER_S)
     kept = np.flatnonzero(np.bincount(part, minlength=PART_COUNT) >= MIN_IN_PART)

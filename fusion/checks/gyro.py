@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from locfuse.fusion.change import jackknife
+from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, Stream, changes
 from locfuse.fusion.robot import Robot
@@ -16,7 +16,6 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import arrays, seconds
 
 from .finding import Finding, Least
-from .truth import robust
 from .turning import MIN_RMS_TURN_RAD, MIN_WINDOWS, Headings, Turning, headings_of, source_words
 
 SCALE, ERRORS = "gyro scale", (Least(0.02, 4.0), Least(0.01, 3.0))  # smallest error: reported, tried
@@ -55,9 +54,9 @@ def of_gyro(
     A = np.column_stack((turned, np.eye(PART_COUNT)[part]))
 
     def fitted(some: Ints) -> float:
-        return float(robust(A[some], seen[some])[0])
+        return float(robust(A[some], seen[some])[0][0])
 
-    x = robust(A, seen)
+    x, _ = robust(A, seen)
     scale, sigma = float(x[0]), float(jackknife(fitted, len(start), STRETCHES))
     least = ERRORS[least is not None]
     if turned.std() >= MIN_RMS_TURN_RAD and abs(scale - 1.0) >= least.error + least.sigmas * sigma:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife
+from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.data import Drive, Ints, Measurements
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.landmarks import mounts_of
@@ -25,7 +25,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
 from .finding import Finding
-from .truth import UNIT, UNITS, Plane, robust
+from .truth import UNIT, UNITS, Plane
 
 CLOCKWISE = "clockwise"  # code of the finding on bearings that grow clockwise
 MIN_ROLLED_M, MAX_ROLLED_M = 0.3, 1.5  # m that the robot drives between two compared detections
@@ -49,7 +49,7 @@ class Sightings(NamedTuple):
         """Return 1 / c by the pairs with these indices, and the median residual; of conjugates with `mirror`."""
         o = (self.seen.conj() if mirror else self.seen)[some] * self.turned[some]
         change, way = o[:, 0] - o[:, 1], self.way[some]
-        found = complex(robust(way[:, None], change)[0])
+        found = complex(robust(way[:, None], change)[0][0])
         return found, float(np.median(np.abs(change - way * found)))
 
 

@@ -17,8 +17,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife
-from locfuse.fusion.chi_square import MAD_OF_NORMAL
+from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife, robust
+from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, Measurements, Stream, totals
 from locfuse.fusion.lines.scans import SCAN_FIELDS
 from locfuse.fusion.mount import SIGMA_M
@@ -119,7 +119,7 @@ def bumped(walls: WallPairs, scale: float) -> tuple[float, float] | None:
         return None
     along, across = _along_across(walls)
     rest = walls.y - along / scale
-    limit = 3.0 / MAD_OF_NORMAL * max(float(np.median(np.abs(rest))), 1e-4)
+    limit = 3.0 * max(robust_sigma(rest), 1.5e-4)
     rest, across = np.clip(rest, -limit, limit), across / scale
     split = best_split(across, rest, edge)
     left = rest - across * np.where(np.arange(n) <= split.at, split.before, split.after)
@@ -275,16 +275,11 @@ def range_fix(robot: Robot, factor: float) -> tuple[str, ...]:
 
 def fitted(walls: WallPairs) -> tuple[float, float] | None:
     """Return the laser's scale (wheel distance per laser distance) and yaw error [rad]; None for few walls."""
-    along, across = _along_across(walls)
-    A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
-    for _ in range(4):
-        if keep.sum() < MIN_WALLS:
-            return None
-        x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
-        rest = np.abs(walls.y - A @ x)
-        keep = rest <= 3.0 / MAD_OF_NORMAL * max(float(np.median(rest[keep])), 1e-4)
+    if len(walls.y) < MIN_WALLS:
+        return None
+    x, keep = robust(np.stack(_along_across(walls), axis=-1), walls.y)
     length = float(np.hypot(*x))
-    return (1.0 / length, math.atan2(float(x[1]), float(x[0]))) if length > 0.2 else None
+    return (1.0 / length, math.atan2(x[1], x[0])) if keep.sum() >= MIN_WALLS and length > 0.2 else None
 
 
 def turned(walls: WallPairs) -> float | None:
@@ -294,7 +289,7 @@ def turned(walls: WallPairs) -> float | None:
     c = _slope(walls, near)
     if c is None:
         return None
-    scatter = float(np.median(rest[near])) / MAD_OF_NORMAL + 1e-3
+    scatter = robust_sigma(rest[near]) + 1e-3
     return _slope(walls, near & (np.abs(walls.turn - c * walls.by_wheels) < 3.0 * scatter))
 
 
@@ -445,14 +440,10 @@ def _misfit(stream: Stream, drive: Drive, settings: LrfSettings) -> float | None
     rate = _rate(drive.wheels, walls.t) - _rate(drive.wheels, walls.since)
     off = walls.turn - walls.by_wheels
     use = (np.abs(rate) > MIN_RATE_RADPS) & (np.abs(off) < MAX_WALL_TURN_RAD)
-    for _ in range(3):
-        if use.sum() < MIN_PAIRS:
-            return None
-        late = float(rate[use] @ off[use]) / float(rate[use] @ rate[use])
-        rest = np.abs(off - late * rate)
-        misfit = float(np.median(rest[use]))
-        use &= rest < 3.0 / MAD_OF_NORMAL * misfit
-    return misfit
+    if use.sum() < MIN_PAIRS:
+        return None
+    late, keep = robust(rate[use, None], off[use])
+    return float(np.median(np.abs(off - late * rate)[use][keep])) if keep.sum() >= MIN_PAIRS else None
 
 
 def _rate(wheels: Wheels, t: Array) -> Array:

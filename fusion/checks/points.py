@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife
+from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, Truth
 from locfuse.fusion.robot import Robot
@@ -23,7 +23,6 @@ from locfuse.fusion.sensors.ranges import RangeFit, RangesSettings, anchor_besid
 from locfuse.fusion.truth import poses_at
 
 from .finding import Finding
-from .truth import robust
 
 MAP, SAME = "map", "same value"  # codes of findings on a wrong map, on a point that repeats one value
 SCALE = "range scale"  # code of the finding on ranges that are too long by a factor
@@ -115,8 +114,8 @@ def _range_scale(drive: Drive, truth: Truth, settings: RangesSettings) -> list[F
     anchors = np.array([places[int(i)] for i in ids])
     distance = np.hypot(*(settings.detector(poses_at(truth, t)) - anchors).T)
     A = np.stack((distance, np.ones(len(t))), axis=-1)
-    slope, offset = robust(A, z).tolist()
-    sigma = float(jackknife(lambda some: robust(A[some], z[some])[0], len(t), PARTS))
+    slope, offset = robust(A, z)[0].tolist()
+    sigma = float(jackknife(lambda some: robust(A[some], z[some])[0][0], len(t), PARTS))
     before, after = z - distance, z - A @ (slope, offset)
     clearly = robust_sigma(after) < MAX_REST_SHARE * robust_sigma(before - np.median(before))
     if abs(slope - 1.0) < MIN_SCALE_ERROR + SIGMAS * sigma or not clearly:
@@ -190,7 +189,7 @@ def _places_seen(drive: Drive, truth: Truth, settings: PointsSettings) -> Seen |
     y = eye[:, :2] + far[:, None] * u
 
     def fitted(some: Ints) -> Array:
-        return robust(A[some].reshape(-1, A.shape[-1]), y[some].ravel())
+        return robust(A[some].reshape(-1, A.shape[-1]), y[some].ravel())[0]
 
     x, errors = fitted(np.arange(len(rows))), jackknife(fitted, len(rows), PARTS)
     sigmas, k = np.broadcast_to(errors, x.shape), len(known)
@@ -248,7 +247,7 @@ def _frame(a: Array, b: Array, limit: Array) -> str:
     there = b @ (1.0, 1.0j)
     for mirrored in (False, True):
         here = a @ (1.0, -1.0j if mirrored else 1.0j)
-        turn, shift = robust(np.stack((here, np.ones(len(a))), axis=-1), there).tolist()
+        turn, shift = robust(np.stack((here, np.ones(len(a))), axis=-1), there)[0].tolist()
         size = abs(turn) or 1.0
         scaled = abs(size - 1.0) > MIN_SIZE_ERROR
         turn /= 1.0 if scaled else size

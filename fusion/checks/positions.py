@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife
+from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Truth
 from locfuse.fusion.robot import Robot
@@ -25,7 +25,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import poses_at
 
 from .finding import Finding, Least
-from .truth import Plane, axle_path, robust
+from .truth import Plane, axle_path
 
 GPS, POSE, ANTENNA = "gps", "pose", "antenna"  # sensors; code of the finding on the antenna
 EAST, PATH = "east", "path"  # codes of the findings on the direction of east, on a mirrored or scaled path
@@ -82,7 +82,7 @@ def by_truth(drive: Drive, sensor: str) -> FrameFit | None:
     headings = m.z[:, 2] if m.z.shape[1] == 3 else np.full(len(y), math.nan)
 
     def fit(some: Ints) -> list[float]:
-        x = robust(A[some], y[some])
+        x, _ = robust(A[some], y[some])
         lever = x[1] / x[0] if A.shape[1] == 3 else complex(math.nan, math.nan)
         off = np.exp(1.0j * (headings[some] - poses[some, 2] - np.angle(x[0])))
         yaw = float(np.angle(complex(np.median(off.real), np.median(off.imag))))
@@ -186,7 +186,7 @@ def _of_speeds(drive: Drive) -> list[Finding]:
         theirs, own = both[:, moving]
 
         def fitted(some: Ints, theirs: Array = theirs, own: Array = own) -> float:
-            return float(robust(theirs[some, None], own[some])[0])
+            return float(robust(theirs[some, None], own[some])[0][0])
 
         slope = fitted(np.arange(len(own)))
         sigma = float(jackknife(fitted, len(own), STRETCH_COUNT))
@@ -209,7 +209,7 @@ def of_claims(drive: Drive, robot: Robot) -> list[Finding]:
         if m is None or m.extra.get("drifts", np.zeros(1)).any():
             continue
         A, y = se2.in_other_frame(m.z, poses)
-        x = robust(A, y)
+        x, _ = robust(A, y)
         rest = y - A @ x
         seen = [robust_sigma(np.concatenate((rest.real, rest.imag)))]
         if sensor == POSE and robot.settings(POSE).heading and np.isfinite(poses[:, 2]).all():
@@ -318,5 +318,5 @@ def _antenna(drive: Drive, settings: Any, run: Estimates) -> Antenna | None:
 def _ratio(moved: Plane, other: Plane, y: Plane) -> tuple[complex, float]:
     """Fit a * moved + b * other = y to complex columns (n,); return b / a and the median residual [m]."""
     A = np.stack((moved, other), axis=-1)
-    x = robust(A, y)
+    x, _ = robust(A, y)
     return complex(x[1] / x[0]), float(np.median(np.abs(y - A @ x)))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD_OF_NORMAL
+from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, interpolate, stretches
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -172,12 +172,7 @@ def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:
     A = np.stack((by_wheels, np.ones_like(by_wheels)), axis=-1)
     x, *_ = np.linalg.lstsq(A, own, rcond=None)
     rest = own - A @ x
-    return _Spread((_robust_sigma(rest) ** 2, float(rest.var())), float(slips.mean()), len(rest))
-
-
-def _robust_sigma(rest: Array) -> float:
-    """Return the standard deviation of errors (n,) by their median absolute deviation."""
-    return float(np.median(np.abs(rest - np.median(rest)))) / MAD_OF_NORMAL
+    return _Spread((robust_sigma(rest - np.median(rest)) ** 2, float(rest.var())), float(slips.mean()), len(rest))
 
 
 def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[float] = ()) -> list[Finding]:
@@ -199,7 +194,7 @@ def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[flo
     if drove.sum() < MIN_WINDOWS:
         return []
     rest = rolled - moved * float(np.median(rolled[drove] / np.where(moved[drove] == 0.0, np.inf, moved[drove])))
-    least = SPIN_SIGMAS * _robust_sigma(rest[drove])
+    least = SPIN_SIGMAS * robust_sigma(rest[drove] - np.median(rest[drove]))
     far = drove & (np.abs(rest) > np.maximum(least, MIN_SPIN_SHARE * np.abs(rolled)))
     if far.sum() > MAX_SPINNING_SHARE * drove.sum():
         return []

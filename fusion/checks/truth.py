@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife
+from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, changes, interpolate, stretches, totals
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
@@ -491,7 +491,7 @@ def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None
     A = np.stack((turned, rolled), axis=-1)
 
     def fitted(some: Ints) -> Array:
-        return robust(A[some], y[some]).view(np.float64)
+        return robust(A[some], y[some])[0].view(np.float64)
 
     return Swing(fitted(np.arange(len(y))), jackknife(fitted, len(y), STRETCH_COUNT))
 
@@ -559,16 +559,3 @@ def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
     hint = who_is_right(robot, 1.0 / ratio, fixes[0]) if fixes else ""
     found_too = [Finding("wheels", WHEEL_SCALE, words, wheels_fix(robot, ratio))]
     return [Finding(run.sensors[0], OPEN_SCALE, words + hint, fixes), *found_too]
-
-
-def robust(A: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
-    """Return the least-squares solution (k,) of A x = y, A (n, k), y (n,), without outliers.
-
-    Points of the plane are complex numbers, so an element of x scales and turns.
-    """
-    keep, x = np.ones(len(y), dtype=bool), np.zeros(A.shape[1], A.dtype)
-    for _ in range(3):
-        x = np.asarray(np.linalg.lstsq(A[keep], y[keep], rcond=None)[0])
-        rest = np.abs(y - A @ x)
-        keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
-    return x

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife
+from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.data import Array, Drive, Ints, Stream, changes, totals
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -27,7 +27,6 @@ from locfuse.fusion.wheels.sources import joint_names
 from .finding import Finding, Least
 from .lag import headings
 from .laser import MAX_WALL_TURN_RAD, PAIR_TURN_RAD, WallMotion, laser_motion
-from .truth import robust
 
 MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth, on wheels
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -358,7 +357,7 @@ def _ratio(known: Headings, offset: float, wheels: Wheels, biased: bool) -> tupl
     A = np.stack((right - left, right + left, np.ones(len(start)))[: 3 if biased else 2], axis=-1)
 
     def ratio(some: Ints) -> float | None:
-        turn, drift = robust(A[some], own[some]).tolist()[:2]
+        turn, drift = robust(A[some], own[some])[0].tolist()[:2]
         return (turn + drift) / (turn - drift) if abs(drift) < abs(turn) else None
 
     found, sigma = ratio(np.arange(len(start))), float(jackknife(ratio, len(start), RATIO_STRETCHES))
@@ -464,14 +463,10 @@ def _slope_by_truth(drive: Drive, fewest: int, by_path: bool) -> tuple[float, fl
     x, y = np.diff(turned[ends]), np.diff(own[ends])
     if len(x) < fewest or float(x @ x) <= 0.0:
         return None
-    keep = np.ones(len(x), dtype=bool)
-    for _ in range(3):
-        slope = float(x[keep] @ y[keep]) / float(x[keep] @ x[keep])
-        rest = np.abs(y - slope * x)
-        keep = rest <= 4.0 * max(float(np.median(rest)), 1e-3)
+    (slope,), keep = robust(x[:, None], y, least=1e-3)
     rest = (y - slope * x)[keep]
     sigma = math.sqrt(float(rest @ rest) / max(1, len(rest) - 1) / float(x[keep] @ x[keep]))
-    return slope, sigma
+    return float(slope), sigma
 
 
 def _sense_by_truth(drive: Drive, by_path: bool) -> int:

@@ -146,8 +146,7 @@ def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, E
 
 def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dict[str, Content]:
     """Return the MCAP file with the estimates as ROS 2 messages, and layouts to show it."""
-    from locfuse.formats.results.layouts import layouts
-    from locfuse.formats.results.mcap_export import Export
+    from locfuse.formats.results.mcap_export import Export, layouts
     from locfuse.formats.robot import robot_toml
 
     tables = results.settings_tables(loaded.robot)

@@ -30,15 +30,14 @@ from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.examine import BLIND, MIXED, examine, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
-from locfuse.fusion.checks.publishers import PUBLISHERS
+from locfuse.fusion.checks.raw_data import PUBLISHERS
 from locfuse.fusion.checks.start import START
 from locfuse.fusion.checks.truth import FEW, POINT, of_few
 from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .mounts import conflicts, unplaced
-from .robot_facts import Overview, find_robot_facts, possible_truth, wheel_size
+from .robot_facts import Overview, conflicts, find_robot_facts, possible_truth, unplaced, wheel_size
 from .topics import derived_facts, of_publishers, of_stamps, topic_facts
 
 

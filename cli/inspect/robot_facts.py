@@ -1,10 +1,11 @@
-"""Facts about the robot in its log: robot description, wheel counters, wheel geometry by another motion.
+"""Facts about the robot in its log: robot description, wheel counters, wheel geometry by another motion, mounts.
 
 Other motions are an odometry topic, the truth, or scan matching.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -14,6 +15,7 @@ from msgspec import field
 
 from locfuse.cli.analysis.body_topics import of_camera
 from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
 from locfuse.cli.analysis.topics import Choice, Note, filled
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
 from locfuse.formats.robot.transforms import StaticTransforms
@@ -21,6 +23,7 @@ from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, LocfuseError, Ragged, Stream
 from locfuse.fusion.robot import Robot, WheelSettings
+from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_motion, by_odometry
@@ -251,3 +254,72 @@ def possible_truth(overview: Overview) -> list[Finding]:
         return []
     words = f"none is named; if {' or '.join(poses)} is a reference (not an estimate), say so"
     return [Finding("truth", "truth?", words, (f"truth.topic={poses[0]}",))]
+
+
+MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
+
+
+def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
+    """Return each sensor's mount settings, with their source under "by"."""
+    found: dict[str, dict[str, Any]] = {}
+    for name in overview.choice.topics:
+        if name not in REGISTRY:
+            continue
+        settings = overview.robot.settings(name)
+        values = {k: getattr(settings, k) for k in MOUNT_KEYS if hasattr(settings, k)}
+        if "mounts" in values and "x" in values:  # "mounts" of several sensors, or x, y ... of a single sensor
+            several = len(overview.choice.of(name)) > 1
+            values = {k: v for k, v in values.items() if (k == "mounts") == several}
+        if values:
+            found[name] = {**values, "by": _mount_by(overview, name, values)}
+    return found
+
+
+def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
+    """Return the source of a sensor's mount: "settings", "its frame ...", "/tf_static", "/tf" or "nobody"."""
+    if any(key in overview.tables.get(name, {}) for key in keys):
+        return "settings"
+    frames = overview.frames_of(name)
+    if frames and all(is_base(frame) for frame in frames):
+        return f"its frame {frames[0]}"
+    known = [frame for frame in frames if mount_of(overview.transforms, frame) is not None]
+    return placed_by(overview, known[0]) if known and len(known) == len(frames) else "nobody"
+
+
+def placed_by(overview: Overview, frame: str) -> str:
+    """Return the source of a frame's mount: "/tf_static", else "/tf" (constant transforms)."""
+    return "/tf_static" if mount_of(overview.log.static_transforms(), frame) is not None else "/tf"
+
+
+def unplaced(overview: Overview) -> list[Finding]:
+    """Return a finding for each sensor that needs a mount and has none."""
+    found = []
+    for name, mount in extrinsics(overview).items():
+        moves = any(moved_by(overview.transforms, frame) for frame in overview.frames_of(name))
+        if mount["by"] == "nobody" and REGISTRY[name].placed and not moves:
+            keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
+            words = f"its mount on the robot is unknown: the base's origin is assumed (set {keys})"
+            found.append(Finding(name, "mount", words))
+    return found
+
+
+def conflicts(overview: Overview) -> list[Finding]:
+    """Return a finding for each used frame with two different transforms, and one for all such unused frames."""
+    roles = {frame: role for role in overview.choice.topics for frame in overview.frames_of(role)}
+    mounts = extrinsics(overview)
+    found, others = [], []
+    for conflict in overview.transforms.conflicts:
+        role = roles.get(conflict.frame, "")
+        mount = mounts.get(role, {})
+        if not role:
+            others.append(conflict.frame)
+        elif mount.get("by") in {"/tf_static", "/tf"}:  # fusion.checks.laser tests it by the walls
+            keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
+            wrong = any(o.role == role and o.code == "yaw" for o in overview.findings)
+            fixes = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)
+            found.append(Finding(role, "tf_static", conflict.line, fixes))
+    if others:
+        listed = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
+        words = f"{len(others)} frames have two different transforms ({listed}); no used sensor depends on them"
+        found.append(Finding("/tf_static", "tf_static", words))
+    return found

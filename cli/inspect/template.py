@@ -32,8 +32,7 @@ from locfuse.fusion.wheels.steered import MOTOR, SERVO
 
 from .inspect_log import inspect_log
 from .known_robots import open_figures, recognise
-from .mounts import placed_by
-from .robot_facts import Overview
+from .robot_facts import Overview, placed_by
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> (value, source)
 TOP_KEYS = ("order", "preset")

@@ -14,7 +14,7 @@ from locfuse.formats.logs.clock import MAX_DELAY_S, RowTimes
 from locfuse.formats.logs.log import UnreadableTopicError
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.publishers import PUBLISHERS
+from locfuse.fusion.checks.raw_data import PUBLISHERS
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

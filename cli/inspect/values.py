@@ -9,8 +9,7 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, ODOMETRY
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .mounts import extrinsics
-from .robot_facts import Overview
+from .robot_facts import Overview, extrinsics
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log

@@ -10,8 +10,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.robot_tables import table_types
-from locfuse.cli.inspect.mounts import extrinsics
-from locfuse.cli.inspect.robot_facts import Overview
+from locfuse.cli.inspect.robot_facts import Overview, extrinsics
 from locfuse.cli.inspect.topics import clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.formats.report.findings import options

@@ -1,6 +1,6 @@
 """Import of OpenCV with limits on picture size and threads.
 
-The import takes 60 ms or more. So this module, and those that import it (images, panorama, radial, preview), are
+The import takes 60 ms or more. So this module, and those that import it (images, panorama, detect, preview), are
 imported only inside functions that process pictures.
 """
 

@@ -1,7 +1,7 @@
 """Landmark detection as in the paper (section II): filter, red, grey, unwrap, Hough lines, bearing.
 
-This is slow; `radial` finds the same bearing without unwrapping. The definitions for both modules (red pixels,
-candidates) are here.
+This is slow; `detect.radial_candidates` finds the same bearing without unwrapping. The definitions for both (red
+pixels, candidates) are here.
 """
 
 from __future__ import annotations

@@ -23,7 +23,6 @@ from locfuse.fusion.wheels.repairs import gaps_of
 
 from .clocks import CLOCK, EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
-from .encoder import STUCK, of_degrees, of_stuck_wheel
 from .finding import Finding, Least
 from .gyro import of_gyro, of_saturation
 from .landmarks import of_landmarks
@@ -31,7 +30,7 @@ from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_angles, of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
 from .positions import of_positions
-from .publishers import PUBLISHERS, of_publishers
+from .raw_data import PUBLISHERS, STUCK, of_degrees, of_publishers, of_stuck_wheel
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MIRROR,

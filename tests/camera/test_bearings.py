@@ -15,14 +15,14 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
-from locfuse.fusion.camera import panorama, radial
-from locfuse.fusion.camera.detect import MIN_HALF_RADIUS_PX, Detection, Detector, detect
+from locfuse.fusion.camera import panorama
+from locfuse.fusion.camera.detect import MIN_HALF_RADIUS_PX, Detection, Detector, detect, radial_candidates
 from locfuse.fusion.camera.images import coarse_size, decode, image_size
 from locfuse.fusion.camera.optics import Optics, angle_of_bearing, bearing, omni_1, paper_omni_1
 from locfuse.fusion.camera.panorama import Red, RedCandidate, cap, largest, red_grey, variance
 
 Chain = Callable[[Picture, Optics, Red], list[RedCandidate]]
-CHAINS: dict[str, Chain] = {"fast": radial.candidates, "paper": panorama.candidates}
+CHAINS: dict[str, Chain] = {"fast": radial_candidates, "paper": panorama.candidates}
 both_chains = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS.keys())
 LENS = Lens()
 PHOTO_OPTICS = Optics(986.0, 546.0, 235.0, 600.0)
@@ -161,7 +161,7 @@ def test_the_bearing_survives_edges_light_and_jpeg(
     chain: Chain, lens: Lens, pole: Pole, gain: float, quality: int, most_deg: float
 ) -> None:
     if lens is CUT:  # the paper's chain sees nothing beyond the border
-        chain = radial.candidates
+        chain = radial_candidates
     shot = np.clip(picture(lens, pole) * gain, 0, 255).astype(np.uint8)
     assert abs(one_error(chain, jpeg(shot, quality), pole, lens)) < most_deg
 
@@ -198,7 +198,7 @@ def test_the_variance_tells_how_good_the_bearings_are(fine: int) -> None:
         pole = Pole(float(rng.uniform(-180, 180)), float(rng.uniform(1.0, 7.0)))
         light = cv2.GaussianBlur(picture(lens, pole), (0, 0), 0.7) + rng.normal(0, 4, (480, 640, 3))
         shot = jpeg(np.clip(light, 0, 255).astype(np.uint8))
-        (found,) = radial.candidates(shot, optics_of(lens), Red())
+        (found,) = radial_candidates(shot, optics_of(lens), Red())
         error = math.radians(wrapped_deg(math.degrees(found.theta) - pole.bearing_deg))
         share.append(error**2 / found.variance)
     assert 0.02 < np.mean(share) < 1.0
@@ -325,7 +325,7 @@ def test_things_are_the_same_by_whole_arrays(
     h, w, x, y, inner, outer = view
     optics = Optics(x, y, inner, outer)
     shot = bars(seed, things, noise, (h, w), optics)
-    found = radial.candidates(shot, optics, RED)
+    found = radial_candidates(shot, optics, RED)
     other = by_arrays(shot, optics, RED)
     assert len(found) == len(other)
     here, there = np.array(found).reshape(-1, 6), np.array(other).reshape(-1, 6)
@@ -339,7 +339,7 @@ def test_a_thing_across_the_angle_pi_is_one() -> None:
     optics = Optics(39.5, 29.5, 5.0, 29.0)
     shot = np.full((60, 80, 3), 100, np.uint8)
     shot[5:20, 38:42] = (0, 0, 200)  # straight up: from -pi to pi
-    (found,) = radial.candidates(shot, optics, RED)
+    (found,) = radial_candidates(shot, optics, RED)
     assert abs(found.theta - math.pi) < 1e-9
     assert found.pixels == 60 - 4  # the corners are no median of their neighbours
 

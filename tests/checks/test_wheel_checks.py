@@ -11,10 +11,10 @@ from small_drive import NOISE, drive, robot
 
 from locfuse.cli.session.session import Session, load
 from locfuse.fusion import se2
-from locfuse.fusion.checks.encoder import STUCK, of_stuck_wheel
 from locfuse.fusion.checks.examine import HOLE, holes, longest_part, of_holes, unseen
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import WallMotion
+from locfuse.fusion.checks.raw_data import STUCK, of_stuck_wheel
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive

@@ -24,14 +24,20 @@ from locfuse.sample_logs.building import (
     Walker,
 )
 from locfuse.sample_logs.building_parts import bent, straight_walls
-from locfuse.sample_logs.building_scene import BuildingScene, scene_of
+from locfuse.sample_logs.building_scene import (
+    LEG_RADIUS_M,
+    MIN_PERSON_RANGE_M,
+    BuildingScene,
+    Walk,
+    cast_near,
+    scene_of,
+    stepped_aside,
+)
 from locfuse.sample_logs.messages import streams
-from locfuse.sample_logs.nearby import cast_near
 from locfuse.sample_logs.paths import waypoints
 from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.scenario import CameraSpec, Room, Scenario, Waypoints
 from locfuse.sample_logs.simulate import OBSTACLE_HEIGHT
-from locfuse.sample_logs.walkers import LEG_RADIUS_M, MIN_PERSON_RANGE_M, Walk, stepped_aside
 from locfuse.sample_logs.world import Plan, cast, clearance
 
 NAMES = ("office", "hall")

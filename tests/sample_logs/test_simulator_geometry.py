@@ -8,10 +8,8 @@ import pytest
 import rooms
 
 from locfuse.fusion.data import Array
-from locfuse.sample_logs.camera import Painter, expose
+from locfuse.sample_logs.camera import Painter, Surface, expose, rays, slope
 from locfuse.sample_logs.messages import streams
-from locfuse.sample_logs.mirror import rays, slope
-from locfuse.sample_logs.render import Surface
 from locfuse.sample_logs.robot import SimulatedRobot
 from locfuse.sample_logs.scenario import CameraSpec, Landmark, LrfSpec, Room, Scenario
 from locfuse.sample_logs.sensors import SimulatedLaser

@@ -1,20 +1,47 @@
-"""Encoder checks: a wheel whose value stays the same while the other wheel rolls, and angles in degrees."""
+"""Checks of raw data: a topic with two publishers, a wheel that stands still, wheel angles in degrees."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import Drive, stretches, totals
+from locfuse.fusion.data import Drive, Stream, stretches, totals
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.streams import parts_of
 from locfuse.fusion.wheels.read import counts_ticks
 
 from .finding import Finding
 from .lag import headings
 from .truth import UNIT, wheels_metre
 from .turning import turnings
+
+PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
+MIN_CHANGES = 10  # from one publisher to the other
+
+
+def of_publishers(name: str, stream: Stream, two_sources: bool = False) -> list[Finding]:
+    """Return a finding for each topic of a role whose messages come from two publishers in turn.
+
+    `two_sources`: the values of the readings show it (Measurements.two_sources).
+    """
+    found = []
+    for part in parts_of(stream):
+        frames = np.array(getattr(part, "frames", ()))
+        two = Counter(frames.tolist()).most_common(2)
+        changes = int((frames[1:] != frames[:-1]).sum())
+        if len(two) == 2 and changes >= max(two[1][1], MIN_CHANGES):
+            how = f"mixes messages of two frames in turn, {two[0][0]} and {two[1][0]}"
+        elif two_sources:
+            how = "has scans that are like the one before the last, not like the last"
+        else:
+            continue
+        words = f"{part.topic} {how}: two publishers. Record each on a topic of its own"
+        found.append(Finding(name, PUBLISHERS, words, severe=True))
+    return found
+
 
 STUCK = "stuck"  # code of the finding on a wheel that stands still
 MIN_TURN_RAD = 2.0 * math.pi  # about the standing wheel: robots rarely turn about one wheel for a whole turn

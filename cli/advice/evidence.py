@@ -13,6 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse.fusion.checks import positions, probes
 from locfuse.fusion.checks.clocks import (
     CLOCK,
     MIN_LAG_S,
@@ -38,16 +39,6 @@ from locfuse.fusion.checks.laser_ranges import OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
 from locfuse.fusion.checks.points import MAP
 from locfuse.fusion.checks.points import SCALE as RANGE_SCALE
-from locfuse.fusion.checks.positions import GPS, PATH, SPEEDS, of_antenna, of_claims, of_east
-from locfuse.fusion.checks.probes import (
-    MOUNT,
-    beyond_prior,
-    of_mount,
-    of_offsets,
-    of_probe,
-    of_scale,
-    probe_of,
-)
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.start import START, start_by_shape
 from locfuse.fusion.checks.tried import Candidate, Fixes, keys, together
@@ -92,8 +83,8 @@ KEYLESS = {
     UNEVEN,
     CLOCKWISE,
     MAP,
-    PATH,
-    SPEEDS,
+    positions.PATH,
+    positions.SPEEDS,
     RANGE_SCALE,
     SATURATED,
 }  # findings that are named although no setting fixes them
@@ -210,7 +201,7 @@ class Evidence(NoiseFindings):
             measured = ways[0][1:]  # the start pose, if `_with_start` added it
             if clock.name == "wheels" and not measured and (start := start_kept(clock.offset, drive, robot)):
                 ways = ((*ways[0], *start), *ways)
-            if clock.name == GPS:
+            if clock.name == positions.GPS:
                 ways = (*ways, self._with_antenna(ways[0]))
             one = self._candidate(finding, ways, not finding.severe)
             proven = finding.severe and len(clock.against) > 1
@@ -229,7 +220,7 @@ class Evidence(NoiseFindings):
     def _with_antenna(self, fixes: Fixes) -> Fixes:
         """Add the position of a GPS antenna under a new time offset: a late clock looks like another position."""
         loaded = self.trial.under(together(self.fixes, fixes))
-        found = None if loaded is None else of_antenna(loaded.drive, loaded.robot, ())
+        found = None if loaded is None else positions.of_antenna(loaded.drive, loaded.robot, ())
         return fixes if found is None else together(fixes, found[0].fixes)
 
     def _late_pictures(self) -> Iterator[Candidate]:
@@ -272,7 +263,7 @@ class Evidence(NoiseFindings):
         sharper = [
             replace(
                 self._candidate(f, (f.fixes,), True),
-                measured=(f.role in fine and (by_truth or f.code != MOUNT)) or f in confirmed,
+                measured=(f.role in fine and (by_truth or f.code != probes.MOUNT)) or f in confirmed,
                 proven=f in confirmed,
             )
             for f in found
@@ -356,10 +347,10 @@ class Evidence(NoiseFindings):
 
     def _antenna(self) -> list[Candidate]:
         """Return the candidate for position or clock of a GPS antenna, measured by the runs without GPS."""
-        if not self._using(GPS):
+        if not self._using(positions.GPS):
             return []
-        runs = [e for e in self.compared.estimates if GPS not in e.sensors and not e.lost]
-        if (found := of_antenna(self.loaded.drive, self.loaded.robot, runs)) is None:
+        runs = [e for e in self.compared.estimates if positions.GPS not in e.sensors and not e.lost]
+        if (found := positions.of_antenna(self.loaded.drive, self.loaded.robot, runs)) is None:
             return []
         finding, rival = found
         return [
@@ -372,7 +363,7 @@ class Evidence(NoiseFindings):
         for sensor in filter(self._using, drive.measurements):
             if sensor == LASER and drive.wheels.matched is not None:
                 continue  # with motion by scan matching the mount is not observable
-            probe = probe_of(robot, sensor)
+            probe = probes.probe_of(robot, sensor)
             if not probe or not REGISTRY[sensor].placed:
                 continue
             if not self._looks_wrong(sensor) and sensor not in self._other_mounts:
@@ -380,27 +371,27 @@ class Evidence(NoiseFindings):
             probed = self.trial.under((*self.fixes, *probe))
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
             if run is not None and not run.lost:
-                yield from of_probe(robot, sensor, run, drive.truth is not None)
+                yield from probes.of_probe(robot, sensor, run, drive.truth is not None)
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
         """Findings on mounts that the run with this sensor alone estimates differently than configured."""
         robot, judged = self.loaded.robot, self.loaded.drive.truth is not None
-        return [f for e in self.runs_alone() for f in of_mount(robot, e.sensors[0], e, judged)]
+        return [f for e in self.runs_alone() for f in probes.of_mount(robot, e.sensors[0], e, judged)]
 
     @cached_property
     def _other_mounts(self) -> set[str]:
         """Sensors whose estimated mount differs from the configured one; always empty with truth."""
         if self.loaded.drive.truth is not None:
             return set()  # errors to the truth judge the mount instead
-        far = {e.sensors[0] for e in self.runs_alone() if beyond_prior(self.loaded.robot, e.sensors[0], e)}
-        return far | {f.role for f in self._mounts_found if f.code == MOUNT}
+        far = {e.sensors[0] for e in self.runs_alone() if probes.beyond_prior(self.loaded.robot, e.sensors[0], e)}
+        return far | {f.role for f in self._mounts_found if f.code == probes.MOUNT}
 
     def _scaled(self) -> Iterator[Finding]:
         """Yield the finding on the laser's range scale, by the path length of the run with the laser alone."""
         for e in self.runs_alone(LASER):
             if self._looks_wrong(LASER):
-                yield from of_scale(self.loaded.robot, e, self.loaded.drive)
+                yield from probes.of_scale(self.loaded.robot, e, self.loaded.drive)
 
     def offsets(self) -> list[Candidate]:
         """Return candidate fixes of constant errors: compass and camera offsets, or a mirrored camera."""
@@ -408,14 +399,17 @@ class Evidence(NoiseFindings):
             self._candidate(f, (f.fixes,), True)
             for e in self.compared.estimates
             if e.name == self._all() and self.loaded.drive.truth is not None
-            for f in of_offsets(self.loaded.robot, e)
+            for f in probes.of_offsets(self.loaded.robot, e)
         ]
         found += [
             replace(self._candidate(Finding(s, "biased", v.words), (as_fixes(v.fix_values),), True), measured=True)
             for s, v in self._biases_again.items()
         ]
-        if self._using(GPS):
-            found += [self._candidate(f, (f.fixes,), True) for f in of_east(self.loaded.drive, self.loaded.robot)]
+        if self._using(positions.GPS):
+            found += [
+                self._candidate(f, (f.fixes,), True)
+                for f in positions.of_east(self.loaded.drive, self.loaded.robot)
+            ]
         start = self._start_heading()
         found += start
         for sensor, verdict in self.consistency.items():
@@ -436,7 +430,11 @@ class Evidence(NoiseFindings):
         Also that of a gyro by its noise at standstill, and the drift of a compass offset.
         """
         drive, robot = self.loaded.drive, self.loaded.robot
-        found = [*of_claims(drive, robot), *of_rest_noise(drive, robot), *of_offset_by_truth(drive, robot)]
+        found = [
+            *positions.of_claims(drive, robot),
+            *of_rest_noise(drive, robot),
+            *of_offset_by_truth(drive, robot),
+        ]
         return [self._candidate(f, (f.fixes,)) for f in found if self.judges(f.role)]
 
     @property

@@ -5,25 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from locfuse.formats.logs.adapters import (
-    CLOUD,
-    DYNAMIC,
-    ECHOES,
-    FEEDBACK,
-    FOXGLOVE,
-    FOXGLOVE_CLOUD,
-    FOXGLOVE_JOINTS,
-    FOXGLOVE_ODOMETRY,
-    IMU,
-    JOINTS,
-    LOCAL_POSITION,
-    ODOMETRY,
-    SCAN,
-    SENSOR_COMBINED,
-    SPORT_STATE,
-    VEHICLE_ODOMETRY,
-    presented_name,
-)
+from locfuse.formats.logs import adapters
 from locfuse.formats.logs.transform_stream import OF_CAMERA, named_as_tag, tags_of
 from locfuse.formats.robot.transforms import StaticTransforms, ancestors
 from locfuse.fusion.robot import Robot
@@ -90,23 +72,32 @@ def offer_presented(log: Log) -> None:
     All Foxglove and multi-echo scans are added, but only the likeliest of several point clouds.
     """
     found: list[str] = []
-    if not filled(log, SCAN):
-        found += filled(log, *FOXGLOVE) or filled(log, ECHOES) or _clouds(log)[:1]
-    if not filled(log, JOINTS):
-        found += filled(log, DYNAMIC) or filled(log, *FOXGLOVE_JOINTS) or filled(log, *FEEDBACK)
-    if not filled(log, ODOMETRY):
-        one_by_one = (filled(log, kind)[:1] for kind in (VEHICLE_ODOMETRY, LOCAL_POSITION, SPORT_STATE))
-        found += filled(log, *FOXGLOVE_ODOMETRY) or next(filter(None, one_by_one), [])
-    if not filled(log, IMU):
-        found += filled(log, SENSOR_COMBINED)[:1]
+    if not filled(log, adapters.SCAN):
+        found += filled(log, *adapters.FOXGLOVE) or filled(log, adapters.ECHOES) or _clouds(log)[:1]
+    if not filled(log, adapters.JOINTS):
+        found += (
+            filled(log, adapters.DYNAMIC)
+            or filled(log, *adapters.FOXGLOVE_JOINTS)
+            or filled(log, *adapters.FEEDBACK)
+        )
+    if not filled(log, adapters.ODOMETRY):
+        one_by_one = (
+            filled(log, kind)[:1]
+            for kind in (adapters.VEHICLE_ODOMETRY, adapters.LOCAL_POSITION, adapters.SPORT_STATE)
+        )
+        found += filled(log, *adapters.FOXGLOVE_ODOMETRY) or next(filter(None, one_by_one), [])
+    if not filled(log, adapters.IMU):
+        found += filled(log, adapters.SENSOR_COMBINED)[:1]
     for topic in found:
-        if (name := presented_name(topic, log.topics[topic].msgtype)) is not None:
+        if (name := adapters.presented_name(topic, log.topics[topic].msgtype)) is not None:
             log.find(name)
 
 
 def _clouds(log: Log) -> list[str]:
     """Return point cloud topics in sensor frames: names of lasers first, then by falling message count."""
-    clouds = [t for t in filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
+    clouds = [
+        t for t in filled(log, adapters.CLOUD, *adapters.FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS
+    ]
     frames = {t: log.stream(t).frame_id for t in clouds}
     clouds = [t for t in clouds if not (is_fixed(frames[t]) or last_word(frames[t]) == SLAM_FRAME)]
     return sorted(clouds, key=lambda t: (not LASER_NAME.search(t.lower()), -log.topics[t].count, t))

@@ -13,30 +13,18 @@ from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import VIRTUAL_TRACK, Mirrored, WheelSettings
 from locfuse.fusion.streams import MergedStream, blank, count_dropped
 
-from . import odometry
+from . import odometry, sources
 from .motion import Wheels
 from .repairs import repaired
-from .sources import (
-    ARRAYS,
-    JOINTS,
-    NUMBERS,
-    SPEEDS,
-    TICKS,
-    USUAL_TICKS,
-    Counters,
-    read_counters,
-    require_two,
-    usable,
-)
 from .steered import MOTOR, is_tricycle, motor_speeds, read_encoders, twists_of
 
 # In order of preference: wheel angles before computed odometry.
 WHEEL_READS: Mapping[str, tuple[str, ...]] = {
-    JOINTS: ("name", "position"),
-    **TICKS,
-    **SPEEDS,
-    **dict.fromkeys(NUMBERS, ("data",)),
-    **dict.fromkeys(ARRAYS, ("data",)),
+    sources.JOINTS: ("name", "position"),
+    **sources.TICKS,
+    **sources.SPEEDS,
+    **dict.fromkeys(sources.NUMBERS, ("data",)),
+    **dict.fromkeys(sources.ARRAYS, ("data",)),
     **odometry.BODY_READS,
     **{kind: (field,) for kind, field in MOTOR.items()},
 }
@@ -79,10 +67,10 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
             raise LocfuseError(words, role="wheels")
         return _from_body(stream.parts[0], motor_speeds(stream, settings), settings, False, False)
     radius, track = _geometry(settings, stream)
-    counters = read_counters(stream, settings)
+    counters = sources.read_counters(stream, settings)
     turn = 2.0 * math.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
     t, left, right, notes = _rolled(counters, radius * turn, settings)
-    require_two(stream.topic, len(t), len(stream.t_ns))
+    sources.require_two(stream.topic, len(t), len(stream.t_ns))
     wheels = Wheels.from_wheels(t - t[0], left, right, track, settings.noise)
     epoch_ns = counters.zero_ns + round((float(t[0]) + settings.time_offset) * 1e9)
     return WheelReading(wheels, epoch_ns, counters.dropped, (*counters.notes, *notes))
@@ -91,7 +79,7 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
 def _from_tricycle(stream: MergedStream, settings: WheelSettings) -> WheelReading:
     """Read the motion of a tricycle from the encoders of its steered front wheel."""
     found = read_encoders(stream, settings)
-    require_two(stream.topic, len(found.t), len(stream.parts[0].t_ns))
+    sources.require_two(stream.topic, len(found.t), len(stream.parts[0].t_ns))
     twist = twists_of(found, settings, stream)
     wheels = Wheels.from_twists(found.t - found.t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
     epoch_ns = found.zero_ns + round((float(found.t[0]) + settings.time_offset) * 1e9)
@@ -101,7 +89,7 @@ def _from_tricycle(stream: MergedStream, settings: WheelSettings) -> WheelReadin
 
 
 def _rolled(
-    counters: Counters, metres: float, settings: WheelSettings
+    counters: sources.Counters, metres: float, settings: WheelSettings
 ) -> tuple[Array, Array, Array, tuple[str, ...]]:
     """Return times (n,) and the repaired distances of left and right wheel (n,) [m] at these times, and notes."""
     how = metres, settings.rollover, settings.max_speed
@@ -136,7 +124,7 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
             f"ratio {settings.ratio:g} must be positive: right radius over left radius", role="wheels"
         )
     if settings.ticks_per_revolution is None and counts_ticks(stream.msgtype):
-        usual = USUAL_TICKS.get(stream.msgtype)
+        usual = sources.USUAL_TICKS.get(stream.msgtype)
         fix = f"wheels.ticks_per_revolution={usual or '<ticks>'}"
         raise LocfuseError(
             f"{stream.topic} counts ticks, so wheels.ticks_per_revolution must be known.",
@@ -149,7 +137,7 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
 
 def counts_ticks(msgtype: str) -> bool:
     """Return whether a message type has integer counts, never angles."""
-    return msgtype in TICKS or NUMBERS.get(msgtype, 0) > 0 or ARRAYS.get(msgtype, 0) > 0
+    return msgtype in sources.TICKS or sources.NUMBERS.get(msgtype, 0) > 0 or sources.ARRAYS.get(msgtype, 0) > 0
 
 
 def _from_body(
@@ -161,12 +149,12 @@ def _from_body(
     have poses, `commands` whether the speeds are commands.
     """
     dropped = dict(stream.dropped)
-    keep = usable(stream.t_ns, values, dropped)
+    keep = sources.usable(stream.t_ns, values, dropped)
     if posed:
         lost = blank(values[keep, :2])
         count_dropped(dropped, zeros=lost)
         keep = keep[~lost]
-    require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
+    sources.require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
     if commands:
         can = odometry.possible(values[keep, 3:], settings.max_speed)
@@ -177,7 +165,7 @@ def _from_body(
         motion = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
         count_dropped(dropped, spike=motion.spikes)
         t, twist, notes, doubt = t[motion.keep], motion.twist, motion.notes, motion.doubt
-    require_two(stream.topic, len(t), len(stream.t_ns))
+    sources.require_two(stream.topic, len(t), len(stream.t_ns))
     wheels = Wheels.from_twists(t - t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
     epoch_ns = int(stream.t_ns[keep[0]]) + round((float(t[0]) + settings.time_offset) * 1e9)
     return WheelReading(wheels, epoch_ns, dropped, notes, doubt)

@@ -14,9 +14,8 @@ from locfuse.fusion.data import Array, LocfuseError
 from . import equipment
 from .building_scene import scene_of
 from .faults import ClockOffset, Dates, Fault, MessageFault, label
-from .follow import Follower, LegFollower, PathFollower, Steering
 from .messages import Emit, Estimator, Pose, RawMessage, Streams, streams
-from .paths import polygon, tour, waypoints
+from .paths import Follower, LegFollower, PathFollower, Steering, polygon, tour, waypoints
 from .robot import SimulatedRobot
 from .scenario import Legs, Polygon, Scenario, Waypoints
 from .sensors import SimulatedSensor

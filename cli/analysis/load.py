@@ -16,16 +16,16 @@ from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.formats.container.url import Place, Url, place
-from locfuse.formats.logs.labels import labels
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import robot_toml
+from locfuse.formats.visible import visible
 from locfuse.fusion import se2
 from locfuse.fusion.checks.examine import holes, longest_part, of_holes
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser_ranges import of_angles
 from locfuse.fusion.checks.start import START_SIGMAS, start_pose
-from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
+from locfuse.fusion.data import FAULT, Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.measure import begun, led_back, measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
@@ -84,7 +84,7 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def labels(self) -> tuple[Event, ...]:
         """Fault labels in the log, read at first use."""
-        return tuple(labels(self.log, self.drive, self.robot.order))
+        return tuple(fault_labels(self.log, self.drive, self.robot.order))
 
     @property
     def window(self) -> tuple[float | None, float | None]:
@@ -367,3 +367,47 @@ def start_notes(robot: Robot, drive: Drive) -> list[str]:
         f"truth starts {away:.2f} m away from the robot's start ({own_x:z.2f}, {own_y:z.2f}), "
         f"at ({x:.2f}, {y:.2f}): set [start], or judge the shape only with --align origin"
     ]
+
+
+# ---- fault labels: texts on /faults, which `locfuse simulate` writes ----
+
+FAULTS, FAULTS_TYPE = "/faults", "std_msgs/msg/String"
+MAX_LABEL_CHARACTERS = 120
+LABEL_KEYS = ("event", "start", "end", "kind", "sensor")
+
+
+def fault_labels(log: Log, drive: Drive, order: str) -> list[Event]:
+    """Return the labelled faults of a log, clipped to the drive; [] without the topic /faults."""
+    info = log.topics.get(FAULTS)
+    if info is None or info.msgtype != FAULTS_TYPE:
+        return []
+    stream = log.stream(FAULTS, order=order)
+    texts = stream.columns("data")["data"]
+    assert isinstance(texts, list)
+    end = float(drive.t[-1])
+    t = ((stream.t_ns - drive.epoch_ns) * 1e-9).tolist()
+    begun: dict[str, float] = {}
+    found: list[Event] = []
+    for at, text in zip(t, texts, strict=True):
+        event, words = _parse_label(str(text))
+        if event == "begin":
+            begun[words] = at
+        else:
+            start = begun.pop(words, 0.0 if event == "end" else at)
+            found.append(Event(max(start, 0.0), min(at, end), FAULT, words))
+    # a fault without an end label lasts to the end of the drive
+    found += [Event(max(at, 0.0), end, FAULT, words) for words, at in begun.items()]
+    return sorted(e for e in found if e.start <= end and e.end >= 0.0)
+
+
+def _parse_label(text: str) -> tuple[str, str]:
+    """Return (event, words) of a label; the event is "begin", "end" or "" (neither)."""
+    try:
+        table = msgspec.json.decode(text, type=dict[str, Any])
+    except msgspec.DecodeError:
+        return "", visible(text[:MAX_LABEL_CHARACTERS])
+    kind, sensor = table.get("kind", "fault"), table.get("sensor", "")
+    values = {k: v for k, v in table.items() if k not in LABEL_KEYS}
+    more = [f"{key} {value}" for key, value in values.items() if isinstance(value, int | float | str)]
+    words = " ".join(str(part) for part in (sensor, kind, f"({', '.join(more)})" if more else "") if part)
+    return str(table.get("event", "")), visible(words[:MAX_LABEL_CHARACTERS])

@@ -26,7 +26,7 @@ from .robot_tables import files_of
 from .verdicts import credit_values
 
 if TYPE_CHECKING:
-    from locfuse.formats.figures.scene import Scene
+    from locfuse.formats.figures.panels import Scene
     from locfuse.formats.whole_files import Content
     from locfuse.fusion.data import Array, Drive
 
@@ -87,7 +87,7 @@ def figure_files(compared: Compared) -> dict[str, bytes]:
 
 def scene(compared: Compared) -> Scene:
     """Return all data that figures show: drive, estimates, evaluations, and NIS with chi-square bounds."""
-    from locfuse.formats.figures.scene import Scene
+    from locfuse.formats.figures.panels import Scene
 
     drive, drawn = compared.loaded.drive, compared.drawn
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2

@@ -10,8 +10,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Evaluation
 
-from .panels import TIME, Band, Curve, Mark, Panel, Section, Spots, Strokes
-from .scene import Scene, metres
+from .panels import TIME, Band, Curve, Mark, Panel, Scene, Section, Spots, Strokes, metres
 
 BAND_SIGMAS = 3.0
 COMPONENTS = ("x", "y", "heading")

@@ -6,8 +6,7 @@ import numpy as np
 
 from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Evaluation
 
-from .panels import TIME, Band, Curve, Dots, Mark, Panel, Section
-from .scene import Scene
+from .panels import TIME, Band, Curve, Dots, Mark, Panel, Scene, Section
 
 MAX_NEES_STRETCHES = 120  # intervals of a drive over which NEES is averaged for drawing
 GATE_BINS = 150  # intervals of the timeline of gate verdicts

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from .panels import TIME, Section
-from .scene import Scene
+from .panels import TIME, Scene, Section
 
 
 def sections(scene: Scene) -> list[Section]:

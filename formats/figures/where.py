@@ -12,8 +12,7 @@ from locfuse.formats.geometry import walls
 from locfuse.fusion.data import Array, Estimates, Evaluation, RowVerdict, evenly, interpolate
 
 from .palette import LEVELS
-from .panels import Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces, values_of
-from .scene import Scene
+from .panels import Curve, Mark, Panel, Scene, Section, Spots, Strokes, TimedPlaces, values_of
 
 STEPS_S = (10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
 MAX_SPOTS = 60

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 from locfuse.formats.caps import MAX_METADATA
 from locfuse.formats.container.decompress import ZSTD_MAGIC, unpack_file
-from locfuse.formats.container.file_bytes import FileBytes
-from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_records import MAGIC
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import summary_section

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_TOPICS, refuse_above
 from locfuse.formats.container.decompress import unpack
-from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.file_bytes import Losses
 from locfuse.formats.container.source import ChannelInfo, Messages, Source
 from locfuse.formats.container.url import Place
 from locfuse.formats.messages.fields import NUMBER as A_NUMBER

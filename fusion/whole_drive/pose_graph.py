@@ -26,9 +26,8 @@ from locfuse.fusion.scan_matching.neighbours import further_scans, good, next_sc
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
 from locfuse.fusion.wheels.states import WHEELS
 
-from .between import OdometryErrors, bridged, errors_at_scans
 from .closures import KERNEL_WIDTH_FACTORS, Loops, close, recognised, submaps_of
-from .odometry import Odometry, add_lever_arm, odometry_of
+from .odometry import Odometry, OdometryErrors, add_lever_arm, bridged, errors_at_scans, odometry_of
 from .others import Others
 from .walls import straightened
 

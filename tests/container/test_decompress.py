@@ -19,8 +19,7 @@ from bags import database
 from locfuse.formats.caps import MAX_CHUNK
 from locfuse.formats.container import decompress as unpacking
 from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix, unpack, unpack_file
-from locfuse.formats.container.file_bytes import FileBytes
-from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.source import Messages
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError, Ragged

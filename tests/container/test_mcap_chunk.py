@@ -14,8 +14,7 @@ from mcap.writer import CompressionType
 
 from locfuse.formats.container.chunked import Records, most_records
 from locfuse.formats.container.decompress import DamagedError, decompress
-from locfuse.formats.container.file_bytes import FileBytes
-from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_records import Index, records, scan
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.source import Messages

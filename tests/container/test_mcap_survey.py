@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from locfuse.formats.container.file_bytes import FileBytes
-from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import ChunkRef, Survey, read_summary, survey
 from locfuse.fusion.data import LocfuseError

@@ -7,7 +7,7 @@ import numpy as np
 import small_drive
 
 from locfuse.cli.analysis.verdicts import prediction_values, verdicts
-from locfuse.formats.figures.scene import Scene
+from locfuse.formats.figures.panels import Scene
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import (
     Array,

@@ -29,8 +29,7 @@ from commands import reported
 from mcap.writer import CompressionType, Writer
 
 from locfuse import sample_logs
-from locfuse.formats.container.file_bytes import FileBytes
-from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.logs.files import files_of, identity_of
 from locfuse.formats.logs.log import open_log

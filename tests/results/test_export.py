@@ -24,8 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 import locfuse as api
 from locfuse import sample_logs
-from locfuse.formats.container.file_bytes import FileBytes
-from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.results.mcap_export import Export, ros_name
 from locfuse.fusion.data import Array, LocfuseError, Truth

@@ -25,8 +25,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
 from locfuse.formats import inputs, whole_files
-from locfuse.formats.container.file_bytes import WRITTEN_TO, FileBytes
-from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.file_bytes import WRITTEN_TO, FileBytes, Losses
 from locfuse.formats.container.mcap_write import log_writer
 from locfuse.formats.logs.files import log_name
 from locfuse.formats.logs.log import open_log

@@ -31,19 +31,20 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
 from locfuse.fusion.sensors.compass import CompassSettings
 from locfuse.fusion.sensors.gps import GpsSettings
-from locfuse.fusion.whole_drive import between, closures, smooth
-from locfuse.fusion.whole_drive.between import (
+from locfuse.fusion.whole_drive import closures, odometry, smooth
+from locfuse.fusion.whole_drive.closures import recognised
+from locfuse.fusion.whole_drive.odometry import (
     STEP_P,
+    Odometry,
     OdometryErrors,
     Spans,
     bridged,
     errors_at_scans,
     moving_scans,
+    odometry_of,
     points_of,
     smoothed,
 )
-from locfuse.fusion.whole_drive.closures import recognised
-from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
 from locfuse.fusion.whole_drive.others import Others
 from locfuse.fusion.whole_drive.pose_graph import (
     KEY_DISTANCE_M,
@@ -324,7 +325,7 @@ def test_scans_read_in_parts_are_the_same_scans(monkeypatch: pytest.MonkeyPatch)
     drive, _ = ring_drive(3)
     m, chosen = drive.measurements["lrf"], np.arange(5, 60, 3)
     whole = points_of(m, chosen)
-    monkeypatch.setattr(between, "SCANS_AT_ONCE", 4)
+    monkeypatch.setattr(odometry, "SCANS_AT_ONCE", 4)
     parts = points_of(m, chosen)
     assert len(parts) == len(whole) == len(chosen)
     for k in range(len(chosen)):

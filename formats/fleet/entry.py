@@ -62,7 +62,7 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         "input": {key: source.get(key) for key in ("name", "size", "identity", "sha256", "start", "losses")},
         "configurations": {
             label(name, cell): {
-                **_scalars(values),
+                **{key: value for key, value in values.items() if not isinstance(value, Mapping | list)},
                 "configuration": name,
                 "cell": cell,
                 "slowed": bool(values.get("rates_hz")),
@@ -85,11 +85,6 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values without tables and lists."""
-    return {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
-
-
 def _effects(credit: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """Return each sensor's effects without confidence intervals, which are computed over all logs later."""
     if not credit:
@@ -98,12 +93,8 @@ def _effects(credit: Mapping[str, Any] | None) -> dict[str, Any] | None:
         sensor: {
             "verdict": "",
             **{key: found[key] for key in ("share", "anees_without", "anees_with", "beside")},
-            **{name: _effect(found[name]) for name in EFFECTS},
+            **{name: (e := found[name]) and {"ln": e["ln"], "expected": e["expected"]} for name in EFFECTS},
         }
         for sensor, found in credit["sensors"].items()
     }
     return {"complete": credit["complete"], "total_factor": credit["total_factor"], "sensors": sensors}
-
-
-def _effect(effect: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    return None if effect is None else {"ln": effect["ln"], "expected": effect["expected"]}

@@ -153,9 +153,6 @@ def _identifying_bytes(file: Place, state: tuple[int, str] | None) -> tuple[str,
         size, tag = state or state_of(file)
         return "etag", size, tag.encode()
     data = FileBytes(file, Losses())
-    section = summary_section(data)
-    return ("ends", data.size, _ends(data)) if section is None else ("summary", data.size, section)
-
-
-def _ends(data: FileBytes) -> bytes:
-    return data.read(0, END_BYTES) + data.read(max(data.size - END_BYTES, 0), END_BYTES)
+    if (section := summary_section(data)) is not None:
+        return "summary", data.size, section
+    return "ends", data.size, data.read(0, END_BYTES) + data.read(max(data.size - END_BYTES, 0), END_BYTES)

@@ -34,7 +34,8 @@ def render(report: Mapping[str, Any]) -> str:
         _truth_line(report),
         f"{escape(prediction['trust'])}\n\n{markdown(tables.ranking(report))}" if prediction else "",
         f"{escape(jitter['words'])}\n\n{markdown(tables.jitter(report))}" if jitter else "",
-        _findings(report),
+        _listing("Findings", dict.fromkeys(map(sentence, unwarned(report)), "")),
+        escape(together(report) or ""),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
         folded,
         f"Input {identity}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with}.",
@@ -47,12 +48,6 @@ def _verdicts(report: Mapping[str, Any]) -> str:
         f"- {SIGNS.get(v['verdict'], '●')} **{escape(sensor)} {v['verdict']}.** {escape(v['words'])}"
         for sensor, v in report.get("verdicts", {}).items()
     )
-
-
-def _findings(report: Mapping[str, Any]) -> str:
-    found = _listing("Findings", dict.fromkeys(map(sentence, unwarned(report)), ""))
-    line = together(report)
-    return found if line is None else f"{found}\n\n{escape(line)}"
 
 
 def _truth_line(report: Mapping[str, Any]) -> str:

@@ -243,12 +243,9 @@ def fix_of(robot: Mapping[str, Any]) -> list[Line]:
         more = f"; and {len(each) - MAX_LISTED} more" if len(each) > MAX_LISTED else ""
         what = f"Fix for all of them (tried on {len(each)} logs with {tried['configuration']}"
         return [(f"{what}: {'; '.join(each[:MAX_LISTED])}{more}):", options(robot["fixes"]))]
-    tries = "; ".join(f"{' '.join(t['fixes'])}{_worse(t['worse'])}" for t in robot["tried"])
+    does = [f"worse in {' and '.join(t['worse'])}" if t["worse"] else "changes little" for t in robot["tried"]]
+    tries = "; ".join(f"{' '.join(t['fixes'])}, {what}" for t, what in zip(robot["tried"], does, strict=True))
     return [(f"No common setting helps in all of them (tried {tries}).", "")] if tries else []
-
-
-def _worse(logs: Sequence[str]) -> str:
-    return f", worse in {' and '.join(logs)}" if logs else ", changes little"
 
 
 def not_done(summary: Mapping[str, Any]) -> str:

@@ -178,15 +178,12 @@ def _start(path: Path, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any
     state = parameters.get("initial_state")
     if state is None:
         return {}
-    if not isinstance(state, list) or len(state) != SWITCH_COUNT or not all(_finite(value) for value in state):
+    numeric = isinstance(state, list) and all(type(v) in {int, float} and math.isfinite(v) for v in state)
+    if not numeric or len(state) != SWITCH_COUNT:
         raise LocfuseError(f"{path}: initial_state is not {SWITCH_COUNT} numbers")
     if not any(state[place] for place in (X, Y, YAW)):
         return {}
     return {"start": {"x": float(state[X]), "y": float(state[Y]), "theta_deg": math.degrees(state[YAW])}}
-
-
-def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _notes_on_keys(parameters: Mapping[str, Any]) -> list[str]:

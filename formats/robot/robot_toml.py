@@ -31,7 +31,10 @@ def parse(text: str | bytes, source: str) -> Tables:
     try:
         if isinstance(text, bytes):
             text = text.decode("utf-8")
-        _refuse_large(text, source)
+        # tomllib would need minutes to parse larger texts
+        refuse_above(f"{source}: too long", len(text), MAX_ROBOT_TOML, "characters")
+        dots = max((line.count(".") for line in text.splitlines()), default=0)
+        refuse_above(f"{source}: too many dots in a line", dots, MAX_DOTS)
         tables = tomllib.loads(text.removeprefix("\ufeff"))
     except UnicodeDecodeError as problem:
         raise LocfuseError(f"{source}: not UTF-8 text (byte {problem.start})") from None
@@ -41,13 +44,6 @@ def parse(text: str | bytes, source: str) -> Tables:
         raise LocfuseError(f"{source}: not valid TOML: nested too deeply") from None
     _refuse_absurd(tables, source)
     return tables
-
-
-def _refuse_large(text: str, source: str) -> None:
-    """Raise LocfuseError for a text that tomllib would need minutes to parse."""
-    refuse_above(f"{source}: too long", len(text), MAX_ROBOT_TOML, "characters")
-    dots = max((line.count(".") for line in text.splitlines()), default=0)
-    refuse_above(f"{source}: too many dots in a line", dots, MAX_DOTS)
 
 
 def merge(*tables: Mapping[str, Any]) -> Tables:

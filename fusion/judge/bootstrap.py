@@ -43,7 +43,8 @@ class Errors(msgspec.Struct, frozen=True):
         squares = (deviation**2).sum(axis=2)
         samples = np.array([effective_samples(d) for d in deviation])
         block = max(math.ceil(q / MAX_BLOCKS), min(q, math.ceil(2.0 * q / float(samples.min()))))
-        ln_rms, ln_blocks = (_ln_rms(means) for means in (squares.mean(axis=1), block_means(squares, block)))
+        means = squares.mean(axis=1), block_means(squares, block)
+        ln_rms, ln_blocks = (0.5 * np.log(np.maximum(m, MIN_MSE_M2)) for m in means)
         return cls(deviation, ln_rms, samples, _correlation(deviation, samples), ln_blocks, block)
 
     def interval(self, weights: Array) -> tuple[float, float]:
@@ -108,10 +109,6 @@ def block_means(values: Array, block: int) -> Array:
             some[:, j] = (row[starts + block] - row[starts]).sum(axis=1)
     means: Array = totals / (count * block)
     return means
-
-
-def _ln_rms(mean_squares: Array) -> Array:
-    return 0.5 * np.log(np.maximum(mean_squares, MIN_MSE_M2))
 
 
 def _correlation(deviation: Array, samples: Array) -> Array:

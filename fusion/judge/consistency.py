@@ -193,7 +193,8 @@ def biased(sensor: str, settings: Any, bias: float, standard_error: float, drawn
     if fix is None:
         return Consistency("biased", words)
     value = (getattr(settings, fix.key) or 0.0) + fix.sign * amount
-    fix_values = {f"{sensor}.{fix.key}": _turned(value) if unit == "deg" else rounded(value)}
+    value = round((value + 180.0) % 360.0 - 180.0, 2) if unit == "deg" else rounded(value)
+    fix_values = {f"{sensor}.{fix.key}": value}
     if fix.sigma is not None and standard_error > MAX_DRAWN_RATIO * drawn and _accepts(settings, fix.sigma, sigma):
         fix_values[f"{sensor}.{fix.sigma}"] = sigma
         words += f" (1 sigma {sigma:g})"
@@ -289,10 +290,6 @@ def _human(value: float, sensor: str) -> tuple[float, str]:
 def rounded(value: float) -> float:
     """Return a number rounded to two significant digits."""
     return float(f"{value:.2g}")
-
-
-def _turned(degrees: float) -> float:
-    return round((degrees + 180.0) % 360.0 - 180.0, 2)
 
 
 class RunInnovations(NamedTuple):

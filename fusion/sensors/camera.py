@@ -13,6 +13,7 @@ from operator import attrgetter
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from msgspec.structs import astuple
 
 from locfuse.fusion.camera.optics import FIELDS
 from locfuse.fusion.chi_square import chi_square, clipped_rms
@@ -52,8 +53,8 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
     def __post_init__(self) -> None:
         """Raise ValueError if a number is not finite or out of its range."""
         super().__post_init__()
-        numbers = [v for f in self.__struct_fields__ for v in _numbers(getattr(self, f))]
-        if not all(map(math.isfinite, numbers)):
+        numbers = [v for v in astuple(self) if isinstance(v, tuple | float)]
+        if not np.isfinite(np.hstack(numbers)).all():
             raise ValueError("camera: every number must be finite")
         if not 36 <= self.width <= MAX_PANORAMA_COLUMNS:
             raise ValueError(f"camera.width = {self.width}, must be within 36..{MAX_PANORAMA_COLUMNS} columns")
@@ -66,10 +67,6 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
             raise ValueError(f"camera.sigma_deg = {self.sigma_deg}, must be positive")
         if self.bearing == "absolute" and (self.sigma_x or self.sigma_y or self.sigma_yaw_deg):
             raise ValueError("camera.bearing = absolute knows no mount: sigma_x, sigma_y, sigma_yaw_deg must be 0")
-
-
-def _numbers(value: Any) -> tuple[float, ...]:
-    return value if isinstance(value, tuple) else (value,) if isinstance(value, float) else ()
 
 
 class Camera(Sensor):

@@ -548,7 +548,8 @@ def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> l
     of each agrees with the map position of the other one.
     """
     median = {key: np.median(rows, axis=0) for key, rows in seen_at.items() if len(rows) >= MIN_JUDGED}
-    reach = {key: WRONG_SIGMAS * max(float(v[2]), _scatter(seen_at[key])) for key, v in median.items()}
+    scatter = {key: max(map(robust_sigma, (seen_at[key] - v)[:, :2].T)) for key, v in median.items()}
+    reach = {key: WRONG_SIGMAS * max(float(v[2]), scatter[key]) for key, v in median.items()}
 
     def away(key: int, entry: int) -> float:
         return math.hypot(median[key][0] - places[entry][0], median[key][1] - places[entry][1])
@@ -571,8 +572,3 @@ def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> l
             )
     left = len(words) - MAX_PLACE_NOTES
     return [*words[:MAX_PLACE_NOTES], f"{left} more notes of this kind"] if left > 0 else words
-
-
-def _scatter(rows: Array) -> float:
-    """Return the robust standard deviation per axis of places (n, 3) [m]."""
-    return max(robust_sigma(axis - np.median(axis)) for axis in rows[:, :2].T)

@@ -56,7 +56,7 @@ from locfuse.fusion.checks.truth import (
     of_ways,
     swing,
 )
-from locfuse.fusion.checks.turning import MIRROR, RATIO, SWAPPED
+from locfuse.fusion.checks.turning import MIRROR, RATIO, SWAPPED, turnings
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against
 from locfuse.fusion.judge.innovations import compare_readings
@@ -98,6 +98,7 @@ class Evidence(NoiseFindings):
         """Return whether anything looks wrong; if not, no fix is tried."""
         noise = any(f.verdict not in UNREMARKABLE for f in self.consistency.values())
         lost = any(e.lost for e in self.compared.estimates)
+        drive, robot = self.loaded.drive, self.loaded.robot
         return (
             noise
             or bool(self.overconfident)
@@ -111,7 +112,7 @@ class Evidence(NoiseFindings):
             or self._slips_unusually
             or self._ranges_scatter
             or bool(self._spins)
-            or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS_SCALE))
+            or bool(scales(drive, robot, turnings(drive), least=SUSPICIOUS_SCALE))
             or self._walls_bend
             or any(f.severe for f in self.doctor)
         )

@@ -387,7 +387,7 @@ def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:
     if reference is None:
         return {}
     found = {name: find_lag(*heading, reference) for name, heading in headings(drive.measurements).items()}
-    return {name: lag._replace(against="truth") for name, lag in found.items() if lag is not None}
+    return {name: lag for name, lag in found.items() if lag is not None}
 
 
 def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
@@ -400,8 +400,7 @@ def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
     if reference is None or len(drive.instant[sensor]) < MIN_READINGS:
         return None
     at = np.unique(drive.instant[sensor])[:MAX_READINGS]
-    found = find_lag(run.t[at], run.pose[at, 2], reference)
-    return None if found is None else found._replace(against="truth")
+    return find_lag(run.t[at], run.pose[at, 2], reference)
 
 
 def _by_headings(drive: Drive, truth: Truth | None) -> HeadingReference | None:

@@ -21,7 +21,7 @@ from locfuse.fusion.sensors.iron import MAX_MISSING_ARC_RAD, Iron, fit_iron, iro
 from locfuse.fusion.streams import numbers
 
 from .finding import Finding
-from .turning import Turning, explain
+from .turning import Headings, Turnings, explain
 
 MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
 
@@ -41,7 +41,7 @@ def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> 
     heading, _ = from_number(columns, settings, stream.topic)
     good = np.isfinite(heading)
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
-    turning = explain(t[good], np.unwrap(heading[good]), drive.wheels, np.zeros(int(good.sum())))
+    turning = explain(Headings(t[good], np.unwrap(heading[good])), drive.wheels)
     if turning is None:
         return []
     clockwise = turning.a < 0.0 < turning.b
@@ -66,7 +66,7 @@ def tilted(
     robot: Robot,
     streams: Mapping[str, Stream],
     by_wheels: bool = True,
-    by_sensor: Mapping[str, Turning] | None = None,
+    by_sensor: Turnings | None = None,
 ) -> list[Finding]:
     """Return findings on wrong roll and pitch of compass and gyro, by gravity or by the rotating magnetic field.
 

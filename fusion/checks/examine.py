@@ -34,7 +34,7 @@ from .raw_data import PUBLISHERS, STUCK, of_degrees, of_publishers, of_stuck_whe
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MIRROR,
-    Turning,
+    Turnings,
     and_truth,
     clock_offset,
     far_by_scans,
@@ -107,12 +107,12 @@ def examine(
         from .pictures import of_calibration, of_handedness  # imported here since it needs OpenCV
 
         found += [*of_calibration(streams["camera"], robot.settings("camera")), *of_handedness(drive, robot)]
-    scales = _scales(drive, robot, by_sensor, turning, least)
+    sizes = scales(drive, robot, by_sensor, turning, least)
     if least is None:  # callers that try fixes compare clocks themselves
-        scales += of_clocks(drive, robot)
-        scales += unseen(drive) if scales else []
-    truth = [] if any(o.code == SIZE for o in scales) else of_truth(_on_clocks(drive, robot, scales), robot)
-    return [*found, *scales, *truth]
+        sizes += of_clocks(drive, robot)
+        sizes += unseen(drive) if sizes else []
+    truth = [] if any(o.code == SIZE for o in sizes) else of_truth(_on_clocks(drive, robot, sizes), robot)
+    return [*found, *sizes, *truth]
 
 
 def _on_clocks(drive: Drive, robot: Robot, found: Sequence[Finding]) -> Drive:
@@ -138,17 +138,13 @@ def too_short(drive: Drive) -> str:
     return f"{words}: {MIN_DURATION_S:g} s are the least"
 
 
-def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:
-    """Return the findings on distance scales and track: the part of `examine` that needs no streams."""
-    return _scales(drive, robot, turnings(drive), (), least)
-
-
-def _scales(
-    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], turning: Sequence[Finding], least: Least | None
+def scales(
+    drive: Drive, robot: Robot, by_sensor: Turnings, turning: Sequence[Finding] = (), least: Least | None = None
 ) -> list[Finding]:
-    """Return findings on distance scales and track width.
+    """Return findings on distance scales and track width: the part of `examine` that needs no streams.
 
-    Their fixes are computed to be set together: each is right only if the others are set too.
+    Their fixes are computed to be set together: each is right only if the others are set too. `turning` are the
+    findings of `of_turning`.
     """
     motion, far, turned = None, far_by_scans(drive.wheels.track, by_sensor), drive
     if far is not None and robot.wheels.radius is not None and robot.wheels.track is not None:

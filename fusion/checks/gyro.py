@@ -41,7 +41,7 @@ def of_gyro(
     """
     known, truth = headings_of(drive), drive.truth
     if truth is not None and truth.theta is not None:
-        known["truth"] = Headings(truth.t, np.unwrap(truth.theta), np.zeros(len(truth.t)))
+        known["truth"] = Headings(truth.t, np.unwrap(truth.theta))
     name = next((n for n in ("truth", "lrf", "compass") if n in known and n in by_sensor), None)
     if name is None or "gyro" not in known or "gyro" not in by_sensor:
         return []

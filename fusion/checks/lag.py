@@ -70,7 +70,6 @@ class Lag(NamedTuple):
     correlation: float  # at that offset
     without: float  # correlation at offset 0
     sigma: float = math.inf  # s, standard deviation of the offset; infinite if found by correlation only
-    against: str = "wheels"  # source of the reference
     spread: float = 0.0  # s, standard deviation of an offset by correlation only, by parts of the drive
 
 

@@ -43,17 +43,16 @@ LASER, CLOCK = "lrf", "time_offset"
 AFFECT_ALL = {"wheels", "truth"}  # roles whose settings affect every configuration
 APART_SIGMAS = 4.0  # sigmas of the difference beyond which two logs disagree
 MAX_APART_SHARE = 0.25  # largest share of the logs that may disagree about a common value (one of three may too)
-# by the end of a key: format, unit, difference up to which two logs always agree, smallest reported error
+# by the end of a key: format, unit, difference up to which two logs always agree, smallest reported error, and
+# whether both are relative to the configured value
 SCALES = {
-    CLOCK: ("z.3f", " s", 0.03, MIN_LAG_S),
-    "x": ("z.3f", " m", 0.01, 0.004),
-    "y": ("z.3f", " m", 0.01, 0.004),
-    "yaw_deg": ("z.2f", "°", 0.5, 0.2),
-}
-RELATIVE = {  # the same; the last two are relative to the configured value
-    "track": (".4g", " m", 0.03, 0.01),
-    "radius": (".4g", " m", 0.02, 0.01),
-    "range_scale": (".4g", "", 0.01, 0.005),
+    CLOCK: ("z.3f", " s", 0.03, MIN_LAG_S, False),
+    "x": ("z.3f", " m", 0.01, 0.004, False),
+    "y": ("z.3f", " m", 0.01, 0.004, False),
+    "yaw_deg": ("z.2f", "°", 0.5, 0.2, False),
+    "track": (".4g", " m", 0.03, 0.01, True),
+    "radius": (".4g", " m", 0.02, 0.01, True),
+    "range_scale": (".4g", "", 0.01, 0.005, True),
 }
 # classes of settings by the ends of their keys: an error of an earlier class looks like one of a later class
 CLASSES = ("radius range_scale", "track", "x y yaw_deg")
@@ -207,11 +206,9 @@ def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
 
 def _scale(key: str, now: float) -> tuple[str, str, float, float]:
     """Return format and unit of a setting, the largest difference between logs, the smallest reported error."""
-    end = key.rpartition(".")[2]
-    if end in SCALES:
-        return SCALES[end]
-    digits, unit, close, least = RELATIVE[end]
-    return digits, unit, close * abs(now), least * abs(now)
+    digits, unit, close, least, relative = SCALES[key.rpartition(".")[2]]
+    size = abs(now) if relative else 1.0
+    return digits, unit, close * size, least * size
 
 
 def commons(logs: Mapping[str, Mapping[str, Number]]) -> list[Common]:

@@ -66,12 +66,15 @@ class Turning(msgspec.Struct, frozen=True):
     offset: float  # s to add to its stamps
 
 
+Turnings = Mapping[str, Turning]  # by sensor
+
+
 class Headings(NamedTuple):
     """Headings of the truth or of one sensor."""
 
     t: Array  # (n,) s
     angle: Array  # (n,) rad, unwrapped
-    without_lines: Array  # (n,) number of readings so far whose turn is unknown
+    without_lines: Array | None = None  # (n,) number of readings so far whose turn is unknown; None: no such ones
 
 
 def headings_of(drive: Drive) -> dict[str, Headings]:
@@ -79,7 +82,7 @@ def headings_of(drive: Drive) -> dict[str, Headings]:
     found = {}
     for name, (t, own) in headings(drive.measurements).items():
         # while no lines match, the turn is exactly zero
-        unknown = np.cumsum(np.diff(own, prepend=np.nan) == 0.0) * float(REGISTRY[name].heading_holds)
+        unknown = np.cumsum(np.diff(own, prepend=np.nan) == 0.0) * 1.0 if REGISTRY[name].heading_holds else None
         found[name] = Headings(t, own, unknown)
     return found
 
@@ -90,13 +93,13 @@ def turnings(drive: Drive) -> dict[str, Turning]:
 
 
 def _fits(known: Mapping[str, Headings], wheels: Wheels) -> dict[str, Turning]:
-    found = {name: explain(h.t, h.angle, wheels, h.without_lines) for name, h in known.items()}
+    found = {name: explain(h, wheels) for name, h in known.items()}
     return {name: fit for name, fit in found.items() if fit is not None}
 
 
-def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> Turning | None:
+def explain(h: Headings, wheels: Wheels) -> Turning | None:
     """Return the fit of turns by wheel distances at the best clock offset; None if they do not fit."""
-    start, own = _turns(Headings(t, heading, without_lines), wheels, WINDOW_S)
+    start, own = _turns(h, wheels, WINDOW_S)
     if len(start) < MIN_WINDOWS or math.sqrt(float((own**2).mean())) < MIN_RMS_TURN_RAD:
         return None
     way = totals(wheels.rolled)
@@ -112,7 +115,8 @@ def _turns(h: Headings, wheels: Wheels, span: float) -> tuple[Array, Array]:
     """Return the starts (n,) [s] of windows of `span` seconds with lines throughout, and the turns (n,) [rad]."""
     start = h.t[(h.t >= wheels.t[0] + MAX_LAG_S) & (h.t <= wheels.t[-1] - MAX_LAG_S - span)]
     start = start[start + span <= h.t[-1]]
-    start = start[changes(start, span, h.t, h.without_lines) == 0.0]
+    if h.without_lines is not None:
+        start = start[changes(start, span, h.t, h.without_lines) == 0.0]
     return start, changes(start, span, h.t, h.angle)
 
 
@@ -149,9 +153,7 @@ def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning 
     return Turning(a, b, math.sqrt(max(0.0, float(v @ covariance @ v))), explained, offset)
 
 
-def of_turning(
-    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], streams: Mapping[str, Stream]
-) -> list[Finding]:
+def of_turning(drive: Drive, robot: Robot, by_sensor: Turnings, streams: Mapping[str, Stream]) -> list[Finding]:
     """Return findings on wrong directions of wheels and mounts, by the turns of wheels and sensors."""
     counts_wheels = streams["wheels"].msgtype not in BODY_READS
     mirrored = [w for t in by_sensor.values() if (w := _mirrored(t)) is not None]
@@ -195,14 +197,12 @@ def _also(robot: Robot, wheel: str) -> str:
     return {"none": wheel, wheel: "none", other: "both", "both": other}[now]
 
 
-def _against(by_sensor: Mapping[str, Turning]) -> list[str]:
+def _against(by_sensor: Turnings) -> list[str]:
     """Return the sensors that turn opposite to the wheels."""
     return [name for name, t in by_sensor.items() if t.a < 0.0 < t.b]
 
 
-def _exchanged(
-    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], others: Sequence[str], stream: Stream
-) -> Finding:
+def _exchanged(drive: Drive, robot: Robot, by_sensor: Turnings, others: Sequence[str], stream: Stream) -> Finding:
     """Return the finding on wheels that turn opposite to `others`: swapped, or both counting backward."""
     words = f"the wheels turn against {' and '.join(others)}"
     if stream.msgtype in BODY_READS:
@@ -213,7 +213,7 @@ def _exchanged(
     return Finding("wheels", SWAPPED, f"{words}: left and right are swapped", _swapped(robot.wheels, stream), True)
 
 
-def _backward(drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning]) -> bool:
+def _backward(drive: Drive, robot: Robot, by_sensor: Turnings) -> bool:
     """Return whether forward wheel distances have the wrong sign, by the truth's headings, else by walls."""
     wheels, truth = drive.wheels, drive.truth
     if truth is not None and truth.theta is not None:
@@ -277,7 +277,7 @@ def _toml(value: str | float | bool) -> str:
 def of_track(
     drive: Drive,
     settings: WheelSettings,
-    by_sensor: Mapping[str, Turning],
+    by_sensor: Turnings,
     motion: WallMotion | None,
     metre: float = 1.0,
     least: Least | None = None,
@@ -314,9 +314,7 @@ def of_track(
     return [Finding("wheels", "track", words, (f"wheels.track={track:.4g}",), sure)]
 
 
-def of_ratio(
-    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], least: Least | None = None
-) -> list[Finding]:
+def of_ratio(drive: Drive, robot: Robot, by_sensor: Turnings, least: Least | None = None) -> list[Finding]:
     """Return a finding if headings drift with the distance, by truth or a sensor: one wheel is larger.
 
     `by_sensor` may have a fit of the truth.
@@ -364,7 +362,7 @@ def _ratio(known: Headings, offset: float, wheels: Wheels, biased: bool) -> tupl
     return None if found is None or not math.isfinite(sigma) else (found, sigma)
 
 
-def and_truth(drive: Drive, by_sensor: Mapping[str, Turning]) -> dict[str, Turning]:
+def and_truth(drive: Drive, by_sensor: Turnings) -> dict[str, Turning]:
     """Return the fits of turns with that of the truth, if it turns as the wheels do."""
     return {**by_sensor, **_fits(_of_truth(drive), drive.wheels)}
 
@@ -391,11 +389,11 @@ def _of_truth(drive: Drive) -> dict[str, Headings]:
         t, kept = np.unique(0.5 * (at[first] + at[end[first]]), return_index=True)
         heading = np.unwrap(np.arctan2(ahead[1], ahead[0])[kept])
     some = np.arange(0, len(t), 1 + len(t) // MAX_HEADINGS)
-    return {"truth": Headings(t[some], heading[some], np.zeros(len(some)))} if len(some) else {}
+    return {"truth": Headings(t[some], heading[some])} if len(some) else {}
 
 
 def observed_track(
-    configured: float, drive: Drive, by_sensor: Mapping[str, Turning], motion: WallMotion | None
+    configured: float, drive: Drive, by_sensor: Turnings, motion: WallMotion | None
 ) -> tuple[float, float, str] | None:
     """Return the track by turns of other sensors, its sigma, and its source; None without a source."""
     turns = turns_by_truth(drive)
@@ -415,7 +413,7 @@ def observed_track(
     return None
 
 
-def far_by_scans(track: float, by_sensor: Mapping[str, Turning]) -> tuple[float, float] | None:
+def far_by_scans(track: float, by_sensor: Turnings) -> tuple[float, float] | None:
     """Return (track by turns from scan to scan) / `track` and its sigma if this ratio is far from 1; else None.
 
     Walls of two scans are paired by the turn of the wheels. If the error of this turn is too large, the pairs with
@@ -477,9 +475,7 @@ def _sense_by_truth(drive: Drive, by_path: bool) -> int:
     return 1 if slope > 0.0 else -1
 
 
-def _against_the_truth(
-    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], stream: Stream
-) -> list[Finding]:
+def _against_the_truth(drive: Drive, robot: Robot, by_sensor: Turnings, stream: Stream) -> list[Finding]:
     """Return a finding if truth and wheels turn in opposite directions.
 
     A third sensor shows which of them is right. If the truth's own path and headings disagree, the truth is wrong.
@@ -524,6 +520,6 @@ def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Finding]:
     return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, fix)}",), False)]
 
 
-def clock_offset(sensor: str, by_sensor: Mapping[str, Turning]) -> float:
+def clock_offset(sensor: str, by_sensor: Turnings) -> float:
     """Return the time [s] to add to a sensor's stamps for the wheels' clock, by its turns; 0 if unknown."""
     return by_sensor[sensor].offset if sensor in by_sensor else 0.0

@@ -19,7 +19,7 @@ from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
-from locfuse.fusion.checks.examine import _scales, examine, gaps, unseen
+from locfuse.fusion.checks.examine import examine, gaps, scales, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.gyro import of_gyro
 from locfuse.fusion.checks.laser import WallMotion, WallPairs, bumped, laser_motion, of_laser, of_radius, range_fix
@@ -39,7 +39,7 @@ from locfuse.fusion.checks.truth import (
     unusable,
     wheels_metre,
 )
-from locfuse.fusion.checks.turning import and_truth, explain, of_ratio, of_track, turnings
+from locfuse.fusion.checks.turning import Headings, and_truth, explain, of_ratio, of_track, turnings
 from locfuse.fusion.data import Array, ArrayStream, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.se2 import rotation_3d
@@ -123,7 +123,7 @@ def test_without_a_straight_metre_no_range_scale_is_told(straight: bool, monkeyp
     drawn = drive(1, robot(), truth=False)
     m = drawn.measurements["lrf"]
     short = replace(drawn, measurements={"lrf": replace(m, z=m.z * [1.25, 1.0])})
-    found = _scales(short, robot(), turnings(short), (), None)
+    found = scales(short, robot(), turnings(short))
     assert [f.code for f in found] == (["distances"] if straight else [])
     assert straight != any("no metre of its way is straight" in f.message for f in unseen(short))
 
@@ -164,7 +164,7 @@ def test_a_radius_that_is_far_off_is_named_and_the_track_is_left(factor: float, 
     """Wheels that seem to roll less than 0.1 m in a second, or to turn so far that a chord is much shorter."""
     right = drive(4, robot(), truth=truth)
     wrong = rolled(right, factor * right.wheels.rolled)
-    found = told(_scales(wrong, robot(), turnings(wrong), (), None))
+    found = told(scales(wrong, robot(), turnings(wrong)))
     assert found.pop("wheels.radius") == pytest.approx(0.05 / factor, rel=0.05)
     assert found.pop("wheels.track", TRACK) == pytest.approx(TRACK, rel=0.05)
     assert not found
@@ -249,7 +249,7 @@ def test_how_wheels_turn_the_robot_tells_which_one_counts_backward(signs: tuple[
     twist = se2.log(se2.between(pose[:-1], pose[1:]))
     ways = [np.concatenate(([0.0], np.cumsum(twist[:, 0] + side * 0.5 * TRACK * twist[:, 2]))) for side in (-1, 1)]
     wheels = Wheels.from_wheels(t, signs[0] * ways[0], signs[1] * ways[1], TRACK, 4e-4)
-    found = present(explain(t[::5], np.unwrap(pose[::5, 2]), wheels, np.zeros(len(t[::5]))))
+    found = present(explain(Headings(t[::5], np.unwrap(pose[::5, 2])), wheels))
     assert (found.a, found.b) == pytest.approx(tuple(sense / TRACK for sense in SENSES[signs]), rel=0.05)
 
 
@@ -452,15 +452,15 @@ def test_an_odometry_s_wrong_radius_or_track_is_the_wheels_and_not_the_laser_s(f
     right, settings = drive(4, robot(), laps=3.0), robot().wheels
     driver = replace(robot(), wheels=replace(settings, radius=None, track=None))
     long = rolled(right, factor * right.wheels.rolled, TRACK * factor)
-    found = _scales(long, driver, turnings(long), (), None)
+    found = scales(long, driver, turnings(long))
     assert [(f.role, f.code, f.fixes) for f in found] == [("wheels", "wheel scale", ("wheels.estimate=true",))]
     turned = rolled(right, right.wheels.rolled, TRACK / factor**4)
-    found = _scales(turned, driver, turnings(turned), (), None)
+    found = scales(turned, driver, turnings(turned))
     assert [(f.role, f.code, f.fixes) for f in found] == [("wheels", "track", ("wheels.estimate=true",))]
     assert ("too far by the truth" in found[0].message) == (factor > 1.0)
     for one in (long, turned):
         estimated = replace(driver, wheels=replace(driver.wheels, estimate=True))
-        assert _scales(one, estimated, turnings(one), (), None) == []
+        assert scales(one, estimated, turnings(one)) == []
 
 
 @pytest.mark.parametrize(
@@ -473,9 +473,9 @@ def test_a_truth_whose_size_wheels_and_laser_both_deny_is_wrong(truth: float, wh
     scaled = with_truth(own, xy=truth * truth_of(own).xy)
     found = of_size(scaled, seen(scaled))
     assert [(f.role, f.code, f.fixes, f.severe) for f in found] == ([("truth", SIZE, (), True)] if named else [])
-    scales = _scales(scaled, robot(), turnings(scaled), (), None)
-    assert (("truth", SIZE) in {(f.role, f.code) for f in scales}) == named
-    assert not named or not told(scales)
+    sizes = scales(scaled, robot(), turnings(scaled))
+    assert (("truth", SIZE) in {(f.role, f.code) for f in sizes}) == named
+    assert not named or not told(sizes)
 
 
 @pytest.mark.parametrize(("every", "spoil"), [(400, False), (50, True)])

@@ -24,7 +24,6 @@ from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, 
 from locfuse.fusion.streams import concat, take
 
 from . import clock as clocks
-from . import jitter
 from .adapters import OF_PATH, POSE, PRESENTED
 from .file_stream import RANGES, in_time_order
 
@@ -81,7 +80,7 @@ class TopicTable:
         self.bad: Counter[str] = Counter()  # reason -> messages left out of the rows
         self.log_time: Ints | None = None  # (n,) recording order; None before the first read
         self.columns: dict[str, Column] = {}
-        self.jittered = 0  # number of log times that were replaced by jitter.pooled
+        self.jittered = 0  # number of log times that were replaced by clocks.pooled
         self._file_rows: Ints | None = None  # row -> file row; None if both are equal
         self._pass = Pass((), 0)
         self._n = 0  # readable messages
@@ -191,7 +190,7 @@ class TopicTable:
         """
         log_time, sequence = self._times
         self._times = NO_TIMES
-        repaired = jitter.pooled(log_time)
+        repaired = clocks.pooled(log_time)
         if repaired is not None:
             self.log_time, self.jittered = repaired
             return

@@ -9,9 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from present import present
 
-from locfuse.formats.logs import jitter
-from locfuse.formats.logs.clock import RowTimes, common_clock, on_clock, settle
-from locfuse.formats.logs.jitter import in_order, never_decreasing
+from locfuse.formats.logs.clock import RowTimes, common_clock, in_order, never_decreasing, on_clock, pooled, settle
 from locfuse.fusion.data import Ints
 
 S = 10**9
@@ -327,7 +325,7 @@ def set_back(truth: Ints, share: float = 0.05, most: float = 0.9) -> Ints:
 
 def test_times_that_jitter_in_the_right_order_are_pooled() -> None:
     truth = steady()
-    found = present(jitter.pooled(set_back(truth)))
+    found = present(pooled(set_back(truth)))
     times, replaced = found
     assert (np.diff(times) >= 0).all()
     error = np.abs(times - truth) / MS
@@ -341,16 +339,16 @@ def test_messages_that_were_written_late_have_right_times_in_the_wrong_order(lat
     truth = steady()
     order = np.arange(len(truth), dtype=np.float64)
     order[::37] += later + 0.5
-    assert jitter.pooled(truth[np.argsort(order)]) is None
+    assert pooled(truth[np.argsort(order)]) is None
 
 
 def test_times_in_order_stay_and_uneven_ones_are_wrong_by_their_longest_steps_at_most() -> None:
     truth = steady()
-    assert jitter.pooled(truth) is None
-    assert jitter.pooled(np.concatenate((truth[2000:], truth[:2000]))) is None  # two files in the other order
-    assert jitter.pooled(truth[:0]) is None
+    assert pooled(truth) is None
+    assert pooled(np.concatenate((truth[2000:], truth[:2000]))) is None  # two files in the other order
+    assert pooled(truth[:0]) is None
     truth = steady(uneven_ms=50.0)
-    found = present(jitter.pooled(set_back(truth)))
+    found = present(pooled(set_back(truth)))
     assert np.abs(found[0] - truth).max() <= 3 * np.diff(truth).max()
     assert (np.abs(found[0] - truth) > 60 * MS).mean() < 0.02  # of 5 % that were wrong by 450 ms in the mean
 

@@ -29,8 +29,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, MapLine
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.map.given_search import at_start, find_start
-from locfuse.fusion.map.given_walls import Grid, walls_of
+from locfuse.fusion.map.given_map import Grid, at_start, find_start, walls_of
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs import load
 from locfuse.sample_logs.building_scene import scene_of

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife, robust
@@ -283,12 +284,13 @@ def fitted(walls: WallPairs) -> tuple[float, float] | None:
 
 def turned(walls: WallPairs) -> float | None:
     """Return the ratio robot turn / wheel turn by walls; None for small turns or if the walls disagree."""
-    near = np.abs(walls.turn - walls.by_wheels) < MAX_WALL_TURN_RAD
-    turn, by_wheels = walls.turn[near], walls.by_wheels[near]
-    squares = float(by_wheels @ by_wheels)
-    if squares < MIN_TURN_SQUARES_RAD2 or float(np.corrcoef(turn, by_wheels)[0, 1]) < MIN_CORRELATION:
+    rest = np.abs(walls.turn - walls.by_wheels)
+    near = rest < MAX_WALL_TURN_RAD
+    c = _slope(walls, near)
+    if c is None:
         return None
-    return float(robust(by_wheels[:, None], turn, least=1e-3)[0][0])
+    scatter = robust_sigma(rest[near]) + 1e-3
+    return _slope(walls, near & (np.abs(walls.turn - c * walls.by_wheels) < 3.0 * scatter))
 
 
 def slip_sigma(wheels: Wheels, t: Array) -> float:
@@ -300,6 +302,14 @@ def slip_sigma(wheels: Wheels, t: Array) -> float:
     variance = wheels.slips(np.stack((t[:-1], t[1:]), axis=-1))[:, 0].sum(axis=-1) / wheels.track**2
     squares = float(turn @ turn)
     return math.sqrt(float(turn**2 @ variance)) / squares if squares > 0.0 else 0.0
+
+
+def _slope(walls: WallPairs, rows: NDArray[np.bool_]) -> float | None:
+    turn, by_wheels = walls.turn[rows], walls.by_wheels[rows]
+    squares = float((by_wheels**2).sum())
+    if squares < MIN_TURN_SQUARES_RAD2 or float(np.corrcoef(turn, by_wheels)[0, 1]) < MIN_CORRELATION:
+        return None
+    return float((turn * by_wheels).sum()) / squares
 
 
 def _spread(estimate: Callable[[WallPairs], Any], walls: WallPairs) -> Array:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, Ints
+from .data import Array, Ints, Mask
 
 OUTLIER_LIMIT, ROBUST_ROUNDS = 4.45, 4  # medians of the residuals; fits without outliers
 MIN_SQUARES = 1e-12  # least sum of x^2 in a part; smaller sums are raised to this
@@ -59,7 +59,7 @@ def jackknife(estimate: Callable[[Ints], Any], n: int, parts: int) -> Array:
     return errors
 
 
-def robust(A: NDArray[Any], y: NDArray[Any], least: float = 1e-4) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def robust(A: NDArray[Any], y: NDArray[Any], least: float = 1e-4) -> tuple[NDArray[Any], Mask]:
     """Return the least-squares solution (k,) of A x = y, A (n, k), y (n,), without outliers, and the rows in use.
 
     Residuals above OUTLIER_LIMIT times their median, but at least times `least`, are left out. Points of the plane

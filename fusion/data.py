@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Counts = NDArray[np.int32] | Ints  # 32 bits if they suffice, to save memory
+Mask = NDArray[np.bool_]  # rows that fulfil a condition
 
 END_OF_TIME = 2**62  # ns: later times are invalid; differences of valid times fit in 64 bits
 
@@ -453,9 +454,9 @@ class Estimates(msgspec.Struct, frozen=True):
         return matrices(self.triangles)
 
 
-def plausible(values: Array) -> NDArray[np.bool_]:
+def plausible(values: Array) -> Mask:
     """Return a mask (any shape) of the values [m, rad or degrees] that are finite and below MAX_MAGNITUDE."""
-    small: NDArray[np.bool_] = np.abs(values) < MAX_MAGNITUDE  # false for NaN
+    small: Mask = np.abs(values) < MAX_MAGNITUDE  # false for NaN
     return small
 
 
@@ -464,7 +465,7 @@ ODOMETRY, BY_SCANS = "odometry", "scan matching"  # configurations without a sen
 BASES = (ODOMETRY, BY_SCANS)
 
 
-def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def stretches(flags: Mask) -> list[tuple[int, int]]:
     """Return (first, last) index of each group of consecutive true values in flags (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(flags, np.int8), [0]))))
     return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]

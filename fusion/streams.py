@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Ragged, Stream, stretches, totals
+from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Mask, Ragged, Stream, stretches, totals
 
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # a gap is longer than both: s, median periods
 MIN_BLANK_STEPS = 20.0  # median steps: from a larger value, a step to zero is no motion
@@ -112,12 +112,12 @@ def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
             dropped[reason] = dropped.get(reason, 0) + n
 
 
-def blank(values: Array) -> NDArray[np.bool_]:
+def blank(values: Array) -> Mask:
     """Return flags (n,) of the rows of values (n, k) that are zeros in place of a reading.
 
     The rows before and after such zeros are similar, and larger than MIN_BLANK_STEPS median steps.
     """
-    out: NDArray[np.bool_] = (values == 0.0).all(axis=1)
+    out: Mask = (values == 0.0).all(axis=1)
     known, at = np.flatnonzero(~out), np.flatnonzero(out)
     step = np.hypot.reduce(np.diff(values[known], axis=0), axis=1)
     if not len(at) or not step.any():
@@ -211,7 +211,7 @@ def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
     return total, totals(gap)[: len(t)]
 
 
-def stuck(value: Array, rate: Array, t: Array, turned: Callable[[Array], Array]) -> NDArray[np.bool_]:
+def stuck(value: Array, rate: Array, t: Array, turned: Callable[[Array], Array]) -> Mask:
     """Return flags (n,) of readings that repeat one value for MIN_STUCK_S while the robot turns otherwise.
 
     `value` (n,) at times t (n,) [s] means a turning rate (n,) [rad/s]; `turned` gives the headings by the wheels.

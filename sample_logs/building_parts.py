@@ -12,16 +12,14 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, Mask
 
 from .building import Box, Building, Furniture, Glass, LeggedTable, Opening, Space, SwivelChair
 from .messages import Streams
 from .table import Point, Segment
 
 SAME_PLACE_M = 1e-6  # m, largest difference of equal coordinates
-Mask = NDArray[np.bool_]
 MAX_PIECE_M = 0.6  # m, longest segment of a bent face
 WAVELENGTHS_M = np.geomspace(4.0, 40.0, 7)  # m, wavelengths of a deviation
 BOW_LENGTH_M = 100.0  # m, length of wall on which a deviation is at most the bow

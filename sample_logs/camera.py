@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, Mask
 from locfuse.fusion.se2 import wrap_all
 
 from .robot import SimulatedRobot
@@ -71,7 +71,7 @@ class Hits:
     def put(
         self,
         part: slice,
-        seen: NDArray[np.bool_],
+        seen: Mask,
         way: Floats,
         surface: int,
         along: Floats,
@@ -261,7 +261,7 @@ class View:
 
 def _side_or_lid(
     eye_z: float, slope: Floats, way_in: Floats, way_out: Floats, pillar: Pillar
-) -> tuple[Floats, NDArray[np.bool_]]:
+) -> tuple[Floats, Mask]:
     """Return the distances at which rays hit a cylinder's side or lid (inf for none), and whether it is a lid."""
     z_in, z_out = eye_z + way_in * slope, eye_z + way_out * slope
     side = (z_in >= pillar.bottom) & (z_in <= pillar.top)

@@ -11,10 +11,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, Mask
 
 from .faults import Displaced, GroundFault, Kidnap
 from .messages import Pose, Streams
@@ -42,16 +41,16 @@ class Counted(NamedTuple):
     """Counts of a quadrature decoder."""
 
     counts: Ints  # (..., n - 1) count change from sample to sample
-    missed: NDArray[np.bool_]  # (..., n - 1) both phases changed at once: two counts are lost, or more
+    missed: Mask  # (..., n - 1) both phases changed at once: two counts are lost, or more
 
 
-def phases(angle: Array, slots: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def phases(angle: Array, slots: int) -> tuple[Mask, Mask]:
     """Return the two phases A and B of an encoder disc with `slots` slots at wheel angles [rad]."""
     quarter = np.floor(angle * (slots * COUNTS_PER_SLOT / (2 * np.pi))).astype(np.int64) % COUNTS_PER_SLOT
     return (quarter == 1) | (quarter == 2), quarter >= 2
 
 
-def decode(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> Counted:
+def decode(a: Mask, b: Mask) -> Counted:
     """Return the counts for phase samples (..., n) of a quadrature encoder with x4 decoding (paper fig. 2).
 
     A and B are two square waves a quarter slot apart. A rises first when the wheel turns forward, so the four

@@ -16,10 +16,9 @@ import msgspec
 import numpy as np
 from msgspec import field
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Ints, LocfuseError
 
 from . import mcap_records as rec
 from .chunked import Part
@@ -243,7 +242,7 @@ class Resync:
         self.end = summary.start if summary else data.size
         self._window = range(0)  # file offsets of the bytes searched last
         # possible record starts in the window, file offsets
-        self._places: NDArray[np.int64] = np.empty(0, np.int64)
+        self._places: Ints = np.empty(0, np.int64)
         self._chunked = False  # whether `_places` has chunks only
 
     def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:

@@ -19,9 +19,8 @@ import numpy as np
 from msgspec import field
 from msgspec.structs import replace
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, ArrayStream, Ints, LocfuseError, totals
+from locfuse.fusion.data import Array, ArrayStream, Ints, LocfuseError, Mask, totals
 
 ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
@@ -43,7 +42,6 @@ SMALL_TYPES = (
 MIN_MESSAGES, MAX_TOPICS = 20, 3
 SAME_CLOCK_NS = 10**9  # topics use one clock if their stamps' offsets from recording differ by less
 
-Mask = NDArray[np.bool_]
 Others = Callable[[], tuple[Ints, Ints] | None]  # the result of common_clock
 
 
@@ -294,7 +292,7 @@ WINDOW_READINGS = 7  # neighbours on either side that determine the expected tim
 MIN_OFF_DEVIATIONS, MIN_OFF_PERIODS = 8.0, 0.25  # a time is wrong if it is off by both: robust sigmas, periods
 
 
-def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
+def credibility(times: Ints) -> tuple[Array, Mask]:
     """Return weights (n,), low for times that do not fit regular steps, and a mask (n,) of irregular times.
 
     The expected time at i is the median of t_j + (i - j) T over the neighbours j, with their median step T. Most
@@ -362,7 +360,7 @@ def in_order(times: Ints) -> Ints:
     return out
 
 
-def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
+def filled(times: Ints, keep: Mask, at: Ints, pace: int) -> Ints:
     """Return times (n,) [ns] in which all times outside the mask `keep` are replaced.
 
     Replaced times are interpolated over `at` (n,). Before the first and after the last kept time they are
@@ -379,7 +377,7 @@ def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
     return out
 
 
-def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
+def _evenly_filled(times: Ints, keep: Mask) -> Ints:
     """Return times (n,) in which times outside the mask `keep` are replaced by evenly spaced ones.
 
     At both ends of the series the spacing is the median period.
@@ -388,7 +386,7 @@ def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
     return filled(times, keep, np.arange(len(times)), period)
 
 
-def _gap_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
+def _gap_in_file(times: Ints, keep: Mask, wrong: Ints) -> bool:
     """Return whether most of the times with indices `wrong` are really wrong, and not of messages written late.
 
     For a wrong time, the gap in the kept times is larger at the message's place in the file than at its time.
@@ -409,7 +407,7 @@ def _gap_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
 # --- The stamps to trust: the never-decreasing subsequence of greatest weight
 
 
-def never_decreasing(values: Ints, weights: Array) -> NDArray[np.bool_]:
+def never_decreasing(values: Ints, weights: Array) -> Mask:
     """Return the mask (n,) of the never-decreasing subsequence of `values` with the largest sum of `weights` > 0.
 
     The values are split into blocks; no value of a block is above any value of the next one. Ordered values are
@@ -427,7 +425,7 @@ def never_decreasing(values: Ints, weights: Array) -> NDArray[np.bool_]:
     return keep
 
 
-def _heaviest(values: Ints, weights: Array) -> NDArray[np.bool_]:
+def _heaviest(values: Ints, weights: Array) -> Mask:
     """Return the mask (n,) of the never-decreasing subsequence of a block with the largest weight, in O(n log n).
 
     `series` has the candidate subsequences, sorted by last value and by weight. A candidate with a higher last

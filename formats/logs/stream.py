@@ -20,7 +20,7 @@ from locfuse.formats.columns import Growing, GrowingArray, n_bytes
 from locfuse.formats.container.source import Messages
 from locfuse.formats.messages.fields import frame_path, stamp_path
 from locfuse.formats.messages.schema import Decoded, MessageDecoder
-from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, Ragged
+from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, Mask, Ragged
 from locfuse.fusion.streams import concat, take
 
 from . import clock as clocks
@@ -123,7 +123,7 @@ class TopicTable:
         if self._frame and decoded.good.any():
             self._update_frame_id(raw, decoded.good, self._frame)
 
-    def _refuse_too_much(self, raw: Raw, good: NDArray[np.bool_]) -> None:
+    def _refuse_too_much(self, raw: Raw, good: Mask) -> None:
         """Raise LocfuseError if the messages longer than LONG_BYTES have more than MAX_LONG bytes in total.
 
         Their columns would not fit in memory: even a small compressed file can contain many long messages.
@@ -140,7 +140,7 @@ class TopicTable:
                 "Is this the right topic?"
             )
 
-    def _update_frame_id(self, raw: Raw, good: NDArray[np.bool_], path: str) -> None:
+    def _update_frame_id(self, raw: Raw, good: Mask, path: str) -> None:
         rows = np.flatnonzero(good)
         some = raw._replace(messages=raw.messages.take(rows[:FRAMES_PER_BATCH]))
         self.frames += cast("list[str]", some.columns((path,)).columns[path])

@@ -15,7 +15,6 @@ from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.formats.robot.transforms import (
     FIELDS,
@@ -28,7 +27,7 @@ from locfuse.formats.robot.transforms import (
     path_between,
     quaternions_of,
 )
-from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged, interpolate
+from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Mask, Ragged, interpolate
 
 from . import clock as clocks
 
@@ -244,7 +243,7 @@ def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[Fra
     return [edge for edge in found if named_as_tag(edge.child)] or found
 
 
-def _repeats(edge: FrameEdge) -> NDArray[np.bool_]:
+def _repeats(edge: FrameEdge) -> Mask:
     """Return the mask (n,) of transforms that exactly equal the previous one."""
     same = np.zeros(len(edge.stamp), dtype=bool)
     same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)

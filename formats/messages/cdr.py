@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
 from locfuse.formats.columns import nested, view
-from locfuse.fusion.data import Column, Ints, Ragged, totals
+from locfuse.fusion.data import Column, Ints, Mask, Ragged, totals
 from locfuse.fusion.streams import concat, take
 
 from .fields import FieldPart, resolve
@@ -342,7 +342,7 @@ class Decoder(MessageDecoder):
         return groups, bad
 
 
-def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) -> tuple[NDArray[np.bool_], Ints]:
+def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) -> tuple[Mask, Ints]:
     """Return a mask (k,) of the messages with this layout, and the number of elements (k,) of their tails."""
     tail = layout.tail
     tails = np.zeros(len(start), np.int64)

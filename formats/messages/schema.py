@@ -21,7 +21,7 @@ from locfuse.formats.caps import (
     refuse_above,
 )
 from locfuse.formats.container.source import message_type
-from locfuse.fusion.data import Column, Ints
+from locfuse.fusion.data import Column, Ints, Mask
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc, Typesdict
@@ -197,7 +197,7 @@ def signature(node: Node) -> object:
 class Decoded(NamedTuple):
     """The readable messages of one channel in one batch, as columns."""
 
-    good: NDArray[np.bool_]  # (k,) mask of the readable messages, which are the rows
+    good: Mask  # (k,) mask of the readable messages, which are the rows
     columns: dict[str, Column]
     bad: Counter[str]  # reason -> number of unreadable messages
 

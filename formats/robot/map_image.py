@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from locfuse.formats.caps import MAX_MAP_PICTURE, MAX_ROBOT_TOML, refuse_above
 from locfuse.formats.inputs import read_small
 from locfuse.formats.visible import visible
-from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError
+from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError, Mask
 
 from .ros_yaml import by_yaml
 
@@ -32,8 +32,8 @@ UNKNOWN_CELL = -1  # value of an unknown cell in an OccupancyGrid; other values 
 class MapImage(NamedTuple):
     """Grid map: masks (rows, columns) of occupied and free cells, southernmost row first; others are unknown."""
 
-    occupied: NDArray[np.bool_]
-    free: NDArray[np.bool_]
+    occupied: Mask
+    free: Mask
     cell: float  # m
     origin: Array  # (3,) x, y [m], yaw [rad] of the lower left corner, map frame
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.se2 import TAU
 
 from .opencv import cv2
@@ -118,7 +118,7 @@ def unwrap(picture: Picture, optics: Optics, printed: bool = False) -> Picture:
     return np.asarray(cv2.remap(picture, x_0, y_0, cv2.INTER_LINEAR), np.uint8)
 
 
-def vertical_lines(panorama: Picture, red: Red) -> NDArray[np.int64]:
+def vertical_lines(panorama: Picture, red: Red) -> Ints:
     """Return vertical Hough lines (n, 3) in a grey panorama: column at mid-height, first row, last row.
 
     The first columns are repeated after the last one, so that a landmark at column 0 is not divided.
@@ -134,7 +134,7 @@ def vertical_lines(panorama: Picture, red: Red) -> NDArray[np.int64]:
     return np.asarray(lines[upright], np.int64)
 
 
-def _lines(found: Any) -> NDArray[np.int64]:
+def _lines(found: Any) -> Ints:
     """Return the result of HoughLinesP as (n, 4): (n, 1, 4) in OpenCV 4, (n, 4) in OpenCV 5, or None."""
     return np.empty((0, 4), np.int64) if found is None else np.asarray(found, np.int64).reshape(-1, 4)
 
@@ -155,7 +155,7 @@ def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False
     return largest(found, red)
 
 
-def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
+def _blob(band: Picture, x_p: int) -> tuple[Ints, Array]:
     """Return columns (k,) and weights (k,) of the red object around column x_p of the panorama.
 
     If the object crosses the edge of the panorama, some columns are negative, or equal to its width or larger.
@@ -171,7 +171,7 @@ def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
     return np.arange(left, right) + x_p - width // 2, profile[left:right]
 
 
-def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inner: float) -> RedCandidate:
+def _measured(panorama: Picture, columns: Ints, weight: Array, inner: float) -> RedCandidate:
     """Return the candidate in these columns of the panorama; its angle is that of the weighted mean column."""
     width = panorama.shape[1]
     area = panorama[:, columns % width] > 0

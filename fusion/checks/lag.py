@@ -18,10 +18,9 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion.change import jackknife
-from locfuse.fusion.data import Array, Ints, Measurements
+from locfuse.fusion.data import Array, Ints, Mask, Measurements
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -81,7 +80,7 @@ class _Turns(NamedTuple):
     angle: Array  # (n,) rad
     overlap: float  # number of turns at any time
 
-    def where(self, keep: NDArray[np.bool_] | Ints) -> _Turns:
+    def where(self, keep: Mask | Ints) -> _Turns:
         """Return only the turns of `keep`: a mask (n,) or indices."""
         return _Turns(self.start[keep], self.end[keep], self.angle[keep], self.overlap)
 
@@ -246,7 +245,7 @@ def _without(column: Array, others: Array) -> Array:
     return column - others @ x
 
 
-def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> NDArray[np.bool_]:
+def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> Mask:
     """Return a mask (n,) of the turns whose rate changes most (above the rms); `lag` [s] is added to times."""
     middle = 0.5 * (turns.start + turns.end) + lag
     before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
@@ -254,7 +253,7 @@ def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> NDArray
     if not len(change):
         return np.zeros(0, bool)
     limit = float(np.quantile(change, MAX_LEFT_OUT_SHARE))
-    kept: NDArray[np.bool_] = change >= min(math.sqrt((change**2).mean()), limit)
+    kept: Mask = change >= min(math.sqrt((change**2).mean()), limit)
     return kept
 
 

@@ -14,12 +14,11 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife, robust
 from locfuse.fusion.chi_square import robust_sigma
-from locfuse.fusion.data import Array, Drive, Ints, Measurements, Stream, totals
+from locfuse.fusion.data import Array, Drive, Ints, Mask, Measurements, Stream, totals
 from locfuse.fusion.lines.scans import SCAN_FIELDS
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
@@ -304,7 +303,7 @@ def slip_sigma(wheels: Wheels, t: Array) -> float:
     return math.sqrt(float(turn**2 @ variance)) / squares if squares > 0.0 else 0.0
 
 
-def _slope(walls: WallPairs, rows: NDArray[np.bool_]) -> float | None:
+def _slope(walls: WallPairs, rows: Mask) -> float | None:
     turn, by_wheels = walls.turn[rows], walls.by_wheels[rows]
     squares = float((by_wheels**2).sum())
     if squares < MIN_TURN_SQUARES_RAD2 or float(np.corrcoef(turn, by_wheels)[0, 1]) < MIN_CORRELATION:

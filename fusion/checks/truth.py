@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import jackknife, robust
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, changes, interpolate, stretches, totals
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Mask, Truth, changes, interpolate, stretches, totals
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
 from locfuse.fusion.truth import NO_TRUTH
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
+from locfuse.fusion.wheels.repairs import gaps_of, spikes, times
 
 from .finding import Finding, Least, of_error
 from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right

@@ -18,7 +18,6 @@ import msgspec
 import numpy as np
 from msgspec import field
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import mean_bounds, robust_sigma
@@ -30,6 +29,7 @@ from locfuse.fusion.data import (
     Estimates,
     Evaluation,
     Ints,
+    Mask,
     RunningNis,
     SensorFigures,
     Truth,
@@ -133,7 +133,7 @@ def noise_of(t: Array, xy: Array, segments: Ints) -> float:
     return found
 
 
-def _marks(xy: Array, segments: Ints, least: float) -> NDArray[np.bool_]:
+def _marks(xy: Array, segments: Ints, least: float) -> Mask:
     """Return flags (q,) of chord ends.
 
     These are the first reading of each segment, then each reading more than `least` [m] from the last chord end.
@@ -307,7 +307,7 @@ def _position_figures(deviation: Array, along_cross: Array) -> dict[str, float |
 
 
 def _drift_figures(
-    pairs: _PosePairs, deviation: Array, distance: Array, segments: NDArray[np.int64]
+    pairs: _PosePairs, deviation: Array, distance: Array, segments: Ints
 ) -> dict[str, float | None]:
     """Return the mean relative position error per metre [m/m] over fixed lengths of the truth's path.
 

@@ -18,9 +18,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Audit, Drive, Estimates
+from locfuse.fusion.data import Array, Audit, Drive, Estimates, Mask
 
 from .bootstrap import block_means
 
@@ -54,7 +53,7 @@ class Ranked(msgspec.Struct, frozen=True):
     stretches: bool  # whether the configuration uses these sensors, which listened only in some intervals
 
 
-def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
+def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, Mask]:
     """Return sensor -> flags (n,): true for readings that a run with `sensors` predicts but does not use.
 
     Sensors that are not used always listen. If all are used, intervals of STRETCH_S alternate: in the first, all
@@ -118,7 +117,7 @@ def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
     return found
 
 
-def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool_]]) -> float | None:
+def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, Mask]) -> float | None:
     """Return the mean log predicted density [nats per number] of flagged readings.
 
     None if no flagged reading has a prediction.
@@ -166,7 +165,7 @@ def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tup
     return sorted((a, b) for a, b in pairs)
 
 
-def _later(audit: Audit, rows: int) -> NDArray[np.bool_]:
+def _later(audit: Audit, rows: int) -> Mask:
     """Return flags of the rows after the first reading, which only initialises the map or offset of the sensor."""
     out = np.ones(rows, dtype=bool)
     if len(audit.instant):

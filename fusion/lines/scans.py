@@ -8,11 +8,10 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD_OF_NORMAL
-from locfuse.fusion.data import Array, Ints, Ragged, totals
+from locfuse.fusion.data import Array, Ints, Mask, Ragged, totals
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensor import WheelMotion
 from locfuse.fusion.streams import in_turn
@@ -49,7 +48,7 @@ class Padded(NamedTuple):
     """Row numbers of the lines of k readings as a table (k, w), padded for readings with fewer lines."""
 
     row: Ints  # (k, w) row in Measurements.z; 0 in padding
-    there: NDArray[np.bool_]  # (k, w) False in padding
+    there: Mask  # (k, w) False in padding
 
 
 def blocks(first: Ints, before: Ints, after: Ints) -> Iterator[tuple[Ints, Padded, Padded]]:
@@ -132,7 +131,7 @@ def too_many_beams(columns: dict[str, Any]) -> int:
     return int((cast("Ragged", columns["ranges"]).lengths > MAX_BEAMS).sum())
 
 
-def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[NDArray[np.bool_], bytes]:
+def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[Mask, bytes]:
     """Return flags (k,) of the scans that equal the scan before, and the bytes of the last scan.
 
     `before` are the bytes of the scan before the first of these k scans. A scan with fewer than `least` returns
@@ -146,7 +145,7 @@ def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[NDArray[np.bool_
     return same, before
 
 
-def frozen(same: NDArray[np.bool_], t: Array, wheels: WheelMotion) -> NDArray[np.bool_]:
+def frozen(same: Mask, t: Array, wheels: WheelMotion) -> Mask:
     """Return flags (n,) of the scans that are copies of an earlier scan although the robot has moved since then.
 
     t (n,) [s] are their times, `same` (n,) flags of scans equal to the scan before. A noise-free simulated laser
@@ -203,7 +202,7 @@ def from_two_lasers(scans: Mapping[str, Any]) -> bool:
     return ranges is not None and in_turn(ranges[:COMPARED_SCANS].astype(np.float64))
 
 
-def limited(scans: Mapping[str, Any]) -> NDArray[np.bool_]:
+def limited(scans: Mapping[str, Any]) -> Mask:
     """Return flags (k,) of the scans with valid limits: range_max is above range_min."""
     return np.asarray(np.asarray(scans["range_max"]) > np.asarray(scans["range_min"]))  # False for NaN
 
@@ -283,7 +282,7 @@ class Gathered:
     def add(self, at: Ints, lines: Lines) -> None:
         """Add the lines of the readings with indices `at` (k,)."""
         counts = np.diff(lines.first)
-        kept: slice | NDArray[np.bool_] = np.s_[:]
+        kept: slice | Mask = np.s_[:]
         crowded = counts > MAX_LINES
         if crowded.any():
             kept = np.repeat(~crowded, counts)

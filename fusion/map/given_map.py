@@ -21,13 +21,10 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, LocfuseError, MapLine, Points, evenly, totals
+from locfuse.fusion.data import Array, Ints, LocfuseError, MapLine, Mask, Points, evenly, totals
 from locfuse.fusion.wheels.motion import Wheels
-
-Mask = NDArray[np.bool_]
 
 
 class Grid(msgspec.Struct, frozen=True):

@@ -31,10 +31,9 @@ import msgspec
 import numpy as np
 from msgspec import field
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, MapLine
+from locfuse.fusion.data import Array, Ints, MapLine, Mask
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.kernels import sight
@@ -305,7 +304,7 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
         recent = recent[recent < j]
 
 
-def _near(lines: LineMap, values: Array, which: Ints) -> NDArray[np.bool_]:
+def _near(lines: LineMap, values: Array, which: Ints) -> Mask:
     """Return which lines (J,) may be the same wall as the lines `which` (k,), by their positions, (k, J)."""
     rho, beta, x, y = np.concatenate((values, lines.anchor), axis=1).T
     own = which[:, None]
@@ -319,7 +318,7 @@ def _near(lines: LineMap, values: Array, which: Ints) -> NDArray[np.bool_]:
     return np.asarray(near & (apart <= MAX_GAP_M) & (own != np.arange(len(lines))))
 
 
-def _double_of(lines: LineMap, belief: JointBelief, j: int, near: NDArray[np.bool_], R: Array) -> int | None:
+def _double_of(lines: LineMap, belief: JointBelief, j: int, near: Mask, R: Array) -> int | None:
     """Return which of the lines `near` (J,) is most likely the same wall as line j; None if none is."""
     values = lines.values(belief)
     best, found = DOUBLE_D2, None

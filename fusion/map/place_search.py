@@ -18,10 +18,9 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, Mask
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels import places
 from locfuse.fusion.kernels.arrays import view
@@ -91,8 +90,8 @@ def search(
     scan: Scan,
     walls: Array,
     most: int,
-    allowed: Callable[[Array], NDArray[np.bool_]],
-    enough: Callable[[Array, Ints], NDArray[np.bool_]],
+    allowed: Callable[[Array], Mask],
+    enough: Callable[[Array, Ints], Mask],
 ) -> Places | None:
     """Return poses of a scan in a map, with scores; None if no pose is good enough.
 

@@ -11,10 +11,9 @@ from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, Measurements, Points, spaced, totals
+from locfuse.fusion.data import Array, Ints, Mask, Measurements, Points, spaced, totals
 
 from .clouds import Clouds, clouds_of
 from .match import Matches, Targets, match, sources_of
@@ -76,7 +75,7 @@ def by_wheels(moved: Array) -> Array:
     return information
 
 
-def good(found: Matches) -> NDArray[np.bool_]:
+def good(found: Matches) -> Mask:
     """Return flags (p,) of the reliable matches, by inliers, overlap, residuals and heading uncertainty."""
     fits = (found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M)
     return np.asarray(fits & (found.information[:, 2, 2] > MAX_SIGMA_RAD**-2))
@@ -190,7 +189,7 @@ def _match_keys(m: Measurements, points: Points) -> KeyScans:
 
 
 def _next(
-    m: Measurements, points: Points, readings: Ints, turns: NDArray[np.bool_], targets: Targets, sources: Clouds
+    m: Measurements, points: Points, readings: Ints, turns: Mask, targets: Targets, sources: Clouds
 ) -> tuple[Ints, Matches, Array]:
     """Match every key with the next one; return indices of matched keys, matches, and all motions (n - 1, 3).
 

@@ -13,9 +13,8 @@ from functools import partial
 from typing import ClassVar, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Colour, Component, Measurements, Ragged, Stream, totals
+from locfuse.fusion.data import Array, Colour, Component, Mask, Measurements, Ragged, Stream, totals
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, ScanPoints, left_out
 from locfuse.fusion.lines.scans import (
@@ -128,7 +127,7 @@ class Lrf(Sensor):
 
     def _lines(
         self, stream: Stream, stamps: Array, wheels: WheelMotion, laser: Laser, longest: Longest
-    ) -> tuple[Array, Gathered, NDArray[np.bool_]]:
+    ) -> tuple[Array, Gathered, Mask]:
         """Return scan times (n,) [s], the lines of the scans, and which scans are copies of the scan before (n,).
 
         `longest` collects the ranges of all scans.

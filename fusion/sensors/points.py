@@ -7,9 +7,8 @@ from collections import defaultdict
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, RowVerdict
+from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, sight, transform
 from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
@@ -73,12 +72,10 @@ class IdReadings(NamedTuple):
     t_ns: Ints
     ids: Ints
     detector: Ints  # index of the detector, if there are several
-    valid: NDArray[np.bool_]  # whether the numbers of a reading can be measurements
+    valid: Mask  # whether the numbers of a reading can be measurements
 
 
-def used(
-    seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]
-) -> tuple[NDArray[np.bool_], list[str]]:
+def used(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) -> tuple[Mask, list[str]]:
     """Return which readings (n,) are used, and notes on the map; count the others in `dropped` by reason.
 
     Valid readings of ids in the map are used; if the map is estimated, those of ids that are often seen. Raises
@@ -102,7 +99,7 @@ def used(
     return keep, [no_map, *left_out]
 
 
-def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) -> NDArray[np.bool_]:
+def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) -> Mask:
     """Return which readings (n,) are valid, in the map, and unique in id and time; count the others by reason.
 
     Two readings of one id by one detector at one time are both left out: a reflection, or two points with one id.
@@ -121,8 +118,8 @@ def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int])
 
 
 def _often_seen(
-    seen: IdReadings, keep: NDArray[np.bool_], settings: PointsSettings, dropped: dict[str, int]
-) -> tuple[NDArray[np.bool_], list[str]]:
+    seen: IdReadings, keep: Mask, settings: PointsSettings, dropped: dict[str, int]
+) -> tuple[Mask, list[str]]:
     """Return which readings (n,) belong to frequently seen points, and notes on the ids left out.
 
     Every point is two states. An id that is seen once or twice (false detections, ids of a tracker) adds no

@@ -24,7 +24,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
@@ -35,6 +34,7 @@ from locfuse.fusion.data import (
     Component,
     Ints,
     LocfuseError,
+    Mask,
     Measurements,
     Stream,
     plausible,
@@ -185,7 +185,7 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
         finite &= np.isfinite(values[:, 2:]).all(axis=1)
         turned = np.square(np.where(finite[:, None], values[:, 2:], 0.0)).sum(axis=1) > MIN_QUATERNION_SQUARE
     later = np.diff(stream.t_ns, append=np.iinfo(np.int64).max) > 0
-    good: NDArray[np.bool_] = finite & turned & later
+    good: Mask = finite & turned & later
     count_dropped(dropped, not_finite=~finite, no_orientation=finite & ~turned, repeat=finite & turned & ~later)
     if not good.any():
         why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items()) or "no messages"
@@ -195,7 +195,7 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
 
 def plane_covariance(
     column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE_ROWS
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Return planar covariances (n, d, d), and which of them are from the messages (n,).
 
     The other ones are diagonal, with the variances `own` (n, d). `column` has 6 x 6 matrices of x, y, z, roll,

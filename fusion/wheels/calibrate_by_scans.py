@@ -21,11 +21,10 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Ints, LocfuseError, spaced, totals
+from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, spaced, totals
 
 from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE, Residuals
 from .motion import Wheels
@@ -126,7 +125,7 @@ class Intervals(msgspec.Struct, frozen=True):
         J = se2.rotation(np.array(-p[5])) @ se2.lever(-y, x)
         return se2.propagated(J, found.Q)
 
-    def take(self, keep: NDArray[np.bool_]) -> Intervals:
+    def take(self, keep: Mask) -> Intervals:
         """Return the intervals selected by a mask (n,)."""
         return Intervals(self.motion, self.t_from[keep], self.t_to[keep], self.s[keep], self.T[keep])
 
@@ -289,7 +288,7 @@ def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, 
     return p, spread, noise
 
 
-def _inliers(one: Intervals, p: Array) -> NDArray[np.bool_]:
+def _inliers(one: Intervals, p: Array) -> Mask:
     """Return a mask (n,) of the intervals without outliers: slips and wrong matches have large residuals."""
     residuals = _residuals([one], p)
     match, noise = _noise(residuals)

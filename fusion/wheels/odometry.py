@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, LocfuseError, Stream, stretches, totals
+from locfuse.fusion.data import Array, LocfuseError, Mask, Stream, stretches, totals
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import arrays, gap_limit, in_turn
 
-from .repairs import MAX_SPEED_MPS, Mask, held_note, held_readings, limits, spikes, times, without_restarts
+from .repairs import MAX_SPEED_MPS, held_note, held_readings, limits, spikes, times, without_restarts
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"

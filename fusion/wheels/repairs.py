@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Ints, totals
+from locfuse.fusion.data import Array, Ints, Mask, totals
 
 WINDOW_STEPS = 11  # steps whose median speed is the present speed
 # a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
@@ -19,8 +18,6 @@ MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
 COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # known widths of counters
 MAX_FRACTION_QUANTA = 0.02  # largest deviation of a counter's step from a multiple of its quantum
-
-Mask = NDArray[np.bool_]
 
 
 class Side(NamedTuple):

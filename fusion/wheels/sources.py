@@ -8,11 +8,11 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream, totals
+from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, Ragged, Stream, totals
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream, blank, count_dropped, numbers, seconds
 
-from .repairs import Mask, Side
+from .repairs import Side
 
 JOINTS = "sensor_msgs/msg/JointState"
 KOBUKI = "kobuki_msgs/msg/SensorState"

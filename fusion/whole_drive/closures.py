@@ -19,7 +19,7 @@ from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Estimates, Ints
+from locfuse.fusion.data import Array, Estimates, Ints, Mask
 from locfuse.fusion.scan_matching.clouds import Clouds, Columns, merged, thinned
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem, chi2_of, relative
@@ -342,7 +342,7 @@ def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
     return np.where(total < MIN_POINTS, 1.0, share)
 
 
-def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops) -> NDArray[np.bool_]:
+def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops) -> Mask:
     """Return which candidates (c,) agree with another candidate or a closure at neighbouring submaps."""
     driven, i = maps.driven, np.concatenate((maps.middle[c.a], loops.edges.i))
     j = np.concatenate((maps.middle[c.b], loops.edges.j))

@@ -16,10 +16,9 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, Measurements, Motions, consecutive, spaced, totals
+from locfuse.fusion.data import Array, Drive, Ints, Mask, Measurements, Motions, consecutive, spaced, totals
 from locfuse.fusion.scan_matching.clouds import Clouds, Columns, clouds_of, merged
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import good
@@ -129,8 +128,8 @@ class Spans(Columns, frozen=True):
 
     a: Ints  # (n,) index of the key before, at most the last but one
     b: Ints  # (n,) index of the key after
-    inside: NDArray[np.bool_]  # (n, 1, 1) whether the time lies between keys a and b
-    beyond: NDArray[np.bool_]  # (n, 1, 1) whether the time lies after the last key
+    inside: Mask  # (n, 1, 1) whether the time lies between keys a and b
+    beyond: Mask  # (n, 1, 1) whether the time lies after the last key
     home: Array  # (n, 3) odometry's origin in the frame of key a
     u: Array  # (n, 3) odometry pose at the time, in the frame of key a
     C: Array  # (n, 3, 3) covariance of xi from key a to the time

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Column, Ints, Ragged
 
+Bytes = NDArray[np.uint8]
 MAX_UNCHECKED_ELEMENTS = 1 << 22  # largest first allocation: the message count in a file may be wrong
 
 
@@ -28,7 +29,7 @@ def nested(fields: Mapping[str, Any]) -> dict[str, Any]:
     return tree
 
 
-def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:
+def view(data: Bytes, dtype: str, at: Ints) -> NDArray[Any]:
     """Return the values (k,) of numpy type `dtype` at byte offsets `at` (k,), which need not be aligned."""
     size = np.dtype(dtype).itemsize
     return np.ndarray((max(len(data) - size + 1, 0),), dtype, data, 0, (1,))[at]

@@ -9,14 +9,13 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import FREE_RECORDS, MAX_CHUNK
+from locfuse.formats.columns import Bytes
 
 from .decompress import DamagedError, decompress, decompress_prefix
 from .source import Batch, Messages, Source
 
-Bytes = NDArray[np.uint8]
 CUT_OFF = "the file is cut off inside a chunk"
 NO_RECORD = "a chunk holds bytes that are no record"
 

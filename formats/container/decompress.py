@@ -18,10 +18,9 @@ from typing import Any, BinaryIO
 import lz4.frame
 import numpy as np
 import zstandard
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK, MAX_MESSAGE
-from locfuse.formats.columns import view
+from locfuse.formats.columns import Bytes, view
 from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 
@@ -96,8 +95,6 @@ def _stream(data: bytes, compression: str) -> Any:
 
 ZSTD_WORD = 0xFD2FB528
 MAX_PORTION_BYTES = 16 * 1024 * 1024  # bytes of unpacked messages per yielded portion
-
-Bytes = NDArray[np.uint8]
 
 
 def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:

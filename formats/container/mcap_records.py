@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.columns import view
+from locfuse.formats.columns import Bytes, view
 from locfuse.fusion.data import Ints
 
 from .chunked import Records, most_records
@@ -150,7 +150,7 @@ Definition = tuple[int, int, int]  # opcode, offset and length of the content
 PAYLOAD_OFFSET_BYTES = RECORD.size + MESSAGE_HEADER  # bytes from a Message record's start to its payload
 
 
-def records(data: NDArray[np.uint8], packed: int, index: Index) -> Records:
+def records(data: Bytes, packed: int, index: Index) -> Records:
     """Find the records in a chunk's decompressed bytes; `packed` is its compressed size [bytes].
 
     `index` locates messages after damage. Raises DamagedError for more records than `most_records(packed)`.
@@ -162,7 +162,7 @@ def records(data: NDArray[np.uint8], packed: int, index: Index) -> Records:
     return Records(_gather(data, _followed(data, offsets)), scanned.definitions, scanned.end)
 
 
-def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
+def scan(data: Bytes, most: int | None = None) -> Records:
     """Read the records of a chunk up to its end or the first invalid record.
 
     Raises DamagedError at more than `most` records.
@@ -192,7 +192,7 @@ def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
     return Records(_gather(data, np.array(offsets, np.int64)), definitions, at)
 
 
-def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
+def _gather(data: Bytes, offsets: Ints) -> dict[int, Messages]:
     """Return the Message records at these offsets, by channel."""
     if not len(offsets):
         return {}
@@ -207,7 +207,7 @@ def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
     return by_channel(channel, everything)
 
 
-def _confirmed(data: NDArray[np.uint8], index: Index) -> Ints:
+def _confirmed(data: Bytes, index: Index) -> Ints:
     """Return the offsets of index entries that point to a Message record of their channel and log time."""
     entries = np.concatenate([np.empty((0, 2), "<u8"), *index.values()])
     channel = np.repeat(np.array(list(index), np.int64), [len(part) for part in index.values()])
@@ -228,7 +228,7 @@ def _confirmed(data: NDArray[np.uint8], index: Index) -> Ints:
     return np.sort(offsets[good])
 
 
-def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
+def _followed(data: Bytes, offsets: Ints) -> Ints:
     """Return those `offsets` of messages after which a valid record or the end of the data follows.
 
     A message that is left out contains the damage.
@@ -241,7 +241,7 @@ def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
     return kept
 
 
-def _disjoint(data: NDArray[np.uint8], offsets: Ints) -> Ints:
+def _disjoint(data: Bytes, offsets: Ints) -> Ints:
     kept: list[int] = []
     end = 0
     for offset in offsets.tolist():

@@ -9,9 +9,10 @@ from contextlib import suppress
 from functools import cached_property
 
 from locfuse.formats.caps import MAX_ATTACHMENT
+from locfuse.formats.columns import Bytes
 
 from . import mcap_records as rec
-from .chunked import Bytes, ChunkedSource, Part, Records
+from .chunked import ChunkedSource, Part, Records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .mcap_survey import ChunkRef, Survey, confirm, promised, survey

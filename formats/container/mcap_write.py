@@ -9,11 +9,10 @@ from typing import IO, Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
-from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from locfuse.formats.columns import nested
+from locfuse.formats.columns import Bytes, nested
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Ints, LocfuseError
 
@@ -25,7 +24,7 @@ def add_messages(
     channel: int,
     log_time: Ints,
     sequence: Ints,
-    payload: NDArray[np.uint8] | Sequence[memoryview],
+    payload: Bytes | Sequence[memoryview],
     published: Ints | None = None,
 ) -> None:
     """Add messages of one channel to an `mcap` writer.

@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.formats.columns import Bytes
 from locfuse.fusion.data import LocfuseError
 
-from .chunked import Bytes, ChunkedSource, Part, Records, most_records
+from .chunked import ChunkedSource, Part, Records, most_records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .source import ChannelInfo, Messages, by_channel

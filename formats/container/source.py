@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.columns import Bytes
 from locfuse.fusion.data import Ints
 
 from .file_bytes import FileBytes
@@ -51,7 +52,7 @@ def by_channel(channel: Ints, everything: Messages) -> dict[int, Messages]:
 class Batch(NamedTuple):
     """Messages that were read and decompressed together."""
 
-    data: NDArray[np.uint8]
+    data: Bytes
     messages: dict[int, Messages]  # by channel id
 
 

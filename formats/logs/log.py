@@ -10,9 +10,9 @@ from typing import Self, cast
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_TOPICS, refuse_above
+from locfuse.formats.columns import Bytes
 from locfuse.formats.container.decompress import unpack
 from locfuse.formats.container.file_bytes import Losses
 from locfuse.formats.container.source import ChannelInfo, Messages, Source
@@ -379,7 +379,7 @@ class Log:
         finally:  # also if the caller stops early
             report_progress(None)
 
-    def messages(self) -> Iterator[tuple[ChannelInfo, NDArray[np.uint8], Messages]]:
+    def messages(self) -> Iterator[tuple[ChannelInfo, Bytes, Messages]]:
         """Yield all messages, readable or not: channel by channel in each batch, batches in file order."""
         for source in self._sources:
             for ident, data, messages in _unpacked(source, source.channels.keys()):
@@ -422,7 +422,7 @@ class Log:
         return self._channels[topic].left_out()
 
 
-def _unpacked(source: Source, wanted: Collection[int]) -> Iterator[tuple[int, NDArray[np.uint8], Messages]]:
+def _unpacked(source: Source, wanted: Collection[int]) -> Iterator[tuple[int, Bytes, Messages]]:
     """Yield (channel id, buffer, messages) for each wanted channel of each batch in a file.
 
     Messages that were compressed one by one come in several portions, since 300 kB of them can unpack to

@@ -13,10 +13,9 @@ from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_LONG
-from locfuse.formats.columns import Growing, GrowingArray, n_bytes
+from locfuse.formats.columns import Bytes, Growing, GrowingArray, n_bytes
 from locfuse.formats.container.source import Messages
 from locfuse.formats.messages.fields import frame_path, stamp_path
 from locfuse.formats.messages.schema import Decoded, MessageDecoder
@@ -31,7 +30,7 @@ from .file_stream import RANGES, in_time_order
 class Raw(NamedTuple):
     """The messages of one channel in one batch, with their decoder."""
 
-    data: NDArray[np.uint8]
+    data: Bytes
     messages: Messages
     decoder: MessageDecoder
     undated: int = 0  # number of messages left out for an invalid recording time

@@ -21,7 +21,7 @@ from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
-from locfuse.formats.columns import nested, view
+from locfuse.formats.columns import Bytes, nested, view
 from locfuse.fusion.data import Column, Ints, Mask, Ragged, totals
 from locfuse.fusion.streams import concat, take
 
@@ -241,7 +241,6 @@ def _fixed_run(element: Node, count: int, phase: int, aligned: bool) -> int | No
 
 # --- Columns of many messages
 
-Bytes = NDArray[np.uint8]
 
 MAX_LAYOUTS = 64  # layouts kept from chunk to chunk
 MAX_GROUPS = 64  # new layouts per chunk; after these, each message is parsed alone

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_DEPTH, MAX_MESSAGE
+from locfuse.formats.columns import Bytes
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import Column, Ints, Ragged, totals
 
@@ -199,7 +200,7 @@ def _node(name: str, schema: Any, depth: int) -> Node | None:
 class JsonDecoder(MessageDecoder):
     """Decodes JSON messages of one type into columns."""
 
-    def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
+    def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
         places = zip(start.tolist(), length.tolist(), strict=True)
         objects = [_object(data[at : at + n].tobytes()) for at, n in places]

@@ -14,10 +14,9 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_DEFINITION, MAX_DEPTH, MAX_ITEMS, MAX_MESSAGE, MAX_TEXT, refuse_above
-from locfuse.formats.columns import nested
+from locfuse.formats.columns import Bytes, nested
 from locfuse.fusion.data import Ints
 
 from .cdr import MalformedError
@@ -226,7 +225,7 @@ class ProtobufDecoder(MessageDecoder):
         super().__init__(tree)
         self._type = message
 
-    def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
+    def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
         parts = {path: resolve(self.message, path) for path in fields}
         wanted = nested({part.path: NOTHING for found in parts.values() for part in found})

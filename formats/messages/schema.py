@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import (
     MAX_DEFINITION,
@@ -20,6 +18,7 @@ from locfuse.formats.caps import (
     MAX_FIELDS,
     refuse_above,
 )
+from locfuse.formats.columns import Bytes
 from locfuse.formats.container.source import message_type
 from locfuse.fusion.data import Column, Ints, Mask
 
@@ -212,5 +211,5 @@ class MessageDecoder(ABC):
         self.message = message
 
     @abstractmethod
-    def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
+    def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.columns import nested
+from locfuse.formats.columns import Bytes, nested
 from locfuse.formats.container.mcap_write import CHUNK_BYTES, LogWriter, StandardMessages, add_messages
 from locfuse.formats.geometry import quaternions, spatial_covariance
 from locfuse.formats.logs.log import TF_TYPES, Log
@@ -67,7 +67,7 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
     columns: Callable[[slice], Columns]  # rows -> columns of these rows
 
     @cached_property
-    def _template(self) -> tuple[NDArray[np.uint8], dict[str, tuple[int, np.dtype[Any]]]]:
+    def _template(self) -> tuple[Bytes, dict[str, tuple[int, np.dtype[Any]]]]:
         """One message as CDR bytes (size,), and field path -> (byte offset in the message, dtype)."""
         one = MESSAGES.cdr(self.msgtype, nested(self.constant))
         message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
@@ -76,7 +76,7 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
         types = {path: _number(resolve(message, path)[0].node) for path in paths}
         return np.frombuffer(one, np.uint8), {p: (layout.leaves[p].offsets[0], types[p]) for p in paths}
 
-    def messages(self, rows: slice) -> NDArray[np.uint8]:
+    def messages(self, rows: slice) -> Bytes:
         """Return the messages of these rows as CDR bytes (k, size)."""
         one, places = self._template
         columns = self.columns(rows)
@@ -135,7 +135,7 @@ def transforms(t_ns: Ints, pose: Array, child: str) -> PoseSeries:
     return PoseSeries(TF, t_ns, constant, columns)
 
 
-def path(t_ns: Ints, pose: Array) -> NDArray[np.uint8]:
+def path(t_ns: Ints, pose: Array) -> Bytes:
     """Return one Path message of poses (n, 3), thinned to MAX_PATH_POSES, as CDR bytes (1, size)."""
     rows = evenly(len(t_ns), MAX_PATH_POSES)
     columns = {**stamp_columns("header.stamp", t_ns[rows]), **_pose("pose", pose[rows])}

@@ -126,7 +126,7 @@ class ArrayStream(msgspec.Struct, frozen=True):
     t_ns: Ints
     data: Mapping[str, Column]
     frame_id: str = ""
-    dropped: Mapping[str, int] = field(default_factory=dict)
+    dropped: Mapping[str, int] = {}
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return columns by field path."""
@@ -173,8 +173,8 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
     R_unit: Array  # (m, d, d)
     scale: float  # the sensor's configured sigma
     floor: Array  # (d, d)
-    extra: dict[str, Array] = field(default_factory=dict)  # more columns with m rows, e.g. segment ends
-    dropped: dict[str, int] = field(default_factory=dict)  # reason -> number of unused readings
+    extra: dict[str, Array] = {}  # more columns with m rows, e.g. segment ends
+    dropped: dict[str, int] = {}  # reason -> number of unused readings
     points: Points | None = None  # points of the n scans of a laser
     notes: tuple[str, ...] = ()  # notes on unusual readings
     seen: object = None  # detections in all readings, reused by Sensor.again
@@ -271,12 +271,12 @@ class Drive(msgspec.Struct, frozen=True):
     truth: Truth | None = None
     truth_motions: Motions | None = None  # from the instant before each truth stamp to that stamp
     truth_instant: Ints | None = None  # (number of truth stamps,) index of this instant; -1 before the drive
-    dropped: dict[str, dict[str, int]] = field(default_factory=dict)  # stream -> reason -> count
+    dropped: dict[str, dict[str, int]] = {}  # stream -> reason -> count
     wheels: Any = None  # fusion.wheels.motion.Wheels: the odometry behind `motions`
     notes: tuple[str, ...] = ()  # notes on choices, repairs and lags
     repairs: tuple[str, ...] = ()  # notes of the wheels, without the prefix "wheels: " that they have in `notes`
     # absent sensor -> settings that may make it usable
-    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    fixes: dict[str, tuple[str, ...]] = {}
 
     def at_truth(
         self, predict: Callable[[Ints, Motions], tuple[Array, Array]]
@@ -421,8 +421,8 @@ class Estimates(msgspec.Struct, frozen=True):
     pose: Array  # (n, 3) map frame, theta unwrapped
     triangles: Array  # (n, 6) upper triangle of the pose covariance: xx, xy, xt, yy, yt, tt
     audits: dict[str, Audit]
-    blocks: dict[str, Array] = field(default_factory=dict)  # name -> other states over time, (n, k)
-    block_sigmas: dict[str, Array] = field(default_factory=dict)  # standard deviations of `blocks`, (n, k)
+    blocks: dict[str, Array] = {}  # name -> other states over time, (n, k)
+    block_sigmas: dict[str, Array] = {}  # standard deviations of `blocks`, (n, k)
     first_map: Sequence[MapLine] = ()
     final_map: Sequence[MapLine] = ()
     points: Sequence[tuple[int, float, float]] = ()  # id, x, y [m, map frame] of landmarks that the run placed
@@ -436,7 +436,7 @@ class Estimates(msgspec.Struct, frozen=True):
     # (m, 3) pose at the later time relative to the pose at the earlier time
     loop_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     smoothed: bool = False  # whether each pose uses the whole drive; the audits are those of the filter
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz: sensor -> rate, if lower than that of the log
+    rates: Mapping[str, float] = {}  # Hz: sensor -> rate, if lower than that of the log
 
     @property
     def name(self) -> str:
@@ -576,7 +576,7 @@ class Evaluation(msgspec.Struct, frozen=True):
     # s: intervals in which the robot was lost; all figures include them
     lost: tuple[tuple[float, float], ...] = ()
     notes: tuple[str, ...] = ()  # notes of the filter on the run
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, those of the estimates
+    rates: Mapping[str, float] = {}  # Hz, those of the estimates
     reference: bool = False  # whether the reference solution replaces truth (judge.against)
 
     @property

@@ -119,7 +119,7 @@ class Robot(msgspec.Struct, frozen=True):
     wheels: WheelSettings = field(default_factory=WheelSettings)
     start: StartSettings = field(default_factory=StartSettings)
     truth: TruthSettings = field(default_factory=TruthSettings)
-    sensors: Mapping[str, SensorSettings] = field(default_factory=dict)
+    sensors: Mapping[str, SensorSettings] = {}
     order: Order = "auto"
     preset: Preset = "default"
     lines: tuple[MapLine, ...] = ()  # a line map to localise in (lrf.map = given)

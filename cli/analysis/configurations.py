@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 import numpy as np
-from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.formats.nearest import did_you_mean
@@ -34,7 +33,7 @@ class Configuration(msgspec.Struct, frozen=True):
 
     name: str
     sensors: tuple[str, ...]
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz
+    rates: Mapping[str, float] = {}  # Hz
 
     def drive(self, drive: Drive) -> Drive:
         """Return the drive with this configuration's readings: fewer for sensors at a lower rate."""

@@ -12,7 +12,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.formats.container.url import Place, Url, place
@@ -70,8 +69,8 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
     robot: Robot
     choice: Choice
     drive: Drive
-    tables: Mapping[str, Any] = field(default_factory=dict)  # merged settings, without mounts from /tf_static
-    sources: Mapping[str, str] = field(default_factory=dict)  # key -> its source: "lrf.x" -> "--set"
+    tables: Mapping[str, Any] = {}  # merged settings, without mounts from /tf_static
+    sources: Mapping[str, str] = {}  # key -> its source: "lrf.x" -> "--set"
     given: Mapping[str, Any] | None = None  # settings from the user; None: no key can be computed for the result
     how: LogOptions = LogOptions()
     reading: WheelReading | None = None  # the motion of the whole log; None: read it again

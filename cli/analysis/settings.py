@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import msgspec
-from msgspec import field
 from msgspec.structs import replace
 
 PathLike = str | os.PathLike[str]
@@ -95,7 +94,7 @@ class Asked(msgspec.Struct, frozen=True):
     jitter: int = 0  # runs
     reference: bool | None = None  # a reference replaces a missing truth; None: if the drive is short enough
     advice: bool = True  # fixes are tried
-    estimates: Mapping[str, str] = field(default_factory=dict)  # of other programs: name -> topic or file
+    estimates: Mapping[str, str] = {}  # of other programs: name -> topic or file
     audits: bool = True  # innovation and gate decision of every measurement are kept
 
     def of_each(self) -> Asked:

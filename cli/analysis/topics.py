@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
-from msgspec import field
 
 from locfuse.formats.logs.adapters import PRESENTED, presented_name
 from locfuse.formats.nearest import did_you_mean
@@ -35,16 +34,16 @@ class Note(NamedTuple):
 class Choice(msgspec.Struct):
     """Chosen topics by role ("wheels", a sensor, "truth"), and the reasons for missing ones."""
 
-    topics: dict[str, str] = field(default_factory=dict)  # first topic of each role
-    more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # further topics of a role
-    why: dict[str, str] = field(default_factory=dict)  # role -> reason for the choice of its topic
-    absent: dict[str, str] = field(default_factory=dict)
-    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may help
-    foreign: set[str] = field(default_factory=set)  # sensors without any topic in the log
-    notes: list[Note] = field(default_factory=list)
+    topics: dict[str, str] = {}  # first topic of each role
+    more: dict[str, tuple[str, ...]] = {}  # further topics of a role
+    why: dict[str, str] = {}  # role -> reason for the choice of its topic
+    absent: dict[str, str] = {}
+    fixes: dict[str, tuple[str, ...]] = {}  # absent role -> settings that may help
+    foreign: set[str] = set()  # sensors without any topic in the log
+    notes: list[Note] = []
     unused_wheels: tuple[str, ...] = ()  # topics of wheel counters whose scale is unknown
     lacks: str = ""  # unknown settings of the unused wheels, in words
-    read: dict[tuple[str, ...], WheelReading] = field(default_factory=dict)  # motions read during the choice
+    read: dict[tuple[str, ...], WheelReading] = {}  # motions read during the choice
 
     def of(self, role: str) -> tuple[str, ...]:
         """Return all topics of a role."""

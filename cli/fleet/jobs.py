@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
-from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.cli.advice.together import ask
@@ -85,7 +84,7 @@ class JobOutcome(msgspec.Struct, frozen=True):
     misused: bool = False  # failed because of an option, not the log
     resumed: bool = False  # skipped, since its results were complete
     warnings: tuple[str, ...] = ()  # such as a recording that could not be written
-    looks: Mapping[Fixes, Look] = field(default_factory=dict)  # figures under the settings in `tries`
+    looks: Mapping[Fixes, Look] = {}  # figures under the settings in `tries`
 
 
 def is_finished(job: Job) -> bool:
@@ -225,9 +224,9 @@ def _file_of(file: Path, robot: str | None) -> Path:
 class FleetRows(msgspec.Struct, frozen=True):
     """The rows of a fleet's summary, and lines of text on gates and losses."""
 
-    entries: list[Entry] = field(default_factory=list)
-    gates: list[str] = field(default_factory=list)  # a line per gate that a log fails
-    lost: list[str] = field(default_factory=list)  # a line per loss of a log
+    entries: list[Entry] = []
+    gates: list[str] = []  # a line per gate that a log fails
+    lost: list[str] = []  # a line per loss of a log
 
     @property
     def void(self) -> list[str]:

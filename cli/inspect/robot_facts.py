@@ -73,7 +73,7 @@ class Overview(msgspec.Struct):
     robot: Robot  # with mounts where the log could be measured
     loaded: Loaded | None = None
     robot_facts: RobotFacts = field(default_factory=RobotFacts)
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[Finding] = []
 
     def frames_of(self, role: str) -> list[str]:
         """Return the frames of a role's topics; "" for a topic without frame."""

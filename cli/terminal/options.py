@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 
 import click
 import msgspec
-from msgspec import field
 
 from locfuse.cli.analysis import settings
 from locfuse.cli.analysis.settings import EXPORTS, Asked, FleetOptions, GateOptions, LogOptions, Outputs
@@ -34,11 +33,11 @@ HELP_GROUPS = {  # group of --help -> its parameters, in a user's order; all oth
 class Options(msgspec.Struct, frozen=True):
     """All options of a command; those that a command does not have keep their defaults."""
 
-    how: LogOptions = field(default_factory=LogOptions)  # how logs are read
-    asked: Asked = field(default_factory=Asked)  # what is computed for each log
-    outputs: Outputs = field(default_factory=Outputs)  # what is written, and where
-    gates: GateOptions = field(default_factory=GateOptions)
-    fleet: FleetOptions = field(default_factory=FleetOptions)
+    how: LogOptions = LogOptions()  # how logs are read
+    asked: Asked = Asked()  # what is computed for each log
+    outputs: Outputs = Outputs()  # what is written, and where
+    gates: GateOptions = GateOptions()
+    fleet: FleetOptions = FleetOptions()
 
     @property
     def inputs(self) -> tuple[Path | None, ...]:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import msgspec
-from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.formats import inputs
@@ -31,7 +30,7 @@ class Loss(msgspec.Struct, frozen=True):
 class Losses(msgspec.Struct):
     """All losses of a log; a place counts once, even if it is read twice."""
 
-    places: dict[tuple[str, str, int], Loss] = field(default_factory=dict)  # (path, reason, offset) -> loss
+    places: dict[tuple[str, str, int], Loss] = {}  # (path, reason, offset) -> loss
 
     def add(self, path: str, reason: str, offset: int, n_bytes: int, messages: int | None = None) -> None:
         """Record the loss of `n_bytes` from `offset` on."""

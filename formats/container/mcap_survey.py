@@ -65,10 +65,10 @@ def sort_by_time(parts: list[Part]) -> None:
 class Survey(msgspec.Struct):
     """The result of a survey."""
 
-    parts: list[Part] = field(default_factory=list)
-    schemas: dict[int, rec.Schema] = field(default_factory=dict)
-    channels: dict[int, rec.Channel] = field(default_factory=dict)
-    attachments: list[tuple[int, int]] = field(default_factory=list)  # (content offset, length)
+    parts: list[Part] = []
+    schemas: dict[int, rec.Schema] = {}
+    channels: dict[int, rec.Channel] = {}
+    attachments: list[tuple[int, int]] = []  # (content offset, length)
     expected: dict[int, int] | None = None  # channel -> number of messages in the Statistics record
 
     def define(self, opcode: int, content: bytes) -> None:
@@ -88,7 +88,7 @@ class FileSummary(Survey):
     """The content of a file's summary section."""
 
     start: int = 0  # file offset of the section
-    chunks: dict[int, rec.ChunkIndex] = field(default_factory=dict)  # by file offset
+    chunks: dict[int, rec.ChunkIndex] = {}  # by file offset
     statistics: rec.Statistics | None = None
 
 

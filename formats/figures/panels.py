@@ -11,7 +11,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec import field
 
 from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event, RunningNis
 
@@ -25,10 +24,10 @@ class Scene(msgspec.Struct, frozen=True):
     drive: Drive
     estimates: Sequence[Estimates]
     evaluations: Sequence[Evaluation]
-    nis: Mapping[tuple[str, str], RunningNis] = field(default_factory=dict)  # (configuration, sensor)
+    nis: Mapping[tuple[str, str], RunningNis] = {}  # (configuration, sensor)
     nees_bounds: tuple[float, float] = (0.0, 0.0)  # 95 % bounds of one NEES per degree of freedom
-    components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # of innovations, by sensor
-    states: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # states other than the pose, by block
+    components: Mapping[str, Sequence[Component]] = {}  # of innovations, by sensor
+    states: Mapping[str, Sequence[Component]] = {}  # states other than the pose, by block
     credit: Mapping[str, Any] | None = None  # each sensor's effects on the error, as in report.json
     landmarks: Sequence[tuple[float, float]] = ()  # m, map frame: targets of bearings and ranges
     events: Sequence[Event] = ()  # of the drive and of the configuration with most sensors
@@ -142,7 +141,7 @@ class Panel(msgspec.Struct, frozen=True):
     lanes: tuple[str, ...] = ()  # names of lanes on the y axis from top to bottom, each of height 1
     keys: tuple[str, ...] = ()  # roles listed in the panel's legend
     events: tuple[Event, ...] = ()  # shaded intervals behind the marks, on a time axis
-    legend: Mapping[str, str] = field(default_factory=dict)  # role -> legend text that replaces the role's name
+    legend: Mapping[str, str] = {}  # role -> legend text that replaces the role's name
     tracks: tuple[TimedPlaces, ...] = ()  # on a map: positions of each result over time
 
 
@@ -154,7 +153,7 @@ class Section(msgspec.Struct, frozen=True):
     text: str
     panels: tuple[Panel, ...]
     columns: int = 2
-    rows: tuple[str, ...] = field(default=())  # a heading per row of panels, if rows are configurations
+    rows: tuple[str, ...] = ()  # a heading per row of panels, if rows are configurations
 
 
 def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:

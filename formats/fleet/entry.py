@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import msgspec
-from msgspec import field
 
 from locfuse.formats.report.findings import void_reasons
 
@@ -25,7 +24,7 @@ class Entry(msgspec.Struct, frozen=True):
     robot: str | None = None
     state: State = "done"
     reason: str = ""  # why it failed or was not run, in one line
-    report: Mapping[str, Any] = field(default_factory=dict)  # short form by `slim`; empty unless done
+    report: Mapping[str, Any] = {}  # short form by `slim`; empty unless done
     cells: tuple[str, ...] = ()  # names of the cells of a sweep; a cell is one combination of settings
 
     @property

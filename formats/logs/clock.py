@@ -16,7 +16,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec import field
 from msgspec.structs import replace
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -52,8 +51,8 @@ class RowTimes(msgspec.Struct, frozen=True):
     rows: Ints | None  # (n,) index of each row's message in recording order; None: 0 .. n - 1
     words: str  # description of the choice
     by_stamps: bool = False  # whether the times are header stamps, perhaps sorted or repaired
-    repaired: dict[str, int] = field(default_factory=dict)  # reason -> stamps replaced
-    dropped: dict[str, int] = field(default_factory=dict)  # reason -> messages without a usable time
+    repaired: dict[str, int] = {}  # reason -> stamps replaced
+    dropped: dict[str, int] = {}  # reason -> messages without a usable time
     notes: tuple[str, ...] = ()
     on_stamps: bool = False  # whether recording times were converted to the clock of other topics' stamps
 

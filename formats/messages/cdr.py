@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, cast
 
 import msgspec
 import numpy as np
-from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
@@ -54,8 +53,8 @@ Wanted = Mapping[str, "Wanted | str"]
 class Leaf(msgspec.Struct):
     """The offset of a wanted field in a message; several offsets if the field is inside an array."""
 
-    offsets: list[int] = field(default_factory=list)  # bytes from the payload's start
-    counts: list[int] = field(default_factory=list)  # elements (arrays) or bytes (strings) at each offset
+    offsets: list[int] = []  # bytes from the payload's start
+    counts: list[int] = []  # elements (arrays) or bytes (strings) at each offset
 
 
 class Tail(NamedTuple):
@@ -264,7 +263,7 @@ class Request(msgspec.Struct):
 
     fields: dict[str, tuple[FieldPart, ...]]  # (seconds, nanoseconds) for a stamp
     wanted: Wanted
-    layouts: list[Layout] = field(default_factory=list)  # most recent first
+    layouts: list[Layout] = []  # most recent first
 
 
 class Decoder(MessageDecoder):

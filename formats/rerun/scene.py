@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.formats.geometry import walls
@@ -69,7 +68,7 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
     drive: Drive
     estimates: Sequence[Estimates]
     evaluations: Mapping[str, Evaluation]  # by configuration
-    sights: Mapping[str, SensorLook] = field(default_factory=dict)  # by sensor
+    sights: Mapping[str, SensorLook] = {}  # by sensor
     track: float = 0.3  # m, size of the robot on the map
     table: str = ""  # the result table, Markdown
     scans: DrawnScans | None = None
@@ -77,9 +76,9 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
     picture_rows: int | None = None  # px, height of the panoramas; None without pictures
     raw: Sequence[RawTopic] = ()
     full: bool = False  # whether long logs are drawn without thinning
-    palette: Mapping[str, Rgb] = field(default_factory=dict)  # by configuration
+    palette: Mapping[str, Rgb] = {}  # by configuration
     events: Sequence[Event] = ()  # in order of time
-    thinned: Mapping[str, Drive] = field(default_factory=dict)  # configuration with reduced rates -> its drive
+    thinned: Mapping[str, Drive] = {}  # configuration with reduced rates -> its drive
 
     @property
     def max_points(self) -> int:

@@ -18,7 +18,6 @@ from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Stream
@@ -136,7 +135,7 @@ class Detector(msgspec.Struct, frozen=True):
     """Detector of red vertical objects; None: the calibration value follows from the size of the picture."""
 
     chain: Chain = "fast"
-    red: Red = field(default_factory=Red)
+    red: Red = Red()
     centre: tuple[float, float] | None = None  # px
     inner: float | None = None  # px
     outer: float | None = None  # px

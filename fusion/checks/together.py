@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from statistics import fmean
 
 import msgspec
-from msgspec import field
 
 from locfuse.fusion.data import BASES, Drive, Estimates
 from locfuse.fusion.robot import Robot
@@ -71,9 +70,9 @@ class Number(msgspec.Struct, frozen=True):
 class LogEstimates(msgspec.Struct, frozen=True):
     """Estimates of settings and clock lags by one log."""
 
-    settings: dict[str, Number] = field(default_factory=dict)  # "wheels.track" -> its value
-    lags: dict[str, Number] = field(default_factory=dict)  # "gyro wheels.time_offset" -> s to add to the first's
-    clocks: dict[str, float] = field(default_factory=dict)  # "gyro" -> its time_offset as configured [s]
+    settings: dict[str, Number] = {}  # "wheels.track" -> its value
+    lags: dict[str, Number] = {}  # "gyro wheels.time_offset" -> s to add to the first's
+    clocks: dict[str, float] = {}  # "gyro" -> its time_offset as configured [s]
 
 
 class Common(msgspec.Struct, frozen=True):
@@ -84,7 +83,7 @@ class Common(msgspec.Struct, frozen=True):
     each: dict[str, float]  # log -> its value
     value: float | None = None
     sigma: float = 0.0
-    apart: dict[str, float] = field(default_factory=dict)  # log that disagrees -> difference in sigmas
+    apart: dict[str, float] = {}  # log that disagrees -> difference in sigmas
 
     @property
     def off(self) -> bool:
@@ -118,8 +117,8 @@ class Look(msgspec.Struct, frozen=True):
     """Result of one log under one set of settings: estimates of settings, and errors of each configuration."""
 
     shown: LogEstimates
-    sensors: dict[str, tuple[str, ...]] = field(default_factory=dict)  # configuration -> its sensors
-    marks: dict[str, Marks] = field(default_factory=dict)  # configuration (if it could be fused) -> its errors
+    sensors: dict[str, tuple[str, ...]] = {}  # configuration -> its sensors
+    marks: dict[str, Marks] = {}  # configuration (if it could be fused) -> its errors
 
 
 class CommonTrial(msgspec.Struct, frozen=True):
@@ -127,7 +126,7 @@ class CommonTrial(msgspec.Struct, frozen=True):
 
     fixes: Fixes
     configuration: str = ""  # the one that gains most
-    pairs: dict[str, tuple[Marks, Marks]] = field(default_factory=dict)  # log -> its errors before and after
+    pairs: dict[str, tuple[Marks, Marks]] = {}  # log -> its errors before and after
     losers: tuple[str, ...] = ()  # logs in which something gets worse
     helps: bool = False
     worth: float = 0.0

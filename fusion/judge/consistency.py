@@ -14,7 +14,6 @@ from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import field
 from msgspec.structs import asdict, replace
 
 from locfuse.fusion.data import Drive, Estimates
@@ -53,7 +52,7 @@ class Consistency(msgspec.Struct, frozen=True):
     verdict: Verdict
     words: str
     scale: float | None = None  # factor by which the sensor's sigma should be multiplied
-    fix_values: Mapping[str, float] = field(default_factory=dict)  # robot.toml key -> value
+    fix_values: Mapping[str, float] = {}  # robot.toml key -> value
     nis_bounds: tuple[float, float] | None = None  # 95 % bounds of the mean NIS per degree of freedom
     bias_sigma: tuple[float, ...] = ()  # mean innovation in predicted standard deviations
     whiteness: tuple[float, ...] = ()  # autocorrelation of the innovations at lags 1, 2, ...

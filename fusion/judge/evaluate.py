@@ -16,7 +16,6 @@ from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
@@ -387,7 +386,7 @@ class CovarianceCheck(msgspec.Struct, frozen=True):
 
     anees: float
     bounds: tuple[float, float]  # 95 % bounds of the ANEES of a consistent filter on such a drive
-    states: Mapping[str, float] = field(default_factory=dict)  # ANEES of x, y and theta alone
+    states: Mapping[str, float] = {}  # ANEES of x, y and theta alone
     independent: float = math.nan  # effective number of independent errors
     words: str = ""
 

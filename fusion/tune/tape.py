@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
@@ -56,8 +55,8 @@ class Tape(msgspec.Struct):
     sensors: tuple[str, ...]
     P0: Array  # (n, n)
     t: Array  # (instants,) s
-    ops: list[tuple[int, Event | SplitCorrection]] = field(default_factory=list)  # index of the update time, event
-    drifts: dict[str, tuple[Ints, Array]] = field(default_factory=dict)  # block -> columns, variance per s
+    ops: list[tuple[int, Event | SplitCorrection]] = []  # index of the update time, event
+    drifts: dict[str, tuple[Ints, Array]] = {}  # block -> columns, variance per s
     wheels: slice | None = None  # columns of the wheel parameters
 
 
@@ -260,7 +259,7 @@ class Figures(msgspec.Struct):
     configured: Robot
     sensors: tuple[str, ...]
     drift: str | None = None  # sensor whose estimated offset may drift
-    factors: dict[str, float] = field(default_factory=dict)
+    factors: dict[str, float] = {}
 
     @property
     def names(self) -> list[str]:

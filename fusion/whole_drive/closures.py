@@ -184,10 +184,10 @@ class Loops(msgspec.Struct):
     """State of the loop search: closures found so far, undecided and rejected candidates."""
 
     edges: Edges = field(default_factory=Edges.none)  # between middle keys
-    pair: set[tuple[int, int]] = field(default_factory=set)  # pairs of submaps with a closure
-    undecided: dict[tuple[int, int], str] = field(default_factory=dict)  # pair -> reason
-    searched: dict[tuple[int, int], float] = field(default_factory=dict)  # pair -> 1 sigma of the last search [m]
-    rejected: dict[tuple[int, int], Array] = field(default_factory=dict)  # pair -> guess that did not fit
+    pair: set[tuple[int, int]] = set()  # pairs of submaps with a closure
+    undecided: dict[tuple[int, int], str] = {}  # pair -> reason
+    searched: dict[tuple[int, int], float] = {}  # pair -> 1 sigma of the last search [m]
+    rejected: dict[tuple[int, int], Array] = {}  # pair -> guess that did not fit
     searches: int = 0
 
 

@@ -144,10 +144,7 @@ class FileBytes:
         """Download all bytes of a remote file; does nothing for a local one."""
 
     def use_unpacked(self, temporary: Path) -> None:
-        """Read the unpacked bytes from this temporary file from now on.
-
-        The file is deleted with this object.
-        """
+        """Read the unpacked bytes from this temporary file from now on. The file is deleted with this object."""
         self._read_from(temporary)
         weakref.finalize(self, temporary.unlink, missing_ok=True)
 

@@ -107,7 +107,7 @@ class Message(msgspec.Struct, frozen=True, eq=False):
     """A message type, which may contain itself."""
 
     name: str
-    fields: dict[int, Field] = msgspec.field(default_factory=dict)
+    fields: dict[int, Field] = {}
 
     @property
     def is_time(self) -> bool:

@@ -164,10 +164,7 @@ def length(metres: float) -> str:
 
 
 def in_one_unit(words: str) -> str:
-    """Return a text whose lengths are all in m if one of them is.
-
-    "87 mm ... 1.20 m" -> "0.087 m ... 1.20 m".
-    """
+    """Return a text whose lengths are all in m if one of them is: "87 mm ... 1.20 m" -> "0.087 m ... 1.20 m"."""
     if not LENGTH_M.search(words):
         return words
     return LENGTH_MM.sub(lambda found: f"{float(found[1]) / 1000.0:.2g} m", words)

@@ -108,10 +108,7 @@ def _compiled(source: str) -> Template:
 
 
 def figure(report: Mapping[str, Any], path: Sequence[str | int], form: str = "{}") -> Markup:
-    """Return the value at a JSON path of a report as an HTML <data> element.
-
-    null and NaN become a dash.
-    """
+    """Return the value at a JSON path of a report as an HTML <data> element. null and NaN become a dash."""
     value: Any = report
     for key in path:
         value = value[key]

@@ -78,10 +78,7 @@ def unsure(effect: Effect) -> bool:
 
 
 def overconfident(anees: tuple[float, float] | None) -> bool:
-    """Return whether a sensor makes the filter overconfident.
-
-    `anees` is the ANEES (without, with) the sensor.
-    """
+    """Return whether a sensor makes the filter overconfident. `anees` is the ANEES (without, with) the sensor."""
     return anees is not None and anees[1] > max(OVERCONFIDENT_ANEES, MAX_ANEES_RATIO * anees[0])
 
 

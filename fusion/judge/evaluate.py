@@ -364,10 +364,7 @@ STATES = ("x", "y", "theta")
 
 
 def running_nis(audit: Audit, t: Array) -> RunningNis:
-    """Return the mean NIS of accepted innovations over successive intervals.
-
-    `t` (n,) [s] are the update times.
-    """
+    """Return the mean NIS of accepted innovations over successive intervals. `t` (n,) [s] are the update times."""
     accepted = audit.verdict == 0
     intervals = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, MAX_INTERVALS))
     edges = np.linspace(t[0], t[-1], intervals + 1)

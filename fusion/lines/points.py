@@ -171,8 +171,8 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
     laser: Laser
     wheels: WheelMotion
     rows: Ints  # (n,)
-    _last: list[Block] = msgspec.field(default_factory=list)  # the block used last; at most one
-    _next: list[Iterator[Block]] = msgspec.field(default_factory=list)  # the blocks after it; at most one iterator
+    _last: list[Block] = []  # the block used last; at most one
+    _next: list[Iterator[Block]] = []  # the blocks after it; at most one iterator
 
     @property
     def mount(self) -> Array:

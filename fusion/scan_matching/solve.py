@@ -44,10 +44,7 @@ class Edges(Columns, frozen=True):
 
     @classmethod
     def of(cls, i: Ints, j: Ints, z: Array, information: Array, width: float) -> Edges:
-        """Return edges with one kernel `width` [sigmas].
-
-        Their z do not depend on the systematic errors.
-        """
+        """Return edges with one kernel `width` [sigmas]. Their z do not depend on the systematic errors."""
         return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC_SIGMAS))))
 
     @classmethod

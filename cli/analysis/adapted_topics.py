@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 from locfuse.formats.logs import adapters
+from locfuse.formats.logs.log import Log
 from locfuse.formats.logs.transform_stream import OF_CAMERA, named_as_tag, tags_of
 from locfuse.formats.robot.transforms import StaticTransforms, ancestors
 from locfuse.fusion.robot import Robot
@@ -14,9 +14,6 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import CAMERA_INFO, is_base, is_fixed, last_word
 from .topics import filled
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 LIVOX = "points in Livox' own format; record PointCloud2 instead (xfer_format = 0 in its launch file)"
 RAW_PACKETS = "packets of the sensor as they came; record the PointCloud2 that its driver makes of them"

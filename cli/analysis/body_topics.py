@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from locfuse.formats.logs.log import Log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.level import IMU
@@ -24,9 +25,6 @@ from .adapted_topics import not_read
 from .motion_evidence import MotionEvidence, MotionSensors
 from .mounts import is_base, is_fixed, is_odometry, is_room
 from .topics import WHY_ONLY, Choice, checked, filled, of_sensor, one
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 TWISTS = tuple(kind for kind in SPEED if kind not in (*POSE, *PLANAR))
 POSES = tuple(kind for kind in (*POSE, *PLANAR) if kind not in (ODOMETRY, TRANSFORM))

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from locfuse.formats.logs.log import Log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
@@ -22,9 +23,6 @@ from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, likelies
 from .wheel_topics import choose_wheels
 
 LEFT_OUT = "none"  # truth.topic: the log's truth is left out
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 
 def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:

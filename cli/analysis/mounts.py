@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import permutations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse.formats.logs.log import Log
 from locfuse.formats.messages.fields import CAMERA_MATRIX
 from locfuse.formats.robot.transforms import FrameMount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Array, LocfuseError, Stream
@@ -19,9 +20,6 @@ from locfuse.fusion.sensors.level import FIELD, IMU, LevelledField, tilt_of
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .topics import filled
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 TILT_KEYS = ("roll_deg", "pitch_deg")
 MAX_VERTICAL = 0.7  # largest vertical part of an optical frame's z axis (unit vector)

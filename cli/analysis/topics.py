@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
 from locfuse.formats.logs.adapters import PRESENTED, presented_name
+from locfuse.formats.logs.log import Log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
-    from locfuse.fusion.robot import Robot
-    from locfuse.fusion.wheels.read import WheelReading
+from locfuse.fusion.wheels.read import WheelReading
 
 WHY_NAMED = "named in the settings"
 WHY_ONLY = "the only topic of its type"

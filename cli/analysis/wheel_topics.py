@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
+from locfuse.formats.logs.log import Log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.odometry import SCANS
@@ -16,9 +17,6 @@ from locfuse.fusion.wheels.steered import MOTOR, STEERING_WORD
 
 from .body_topics import choose_body, nothing_moves, with_steering
 from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, several_fit
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
 # words in topic names

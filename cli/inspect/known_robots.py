@@ -8,10 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from contextlib import suppress
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple, cast
 
 from locfuse import robots
 from locfuse.cli.analysis.topics import of_type
+from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -20,9 +21,6 @@ from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS
 
 from .robot_facts import Overview
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 # Name -> signs, of which one is enough: a package of message types, a word in a topic's name, a set of frames.
 SIGNS_OF_ROBOTS: dict[str, tuple[str | frozenset[str], ...]] = {

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.clock import MAX_DELAY_S, RowTimes
-from locfuse.formats.logs.log import UnreadableTopicError
+from locfuse.formats.logs.log import Log, UnreadableTopicError
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.raw_data import PUBLISHERS
@@ -19,9 +19,6 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import seconds
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 MAX_GAPS_LISTED = 20  # in JSON
 MIN_MESSAGES = 3  # for a rate

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from locfuse.cli.analysis.topics import types
+from locfuse.formats.logs.log import Log
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, ODOMETRY
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .robot_facts import Overview, extrinsics
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 
 def listed(log: Log) -> dict[str, dict[str, Any]]:

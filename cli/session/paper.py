@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -16,6 +16,7 @@ from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.figures.palette import looks_of, traces_of
 from locfuse.formats.figures.panels import Curve, Panel, Spots, Strokes
 from locfuse.formats.figures.sections import sections
+from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Array, Colour
 from locfuse.fusion.sensors.registry import colours
 from locfuse.sample_logs import load as scenarios
@@ -26,9 +27,6 @@ from locfuse.sample_logs.scenario import Polygon
 from .result import Comparison
 from .session import load
 from .simulate import localise
-
-if TYPE_CHECKING:
-    from locfuse.formats.whole_files import Content
 
 PATHS = {"a": "rounded_rectangle", "b": "rounded_triangle"}
 WITHOUT, WITH, INTENDED, WALLS = "steered on odometry", "steered on the EKF", "path", "walls"

@@ -364,7 +364,7 @@ def _lag_by_places(m: Measurements, misfit: Callable[..., float | None], truth: 
         offset, sigma = lag(np.arange(len(m.t))), float(jackknife(lag, len(m.t), PART_COUNT))
         if not (sigma < most and lags[0] < offset < lags[-1]):
             return None
-        return Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S), "truth")
+        return Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S))
 
     near: Array = np.arange(-MAX_LAG_S, MAX_LAG_S + PLACE_STEP_S / 2, PLACE_STEP_S, dtype=np.float64)
     far: Array = np.arange(-MAX_FAR_PLACES_S, MAX_FAR_PLACES_S, LAG_STEPS * PLACE_STEP_S, dtype=np.float64)

@@ -8,9 +8,8 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Block, Ints, Stream
+from locfuse.fusion.data import Array, Block, Ints, Mask, Stream
 from locfuse.fusion.sensor import WheelMotion
 
 from .scans import Laser, equal_scans, limited, limits, points_in_base
@@ -83,7 +82,7 @@ class Longest:
             self._same += (np.abs(ranges - self._first) < SAME_M).sum(axis=0)
 
     @property
-    def blocked(self) -> NDArray[np.bool_] | None:
+    def blocked(self) -> Mask | None:
         """Return the mask (b,) of beams that see the robot: always the same near range while others change."""
         if not self._scans >= MIN_BODY_SCANS:
             return None
@@ -92,7 +91,7 @@ class Longest:
         others = share[~body & (self._seen > 0)]
         if not body.any() or body.mean() > MAX_BLOCKED_SHARE or not len(others):
             return None
-        mask: NDArray[np.bool_] = body
+        mask: Mask = body
         return mask if float(np.median(others)) < MAX_USUAL_SHARE else None
 
     @property

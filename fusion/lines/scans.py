@@ -103,7 +103,7 @@ class Laser(NamedTuple):
     deskew: bool
     lines: LineSettings
     backward: bool = False  # whether the last beam of a scan is measured first, for any sign of time_increment
-    blocked: NDArray[np.bool_] | None = None  # (b,) beams that see the robot itself
+    blocked: Mask | None = None  # (b,) beams that see the robot itself
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:

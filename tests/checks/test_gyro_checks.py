@@ -1,6 +1,7 @@
 """What a gyro's rates say of its bias, noise, range and stuck values, held to drives whose answer is known."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def stream_of(t: Array, rate: Array) -> ArrayStream:
     return ArrayStream("/yaw_rate", "std_msgs/msg/Float64", np.round(t * 1e9).astype(np.int64), {"data": rate})
 
 
-def measured(rate: Array, **settings: float) -> tuple[Drive, Robot, ArrayStream]:
+def measured(rate: Array, **settings: Any) -> tuple[Drive, Robot, ArrayStream]:
     """A drive with these rates of a gyro, its robot, and the stream of the gyro."""
     one, t = replace(drive(5, robot()), epoch_ns=0), rates()[0]
     stream, own = stream_of(t, rate), GyroSettings(**settings)

@@ -143,7 +143,7 @@ def test_beams_that_see_the_robot_itself_are_no_walls(body: float) -> None:
         laser = laser_of(LrfSettings())
         by_held, by_free = (match_scans(scan_stream(STAMPS, r), laser) for r in (held, free))
         paths = [matched.reading(WheelSettings(), 0.0).wheels.pose for matched in (by_held, by_free)]
-        np.testing.assert_array_equal(*paths)
+        np.testing.assert_array_equal(paths[0], paths[1])
     stands = Longest()
     stands.add(within(np.tile(held[:1], (SCANS, 1))))
     assert stands.blocked is None

@@ -26,6 +26,7 @@ MAX_START_SIGMA_M = 1e5
 MAX_START_SIGMA_DEG = 3600.0
 MAX_NOISE_M = 1e3  # largest wheel noise, for the same reason
 Moment = Annotated[float, msgspec.Meta(ge=0.0)] | Literal["scan"]
+Scale = Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)]
 PerMetre = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_NOISE_M)]
 VIRTUAL_TRACK = 0.3  # m: track of the two virtual wheels that replace an odometry topic
 
@@ -41,6 +42,8 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     radius: float | None = None  # m, mean of both wheels
     ratio: float = 1.0  # radius of the right wheel / radius of the left wheel
     track: float | None = None  # m between the wheels' contact points
+    scale: Scale = 1.0  # distance of the robot / distance by an odometry topic
+    turn_scale: Scale = 1.0  # turn of the robot / turn by an odometry topic
     wheelbase: float | None = None  # m between the axles; needed for a steering angle
     steering: Steering = "angle"  # meaning of the steering value: an angle [rad], a turn rate [rad/s], a heading
     steering_topic: str | None = None  # topic with the steering position of a car; not set: found
@@ -68,6 +71,11 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         They do if robot.toml has neither radius nor wheelbase.
         """
         return self.radius is None and self.wheelbase is None
+
+    @property
+    def scales(self) -> tuple[float, float, float]:
+        """Factors that correct an odometry's motion: forward, left, turn."""
+        return self.scale, self.scale, self.turn_scale
 
     @property
     def shares(self) -> tuple[float, float]:

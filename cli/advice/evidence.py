@@ -41,7 +41,7 @@ from locfuse.fusion.checks.points import MAP
 from locfuse.fusion.checks.points import SCALE as RANGE_SCALE
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.start import START, start_by_shape
-from locfuse.fusion.checks.tried import Candidate, Fixes, keys, together
+from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, keys, together
 from locfuse.fusion.checks.truth import (
     AXES,
     CREEP,
@@ -283,6 +283,8 @@ class Evidence(NoiseFindings):
         ways = [finding.fixes] if finding.fixes else []
         if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
             ways.append(finding.fixes[:1])  # the radius alone, without the track
+        if keys(finding.fixes) & {"wheels.scale", "wheels.turn_scale"}:
+            ways.append(ESTIMATED)
         ways += self._with_camera_offset(finding)
         one = self._candidate(finding, tuple(ways), not (finding.severe or measured or finding.code == RATIO))
         return replace(one, measured=measured, by_shape=one.key in SIGN_FAULTS)

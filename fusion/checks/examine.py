@@ -162,6 +162,8 @@ def scales(
     if size:
         drive = replace(drive, truth=None)  # nothing can be compared with such a truth
     factor, scaled = metre(drive, robot, least)
+    if robot.wheels.is_of_driver:
+        scaled = [replace(o, fixes=(f"wheels.scale={robot.wheels.scale * factor:.4g}",)) for o in scaled]
     by_truth = wheels_metre(drive) is not None
     radius = [] if by_truth else of_radius(motion, robot, least)
     if radius and least is None:

@@ -222,6 +222,7 @@ MAX_MOVED_SHARE = 0.5  # later changes must be smaller than this share of the la
 REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
 # findings whose first alternative was measured: other alternatives are tried only if the first does not help
 FIRST_VALUE = ("lag",)
+ESTIMATED = ("wheels.estimate=true",)  # in place of a measured scale: tried only if that does not help
 CLEAR_GAIN = 1.0  # gain of a fix beyond which later classes are not tried
 CHANCE_GAIN = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # largest gain of two configurations by chance
 
@@ -519,7 +520,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
     for fixes in candidate.alternatives:
         if together(kept, fixes) == kept:
             continue  # set already
-        if options and candidate.measured and candidate.finding.code in FIRST_VALUE:
+        first = fixes == ESTIMATED or (candidate.measured and candidate.finding.code in FIRST_VALUE)
+        if options and first:
             break
         pairs = judged_pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)

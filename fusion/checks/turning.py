@@ -288,7 +288,7 @@ def of_track(
     are not reported; the sigma includes slip.
     """
     of_driver = settings.is_of_driver
-    if of_driver and (settings.track is not None or settings.estimate or drive.wheels.matched is not None):
+    if of_driver and (settings.estimate or drive.wheels.matched is not None):
         return []
     if settings.radius is None and not of_driver:
         return []
@@ -306,7 +306,8 @@ def of_track(
     sure = abs(off) > max(SEVERE_TRACK_ERROR, MIN_TRACK_ERROR + MIN_SIGMAS * own / track)
     if of_driver:
         words = f"they turn {abs(off):.1%} too {'far' if off > 0.0 else 'little'} by {by} (1 sigma {sigma:.1%})"
-        return [Finding("wheels", "track", words, ("wheels.estimate=true",), sure)]
+        fix = f"wheels.turn_scale={settings.turn_scale / found[0]:.4g}"
+        return [Finding("wheels", "track", words, (fix,), sure)]
     words = (
         f"by the turning of {by} the track is {track:.3f} m (1 sigma {sigma:.3f}), configured {configured:g} m; "
         "or let the filter find it (wheels.estimate=true)"

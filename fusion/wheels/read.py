@@ -59,6 +59,12 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
         posed = odometry.has_pose(stream.msgtype, settings)
         commands = not posed and odometry.commanded(stream.topic, stream.msgtype)
         return _from_body(stream, odometry.pose_and_speed(stream, settings), settings, posed, commands)
+    if settings.scales != (1.0, 1.0, 1.0):
+        raise LocfuseError(
+            f"wheels.scale and wheels.turn_scale correct an odometry, and {stream.topic} is none: set "
+            "wheels.radius and wheels.track",
+            role="wheels",
+        )
     if isinstance(stream, MergedStream) and is_tricycle(stream):
         return _from_tricycle(stream, settings)
     if stream.msgtype in MOTOR:
@@ -166,6 +172,7 @@ def _from_body(
         count_dropped(dropped, spike=motion.spikes)
         t, twist, notes, doubt = t[motion.keep], motion.twist, motion.notes, motion.doubt
     sources.require_two(stream.topic, len(t), len(stream.t_ns))
+    twist = twist * settings.scales
     wheels = Wheels.from_twists(t - t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
     epoch_ns = int(stream.t_ns[keep[0]]) + round((float(t[0]) + settings.time_offset) * 1e9)
     return WheelReading(wheels, epoch_ns, dropped, notes, doubt)

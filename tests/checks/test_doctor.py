@@ -448,15 +448,17 @@ def test_a_truth_that_does_not_move_measures_no_wheels(place: float) -> None:
 
 @pytest.mark.parametrize("factor", [0.95, 1.05])
 def test_an_odometry_s_wrong_radius_or_track_is_the_wheels_and_not_the_laser_s(factor: float) -> None:
-    """Without a radius and a track of its own the filter may find them; the laser stays as it is."""
+    """Without a radius and a track of its own it has two scales; the laser stays as it is."""
     right, settings = drive(4, robot(), laps=3.0), robot().wheels
     driver = replace(robot(), wheels=replace(settings, radius=None, track=None))
     long = rolled(right, factor * right.wheels.rolled, TRACK * factor)
     found = scales(long, driver, turnings(long))
-    assert [(f.role, f.code, f.fixes) for f in found] == [("wheels", "wheel scale", ("wheels.estimate=true",))]
+    assert [(f.role, f.code) for f in found] == [("wheels", "wheel scale")]
+    assert told(found)["wheels.scale"] == pytest.approx(1.0 / factor, abs=0.005)
     turned = rolled(right, right.wheels.rolled, TRACK / factor**4)
     found = scales(turned, driver, turnings(turned))
-    assert [(f.role, f.code, f.fixes) for f in found] == [("wheels", "track", ("wheels.estimate=true",))]
+    assert [(f.role, f.code) for f in found] == [("wheels", "track")]
+    assert told(found)["wheels.turn_scale"] == pytest.approx(factor**-4, rel=0.01)
     assert ("too far by the truth" in found[0].message) == (factor > 1.0)
     for one in (long, turned):
         estimated = replace(driver, wheels=replace(driver.wheels, estimate=True))

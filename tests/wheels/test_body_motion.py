@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from bags import Said
 from commands import locfuse, refused, reported
-from pose_streams import pose_stream
+from pose_streams import odometry_stream, pose_stream, reckoned
 from wheel_bags import (
     GEOMETRY,
     RADIUS,
@@ -159,6 +159,20 @@ def test_a_speed_that_no_body_has_is_left_out_and_counted(topic: str, field: str
     assert read_wheels(stream, WheelSettings(max_speed=2.0 * SPEED)).dropped == {"spike": 2}
     with pytest.raises(LocfuseError, match=f"{topic} has 0 usable readings of {len(T)}"):
         read_wheels(stream, WheelSettings(max_speed=0.5 * SPEED))
+
+
+def test_an_odometry_of_another_scale_is_corrected_by_two_factors() -> None:
+    """Poses whose distances are 1.1 times as long and whose turns are 0.9 times as far."""
+    t_ns, wrong = np.rint(T * 1e9).astype(np.int64), reckoned(np.diff(T)[:, None] * [1.1 * SPEED, 0.9 * RATE])
+    scales = WheelSettings(scale=1.0 / 1.1, turn_scale=1.0 / 0.9)
+    for stream in (pose_stream("/odom", t_ns, wrong), odometry_stream(t_ns, wrong)):
+        assert read_wheels(stream, scales).wheels.pose[-1] == pytest.approx(CIRCLE[-1], abs=1e-3)
+
+
+def test_wheel_angles_have_a_radius_and_no_scale(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", joint_states(*angles()))
+    words = refused("run", log, *GEOMETRY, "--set", "wheels.turn_scale=1.1")
+    assert "wheels.scale and wheels.turn_scale correct an odometry, and /joint_states is none" in words
 
 
 @pytest.mark.parametrize("hangs", [False, True])

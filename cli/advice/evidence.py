@@ -29,7 +29,7 @@ from locfuse.fusion.checks.clocks import (
     wrong_clocks,
 )
 from locfuse.fusion.checks.compass import ROOM, of_offset_by_truth
-from locfuse.fusion.checks.examine import scales
+from locfuse.fusion.checks.examine import HELD, scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.gyro import SATURATED, of_rest_noise
 from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag
@@ -87,6 +87,7 @@ KEYLESS = {
     positions.SPEEDS,
     RANGE_SCALE,
     SATURATED,
+    HELD,
 }  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 
@@ -286,7 +287,9 @@ class Evidence(NoiseFindings):
         if keys(finding.fixes) & {"wheels.scale", "wheels.turn_scale"}:
             ways.append(ESTIMATED)
         ways += self._with_camera_offset(finding)
-        one = self._candidate(finding, tuple(ways), not (finding.severe or measured or finding.code == RATIO))
+        one = self._candidate(
+            finding, tuple(ways), not (finding.severe or measured or finding.code in {RATIO, HELD})
+        )
         return replace(one, measured=measured, by_shape=one.key in SIGN_FAULTS)
 
     def slips(self) -> list[Candidate]:

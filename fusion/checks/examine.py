@@ -19,7 +19,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.truth import heading_notes
 from locfuse.fusion.wheels.odometry import BODY_READS
-from locfuse.fusion.wheels.repairs import gaps_of
+from locfuse.fusion.wheels.repairs import CAUGHT_UP, gaps_of
 
 from .clocks import CLOCK, EQUAL, of_clocks, of_equal_stamps, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
@@ -61,6 +61,7 @@ HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 # least motion in a hole: m, rad, share of the drive's distance; over a smaller one, wheel odometry is good enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
 MIXED = frozenset({EQUAL, PUBLISHERS, STUCK, UNIT})  # codes of findings that make all other checks wrong
+HELD = "held"  # code of the finding on counters that stood still while the robot drove far, and then caught up
 BLIND = "blind"  # code of the finding on a sensor without measurements
 CHECK_SENSOR = "Check the sensor and its driver, then record again"
 
@@ -73,7 +74,9 @@ def examine(
     `least` is the smallest reported error of a scale or the track, set by a caller that tries the fixes. None:
     each check uses its own, larger limit.
     """
-    found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
+    far = any(_moved(drive, start)[0] > MIN_HOLE_M for start, _ in gaps(drive.wheels.t))
+    codes = [HELD if far and CAUGHT_UP in repair else "repaired" for repair in drive.repairs]
+    found = [Finding("wheels", code, repair) for code, repair in zip(codes, drive.repairs, strict=True)]
     if drive.truth is not None and "truth" in streams:
         found += [Finding("truth", "seen", note) for note in heading_notes(drive.truth, streams["truth"].msgtype)]
     found += _refused(drive)

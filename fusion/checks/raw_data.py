@@ -1,22 +1,26 @@
-"""Checks of raw data: a topic with two publishers, a wheel that stands still, wheel angles in degrees."""
+"""Checks of raw data: two publishers of a topic, counters that stand still while the robot drives, degrees."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import Drive, Stream, stretches, totals
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Stream, Truth, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import parts_of
+from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import counts_ticks
+from locfuse.fusion.wheels.repairs import MAX_HELD_FACTOR
 
 from .finding import Finding
-from .lag import headings
 from .truth import UNIT, wheels_metre
-from .turning import turnings
+from .turning import Headings, headings_of, turnings
 
 PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
 MIN_CHANGES = 10  # from one publisher to the other
@@ -45,43 +49,121 @@ def of_publishers(name: str, stream: Stream, two_sources: bool = False) -> list[
 
 STUCK = "stuck"  # code of the finding on a wheel that stands still
 MIN_TURN_RAD = 2.0 * math.pi  # about the standing wheel: robots rarely turn about one wheel for a whole turn
+MIN_SHORT_TURN_RAD = math.radians(15.0)  # about the standing wheel, if other sensors show that it rolls
+MIN_BOTH_M = 0.3  # of the truth, while both counters stand still
+MIN_STRAIGHT_M, MIN_TRUTH_SIGMAS = 0.08, 6.0  # of a straight line over a turn about one wheel, by the truth
 MIN_TURNED_SHARE = 0.5  # of that turn: a robot that did turn about one wheel turned by as much as wheels say
 DEGREES = math.degrees(1.0)  # in a radian
 MAX_UNIT_RATIO = 1.3  # of that ratio, either way: errors of radius and track are smaller
 MIN_SPEED_MPS = 1.0  # mean of the drive, by angles in degrees: that of a robot with 2 cm/s
 
 
-def of_stuck_wheel(drive: Drive) -> list[Finding]:
-    """Return a finding if one wheel stands still while the other rolls, and no other sensor turns with them.
+class Standstill(NamedTuple):
+    """A time in which a counter stands still although the robot drives."""
 
-    Wheels say then that the robot turns about the standing one: a circle that few robots drive.
+    distance: float  # m that the other wheel rolls, or that the truth moves if both wheels stand
+    begin: float  # s
+    end: float  # s
+
+
+def of_stuck_wheel(drive: Drive) -> list[Finding]:
+    """Return a finding if counters stand still at times in which the robot drives.
+
+    If one stands, wheels say that the robot turns about it: a circle that few robots drive. Other sensors show
+    shorter times: they do not turn so, and the counter starts and stops at full speed. If both stand, the truth
+    moves.
     """
-    wheels, found = drive.wheels, []
-    for i, side in enumerate(("left", "right")):
-        other = totals(np.abs(wheels.rolled[:, 1 - i]))
-        for first, last in stretches(wheels.rolled[:, i] == 0.0):
-            distance = float(other[last + 1] - other[first])
-            begin, end = float(wheels.t[first]), float(wheels.t[last + 1])
-            if distance > MIN_TURN_RAD * wheels.track and not _turned(drive, begin, end):
-                found.append((distance, side, begin, end))
-    if not found:
+    still = drive.wheels.rolled == 0.0
+    sources = _sources(drive)
+    found = {
+        side: [s for first, last in stretches(still[:, i]) if (s := _alone(drive, sources, i, first, last))]
+        for i, side in enumerate(("left", "right"))
+    }
+    found["both"] = [s for first, last in stretches(still.all(axis=1)) if (s := _both(drive, first, last))]
+    side, times = max(found.items(), key=lambda one: sum(s.distance for s in one[1]))
+    if not times:
         return []
-    distance, side, begin, end = max(found)
-    words = (
-        f"the {side} wheel stands still from {begin:.1f} s to {end:.1f} s, while the other one rolls "
-        f"{distance:.1f} m; check its encoder"
-    )
+    who = "both wheels stand" if side == "both" else f"the {side} wheel stands"
+    whom = "the truth moves" if side == "both" else "the other one rolls"
+    when = f"from {times[0].begin:.1f} s to {times[0].end:.1f} s"
+    when += f" (the first of {len(times)} times)" if len(times) > 1 else ""
+    words = f"{who} still {when}, while {whom} {sum(s.distance for s in times):.1f} m; check the encoder"
     return [Finding("wheels", STUCK, words, severe=True)]
 
 
-def _turned(drive: Drive, begin: float, end: float) -> bool:
-    """Return whether the truth or a sensor turns at least half as far as the wheels between two times [s]."""
-    by_wheels = float(np.diff(drive.wheels.heading(np.array((begin, end))))[0])
-    sources, truth = [*headings(drive.measurements).values()], drive.truth
-    if truth is not None and truth.theta is not None:
-        sources.append((truth.t, np.unwrap(truth.theta)))
-    turns = (float(np.diff(np.interp((begin, end), *source))[0]) for source in sources)
-    return any(turn * by_wheels > MIN_TURNED_SHARE * by_wheels**2 for turn in turns)  # by_wheels may be 0
+def _sources(drive: Drive) -> list[Headings]:
+    """Return the headings of the truth and of the sensors that measure turns."""
+    truth = drive.truth
+    if truth is None or truth.theta is None:
+        return [*headings_of(drive).values()]
+    return [*headings_of(drive).values(), Headings(truth.t, np.unwrap(truth.theta), np.zeros(len(truth.t)))]
+
+
+def _alone(drive: Drive, sources: Sequence[Headings], side: int, first: int, last: int) -> Standstill | None:
+    """Return the standstill of one counter in the intervals from `first` to `last`; None if it is right."""
+    wheels = drive.wheels
+    ways = wheels.rolled[first : last + 1, 1 - side]
+    distance, begin, end = float(np.abs(ways).sum()), float(wheels.t[first]), float(wheels.t[last + 1])
+    by_wheels = float(np.diff(wheels.heading(np.array((begin, end))))[0])
+    shown = [t * by_wheels > MIN_TURNED_SHARE * by_wheels**2 for t in _turns(sources, begin, end)]  # it may be 0
+    if not shown and (straight := _drives_straight(drive, begin, end, float(ways.sum()))) is not None:
+        shown = [not straight]
+    stuck = distance > MIN_TURN_RAD * wheels.track
+    if shown and abs(by_wheels) > MIN_SHORT_TURN_RAD:
+        stuck |= _is_abrupt(wheels, np.abs(wheels.rolled[:, side]), first, last, distance)
+    return Standstill(distance, begin, end) if stuck and not any(shown) else None
+
+
+def _both(drive: Drive, first: int, last: int) -> Standstill | None:
+    """Return the standstill of both counters in the intervals from `first` to `last`; None if it is right."""
+    wheels, truth = drive.wheels, drive.truth
+    begin, end = float(wheels.t[first]), float(wheels.t[last + 1])
+    if truth is None or not _covers(truth.t, begin, end):
+        return None
+    moved = float(np.hypot(*_moved(truth, begin, end)))
+    if moved < max(MIN_BOTH_M, MIN_TRUTH_SIGMAS * truth.sigma):
+        return None
+    abrupt = _is_abrupt(wheels, np.abs(wheels.rolled).mean(axis=1), first, last, moved)
+    return Standstill(moved, begin, end) if abrupt else None
+
+
+def _is_abrupt(wheels: Wheels, ways: Array, first: int, last: int, distance: float) -> bool:
+    """Return whether speeds by `ways` (n-1,) [m] before and after the intervals are like that of `distance`."""
+    speed = distance / (wheels.t[last + 1] - wheels.t[first])
+    beside = [i for i in (first - 1, last + 1) if 0 <= i < len(ways)]
+    rates = ways[beside] / np.diff(wheels.t)[beside] / speed
+    return len(beside) > 0 and bool((rates > 1.0 / MAX_HELD_FACTOR).all() and (rates < MAX_HELD_FACTOR).all())
+
+
+def _turns(sources: Sequence[Headings], begin: float, end: float) -> list[float]:
+    """Return the turns [rad] of all sources with readings between two times [s]."""
+    found = []
+    for t, angle, without_lines in sources:
+        some = slice(*np.searchsorted(t, (begin, end)))
+        if _covers(t, begin, end) and not np.ptp(without_lines[some]):
+            found.append(float(np.diff(np.interp((begin, end), t, angle))[0]))
+    return found
+
+
+def _covers(t: Array, begin: float, end: float) -> bool:
+    """Return whether times (n,) [s] begin before a time, end after it, and have two readings in it."""
+    return bool(len(t) and t[0] <= begin and end <= t[-1] and np.diff(np.searchsorted(t, (begin, end)))[0] > 1)
+
+
+def _moved(truth: Truth, begin: float, end: float) -> Array:
+    return np.array([np.diff(np.interp((begin, end), truth.t, axis))[0] for axis in truth.xy.T])
+
+
+def _drives_straight(drive: Drive, begin: float, end: float, ahead: float) -> bool | None:
+    """Return whether the truth moves as with `ahead` [m] of both wheels, instead of as by the wheels; or None."""
+    truth = drive.truth
+    if truth is None or not _covers(truth.t, begin, end):
+        return None
+    by_wheels, point = drive.wheels.relative(np.array(begin), np.array(end)), np.array(truth.point)
+    turning = float(np.hypot(*(by_wheels[:2] + se2.rotated(by_wheels[2], point) - point)))
+    if abs(ahead) - turning < max(MIN_STRAIGHT_M, MIN_TRUTH_SIGMAS * truth.sigma):
+        return None
+    return float(np.hypot(*_moved(truth, begin, end))) > 0.5 * (abs(ahead) + turning)
 
 
 def of_degrees(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:

@@ -211,6 +211,7 @@ def travelled(
     for first, last in stretches(held):  # a pose that is sent two or three times is a slow one
         if t[rows[last]] - t[rows[first]] < longest:
             held[first : last + 1] = False
+    still = held_note("its pose", t[rows], held)
     t, values = t[rows[~held]], values[rows[~held]]
     twist = _steps(values)
     far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
@@ -223,7 +224,7 @@ def travelled(
     steps[backing, :2] *= -1.0
     words += [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
-    words += _words(int(bad.sum()), int(held.sum()), t[1:][far].tolist(), int(backing.sum()))
+    words += _words(int(bad.sum()), still, t[1:][far].tolist(), int(backing.sum()))
     used = ~bad
     used[rows[held]] = False
     return OdometryMotion(used, steps, int(bad.sum()), tuple(words), doubt)
@@ -245,12 +246,11 @@ def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
     return ""
 
 
-def _words(spiked: int, held: int, restarts: Sequence[float], turned: int) -> list[str]:
+def _words(spiked: int, still: Sequence[str], restarts: Sequence[float], turned: int) -> list[str]:
     words = []
     if spiked:
         words.append(f"its pose jumped away and returned (messages not used: {spiked}); {SPEED_SETTING}")
-    if held:
-        words.append(held_note("its pose", held))
+    words += still
     if restarts:
         when = ", ".join(f"{t:.1f}" for t in restarts[:3]) + (" ..." if len(restarts) > 3 else "")
         words.append(

@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, Mask, totals
+from locfuse.fusion.data import Array, Ints, Mask, stretches, totals
 
 WINDOW_STEPS = 11  # steps whose median speed is the present speed
 # a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
 JUMP_FACTOR, JUMP_SLACK_MPS, MIN_JUMP_M = 8.0, 0.5, 0.02
 MAX_HELD_FACTOR = 4.0  # largest ratio of the speeds before, during and after a time with a constant counter
+CAUGHT_UP = "stood still and then caught up"  # words of the note on such a time
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
 COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # known widths of counters
@@ -52,20 +53,23 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     keep = np.flatnonzero(~bad)
     rolled = count.values * metres
     held = held_readings(side.t[keep], rolled, max_speed)
+    still = held_note(f"{side.name} counter", side.t[keep] - side.t[0], held)
     keep, rolled = keep[~held], rolled[~held]
     t, steps = side.t[keep], np.diff(rolled)
     restarts = np.abs(steps) > limits(t, steps, max_speed)
     distance = totals(without_restarts(t, steps[:, None], restarts)[:, 0])
     jumps = steps[restarts] / metres
     notes = _words(side.name, count, int(bad.sum()), jumps.tolist())
-    if held.any():
-        notes.append(held_note(f"{side.name} counter", int(held.sum())))
-    return Repaired(keep, distance, int(bad.sum()), tuple(notes))
+    return Repaired(keep, distance, int(bad.sum()), (*notes, *still))
 
 
-def held_note(what: str, count: int) -> str:
-    """Return the note on readings of a counter or a pose that were held (`held_readings`)."""
-    return f"{what} stood still and then caught up: its {count} equal readings are not used"
+def held_note(what: str, t: Array, held: Mask) -> list[str]:
+    """Return the note on the readings at t (n,) [s] of a counter or a pose that were held (`held_readings`)."""
+    if not held.any():
+        return []
+    (first, last), *more = stretches(held)
+    when = f"from {t[first - 1]:.1f} s to {t[last + 1]:.1f} s" + (f" and {times(len(more))} more" if more else "")
+    return [f"{what} {CAUGHT_UP} ({when}): its {int(held.sum())} equal readings are not used"]
 
 
 def held_readings(t: Array, rolled: Array, max_speed: float | None) -> Mask:

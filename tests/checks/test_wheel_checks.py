@@ -197,12 +197,48 @@ def test_a_robot_that_turns_about_one_wheel_has_no_stuck_wheel() -> None:
     assert of_stuck_wheel(replace(turning, measurements={}))
 
 
-def test_a_short_time_in_which_one_wheel_stands_is_a_manoeuvre() -> None:
+def test_a_short_time_in_which_one_wheel_stands_is_a_manoeuvre_unless_a_sensor_says_no() -> None:
     """Until the other wheel has rolled 2 pi times the track, the robot may be turning about the standing one."""
     one = drawn(8)
     seconds = 2.0 * np.pi * 0.6 / 0.3
-    assert not of_stuck_wheel(held(one, 0, 20.0, 20.0 + 0.8 * seconds))
-    assert of_stuck_wheel(held(one, 0, 20.0, 20.0 + 1.3 * seconds))
+    short = held(one, 0, 20.0, 20.0 + 0.8 * seconds)
+    assert not of_stuck_wheel(replace(short, measurements={}))
+    assert of_stuck_wheel(short)
+    assert of_stuck_wheel(replace(held(one, 0, 20.0, 20.0 + 1.3 * seconds), measurements={}))
+
+
+@pytest.mark.parametrize("known", ["headings", "places", "compass"])
+def test_a_wheel_that_stands_in_bursts_is_named_by_the_truth_or_a_compass(known: str) -> None:
+    """For 1.5 s from 4, 30 and 56 s on, each time on a straight: the other wheel turns the robot by 0.75 rad."""
+    one = drive(8, robot(), ("compass",), laps=2.0)
+    truth = present(one.truth)
+    if known == "compass":
+        one = replace(one, truth=None)
+    else:
+        theta = truth.theta if known == "headings" else None
+        one = replace(one, truth=replace(truth, theta=theta), measurements={})
+    burst = one
+    for begin in (4.0, 30.0, 56.0):
+        burst = held(burst, 1, begin, begin + 1.5)
+    (found,) = of_stuck_wheel(burst)
+    assert (
+        "right wheel stands still from 4.0 s to 5.5 s (the first of 3 times), while the other one" in found.message
+    )
+    assert not of_stuck_wheel(one)
+
+
+def test_both_counters_that_stand_while_the_truth_moves_are_named() -> None:
+    one = drive(8, robot(), (), laps=2.0)
+    (found,) = of_stuck_wheel(held(held(one, 0, 20.0, 24.0), 1, 20.0, 24.0))
+    assert "both wheels stand still from 20.0 s to 24.0 s, while the truth moves 1.2 m" in found.message
+
+
+def test_a_robot_that_stops_slowly_and_is_carried_has_no_stuck_counters() -> None:
+    one = drive(8, robot(), (), laps=2.0)
+    stopping = held(held(one, 0, 20.0, 24.0), 1, 20.0, 24.0)
+    slow = np.where((one.wheels.t[:-1] > 19.0) & (one.wheels.t[:-1] < 20.0), 0.05, 1.0)
+    left, right = np.concatenate((np.zeros((1, 2)), np.cumsum(stopping.wheels.rolled * slow[:, None], axis=0))).T
+    assert not of_stuck_wheel(replace(one, wheels=Wheels.from_wheels(one.wheels.t, left, right, 0.6, NOISE)))
 
 
 # --- left and right exchanged, on a robot without a sensor that turns: a truth of points shows it

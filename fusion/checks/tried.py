@@ -546,7 +546,7 @@ def judged_pairs(
 ) -> dict[str, tuple[Marks, Marks]]:
     """Return each judge's figures before and after a fix; {} if one of them gets worse."""
     pairs: dict[str, tuple[Marks, Marks]] = {}
-    chance_alone = False
+    chance_alone = turned = False
     # a value that others confirm, and that halves one error, is right even if other rows lose by it
     proven = candidate.proven and any(
         settles(*pair) for pair in scored(kept, together(kept, fixes), candidate.judges, trial).values()
@@ -563,11 +563,14 @@ def judged_pairs(
         chance = name in candidate.minor or settled or right
         far = proven or name in candidate.others
         worse = worsens_far if far else worsens_alone if chance else worsens
+        if turned and not _turns_worse(one, other, MAX_RUIN):
+            one = one._replace(heading=None)  # it was better by chance, since the turns of another are right now
         if worse(one, other):
             if name not in candidate.minor or not was_chance(one, other):
                 return {}
             chance_alone = True  # accepted only if some error is settled
         pairs[name] = one, other
         observed = candidate.measured or not candidate.offer
-        settled = settled or (observed and settles(one, other))
+        if observed and settles(one, other):
+            settled, turned = True, turned or turns_right(one, other)
     return {} if chance_alone and not settled else pairs

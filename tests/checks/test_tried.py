@@ -161,6 +161,8 @@ RADIUS = Candidate(Finding("wheels", "wheel scale", "6 % long", severe=True), ((
                    ("camera", "odometry"), ("odometry",))  # fmt: skip
 TRACK = Candidate(Finding("wheels", "track", "4 % off"), (("wheels.track=0.624",),),
                   ("camera", "all", "odometry"), ("camera", "odometry"), ("camera",), offer=True)  # fmt: skip
+RATIO = Candidate(Finding("wheels", "ratio", "one is larger", severe=True), (("wheels.ratio=0.9",),),
+                  ("odometry", "gyro"), ("odometry",))  # fmt: skip
 MOUNT = replace(LATE, minor=("lrf",), measured=True)
 Pair = tuple[Marks, Marks]  # before and after
 STILL = Marks(0.0035), Marks(0.0035)
@@ -168,6 +170,10 @@ STILL = Marks(0.0035), Marks(0.0035)
 
 def error(before: float, after: float) -> Pair:
     return Marks(before), Marks(after)
+
+
+def turned(before: float, heading_before: float, after: float, heading_after: float) -> Pair:
+    return Marks(before, heading=heading_before), Marks(after, heading=heading_after)
 
 
 def nats(before: float, after: float) -> Pair:
@@ -214,6 +220,11 @@ def nats(before: float, after: float) -> Pair:
         (LATE, {"lrf": error(0.1, 0.04), "all": error(0.005, 0.0055)}, True),
         (replace(LATE, offer=True), {"lrf": error(0.1, 0.04), "all": error(0.005, 0.0055)}, False),
         (LATE, {"lrf": error(0.1, 0.07), "all": error(0.005, 0.0055)}, False),
+        # the turns of odometry are right again: a heading of the gyro that was better by chance may double
+        (RATIO, {"odometry": turned(6.3, 68.0, 1.1, 11.0), "gyro": turned(0.42, 0.4, 0.43, 0.6)}, True),
+        (RATIO, {"odometry": turned(6.3, 68.0, 1.1, 11.0), "gyro": turned(0.42, 0.4, 0.43, 1.0)}, False),
+        (RATIO, {"odometry": turned(6.3, 68.0, 1.1, 66.0), "gyro": turned(0.42, 0.4, 0.43, 0.6)}, False),
+        (RATIO, {"odometry": turned(6.3, 68.0, 4.1, 11.0), "gyro": turned(0.42, 0.4, 0.43, 0.6)}, False),
         # what nobody would keep may lose what chance does and no more
         (replace(BIASED, minor=("compass",)), {"all": error(0.006, 0.004), "compass": error(0.03, 0.033)}, True),
         (BIASED, {"all": error(0.006, 0.004), "compass": error(0.03, 0.033)}, False),

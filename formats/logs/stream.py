@@ -326,6 +326,15 @@ class LogStream:
         return float(np.median(table.log_time - np.asarray(table.columns[table.stamp]))) * 1e-9
 
     @property
+    def recorded_at_once(self) -> bool:
+        """Whether most messages with the header stamp of the one before have its recording time too."""
+        table = self._table
+        if table.stamp is None or table.log_time is None:
+            return False
+        repeats = np.diff(np.asarray(table.columns[table.stamp])) == 0
+        return bool(repeats.any() and (np.diff(table.log_time)[repeats] == 0).mean() > 0.5)
+
+    @property
     def dropped(self) -> Mapping[str, int]:
         """Reason -> number of messages that are not among the rows of the stream."""
         return {**self._log.left_out(self._recorded), **self._table.bad, **self.clock.dropped}

@@ -279,7 +279,18 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
         found += of_publishers(name, stream(name), m.two_sources)
         found += of_range_unit(m, robot.settings("lrf")) if name == "lrf" else []
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
-    return [*found, *of_equal_stamps(drive, stream)]
+    return [*found, *(_unless_at_once(f, stream(f.role)) for f in of_equal_stamps(drive, stream))]
+
+
+def _unless_at_once(found: Finding, stream: Stream) -> Finding:
+    """Return a finding on equal stamps, or a harmless one if recording times are equal too: these are no fix."""
+    if not getattr(stream, "recorded_at_once", False):
+        return found
+    words = (
+        f"{stream.topic}: messages with the header stamp of the one before have its recording time too: no time "
+        "of theirs is known. Let the driver stamp each message"
+    )
+    return Finding(found.role, "recorded at once", words)
 
 
 def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:

@@ -234,3 +234,13 @@ def test_stamps_that_stand_still_get_recording_times_and_no_other_fix(command: s
     done = reported(command, log)
     assert done.report["fixes"] == ["order=recorded"]
     assert "Fix (not tried): --set order=recorded" in done.stdout
+
+
+def test_stamps_that_were_recorded_at_once_too_get_no_fix(tmp_path: Path) -> None:
+    def once(m: RawMessage) -> RawMessage:
+        t_ns = m.stamp_ns // 10**9 * 10**9
+        return m._replace(stamp_ns=t_ns, log_ns=t_ns + 10**6)
+
+    log = recorded(tmp_path, each(SCAN, once))
+    assert "order=recorded" not in reported("compare", log).stdout
+    assert "lrf: /scan: messages with the header stamp of the one before have its" in ok("info", log).stdout

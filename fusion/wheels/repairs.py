@@ -18,6 +18,7 @@ CAUGHT_UP = "stood still and then caught up"  # words of the note on such a time
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
 COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # known widths of counters
+MAX_WHOLE = 2.0**53  # largest float whose neighbours are whole numbers, too
 MAX_FRACTION_QUANTA = 0.02  # largest deviation of a counter's step from a multiple of its quantum
 
 
@@ -183,18 +184,21 @@ def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool
 def _powers(steps: Array, longest: float) -> list[float]:
     """Return values at which a binary counter may roll over: 2^bits ticks, in the unit of `steps` (n-1,).
 
-    The smallest step is taken as 1 to 5 ticks of the counter. Returns [] if the steps are not multiples of the
-    smallest one. `longest` is the largest absolute step.
+    The smallest step, or the greatest common divisor of whole ones, is taken as 1 to 5 ticks of the counter.
+    Returns [] if the steps are not multiples of it. `longest` is the largest absolute step.
     """
     sizes = np.abs(steps[steps != 0.0])
     quantum = float(sizes.min()) if len(sizes) else 0.0
     if quantum <= 1e-12 * longest:
         return []
-    wholes = np.rint(sizes / quantum)
-    short = wholes < 1000
-    if not short.any() or np.abs(sizes / quantum - wholes)[short].max() > MAX_FRACTION_QUANTA:
-        return []
-    quantum = float(sizes[short].sum() / wholes[short].sum())
+    if longest < MAX_WHOLE and (sizes == np.rint(sizes)).all():
+        quantum = float(np.gcd.reduce(sizes.astype(np.int64)))
+    else:
+        wholes = np.rint(sizes / quantum)
+        short = wholes < 1000
+        if not short.any() or np.abs(sizes / quantum - wholes)[short].max() > MAX_FRACTION_QUANTA:
+            return []
+        quantum = float(sizes[short].sum() / wholes[short].sum())
     # every step may have several ticks, so the smallest step is a multiple of the counter's quantum
     return [quantum / part * 2.0**bits for bits in COUNTER_BITS for part in (1, 2, 3, 4, 5)]
 

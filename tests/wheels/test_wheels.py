@@ -264,6 +264,14 @@ def test_a_counter_of_so_many_bits_is_found_whatever_its_unit(bits: int, unit: f
     np.testing.assert_allclose(found.values, true, rtol=1e-9)
 
 
+def test_a_counter_whose_steps_are_all_long_is_found_by_their_common_divisor() -> None:
+    """18, 43, 44 ... ticks at a time: the shortest step is no tick."""
+    true = np.cumsum(np.resize([18.0, 43.0, 127.0, 44.0, 130.0, 95.0], 200))
+    found = unrolled(true % 1024.0)
+    assert found.modulus == 1024.0
+    np.testing.assert_array_equal(found.values, true)
+
+
 def test_a_wheel_at_rest_where_it_rolls_over_stays_and_ticks_may_come_three_at_a_time() -> None:
     """Nothing but rounding moves: 0 and a turn less a billionth are one place."""
     found = unrolled(np.array([0.0, 0.0, 360.0 - 1e-9, 0.0, 360.0 - 1e-9, 360.0 - 1e-9]))

@@ -30,7 +30,7 @@ from .laser import laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_angles, of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
 from .positions import of_positions
-from .raw_data import PUBLISHERS, STUCK, of_degrees, of_publishers, of_stuck_wheel
+from .raw_data import PUBLISHERS, STUCK, of_publishers, of_stuck_wheel, of_wheel_unit
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MIRROR,
@@ -274,7 +274,7 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
         wheels = stream("wheels")
         found += of_publishers("wheels", wheels)
         if wheels.msgtype not in BODY_READS:
-            found += of_stuck_wheel(drive) or of_degrees(drive, robot, wheels.msgtype)
+            found += of_stuck_wheel(drive) or of_wheel_unit(drive, robot, wheels.msgtype)
     for name, m in drive.measurements.items():
         found += of_publishers(name, stream(name), m.two_sources)
         found += of_range_unit(m, robot.settings("lrf")) if name == "lrf" else []

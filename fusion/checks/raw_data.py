@@ -1,4 +1,4 @@
-"""Checks of raw data: two publishers of a topic, counters that stand still while the robot drives, degrees."""
+"""Checks of raw data: two publishers of a topic, counters that stand still, wheels in other units."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from locfuse.fusion.streams import parts_of
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.repairs import MAX_HELD_FACTOR
+from locfuse.fusion.wheels.sources import SPEEDS_ALONE
 
 from .finding import Finding
 from .truth import UNIT, wheels_metre
@@ -53,9 +54,24 @@ MIN_SHORT_TURN_RAD = math.radians(15.0)  # about the standing wheel, if other se
 MIN_BOTH_M = 0.3  # of the truth, while both counters stand still
 MIN_STRAIGHT_M, MIN_TRUTH_SIGMAS = 0.08, 6.0  # of a straight line over a turn about one wheel, by the truth
 MIN_TURNED_SHARE = 0.5  # of that turn: a robot that did turn about one wheel turned by as much as wheels say
-DEGREES = math.degrees(1.0)  # in a radian
-MAX_UNIT_RATIO = 1.3  # of that ratio, either way: errors of radius and track are smaller
-MIN_SPEED_MPS = 1.0  # mean of the drive, by angles in degrees: that of a robot with 2 cm/s
+MIN_SPEED_MPS = 0.02  # mean of the drive
+
+
+class Unit(NamedTuple):
+    """A unit in which wheels may be given, instead of radians and seconds."""
+
+    words: str
+    factor: float  # of the unit in a radian, or in a radian per second
+    per_revolution: int
+    margin: float  # largest error of radius and track, as factor
+    of_speeds: bool = False
+
+
+UNITS = (
+    Unit("their angles look like degrees", math.degrees(1.0), 360, 1.3),
+    # a radius of cm instead of mm is near
+    Unit("their speeds look like revolutions per minute (60 / (2 pi))", 30.0 / math.pi, 60, 1.04, True),
+)
 
 
 class Standstill(NamedTuple):
@@ -166,18 +182,22 @@ def _drives_straight(drive: Drive, begin: float, end: float, ahead: float) -> bo
     return float(np.hypot(*_moved(truth, begin, end))) > 0.5 * (abs(ahead) + turning)
 
 
-def of_degrees(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
-    """Return a finding if the wheels' angles are in degrees: the truth or a sensor turns 57 times less far."""
+def of_wheel_unit(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
+    """Return a finding if the wheels' angles or speeds have another unit: the truth or a sensor moves less far."""
     wheels = drive.wheels
+    if robot.wheels.ticks_per_revolution is not None or counts_ticks(msgtype):
+        return []
     speed = float(wheels.driven(wheels.t[-1])) / float(wheels.t[-1] - wheels.t[0])
-    if robot.wheels.ticks_per_revolution is not None or counts_ticks(msgtype) or speed < MIN_SPEED_MPS:
-        return []
-    smaller = replace(drive, wheels=wheels.rerolled(wheels.rolled / DEGREES, wheels.track))
-    ratios = {name: (t.a - t.b) * wheels.track / 2.0 for name, t in turnings(smaller).items()}
-    if (by_truth := wheels_metre(smaller)) is not None:
-        ratios["truth"] = by_truth[0]
-    by = [name for name, ratio in ratios.items() if 1.0 / MAX_UNIT_RATIO < ratio < MAX_UNIT_RATIO]
-    if not by:
-        return []
-    words = f"by {', '.join(by)} they roll about {DEGREES:.0f} times too far: their angles look like degrees"
-    return [Finding("wheels", UNIT, words, ("wheels.ticks_per_revolution=360",), True)]
+    for unit in UNITS:
+        if speed < MIN_SPEED_MPS * unit.factor or (unit.of_speeds and SPEEDS_ALONE not in drive.repairs):
+            continue
+        smaller = replace(drive, wheels=wheels.rerolled(wheels.rolled / unit.factor, wheels.track))
+        ratios = {name: (t.a - t.b) * wheels.track / 2.0 for name, t in turnings(smaller).items()}
+        if (by_truth := wheels_metre(smaller)) is not None:
+            ratios["truth"] = by_truth[0]
+        by = [name for name, ratio in ratios.items() if 1.0 / unit.margin < ratio < unit.margin]
+        if by:
+            words = f"by {', '.join(by)} they roll about {unit.factor:.3g} times too far: {unit.words}"
+            fix = f"wheels.ticks_per_revolution={unit.per_revolution}"
+            return [Finding("wheels", UNIT, words, (fix,), True)]
+    return []

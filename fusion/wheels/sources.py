@@ -25,6 +25,7 @@ TICKS: Mapping[str, tuple[str, str]] = {
 TICK_BITS = {KOBUKI: 16}  # of the counters; 32 by default
 # Message type -> fields of the left and the right wheel's speed [rad/s].
 SPEEDS: Mapping[str, tuple[str, str]] = {"irobot_create_msgs/msg/WheelVels": ("velocity_left", "velocity_right")}
+SPEEDS_ALONE = "it gives speeds and no angles: they are integrated"  # note on JointState
 # Message type with one wheel per topic -> bits of the counter; 0: the number may be an angle.
 NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Int16": 16,
@@ -191,7 +192,7 @@ def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) ->
     left, right = joints
     if not held.any() or (speeds and not np.isfinite(values).any()):
         raise LocfuseError(f"no message on {stream.topic} holds a position of {left} or {right}", role="wheels")
-    notes: tuple[str, ...] = ("it gives speeds and no angles: they are integrated",) if speeds else ()
+    notes: tuple[str, ...] = (SPEEDS_ALONE,) if speeds else ()
     if not held.all():
         others = int((~held).sum())
         dropped["other_joints"] = others

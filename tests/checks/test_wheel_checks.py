@@ -14,11 +14,12 @@ from locfuse.fusion import se2
 from locfuse.fusion.checks.examine import HOLE, holes, longest_part, of_holes, unseen
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import WallMotion
-from locfuse.fusion.checks.raw_data import STUCK, of_stuck_wheel
+from locfuse.fusion.checks.raw_data import STUCK, of_stuck_wheel, of_wheel_unit
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive
 from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.sources import SPEEDS_ALONE
 from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log
 
@@ -239,6 +240,23 @@ def test_a_robot_that_stops_slowly_and_is_carried_has_no_stuck_counters() -> Non
     slow = np.where((one.wheels.t[:-1] > 19.0) & (one.wheels.t[:-1] < 20.0), 0.05, 1.0)
     left, right = np.concatenate((np.zeros((1, 2)), np.cumsum(stopping.wheels.rolled * slow[:, None], axis=0))).T
     assert not of_stuck_wheel(replace(one, wheels=Wheels.from_wheels(one.wheels.t, left, right, 0.6, NOISE)))
+
+
+# --- wheels in other units
+
+
+@pytest.mark.parametrize(
+    ("factor", "repairs", "ticks"),
+    [(57.3, (), 360), (57.3, (SPEEDS_ALONE,), 360), (9.549, (SPEEDS_ALONE,), 60), (9.549, (), None),
+     (10.0, (SPEEDS_ALONE,), None), (1.0, (SPEEDS_ALONE,), None)],
+)  # fmt: skip
+def test_wheels_in_another_unit_are_named_by_truth_and_compass(
+    factor: float, repairs: tuple[str, ...], ticks: int | None
+) -> None:
+    one = drive(5, robot(), ("compass",), laps=2.0)
+    long = replace(one, wheels=one.wheels.rerolled(factor * one.wheels.rolled, one.wheels.track), repairs=repairs)
+    found = of_wheel_unit(long, robot(), "sensor_msgs/msg/JointState")
+    assert [f.fixes for f in found] == ([] if ticks is None else [(f"wheels.ticks_per_revolution={ticks}",)])
 
 
 # --- left and right exchanged, on a robot without a sensor that turns: a truth of points shows it

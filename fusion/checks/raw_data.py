@@ -156,7 +156,7 @@ def _turns(sources: Sequence[Headings], begin: float, end: float) -> list[float]
     found = []
     for t, angle, without_lines in sources:
         some = slice(*np.searchsorted(t, (begin, end)))
-        if _covers(t, begin, end) and not np.ptp(without_lines[some]):
+        if _covers(t, begin, end) and (without_lines is None or not np.ptp(without_lines[some])):
             found.append(float(np.diff(np.interp((begin, end), t, angle))[0]))
     return found
 

@@ -68,6 +68,7 @@ from .judged import LASER, UNREMARKABLE, NoiseFindings, as_fixes
 TRIED_SIGMAS = 2.5  # standard deviations of a time lag: a larger lag is tried
 MIN_AGAIN_S = 0.005  # smallest lag to fix, after an earlier fix has set a time offset
 MIN_SPREAD_S = 0.003  # sigma of a lag above which neighbouring values are tried too
+MIN_TURNED_DEG = 10.0  # degrees: a start that is turned by less is not tried
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)
 SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious without other findings
 
@@ -159,7 +160,16 @@ class Evidence(NoiseFindings):
         found, truth = (f for f in self.doctor if f.code == START and f.fixes), self.loaded.drive.truth
         by_shape = () if truth is None else start_by_shape(truth, self.loaded.drive)
         ways = ((f, (f.fixes, by_shape) if by_shape else (f.fixes,)) for f in found)
-        return [replace(self._candidate(f, either, not f.severe), measured=True) for f, either in ways]
+        candidates = [replace(self._candidate(f, either, not f.severe), measured=True) for f, either in ways]
+        if candidates or not by_shape or any(fix.startswith("start.") for fix in self.fixes):
+            return candidates
+        # wheels that slip hide how the path of positions is turned: only a trial shows it
+        theta = float(by_shape[-1].partition("=")[2])
+        turned = abs(math.remainder(theta - self.loaded.robot.start.theta_deg, 360.0))
+        if turned < MIN_TURNED_DEG or not self.loaded.robot.start_given:
+            return []
+        words = f"by the shape of its first metres the start is turned by {turned:.0f}°"
+        return [self._candidate(Finding("truth", START, words), (by_shape,), True)]
 
     @cached_property
     def _lags(self) -> dict[tuple[str, str], Lag]:

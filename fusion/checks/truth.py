@@ -32,7 +32,7 @@ MAX_UNIT_RATIO = 1.5  # largest factor between the observed ratio and one of the
 # a truth without one of its axes: largest extent of this axis as share of the drive's; least extent of the drive,
 # m; largest share of the squared distances over WINDOW_S that the truth shows
 MAX_LEVEL_SHARE, MIN_EXTENT_M, MAX_SEEN_SHARE = 0.1, 0.5, 0.8
-MAX_STILL_M = 0.02  # extent of a truth that does not move
+MAX_STILL_M = 1e-4  # m, extent of a truth that does not move
 # standard errors; largest difference of wheels and laser, as share of the truth's scale error
 MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
 MIN_SCALE_SHARE = 0.05  # least share of a path's squared steps that no tracked point explains, to find its scale
@@ -127,8 +127,8 @@ def _inside(truth: Truth, wheels: Wheels) -> Mask:
 
 def _steps(truth: Truth | None, drive: Drive) -> list[Finding]:
     """Return a finding if the truth steps off the wheels' path between two stamps and does not come back."""
-    if truth is None:
-        return []
+    if truth is None or drive.wheels.matched is not None:
+        return []  # scan matching loses its way too
     truth = with_headings(_without_repeats(truth), drive.wheels)
     path = axle_path(truth, drive.wheels)
     if path is None or truth.theta is None:
@@ -192,8 +192,10 @@ def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
     it is not significant.
     """
     path, inside = axle_path(truth, wheels), _inside(truth, wheels)
-    if path is None or truth.theta is None or inside.sum() < MIN_STEPS:
+    if inside.sum() < MIN_STEPS:
         return Sigma(0.0, 0.0)
+    if path is None or truth.theta is None:  # only noise larger than the robot's steps shows
+        return Sigma(max(_white_sigma(step[inside]) for step in np.diff(truth.xy, axis=0).T), 0.0)
     step = se2.rotated(-truth.theta[:-1], np.diff(truth.xy - path, axis=0))[:, 1]
     turn = np.diff(np.unwrap(truth.theta) - np.interp(truth.t, wheels.t, wheels.pose[:, 2]))
     return Sigma(_white_sigma(step[inside]), _white_sigma(turn[inside]))
@@ -254,7 +256,7 @@ def _noise_like_jumps(truth: Truth, drive: Drive) -> list[Finding]:
     noise = _noise(truth, drive)
     sigma = max(truth.sigma, _scatter(truth, drive.wheels).xy)
     rest = jumps_of(replace(drive, truth=replace(truth, sigma=sigma)))
-    return noise if rest is None or not rest.unusable else []
+    return [replace(f, severe=True) for f in noise] if rest is None or not rest.unusable else []
 
 
 def _jumps(drive: Drive) -> list[Finding]:

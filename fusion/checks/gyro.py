@@ -23,7 +23,10 @@ BIAS, SATURATED = "gyro bias", "saturated"  # codes of findings on a bias that m
 WINDOW_S, PART_COUNT = 3.0, 8  # s over which turns are compared; parts of the drive, with a bias each
 MIN_IN_PART = 10  # windows in a part
 STRETCHES = 8  # parts of the jackknife
-MIN_BIAS_STEP_DEG, BIAS_SIGMAS = 0.1, 4.0  # degrees/s; standard errors: smallest change of a bias that is reported
+MIN_BIAS_DEG, BIAS_SIGMAS = (
+    0.1,
+    4.0,
+)  # degrees/s; standard errors: smallest bias, and change of it, that is reported
 MIN_DRIFT_RATIO = 3.0  # least ratio of the observed drift of a bias to the configured one
 MIN_CLIPPED, MIN_CLIPPED_SHARE = 20, 0.005  # readings with the largest rate; share of all
 MIN_CLIPPED_RATIO = 1.15  # (wheels' rate / gyro's rate) of these readings to that of other turns
@@ -42,10 +45,15 @@ def of_gyro(
     known, truth = headings_of(drive), drive.truth
     if truth is not None and truth.theta is not None:
         known["truth"] = Headings(truth.t, np.unwrap(truth.theta))
-    name = next((n for n in ("truth", "lrf", "compass") if n in known and n in by_sensor), None)
-    if name is None or "gyro" not in known or "gyro" not in by_sensor:
+    # wheels that slip often do not explain turns, but a truth is exact
+    name = next((n for n in ("truth", "lrf", "compass") if n in known and (n in by_sensor or n == "truth")), None)
+    if name is None or "gyro" not in known or ("gyro" not in by_sensor and name != "truth"):
         return []
-    (t, heading), (own_t, own) = ((known[n].t + by_sensor[n].offset, known[n].angle) for n in (name, "gyro"))
+    both = name in by_sensor and "gyro" in by_sensor
+    offsets = [by_sensor[n].offset if both else 0.0 for n in (name, "gyro")]
+    (t, heading), (own_t, own) = (
+        (known[n].t + offset, known[n].angle) for n, offset in zip((name, "gyro"), offsets, strict=True)
+    )
     start = own_t[(own_t >= t[0]) & (own_t + WINDOW_S <= min(t[-1], own_t[-1]))]
     if len(start) < MIN_WINDOWS:
         return []
@@ -58,28 +66,36 @@ def of_gyro(
 
     x, _ = robust(A, seen)
     scale, sigma = float(x[0]), float(jackknife(fitted, len(start), STRETCHES))
-    least = ERRORS[least is not None]
+    tried, least = least is not None, ERRORS[least is not None]
     if turned.std() >= MIN_RMS_TURN_RAD and abs(scale - 1.0) >= least.error + least.sigmas * sigma:
         far = f"{abs(1.0 / scale - 1.0):.1%} too {'far' if scale < 1.0 else 'little'}"
         words = f"it turns {far} by the headings of {source_words(name)} (1 sigma {sigma:.1%})"
         fix = f"gyro.scale={float(robot.settings('gyro').scale) * scale:.4g}"
         return [Finding("gyro", SCALE, words, (fix,))]
     full = np.bincount(part, minlength=PART_COUNT) >= MIN_IN_PART
-    return _of_bias(np.degrees(-x[1:][full]) / WINDOW_S, seen - A @ x, float(start[-1] - start[0]), robot, name)
+    bias, duration = np.degrees(-x[1:][full]) / WINDOW_S, float(start[-1] - start[0])
+    return _of_bias(bias, seen - A @ x, duration, robot, name, tried)
 
 
-def _of_bias(bias: Array, rest: Array, duration: float, robot: Robot, name: str) -> list[Finding]:
+def _of_bias(bias: Array, rest: Array, duration: float, robot: Robot, name: str, tried: bool) -> list[Finding]:
     """Return a finding if the bias (k,) [degrees/s] moves from part to part of a drive of `duration` [s].
 
-    `rest` (n,) are the residuals [rad] of turns over WINDOW_S.
+    `rest` (n,) are the residuals [rad] of turns over WINDOW_S. If the caller tries fixes (`tried`), a constant
+    bias by the truth is one, although the filter estimates it on every drive.
     """
-    length = duration / PART_COUNT
+    length, steps, settings = duration / PART_COUNT, np.diff(bias), robot.settings("gyro")
     sigma = math.degrees(robust_sigma(rest)) / WINDOW_S / math.sqrt(max(length / WINDOW_S, 1.0))
-    steps = np.diff(bias)
-    if len(steps) == 0 or float(np.ptp(bias)) < MIN_BIAS_STEP_DEG + BIAS_SIGMAS * sigma:
+    least = MIN_BIAS_DEG + BIAS_SIGMAS * sigma
+    if len(steps) == 0:
         return []
+    if float(np.ptp(bias)) < least:
+        usual = float(np.median(bias))
+        if not tried or name != "truth" or settings.bias_deg is not None or abs(usual) < least:
+            return []
+        words = f"its bias is estimated on every drive; by the truth it is {usual:.2f} degrees/s"
+        return [Finding("gyro", BIAS, f"{words} (1 sigma {sigma:.1g})", (f"gyro.bias_deg={usual:.3f}",))]
     drift = float(np.sqrt(np.square(steps).mean() / length))
-    if drift < MIN_DRIFT_RATIO * robot.settings("gyro").bias_drift_deg:
+    if drift < MIN_DRIFT_RATIO * settings.bias_drift_deg:
         return []
     moves = f"its bias moves by {np.ptp(bias):.2g} degrees/s during the drive (1 sigma {sigma:.1g})"
     words = f"{moves}, by the headings of {source_words(name)}"

@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 from small_drive import drive, path, robot
 
+from locfuse.fusion.checks.finding import Least
 from locfuse.fusion.checks.gyro import of_gyro, of_rest_noise, of_saturation
 from locfuse.fusion.checks.turning import and_truth, turnings
 from locfuse.fusion.data import Array, ArrayStream, Drive
@@ -46,6 +47,11 @@ def test_a_bias_that_moves_is_found_and_a_constant_one_is_not(moves: bool) -> No
     one, settings, _ = measured(wrong)
     found = of_gyro(one, settings, and_truth(one, turnings(one)))
     assert [f.code for f in found] == (["gyro bias"] if moves else [])
+    fits = and_truth(one, turnings(one))
+    tried = [f.fixes for f in of_gyro(one, settings, fits, Least(0.005, 2.0))]
+    key, _, value = tried[0][0].partition("=")
+    assert key == ("gyro.bias_drift_deg" if moves else "gyro.bias_deg")
+    assert moves or float(value) == pytest.approx(1.0, abs=0.02)
     if moves:
         assert "its bias moves by 3 degrees/s" in found[0].message
         assert 0.1 < float(found[0].fixes[0].removeprefix("gyro.bias_drift_deg=")) < 1.0

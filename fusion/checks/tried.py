@@ -223,6 +223,8 @@ REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
 # findings whose first alternative was measured: other alternatives are tried only if the first does not help
 FIRST_VALUE = ("lag",)
 ESTIMATED = ("wheels.estimate=true",)  # in place of a measured scale: tried only if that does not help
+# findings on noise, which another fault may cause
+NOISE_CODES = ("understated", "overstated", "correlated", "floor", "noise")
 CLEAR_GAIN = 1.0  # gain of a fix beyond which later classes are not tried
 CHANCE_GAIN = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # largest gain of two configurations by chance
 
@@ -360,9 +362,24 @@ def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Adv
         helped += new
         kept = together(kept, *(a.fixes for a in new))
         case = look(kept)
+    helped = _without_plasters(helped, trial)
+    kept = together(*(a.fixes for a in helped))
     names = {a.finding.role for a in helped}
     helped = [_with_rest(a) if _key(a) in rests else a for a in helped]
     return [*helped, *(a for role, a in open_.items() if a.finding.severe or role not in names)], kept
+
+
+def _without_plasters(helped: Sequence[Advice], trial: Try) -> list[Advice]:
+    """Return the advice without fixes of noise that were kept before a cause and are not needed after it."""
+    last = max((i for i, a in enumerate(helped) if a.finding.code not in NOISE_CODES), default=0)
+    left = list(helped)
+    for advice in [a for a in helped[:last] if a.finding.code in NOISE_CODES]:
+        others = [a for a in left if a is not advice]
+        every, rest = (together(*(a.fixes for a in some)) for some in (left, others))
+        pairs = scored(every, rest, advice.judges, trial)
+        if pairs and not any(worsens(*pair) for pair in pairs.values()):
+            left = others
+    return left
 
 
 def _key(advice: Advice) -> tuple[str, str]:

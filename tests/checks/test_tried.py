@@ -342,3 +342,14 @@ def test_odometry_lucky_under_a_wrong_start_hinders_no_fix_whoever_is_asked_firs
     assert set(judged_pairs(start, (), fixes, trial(after))) == set(judges)
     not_cured = {**after, "all": Marks(0.29, 3600.0, (0.8, 1.2))}
     assert judged_pairs(start, (), fixes, trial(not_cured)) == {}
+
+
+@pytest.mark.parametrize("needed", [True, False])
+def test_a_fix_of_noise_before_its_cause_was_known_is_kept_only_if_it_still_helps(needed: bool) -> None:
+    noise = "lrf.sigma_range=0.1"
+    plaster = replace(
+        LATE, finding=Finding("lrf", "understated", "noise is set too low"), alternatives=((noise,),)
+    )
+    errors = {keys(): 0.1, keys(noise): 0.06, keys(LAG): 0.03 if needed else 0.01, keys(noise, LAG): 0.01}
+    _, kept = tried(lambda fixes: Case([LATE if fixes else plaster]), Trials(errors), lambda key: None)
+    assert set(kept) == ({noise, LAG} if needed else {LAG})

@@ -57,6 +57,7 @@ REASONS = {
     "too_many_lines": f"with more walls than can be true (over {MAX_LINES})",
 }
 REPAIRED = {"spike", "other_joints"}
+MIN_COVERED_SHARE = 0.5  # of the drive, by the times of a sensor
 HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 # least motion in a hole: m, rad, share of the drive's distance; over a smaller one, wheel odometry is good enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
@@ -84,7 +85,8 @@ def examine(
     if any(f.code in MIXED for f in found):
         return found
     for name, m in drive.measurements.items():
-        found += [*_gaps(name, m.t), *(Finding(name, "seen", note) for note in m.notes)]
+        found += [*_gaps(name, m.t), *_covered(name, m.t, drive)]
+        found += [Finding(name, "seen", note) for note in m.notes]
         found += of_uneven_stamps(name, m.t)
     if "lrf" in drive.measurements:
         lrf = streams["lrf"], robot.settings("lrf")
@@ -203,6 +205,16 @@ def _gaps(name: str, t: Array) -> list[Finding]:
     where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in found[:3])
     more = " ..." if len(found) > 3 else ""
     return [Finding(name, "gap", f"{gaps_of(len(found), longest)} ({where}{more})")]
+
+
+def _covered(name: str, t: Array, drive: Drive) -> list[Finding]:
+    """Return a finding if a sensor's times (n,) [s] leave out a large part of the drive at one of its ends."""
+    begin, end = float(drive.wheels.t[0]), float(drive.wheels.t[-1])
+    if len(t) < MIN_READINGS or t[-1] - t[0] > MIN_COVERED_SHARE * (end - begin):
+        return []
+    when = f"{t[-1] - t[0]:.0f} s ({t[0]:.1f}-{t[-1]:.1f} s)"
+    words = f"its readings cover {when} of the {end - begin:.0f} s of the drive: the rest is without it"
+    return [Finding(name, "covers", words)]
 
 
 def gaps(t: Array) -> list[tuple[float, float]]:

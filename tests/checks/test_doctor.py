@@ -706,3 +706,14 @@ def test_a_start_is_measured_on_the_clock_that_is_set_with_it() -> None:
     assert float(codes["lag"][0].removeprefix("truth.time_offset=")) == pytest.approx(-0.5, abs=0.02)
     assert "start" not in codes
     assert "start" in {f.code for f in of_truth(alone, robot())}
+
+
+@pytest.mark.parametrize("share", [0.2, 0.9])
+def test_a_sensor_that_ends_early_is_named(share: float) -> None:
+    healthy = drive(5, robot(), truth=False)
+    t = healthy.measurements["compass"].t
+    few = healthy.measurements["compass"].take(np.flatnonzero(t < share * t[-1]))
+    empty = ArrayStream("/topic", "std_msgs/msg/Float64", np.zeros(0, np.int64), {})
+    streams = {"wheels": empty, "compass": empty}
+    found = examine(replace(healthy, measurements={"compass": few}), robot(), streams)
+    assert ("covers" in {f.code for f in found}) == (share < 0.5)

@@ -590,4 +590,6 @@ def judged_pairs(
         observed = candidate.measured or not candidate.offer
         if observed and settles(one, other):
             settled, turned = True, turned or turns_right(one, other)
-    return {} if chance_alone and not settled else pairs
+    # a measured value under which a kept row gains and the others' covariances become right
+    gained = candidate.measured and any(improves(*pair) for n, pair in pairs.items() if n not in candidate.minor)
+    return {} if chance_alone and not (settled or gained) else pairs

@@ -13,21 +13,19 @@ import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.log import Log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.report import json_report
 from locfuse.formats.report.summary import OVER_LOGS
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from .settings import GateOptions
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
 
 EXIT_GATE_FAILED = 4
 OF_REFERENCE = "reference."  # prefix of errors against a reference, in a log without truth

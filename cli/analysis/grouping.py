@@ -16,6 +16,7 @@ from pathlib import Path
 from locfuse.formats.container.url import Url, is_url, place
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import ENDINGS, REPORTS, log_name
+from locfuse.formats.logs.log import open_log
 from locfuse.formats.visible import writable
 from locfuse.formats.whole_files import RESULTS
 from locfuse.fusion.data import LocfuseError, UsageError
@@ -193,8 +194,6 @@ def _split(parts: list[str]) -> list[list[str]]:
     """Return the parts as one log, or as separate logs if they overlap in time."""
     if len(parts) < 2:
         return [parts]
-    from locfuse.formats.logs.log import open_log
-
     try:
         spans = sorted(span for part in parts if (span := open_log([place(part)]).time_span_ns) is not None)
     except LocfuseError:  # raised again when that log is opened

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse import sample_logs
 from locfuse.formats.container.url import Place, Url, place
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.nearest import did_you_mean
@@ -100,8 +101,6 @@ def _find(word: str) -> Place:
     path = place(word)
     if isinstance(path, Url) or path.exists():
         return path
-    from locfuse import sample_logs
-
     samples = sample_logs.names()
     if word in samples:
         return sample_logs.path(word)

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from locfuse.formats.caps import MAX_WALLS, names_its_cap
 from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
-from locfuse.fusion.map.given_map import Grid
+from locfuse.fusion.map.given_map import Grid, at_start, find_start, walls_of
 
 from .load import Loaded, start_notes
 
@@ -68,8 +68,6 @@ def give_topic(loaded: Loaded) -> Loaded:
 
 
 def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
-    from locfuse.fusion.map.given_map import walls_of
-
     if "lrf" not in loaded.drive.measurements:
         raise loaded.drive.lacks("lrf")
     try:
@@ -85,8 +83,6 @@ def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
 
 def _with_start(loaded: Loaded, grid: Grid, name: str) -> Loaded:
     """Return the log with the start pose found by matching the first scans with the map."""
-    from locfuse.fusion.map.given_map import at_start, find_start
-
     drive, robot = loaded.drive, loaded.robot
     m = drive.measurements["lrf"]
     if m.points is None:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from locfuse.formats.logs.clock import MAX_DELAY_S
+from locfuse.formats.report import json_report
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Estimates, Event
@@ -37,7 +39,7 @@ MCAP = "estimates.mcap"
 
 def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
     """Return file name -> content for these kinds of output."""
-    from locfuse.formats.report import json_report, markdown, render, tables
+    from locfuse.formats.report import markdown, render, tables
     from locfuse.formats.results import trajectory as to
 
     loaded, drive = compared.loaded, compared.loaded.drive
@@ -59,8 +61,6 @@ def files_of_run(
     loaded: Loaded, named: Mapping[str, Estimates], report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
     """Return file name -> content for one configuration; `named` has its trajectories by file name."""
-    from locfuse.formats.report import json_report
-
     out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
     out |= exported_files([kind for kind in kinds if kind != "json"], loaded, named)
     if "json" in kinds:
@@ -147,7 +147,6 @@ def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, E
 def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dict[str, Content]:
     """Return the MCAP file with the estimates as ROS 2 messages, and layouts to show it."""
     from locfuse.formats.results.mcap_export import Export, layouts
-    from locfuse.formats.robot import robot_toml
 
     tables = results.settings_tables(loaded.robot)
     for table, key, text in list(files_of(tables)):

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec.structs import replace
 
+from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
-from locfuse.cli.analysis.settings import Progress
+from locfuse.cli.analysis.settings import Progress, swept
 from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put
+from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
@@ -66,7 +68,6 @@ def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
     from locfuse.cli.analysis.gates import Gates
     from locfuse.cli.analysis.results import default_folder
-    from locfuse.cli.analysis.settings import swept
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
     from locfuse.cli.session.summary import SUMMARY, summarised, write_summary
@@ -129,7 +130,6 @@ def _job_options(options: o.Options, folder: Path) -> Job:
 
 def _mark(folder: Path, todo: FleetPlan) -> None:
     """Write a marker file, so that the folder is recognised as results even if the run is killed."""
-    from locfuse.formats.report import json_report
     from locfuse.formats.whole_files import UNFINISHED, write_results
 
     if not (folder / "summary.json").exists():
@@ -191,7 +191,6 @@ def _counts(found: FleetRows) -> str:
 
 
 def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:
-    from locfuse.formats.report import json_report
     from locfuse.formats.report import summary as over
 
     if as_json:
@@ -207,7 +206,6 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
     """Print void and doubtful figures, losses and failed gates; return the exit code."""
-    from locfuse.cli.analysis.errors import EXIT_LOSS
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED
 
     gates = [*found.gates, *failed_gates]

@@ -51,6 +51,7 @@ from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import points_in_base
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
+from locfuse.fusion.sensors.camera import detector
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
@@ -189,7 +190,6 @@ def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
 def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> Iterator[Picture]:
     """Yield each `every`-th readable picture of the camera with its detections."""
     from locfuse.fusion.camera.images import decode, messages
-    from locfuse.fusion.sensors.camera import detector
 
     drive: Drive = scene.drive
     m, finder = drive.measurements["camera"], detector(settings)
@@ -211,7 +211,6 @@ def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> I
 def _panorama_rows(stream: Stream, settings: Any) -> int | None:
     """Return the height of the panoramas [px]; None if no picture can be read."""
     from locfuse.fusion.camera.images import decode, messages
-    from locfuse.fusion.sensors.camera import detector
 
     pictures = (decode(message) for block in messages(stream) for _, message in block)
     first = next((picture for picture in pictures if not isinstance(picture, str)), None)

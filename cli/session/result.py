@@ -17,8 +17,10 @@ from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
 from locfuse.formats.nearest import did_you_mean
-from locfuse.formats.report.findings import void_reasons
+from locfuse.formats.report.findings import notes_of, void_reasons
+from locfuse.formats.robot import landmark_map
 from locfuse.formats.visible import visible
+from locfuse.formats.whole_files import Content, write_results, write_text
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.credit import Credit
 from locfuse.fusion.robot import Robot
@@ -29,7 +31,6 @@ from .python_words import in_python, speaks_python
 if TYPE_CHECKING:
     from locfuse.formats.figures.palette import Trace
     from locfuse.formats.figures.panels import Panel
-    from locfuse.formats.whole_files import Content
 
 V = TypeVar("V")
 Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: the default ones
@@ -101,8 +102,6 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
     @property
     def notes(self) -> list[str]:
         """Notes on the figures, from the log and from the configurations."""
-        from locfuse.formats.report.findings import notes_of
-
         return notes_of(self.report)
 
     @property
@@ -232,8 +231,6 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         return self.estimates
 
     def _written(self, folder: PathLike | None, files: Mapping[str, Content], overwrite: bool) -> list[Path]:
-        from locfuse.formats.whole_files import write_results
-
         place = results.default_folder(self.loaded.log.name) if folder is None else path_of(folder)
         write_results(place, files, overwrite)
         return [place / name for name in sorted(files)]
@@ -265,7 +262,6 @@ class Run(Result, frozen=True, eq=False):
     def write_audit(self, file: PathLike) -> None:
         """Write every measurement with its NIS, gate threshold and verdict as CSV."""
         from locfuse.formats.results.trajectory import audit_csv
-        from locfuse.formats.whole_files import write_text
 
         write_text(path_of(file), audit_csv(self.drive, self.filtered))
 
@@ -276,8 +272,7 @@ class Run(Result, frozen=True, eq=False):
         To a .csv, write the landmarks or anchors that the run estimated (`landmarks.map = "grow"`): use it as
         `landmarks.map`.
         """
-        from locfuse.formats.robot import landmark_map, line_map
-        from locfuse.formats.whole_files import write_text
+        from locfuse.formats.robot import line_map
 
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from msgspec.structs import astuple
 
-from locfuse.fusion.camera.optics import FIELDS
+from locfuse.fusion.camera.optics import FIELDS, bearing
 from locfuse.fusion.chi_square import chi_square, clipped_rms
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
@@ -216,8 +216,6 @@ def look(stream: Stream, by: Any) -> SeenLandmarks:
 
 
 def _collect(seen: SeenLandmarks, settings: CameraSettings, epoch_ns: int) -> Measurements:
-    from locfuse.fusion.camera.optics import bearing
-
     theta, explained, pixels, length, width, _ = seen.candidates.T.copy()
     sigma = math.radians(settings.sigma_deg)
     # the paper's var(gamma) has no term for the pixels

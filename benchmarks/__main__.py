@@ -21,8 +21,7 @@ from typing import NamedTuple
 import click
 
 from benchmarks import experiment
-from benchmarks.real_logs import FILES, are_there
-from benchmarks.real_logs import folder as real_folder
+from benchmarks.real_logs import FILES, are_there, folder as real_folder
 
 ROOT = Path(__file__).parent.parent
 Command = tuple[str, ...]

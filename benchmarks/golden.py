@@ -32,8 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import locfuse
-from benchmarks.experiment import in_processes
-from benchmarks.experiment import locfuse as run_command
+from benchmarks.experiment import in_processes, locfuse as run_command
 from benchmarks.golden_cases import HERE, LOGS, QUICK, SIMULATED, Case, cases, simulate
 from benchmarks.real_logs import DATA
 from locfuse.fusion.data import VERDICTS, Estimates

@@ -13,10 +13,8 @@ import click
 from click.core import ParameterSource
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
-from locfuse.cli.analysis.settings import Outputs
-from locfuse.cli.terminal import completion
-from locfuse.cli.terminal import options as o
+from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, Outputs
+from locfuse.cli.terminal import completion, options as o
 from locfuse.cli.terminal.screen import put, say
 
 ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options for finished results
@@ -109,8 +107,7 @@ def one(log: Sequence[str], options: o.Options) -> int:
 def changes(files: Sequence[Path], outputs: Outputs) -> int:
     """Compare finished results with the first one, and print the differences."""
     from locfuse.cli.terminal import show
-    from locfuse.formats.report import changes as sides
-    from locfuse.formats.report import json_report
+    from locfuse.formats.report import changes as sides, json_report
     from locfuse.formats.whole_files import write_results
 
     _refuse_log_options()
@@ -160,8 +157,7 @@ def _read(file: Path) -> dict[str, Any]:
 
     from locfuse.formats.caps import MAX_REPORT
     from locfuse.formats.inputs import read_small
-    from locfuse.formats.report import changes as sides
-    from locfuse.formats.report import json_report
+    from locfuse.formats.report import changes as sides, json_report
     from locfuse.fusion.data import LocfuseError
 
     try:

@@ -12,11 +12,9 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
-from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
-from locfuse.cli.analysis.settings import Progress, swept
+from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, Progress, swept
 from locfuse.cli.rerun.record import FOLDER, catalog
-from locfuse.cli.terminal import completion, show
-from locfuse.cli.terminal import options as o
+from locfuse.cli.terminal import completion, options as o, show
 from locfuse.cli.terminal.screen import put
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,6 @@ from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, say
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from locfuse.cli.inspect.template import Draft
     from locfuse.fusion.checks.finding import Finding
 

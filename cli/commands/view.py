@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from locfuse.cli.rerun.record import RECORDING
-from locfuse.cli.terminal import completion
-from locfuse.cli.terminal import options as o
+from locfuse.cli.terminal import completion, options as o
 from locfuse.cli.terminal.screen import say
 
 if TYPE_CHECKING:

@@ -53,8 +53,7 @@ from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
 from locfuse.fusion.sensors.camera import detector
 from locfuse.fusion.sensors.lrf import laser_of
-from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.sensors.registry import colours as sensor_colours
+from locfuse.fusion.sensors.registry import REGISTRY, colours as sensor_colours
 from locfuse.fusion.streams import seconds
 from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.odometry import POSE

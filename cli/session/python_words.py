@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
+from locfuse.formats.robot.robot_toml import apply_sets
 from locfuse.fusion.data import LocfuseError
 
 P = ParamSpec("P")
@@ -103,8 +104,6 @@ def _sets(words: Sequence[str]) -> str:
 
 
 def _value(text: str) -> str:
-    from locfuse.formats.robot.robot_toml import apply_sets
-
     if not text or text[0] == "<":
         return text or "..."
     value = apply_sets([f"key={text}"])["key"]

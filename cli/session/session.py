@@ -15,8 +15,7 @@ from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log, with_others
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
-from locfuse.cli.analysis.load import Loaded, find_log, with_settings
-from locfuse.cli.analysis.load import load as load_log
+from locfuse.cli.analysis.load import Loaded, find_log, load as load_log, with_settings
 from locfuse.cli.analysis.results import say_motion
 from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,

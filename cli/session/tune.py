@@ -25,8 +25,7 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 from locfuse.fusion.tune.tape import Figures
-from locfuse.fusion.tune.tune import NoiseChange as TunedRow
-from locfuse.fusion.tune.tune import Tuned, TuneLog, tune
+from locfuse.fusion.tune.tune import NoiseChange as TunedRow, Tuned, TuneLog, tune
 
 from .found import Found, Row, refuse_doubtful
 

@@ -23,8 +23,7 @@ from locfuse.fusion.progress import reporting_to
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table
-from .screen import put
-from .screen import say as on_screen
+from .screen import put, say as on_screen
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result

@@ -13,8 +13,7 @@ import numpy as np
 
 from locfuse.formats.geometry import quaternions
 from locfuse.fusion.data import Array, Column, Ints, Ragged, totals
-from locfuse.fusion.se2 import rotated_3d
-from locfuse.fusion.se2 import yaw as yaw_of
+from locfuse.fusion.se2 import rotated_3d, yaw as yaw_of
 
 Columns = Mapping[str, Column]
 Adapter = Callable[[Columns, tuple[str, ...], str], dict[str, Column]]

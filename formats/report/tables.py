@@ -10,8 +10,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from .findings import MAX_ANEES, fingerprint
-from .render import latex as latex_of
-from .render import latex_text
+from .render import latex as latex_of, latex_text
 from .table import Cell, Column, Path, Table, of_values
 
 Report = Mapping[str, Any]

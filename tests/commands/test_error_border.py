@@ -12,8 +12,7 @@ import click
 import pytest
 from commands import locfuse, ok
 from hostile import Put, fix, sample, write
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from locfuse.cli import main as border
 from locfuse.formats.report import json_report

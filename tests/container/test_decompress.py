@@ -13,8 +13,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from bags import T0 as NS
-from bags import database
+from bags import T0 as NS, database
 
 from locfuse.formats.caps import MAX_CHUNK
 from locfuse.formats.container import decompress as unpacking

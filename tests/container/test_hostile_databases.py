@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 from bags import drive, write
 from commands import locfuse, ok, refused
-from hostile import MAGIC, START, chunk, crashed_recording, sample
-from hostile import write as sample_write
+from hostile import MAGIC, START, chunk, crashed_recording, sample, write as sample_write
 from mcap.writer import CompressionType
 
 from locfuse.formats.caps import FREE_RECORDS, MAX_TOPICS

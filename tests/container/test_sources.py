@@ -15,8 +15,7 @@ import zstandard
 from bags import LIGHT, STORE, T0, S, Said, build, contents, drive, real_log, rows, write
 from invented import walks
 from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.field_paths import paths

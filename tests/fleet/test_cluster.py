@@ -15,8 +15,7 @@ from commands import locfuse, ok, refused
 from many_logs import tables, write_logs
 
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
-from locfuse.cli.fleet import process
-from locfuse.cli.fleet import queue as clusters
+from locfuse.cli.fleet import process, queue as clusters
 from locfuse.cli.fleet.jobs import Job, JobOutcome
 from locfuse.cli.fleet.queue import run_all
 from locfuse.fusion.data import LocfuseError

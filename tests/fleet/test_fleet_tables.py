@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet
 import pytest
-from commands import locfuse as command
-from commands import ok
+from commands import locfuse as command, ok
 from many_logs import simulated_files, simulated_report
 from scipy import stats
 

@@ -11,8 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from interpreted import KERNELS, interpreted
 from msgspec.structs import replace
 from rooms import ARENA, poses, scan

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from present import present
 
 from locfuse.formats.logs.clock import RowTimes, common_clock, in_order, never_decreasing, on_clock, pooled, settle

@@ -11,8 +11,7 @@ from bags import Said, cdr, header
 from commands import locfuse, refused, reported
 from evo.core import metrics, sync
 from evo.tools import file_interface
-from hostile import sample
-from hostile import write as sample_write
+from hostile import sample, write as sample_write
 from present import present
 from wheel_bags import custom, log_of, stamps
 

@@ -22,8 +22,7 @@ from ring_drive import Held, box
 from wheel_bags import GEOMETRY, joint_states, turned
 from worlds import World
 
-from benchmarks.floor_plan import FloorPlan, floor_plan
-from benchmarks.floor_plan import write as write_plan
+from benchmarks.floor_plan import FloorPlan, floor_plan, write as write_plan
 from locfuse.formats.robot import line_map
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, MapLine

@@ -10,8 +10,7 @@ from bags import STORE, definition
 from commands import locfuse, ok
 from google.protobuf import descriptor_pb2, timestamp_pb2
 from hostile import DIVIDER, FIX, Put, fix, lies, sample, write
-from hypothesis import event, given, settings
-from hypothesis import strategies as st
+from hypothesis import event, given, settings, strategies as st
 from invented import decode
 from present import present
 
@@ -19,8 +18,7 @@ from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.logs.channels import encoding_problem, make_decoder
-from locfuse.formats.messages import fields as kinds
-from locfuse.formats.messages import schema
+from locfuse.formats.messages import fields as kinds, schema
 from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
 from locfuse.formats.messages.fields import (
     FieldError,

@@ -5,15 +5,12 @@ from typing import Any
 
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
-from hypothesis import given
-from hypothesis import strategies as st
-from invented import decode as decode_by
-from invented import plain
+from hypothesis import given, strategies as st
+from invented import decode as decode_by, plain
 
 from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_DEFINITION
-from locfuse.formats.messages import protobuf_messages
-from locfuse.formats.messages import schema as message_schema
+from locfuse.formats.messages import protobuf_messages, schema as message_schema
 from locfuse.formats.messages.cdr import MalformedError
 from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors, varint
 from locfuse.formats.messages.schema import Decoded, SchemaError

@@ -17,8 +17,7 @@ import small_scene
 from commands import ok
 
 from locfuse.formats.figures.sections import sections
-from locfuse.formats.report import html as report_html
-from locfuse.formats.report import markdown, tables
+from locfuse.formats.report import html as report_html, markdown, tables
 from locfuse.formats.report.findings import in_parts, notes_of, options
 from locfuse.formats.report.glossary import GLOSSARY
 from locfuse.fusion.sensors.registry import colours

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from recordings import read, read_blueprint
-from small_drive import drive as small_drive
-from small_drive import robot as small_robot
+from small_drive import drive as small_drive, robot as small_robot
 
 from locfuse.cli.rerun.scene import palette as shades
 from locfuse.formats.figures import palette

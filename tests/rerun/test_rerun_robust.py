@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from commands import locfuse, ok, refused
 from recordings import read
-from small_drive import drive as small_drive
-from small_drive import robot as small_robot
+from small_drive import drive as small_drive, robot as small_robot
 
 from locfuse.cli.rerun import viewer
 from locfuse.formats.rerun.recording import check, save_recording

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from bags import S, drive, real_log, write
 from commands import locfuse, ok, refused
-from hostile import Put
-from hostile import write as sample_write
+from hostile import Put, write as sample_write
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from msgspec.structs import replace

@@ -18,8 +18,7 @@ import pytest
 import zstandard
 from bags import drive, write
 from commands import locfuse, ok, refused
-from hostile import Put, crashed_recording, sample
-from hostile import write as sample_write
+from hostile import Put, crashed_recording, sample, write as sample_write
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from commands import refused
 from hostile import write
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from present import present
 
 from locfuse.formats.caps import MAX_DOTS, MAX_JOINTS, MAX_KEYS, MAX_ROBOT_TOML, MAX_TRANSFORMS

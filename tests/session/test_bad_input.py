@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import small_drive
-from commands import locfuse as command
-from commands import reported
+from commands import locfuse as command, reported
 from rewrite_log import rewritten
 
 import locfuse

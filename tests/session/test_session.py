@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse as command
-from commands import ok
+from commands import locfuse as command, ok
 from hostile import write
 
 import locfuse

@@ -26,8 +26,14 @@ from locfuse.fusion.wheels.calibrate import (
     find_runs,
 )
 from locfuse.fusion.wheels.calibrate_by_gyro import calibrate_by_gyro
-from locfuse.fusion.wheels.calibrate_by_scans import NAMES, LaserCalibration, ScanMotions, calibrate, first_guess
-from locfuse.fusion.wheels.calibrate_by_scans import Intervals as Pieces
+from locfuse.fusion.wheels.calibrate_by_scans import (
+    NAMES,
+    Intervals as Pieces,
+    LaserCalibration,
+    ScanMotions,
+    calibrate,
+    first_guess,
+)
 from locfuse.fusion.wheels.motion import Wheels
 
 K, TRACK = 4e-4, 0.6

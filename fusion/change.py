@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .data import Array, Ints, Mask
 
-OUTLIER_LIMIT, ROBUST_ROUNDS = 4.45, 4  # medians of the residuals; fits without outliers
+OUTLIER_LIMIT, ROBUST_ROUNDS = 4.0, 3  # medians of the residuals; fits without outliers
 MIN_SQUARES = 1e-12  # least sum of x^2 in a part; smaller sums are raised to this
 
 
@@ -69,5 +69,5 @@ def robust(A: NDArray[Any], y: NDArray[Any], least: float = 1e-4) -> tuple[NDArr
     for _ in range(ROBUST_ROUNDS):
         x = np.asarray(np.linalg.lstsq(A[keep], y[keep], rcond=None)[0])
         rest = np.abs(y - A @ x)
-        keep = rest <= OUTLIER_LIMIT * max(float(np.median(rest[keep])), least)
+        keep = rest <= OUTLIER_LIMIT * max(float(np.median(rest)), least)
     return x, keep

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife, robust
-from locfuse.fusion.chi_square import robust_sigma
+from locfuse.fusion.chi_square import MAD_OF_NORMAL, robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, Mask, Measurements, Stream, totals
 from locfuse.fusion.lines.scans import SCAN_FIELDS
 from locfuse.fusion.mount import SIGMA_M
@@ -274,11 +274,16 @@ def range_fix(robot: Robot, factor: float) -> tuple[str, ...]:
 
 def fitted(walls: WallPairs) -> tuple[float, float] | None:
     """Return the laser's scale (wheel distance per laser distance) and yaw error [rad]; None for few walls."""
-    if len(walls.y) < MIN_WALLS:
-        return None
-    x, keep = robust(np.stack(_along_across(walls), axis=-1), walls.y)
+    along, across = _along_across(walls)
+    A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
+    for _ in range(4):
+        if keep.sum() < MIN_WALLS:
+            return None
+        x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
+        rest = np.abs(walls.y - A @ x)
+        keep = rest <= 3.0 / MAD_OF_NORMAL * max(float(np.median(rest[keep])), 1e-4)
     length = float(np.hypot(*x))
-    return (1.0 / length, math.atan2(x[1], x[0])) if keep.sum() >= MIN_WALLS and length > 0.2 else None
+    return (1.0 / length, math.atan2(float(x[1]), float(x[0]))) if length > 0.2 else None
 
 
 def turned(walls: WallPairs) -> float | None:

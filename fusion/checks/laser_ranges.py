@@ -9,7 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from locfuse.fusion.change import jackknife, robust
+from locfuse.fusion.change import jackknife
+from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, LocfuseError, Measurements, Ragged, Stream
 from locfuse.fusion.lines.points import understood
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
@@ -177,7 +178,14 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
 
 def _added(bends: Array) -> float:
     """Return the range offset [m] that makes bends (n, 2) zero, by least squares without outliers."""
-    return -float(robust(bends[:, 1:], bends[:, 0])[0][0])
+    bend, slope = bends.T
+    add = 0.0
+    for _ in range(4):
+        rest = bend + add * slope
+        near = np.abs(rest) <= 3.0 / MAD_OF_NORMAL * max(float(np.median(np.abs(rest))), 1e-4)
+        squares = float(slope[near] @ slope[near])
+        add = -float(slope[near] @ bend[near]) / squares if squares > 0.0 else 0.0
+    return add
 
 
 def scatter_more(shown: float | None, sigma: float) -> bool:

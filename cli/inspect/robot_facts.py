@@ -172,7 +172,8 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
     if (steered := found.steered) is not None:
         values = {key: figure.value for key, figure in steered.found.wheels.items()}
         values |= {key: getattr(steered.known, key) for key in ("ticks_per_revolution", "max_speed")}
-        return values, f"fitted to the truth, these leave {steered.found.rms:.2f} m (rms) of its path"
+        left = f"these leave {steered.found.rms:.2f} m (rms) of its path"
+        return values, f"fitted to the truth, {left}{steered.found.left_out}"
     if found.fitted is None:
         return {}, ""
     ticks = robot.wheels.ticks_per_revolution or found.ticks

@@ -356,7 +356,7 @@ def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progr
         mount = {**found.mount, "time_offset": late}
         found = replace(found, mount={k: f for k, f in mount.items() if not f.low <= getattr(was, k) <= f.high})
     left = {
-        "truth": f"fitted to the whole path, they leave {found.rms:.3f} m (rms)",
+        "truth": f"fitted to the path{found.left_out}, they leave {found.rms:.3f} m (rms)",
         "lrf": f"fitted to the laser's way over a second, they leave {found.rms:.3f} m (rms)",
         "gyro": f"fitted to the gyro's turns over a second, they leave {math.degrees(found.rms):.2f} degrees "
         "(rms); a gyro knows no lengths: the radius is left as it was set",

@@ -31,6 +31,7 @@ from .laser_ranges import of_angles, of_offset, of_range_unit, of_scatter, unret
 from .points import of_points
 from .positions import of_positions
 from .raw_data import PUBLISHERS, STUCK, of_publishers, of_stuck_wheel, of_wheel_unit
+from .start import START
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MIRROR,
@@ -82,8 +83,8 @@ def examine(
         found += [Finding("truth", "seen", note) for note in heading_notes(drive.truth, streams["truth"].msgtype)]
     found += _refused(drive)
     found += of_data(drive, robot, streams.__getitem__)
-    if any(f.code in MIXED for f in found):
-        return found
+    if mixed := {f.code for f in found} & MIXED:  # with stuck counters, the start is still known
+        return [*found, *(f for f in of_truth(drive, robot) if f.code == START and mixed == {STUCK})]
     for name, m in drive.measurements.items():
         found += [*_gaps(name, m.t), *_covered(name, m.t, drive)]
         found += [Finding(name, "seen", note) for note in m.notes]

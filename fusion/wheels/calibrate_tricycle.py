@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import msgspec
@@ -16,7 +17,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import SIGMAS_95
-from locfuse.fusion.data import Array, LocfuseError, Truth, interpolate, totals
+from locfuse.fusion.data import Array, Ints, LocfuseError, Truth, interpolate, stretches, totals
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 
@@ -27,9 +28,8 @@ from .steered import Encoders, read_encoders, rolled_by
 
 By = Literal["truth", "lrf", "gyro"]
 # indices of the parameters: scale of the radius, gain [rad per tick], zero [rad], wheelbase [m]; pose of the
-# tracked point on the body; pose of the body at the reference's first reading; delay [s] of the reference; gyro
-# bias [rad/s]
-SCALE, GAIN, ZERO, BASE, POINT, BEGIN, DELAY, BIAS = 0, 1, 2, 3, slice(4, 7), slice(7, 10), 10, 11
+# tracked point on the body; delay [s] of the reference; gyro bias [rad/s]; poses of the path's start, by its parts
+SCALE, GAIN, ZERO, BASE, POINT, DELAY, BIAS, BEGIN = 0, 1, 2, 3, slice(4, 7), 7, 8, 9
 FREE: dict[By, list[int]] = {
     "truth": [*range(7)],
     "lrf": [*range(7), DELAY],
@@ -38,6 +38,10 @@ FREE: dict[By, list[int]] = {
 WINDOW_S = 1.0  # s, windows of the first fit
 GAIN_FACTORS = (1.0, 0.3, 3.0, 8.0, -1.0)  # start values of the steering gain, relative to the configured one
 OUTLIER_M = 0.05  # m, rad: larger residuals are down-weighted (jumps of a tracker, wrong matches)
+# least residual of a window across a break of the path: m, and times the usual residual (truth that jumps, counter
+# that stands still)
+MIN_BREAK_M, MIN_BREAK_SHARE = 0.3, 8.0
+MAX_BROKEN_SHARE = 0.5  # of the residual of the whole path, in parts: else the path is not broken
 MIN_ROWS, MAX_ROWS = 50, 3000  # readings of the reference; number of windows
 MIN_TURN_RAD = math.radians(180.0)  # least total turn
 ASSUMED_TICKS = 1000.0  # per revolution, if not configured: only radius over ticks is observable
@@ -61,7 +65,14 @@ class TricycleCalibration(msgspec.Struct, frozen=True):
     wheels: dict[str, Figure]  # radius, servo_gain, servo_offset, wheelbase
     by: By
     mount: dict[str, Figure]  # x, y of the truth's point; x, y, yaw_deg, time_offset of a laser
-    rms: float  # residual of the whole path [m], of a laser's windows [m], or of a gyro's turns [rad]
+    rms: float  # residual of the path [m], of a laser's windows [m], or of a gyro's turns [rad]
+    breaks: tuple[tuple[float, float], ...] = ()  # s, left out: times in which encoders and truth disagree
+
+    @property
+    def left_out(self) -> str:
+        """Text on the times left out; "" without any."""
+        when = " and ".join(f"from {a:.1f} s to {b:.1f} s" for a, b in self.breaks)
+        return f" without the time {when}, in which the encoders and the truth differ" if when else ""
 
 
 def of_truth(truth: Truth) -> ReferenceMotion:
@@ -105,9 +116,18 @@ def calibrate_tricycle(
         e = se2.difference(se2.between(at[first], at[later[first]]), moved)
         return np.asarray(e[:, 2] + p[BIAS] * spans if by == "gyro" else e.ravel())
 
-    def of_path(p: Array) -> Array:
-        at = point(p)
-        return se2.difference(se2.compose(np.broadcast_to(p[BEGIN], at.shape), at), pose).ravel()
+    def of_path(p: Array, part: Ints) -> Array:
+        known = part >= 0
+        begin = p[BEGIN:].reshape(-1, 3)[part[known]]
+        return se2.difference(se2.compose(begin, point(p)[known]), pose[known]).ravel()
+
+    def whole(p: Array, part: Ints) -> tuple[float, Array, Any]:
+        """Return the residual (rms) [m] of the path fitted in parts, with the parameters and the solution."""
+        first_of = [int(np.argmax(part == k)) for k in range(int(part.max()) + 1)]
+        begin = se2.compose(pose[first_of], se2.inverse(point(p)[first_of]))
+        free = [*FREE[by], *range(BEGIN, BEGIN + begin.size)]
+        p, solved = fit(partial(of_path, part=part), np.append(p, begin), free, 100)
+        return _rms(of_path(p, part).reshape(-1, 3)[:, :2]), p, solved
 
     def fit(residual: Callable[[Array], Array], start: Array, free: list[int], steps: int) -> tuple[Array, Any]:
         def put(x: Array) -> Array:
@@ -123,18 +143,41 @@ def calibrate_tricycle(
     # a tricycle that drives backwards with the wheel turned by 180 degrees has the same path: prefer a mount that
     # points forward
     best, solved = min(fits, key=lambda one: (np.cos(one[0][POINT][2]) < 0.0, float(one[1].cost)))
-    free, rest = FREE[by], of_windows(best).reshape(len(first), -1)
+    rest, part = of_windows(best).reshape(len(first), -1), np.zeros(len(stamps), dtype=np.intp)
+    rms = _rms(rest[:, : 1 if by == "gyro" else 2])
     if by == "truth":
-        best[BEGIN] = se2.compose(pose[:1], se2.inverse(point(best)[:1]))[0]
-        free = [*free, *range(10)[BEGIN]]
-        best, solved = fit(of_path, best, free, 100)
-        rest = of_path(best).reshape(-1, 3)
+        in_parts = _parts(first, later[first], rest, len(stamps))
+        rms, *fitted = whole(best, part)
+        if (in_parts < 0).any() and (broken := whole(best, in_parts))[0] < MAX_BROKEN_SHARE * rms:
+            (rms, *fitted), part = broken, in_parts
+        best, solved = fitted
+    free = [*FREE[by], *range(BEGIN, len(best))]
     # residuals of neighbours are correlated, so only as many degrees of freedom as free parameters count
     sigmas = np.zeros(len(best))
     inverse = np.linalg.pinv(solved.jac.T @ solved.jac)
     sigmas[free] = np.sqrt(np.diag(inverse) * 2.0 * float(solved.cost) / len(free))
-    rms = float(np.sqrt((rest[:, : 1 if by == "gyro" else 2] ** 2).sum(1).mean()))
-    return TricycleCalibration(_wheels(best, sigmas, settings), by, _mount(by, best, sigmas), rms)
+    breaks = tuple((float(stamps[a]), float(stamps[b])) for a, b in stretches(part < 0))
+    return TricycleCalibration(_wheels(best, sigmas, settings), by, _mount(by, best, sigmas), rms, breaks)
+
+
+def _rms(rest: Array) -> float:
+    return float(np.sqrt((rest**2).sum(axis=1).mean()))
+
+
+def _parts(first: Ints, last: Ints, rest: Array, n: int) -> Ints:
+    """Return the parts of the path between breaks, 0, 1 ..., for n readings; -1 in a break and in a short part.
+
+    `rest` (m, 3) are the residuals of windows from readings `first` to `last` (m,).
+    """
+    off = np.hypot(rest[:, 0], rest[:, 1])
+    broken = np.zeros(n, dtype=bool)
+    for k in np.flatnonzero(off > max(MIN_BREAK_M, MIN_BREAK_SHARE * float(np.median(off)))):
+        broken[first[k] : last[k] + 1] = True
+    whole = [(a, b) for a, b in stretches(~broken) if b - a >= MIN_ROWS]
+    part = np.full(n, -1, dtype=np.intp)
+    for i, (a, b) in enumerate(whole or [(0, n - 1)]):
+        part[a : b + 1] = i
+    return part
 
 
 def nominal(
@@ -169,7 +212,7 @@ def nominal(
 
 
 def _starts(settings: WheelSettings) -> list[Array]:
-    starts = np.zeros((len(GAIN_FACTORS), 12))
+    starts = np.zeros((len(GAIN_FACTORS), BEGIN))
     starts[:, SCALE], starts[:, BASE] = 1.0, settings.wheelbase or 1.0
     starts[:, GAIN] = np.array(GAIN_FACTORS) / (settings.servo_gain or 1.0)
     return [*starts]

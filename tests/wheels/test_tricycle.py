@@ -107,6 +107,25 @@ def test_a_truth_tells_a_tricycle_of_which_nothing_is_known() -> None:
     assert_wheels(found, 0.01)
 
 
+@pytest.mark.parametrize("broken", ["truth", "counter", None])
+def test_a_truth_that_jumps_or_a_counter_that_stands_for_3_s_is_left_out(broken: str | None) -> None:
+    path = se2.compose(true_path(), np.broadcast_to([0.9, 0.1, 0.0], (len(T), 3)))
+    path += np.where((broken == "truth") & (T > 60.0), 0.5, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    truth = of_truth(Truth("/tracker", T[::5], path[::5, :2], path[::5, 2], (0.0, 0.0)))
+    nominal = settings(servo_gain=3.0 * GAIN, servo_offset=0.0, wheelbase=1.0)
+    found = read_encoders(encoders(), nominal)
+    if broken == "counter":
+        stands = (T[:-1] > 40.0) & (T[:-1] < 43.0)
+        steps = np.where(stands, 0.0, np.diff(found.rolled))
+        found = found._replace(rolled=np.append(0.0, np.cumsum(steps)))
+    calibrated = calibrate_tricycle(found, nominal, truth, 0.0)
+    assert calibrated.rms < 0.02
+    assert calibrated.wheels["radius"].value == pytest.approx(RADIUS, rel=0.01)
+    assert_wheels(calibrated, 0.015)
+    middle = {"truth": 60.0, "counter": 41.5, None: np.nan}[broken]
+    assert [a < middle < b for a, b in calibrated.breaks] == ([] if broken is None else [True])
+
+
 def test_a_laser_that_drifts_and_is_late_tells_the_same_and_where_it_sits() -> None:
     mount, late = np.array([0.4, -0.1, 0.3]), 0.15  # m, m, rad; s
     path = true_path()

@@ -32,6 +32,7 @@ from .points import of_points
 from .positions import of_positions
 from .raw_data import PUBLISHERS, STUCK, of_publishers, of_stuck_wheel, of_wheel_unit
 from .start import START
+from .steering import of_steering
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MIRROR,
@@ -93,7 +94,7 @@ def examine(
         lrf = streams["lrf"], robot.settings("lrf")
         found += [*of_scatter(*lrf), *of_offset(*lrf, least is not None)]
     by_sensor = turnings(drive)
-    turning = of_turning(drive, robot, by_sensor, streams)
+    turning = of_steering(drive, robot, streams["wheels"]) or of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)
     tilts = tilted(drive, robot, streams, by_wheels=not wrong_wheels, by_sensor=by_sensor)
     found += [*of_convention(drive, robot, streams), *tilts]

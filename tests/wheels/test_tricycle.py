@@ -9,9 +9,12 @@ import pytest
 from bags import real_log
 from commands import locfuse, ok, refused, reported
 from msgspec.structs import replace
+from small_drive import drive, robot
 from wheel_bags import log_of, messages, numbers
 
 from locfuse.fusion import se2
+from locfuse.fusion.checks.steering import STEERING, of_steering
+from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
@@ -124,6 +127,32 @@ def test_a_truth_that_jumps_or_a_counter_that_stands_for_3_s_is_left_out(broken:
     assert_wheels(calibrated, 0.015)
     middle = {"truth": 60.0, "counter": 41.5, None: np.nan}[broken]
     assert [a < middle < b for a, b in calibrated.breaks] == ([] if broken is None else [True])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "mirrored", "code"),
+    [({}, False, None), ({"servo_offset": ZERO + 300.0}, False, STEERING), ({"wheelbase": 2.0}, False, STEERING),
+     ({"servo_gain": -GAIN, "servo_offset": -ZERO}, False, STEERING), ({}, True, MIRROR)],
+)  # fmt: skip
+def test_wrong_steering_is_named_with_what_the_truth_shows(
+    wrong: dict[str, float], mirrored: bool, code: str | None
+) -> None:
+    path = true_path()[::5]
+    if mirrored:
+        path = path * [1.0, -1.0, -1.0]
+    described = replace(robot(), wheels=replace(settings(**wrong), max_speed=5.0))
+    reading = read_wheels(encoders(), described.wheels)
+    truth = Truth("/tracker", T[::5], path[:, :2], path[:, 2], (0.0, 0.0))
+    one = replace(drive(0, robot(), ()), wheels=reading.wheels, truth=truth, epoch_ns=reading.epoch_ns)
+    found = of_steering(one, described, encoders())
+    assert [f.code for f in found] == ([] if code is None else [code])
+    fixes = dict(fix.split("=") for f in found for fix in f.fixes)
+    if code == STEERING:
+        assert float(fixes["wheels.servo_gain"]) == pytest.approx(GAIN, rel=0.01)
+        assert float(fixes["wheels.servo_offset"]) == pytest.approx(ZERO, abs=15.0)
+        assert float(fixes["wheels.wheelbase"]) == pytest.approx(BASE, rel=0.01)
+    else:
+        assert not fixes
 
 
 def test_a_laser_that_drifts_and_is_late_tells_the_same_and_where_it_sits() -> None:

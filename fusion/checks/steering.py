@@ -1,0 +1,70 @@
+"""Steering check: size and steering of a tricycle compared with the truth."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Drive, LocfuseError, Stream, Truth
+from locfuse.fusion.robot import Robot, WheelSettings
+from locfuse.fusion.streams import MergedStream
+from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle, nominal, of_truth
+from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
+
+from .finding import Finding
+from .turning import MIRROR
+
+STEERING = "steering"  # code of the finding
+MAX_ZERO_RAD = 0.05  # largest change of the zero by a mirrored truth; of a counter that turns round it changes
+MIN_MISFIT_SHARE, MIN_MISFIT_M = 2.5, 0.5  # of the configured path to the truth, by that of the best one; m
+
+
+def of_steering(drive: Drive, robot: Robot, stream: Stream) -> list[Finding]:
+    """Return a finding if another size and steering of a tricycle fit the truth far better than the configured."""
+    truth, settings = drive.truth, robot.wheels
+    if truth is None or truth.theta is None or not isinstance(stream, MergedStream) or not is_tricycle(stream):
+        return []
+    misfit = _misfit(drive, truth)
+    found = _fitted(drive, truth, settings, stream) if misfit > MIN_MISFIT_M else None
+    if found is None or found.breaks or misfit < MIN_MISFIT_SHARE * found.rms:
+        return []
+    values = {key: figure.value for key, figure in found.wheels.items()}
+    now = settings.servo_gain or 1.0
+    same_zero = abs(values["servo_offset"] - settings.servo_offset) < MAX_ZERO_RAD * abs(now)
+    if values["servo_gain"] * now < 0.0 and same_zero:
+        words = (
+            "it is a mirror image of the drive: one of its axes points the other way; or the steering does "
+            f"(wheels.servo_gain={values['servo_gain']:.5g})"
+        )
+        return [Finding("truth", MIRROR, words, (), True)]
+    words = (
+        f"the truth leaves {misfit:.1f} m (rms) to the path by the configured size and steering of the tricycle, "
+        f"and {found.rms:.2f} m to that by others"
+    )
+    fixes = [f"wheels.{key}={value:.5g}" for key, value in values.items()]
+    fixes += [f"truth.{key}={figure.value:.3f}" for key, figure in found.mount.items()]
+    return [Finding("wheels", STEERING, words, tuple(fixes), True)]
+
+
+def _misfit(drive: Drive, truth: Truth) -> float:
+    """Return the rms [m] of the truth to the path by the wheels, after rigid alignment."""
+    rows = (truth.t >= drive.wheels.t[0]) & (truth.t <= drive.wheels.t[-1])
+    pose = drive.wheels.at(truth.t[rows])[2]
+    point = np.broadcast_to([*truth.point, 0.0], pose.shape)
+    seen, own = ((xy - xy.mean(axis=0)) @ (1.0, 1.0j) for xy in (truth.xy[rows], se2.compose(pose, point)[:, :2]))
+    turn = np.exp(1.0j * np.angle(np.vdot(own, seen)))
+    return math.sqrt(float(np.mean(np.abs(seen - turn * own) ** 2))) if len(seen) else 0.0
+
+
+def _fitted(
+    drive: Drive, truth: Truth, settings: WheelSettings, stream: MergedStream
+) -> TricycleCalibration | None:
+    shift = (int(stream.parts[0].t_ns[0]) - drive.epoch_ns) * 1e-9 + settings.time_offset
+    unknown = WheelSettings(ticks_per_revolution=settings.ticks_per_revolution, rollover=settings.rollover)
+    with suppress(LocfuseError):
+        start = nominal(stream, unknown, of_truth(truth), shift)
+        return calibrate_tricycle(read_encoders(stream, start), start, of_truth(truth), shift)
+    return None

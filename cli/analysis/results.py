@@ -196,7 +196,10 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool) -> None:
         sets = (word for setting in typed for word in ("--set", setting))
         log = log_words(loaded.log, as_given=True)
         command = shlex.join(("locfuse", "init", *log, *sets, "-o", "robot.toml"))
-        does = "finds them by the truth" if steers(loaded.choice.unused_wheels) else "asks for them"
+        truth = loaded.drive.truth
+        known = truth is not None and truth.theta is not None
+        by = "finds them by the truth, or says why not" if known else "needs a truth with headings to find them"
+        does = by if steers(loaded.choice.unused_wheels) else "asks for them"
         report["headline"] = f"{words}: `{command}` {does}. {report['headline']}"
 
 

@@ -181,6 +181,7 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
         last = f"this log cannot run: {why}"
     elif made.missing:
         last = f"fill in {', '.join(made.missing)} (their comments say how to measure them)"
+        last += f"; {why}" if (why := made.overview.robot_facts.unsteered) else ""
     elif faults := made.overview.motion_faults:
         last = f"no motion to use: {faults[0].words}"
     elif loaded is not None and (why := unjudged(loaded.drive)):

@@ -21,7 +21,7 @@ from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_o
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.data import BY_SCANS, LocfuseError, Ragged, Stream
+from locfuse.fusion.data import BY_SCANS, LocfuseError, Ragged, Stream, Truth
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
@@ -59,6 +59,7 @@ class RobotFacts(msgspec.Struct, frozen=True):
     ticks: float | None = None  # ticks per revolution that are usual for the message type
     joints: tuple[str, str] | None = None  # wheel joints (left, right): by name, or the only ones that turn
     steered: Steered | None = None  # of a tricycle, by truth
+    unsteered: str = ""  # why the truth does not show that
 
 
 class Overview(msgspec.Struct):
@@ -101,8 +102,10 @@ def find_robot_facts(overview: Overview) -> RobotFacts:
     kind, both = log.topics[counters[0]].msgtype, merged([log.stream(t) for t in counters])
     ticks = USUAL_TICKS.get(kind)
     if is_tricycle(both):
-        steered = None if loaded is None or not overview.choice.unused_wheels else _steered(both, loaded)
-        return RobotFacts(described, counters, ticks=ticks, steered=steered)
+        steered, why = None, ""
+        if loaded is not None and overview.choice.unused_wheels:
+            steered, why = _steered(both, loaded)
+        return RobotFacts(described, counters, ticks=ticks, steered=steered, unsteered=why)
     joints, settings = _joints(log, counters[0], robot) if kind == JOINTS else None, robot.wheels
     if joints is not None:
         settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
@@ -118,13 +121,28 @@ def find_robot_facts(overview: Overview) -> RobotFacts:
     return RobotFacts(described, counters, fitted, source, ticks, joints)
 
 
-def _steered(both: Stream, loaded: Loaded) -> Steered | None:
-    """Calibrate a tricycle by truth; None without truth or if the fit is bad."""
+def _steered(both: Stream, loaded: Loaded) -> tuple[Steered | None, str]:
+    """Return a tricycle calibrated by truth; or None, and why: the truth, or exchanged topics or axes."""
+    truth = loaded.drive.truth
+    if truth is None or not isinstance(both, MergedStream):
+        return None, ""
+    if truth.theta is None:
+        return None, "the truth has no headings, which a fit to it needs"
+    if fitted := _fitted(both, loaded, truth):
+        return fitted, ""
+    turned, exchanged = MergedStream(both.parts[::-1]), msgspec.structs.replace(truth, xy=truth.xy[:, ::-1])
+    if _fitted(turned, loaded, truth):
+        return None, f"{both.parts[1].topic} holds the traction and {both.parts[0].topic} the steering"
+    if _fitted(both, loaded, exchanged):
+        return None, "x and y of the truth are exchanged"
+    return None, "no size and steering fit the truth"
+
+
+def _fitted(both: MergedStream, loaded: Loaded, truth: Truth) -> Steered | None:
+    """Return a tricycle calibrated by truth; None if the fit is bad."""
     # imports SciPy
     from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle, nominal, of_truth
 
-    if (truth := loaded.drive.truth) is None or not isinstance(both, MergedStream):
-        return None
     with suppress(LocfuseError):  # reported where the encoders are used
         shift = (int(both.parts[0].t_ns[0]) - loaded.drive.epoch_ns) * 1e-9 + loaded.robot.wheels.time_offset
         known = nominal(both, loaded.robot.wheels, of_truth(truth), shift)

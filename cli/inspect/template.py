@@ -80,6 +80,7 @@ GUESSED_DEFAULTS = {
         "steering": "guess: radians of the front wheels (rate: rad/s of the body, heading: rad)",
     }
 }
+ODOMETRY_SCALES = ("wheels.scale", "wheels.turn_scale")
 MAX_ROUNDS = 4  # rounds of inspection: a fix may make other findings visible
 # codes of findings with a measured value as fix
 MEASURED_CODES = {"lag", "noise", "range scale", "track", "yaw"}
@@ -116,6 +117,8 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
     for _ in range(MAX_ROUNDS):
         chosen = (f for f in overview.findings if _may_apply(f, {*fixes} - of_robot))
         new = {key: fix for key, fix in _fixes(chosen).items() if key not in given}
+        if overview.choice.unused_wheels:  # once their size is set, they replace the odometry, which these correct
+            new = {key: fix for key, fix in new.items() if key not in ODOMETRY_SCALES}
         if new.items() <= fixes.items():
             break
         fixes |= new

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import real_log
+from bags import Said, real_log
 from commands import locfuse, ok, refused, reported
 from msgspec.structs import replace
 from small_drive import drive, robot
-from wheel_bags import log_of, messages, numbers
+from wheel_bags import log_of, messages, numbers, odometry, poses_in
 
 from locfuse.fusion import se2
 from locfuse.fusion.checks.steering import STEERING, of_steering
@@ -188,10 +188,13 @@ def test_a_reference_that_hardly_turns_calibrates_nothing() -> None:
         calibrate_tricycle(read_encoders(encoders(), settings()), settings(), reference, 0.0)
 
 
-def tricycle_log(path: Path, gyro: bool) -> Path:
+def tricycle_log(path: Path, gyro: bool, *more: list[Said]) -> Path:
     """Both counters, and perhaps an IMU of the same drive, as a bag."""
     counters = encoders()
-    said = [numbers(p.topic, "Int64", T, map(int, np.asarray(p.columns("data")["data"]))) for p in counters.parts]
+    said = [
+        *more,
+        *(numbers(p.topic, "Int64", T, map(int, np.asarray(p.columns("data")["data"]))) for p in counters.parts),
+    ]
     if gyro:
         rows = ({"angular_velocity": {"z": rate}} for rate in np.gradient(true_path()[:, 2], T).tolist())
         said.append(messages("/imu", "sensor_msgs/msg/Imu", T, rows, "imu"))
@@ -210,6 +213,26 @@ def test_calibrate_uses_a_gyro_where_a_tricycle_has_no_truth_and_asks_without_an
     assert "these are unknown: radius, servo gain, wheelbase, ticks per revolution" in " ".join(info.split())
     refusal = refused("calibrate", tmp_path / "blind.mcap", *words)
     assert "a steered tricycle is calibrated by one log with truth, laser or gyro" in refusal
+
+
+@pytest.mark.parametrize(
+    ("change", "says", "hint"),
+    [((1.0, 1.0, 1.0), "", ""),
+     ((1.0, 1.0, 0.0), "the truth has no headings", "needs a truth with headings to find them"),
+     (None, "x and y of the truth are exchanged", "finds them by the truth, or says why not")],
+)  # fmt: skip
+def test_init_says_why_a_truth_does_not_tell_a_tricycle(
+    change: tuple[float, ...] | None, says: str, hint: str, tmp_path: Path
+) -> None:
+    path = true_path()
+    seen = path[:, [1, 0, 2]] if change is None else path * change
+    log = tricycle_log(tmp_path / "log.mcap", False, odometry(T, path), poses_in("map", T, seen, "/tracker"))
+    words = ("--set", "truth.topic=/tracker")
+    done = locfuse("init", log, *words, "-o", tmp_path / "robot.toml")
+    assert says in done.stderr
+    assert ("fill in wheels.radius" in done.stderr) == bool(says)
+    if hint:
+        assert hint in locfuse("compare", log, *words, "--no-advice", "-o", tmp_path / "out").stdout
 
 
 def test_a_real_tricycle_calibrated_by_its_tracker_is_near_it_by_odometry(tmp_path: Path) -> None:

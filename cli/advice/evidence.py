@@ -41,6 +41,7 @@ from locfuse.fusion.checks.points import MAP
 from locfuse.fusion.checks.points import SCALE as RANGE_SCALE
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.start import START, start_by_shape
+from locfuse.fusion.checks.steering import ZERO
 from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, keys, together
 from locfuse.fusion.checks.truth import (
     AXES,
@@ -89,6 +90,7 @@ KEYLESS = {
     RANGE_SCALE,
     SATURATED,
     HELD,
+    ZERO,
 }  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
 

@@ -32,7 +32,7 @@ from .points import of_points
 from .positions import of_positions
 from .raw_data import PUBLISHERS, STUCK, of_publishers, of_stuck_wheel, of_wheel_unit
 from .start import START
-from .steering import of_steering
+from .steering import ZERO, of_steering
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MIRROR,
@@ -85,7 +85,7 @@ def examine(
     found += _refused(drive)
     found += of_data(drive, robot, streams.__getitem__)
     if mixed := {f.code for f in found} & MIXED:  # with stuck counters, the start is still known
-        return [*found, *(f for f in of_truth(drive, robot) if f.code == START and mixed == {STUCK})]
+        return [*found, *(_start(drive, robot) if mixed == {STUCK} else [])]
     for name, m in drive.measurements.items():
         found += [*_gaps(name, m.t), *_covered(name, m.t, drive)]
         found += [Finding(name, "seen", note) for note in m.notes]
@@ -102,8 +102,8 @@ def examine(
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if "lrf" in drive.measurements and not any(o.role in {"lrf", "wheels"} for o in turning):
         found += of_sweep(streams["lrf"], drive, robot, clock_offset("lrf", by_sensor))
-    if wrong_wheels:
-        return found  # other checks need correct wheels
+    if wrong_wheels:  # other checks need correct wheels
+        return [*found, *(_start(drive, robot) if any(o.code == ZERO for o in turning) else [])]
     unit = of_axes(drive) or of_unit(drive)
     found += unit
     if unit or any(o.code == MIRROR for o in turning):
@@ -134,6 +134,10 @@ def _on_clocks(drive: Drive, robot: Robot, found: Sequence[Finding]) -> Drive:
     if drive.truth is None or not later:
         return drive
     return replace(drive, truth=replace(drive.truth, t=drive.truth.t + sum(later)))
+
+
+def _start(drive: Drive, robot: Robot) -> list[Finding]:
+    return [f for f in of_truth(drive, robot) if f.code == START]
 
 
 def too_short(drive: Drive) -> str:

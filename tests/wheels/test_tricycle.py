@@ -1,6 +1,7 @@
 """A tricycle by a traction counter that rolls over and an absolute steering encoder, calibrated by truth."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from wheel_bags import log_of, messages, numbers, odometry, poses_in
 
 from locfuse.fusion import se2
 from locfuse.fusion.checks.steering import STEERING, of_steering
+from locfuse.fusion.checks.steering import ZERO as ZERO_MOVES
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings
@@ -153,6 +155,23 @@ def test_wrong_steering_is_named_with_what_the_truth_shows(
         assert float(fixes["wheels.wheelbase"]) == pytest.approx(BASE, rel=0.01)
     else:
         assert not fixes
+
+
+def test_a_zero_of_the_steering_that_moves_by_8_degrees_is_named_with_its_times() -> None:
+    described = replace(robot(), wheels=replace(settings(), max_speed=5.0))
+    path = true_path()[::5]
+    truth = Truth("/tracker", T[::5], path[:, :2], path[:, 2], (0.0, 0.0))
+    traction, steering = encoders().parts
+    ticks = (np.asarray(steering.columns("data")["data"]) + np.where(T > 60.0, 180.0, 0.0)) % TURN
+    slipped = MergedStream(
+        (traction, ArrayStream("/steering_ticks", steering.msgtype, steering.t_ns, {"data": ticks}))
+    )
+    reading = read_wheels(slipped, described.wheels)
+    one = replace(drive(0, robot(), ()), wheels=reading.wheels, truth=truth, epoch_ns=reading.epoch_ns)
+    (found,) = of_steering(one, described, slipped)
+    assert (found.code, found.fixes) == (ZERO_MOVES, ())
+    off = [float(zero) for zero in re.findall(r"(-?[0-9.]+)° from", found.message)]
+    assert off == pytest.approx([0.0, 0.0, -7.9, -7.9], abs=0.6)
 
 
 def test_a_laser_that_drifts_and_is_late_tells_the_same_and_where_it_sits() -> None:

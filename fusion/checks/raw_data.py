@@ -99,11 +99,11 @@ def of_stuck_wheel(drive: Drive) -> list[Finding]:
     side, times = max(found.items(), key=lambda one: sum(s.distance for s in one[1]))
     if not times:
         return []
-    who = "both wheels stand" if side == "both" else f"the {side} wheel stands"
+    who = "both wheels stand still from" if side == "both" else f"the {side} wheel stands still from"
     whom = "the truth moves" if side == "both" else "the other one rolls"
-    when = f"from {times[0].begin:.1f} s to {times[0].end:.1f} s"
+    when = f"{times[0].begin:.1f} s to {times[0].end:.1f} s"
     when += f" (the first of {len(times)} times)" if len(times) > 1 else ""
-    words = f"{who} still {when}, while {whom} {sum(s.distance for s in times):.1f} m; check the encoder"
+    words = f"{who} {when}, while {whom} {sum(s.distance for s in times):.1f} m; check the encoder"
     return [Finding("wheels", STUCK, words, severe=True)]
 
 

@@ -37,8 +37,7 @@ from locfuse.fusion.checks.landmarks import CLOCKWISE
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
 from locfuse.fusion.checks.laser_ranges import OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
-from locfuse.fusion.checks.points import MAP
-from locfuse.fusion.checks.points import SCALE as RANGE_SCALE
+from locfuse.fusion.checks.points import MAP, SCALE as RANGE_SCALE
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.start import START, start_by_shape
 from locfuse.fusion.checks.steering import ZERO

@@ -14,8 +14,7 @@ from small_drive import drive, robot
 from wheel_bags import log_of, messages, numbers, odometry, poses_in
 
 from locfuse.fusion import se2
-from locfuse.fusion.checks.steering import STEERING, of_steering
-from locfuse.fusion.checks.steering import ZERO as ZERO_MOVES
+from locfuse.fusion.checks.steering import STEERING, ZERO as ZERO_MOVES, of_steering
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings

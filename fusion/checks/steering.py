@@ -8,6 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.change import robust
 from locfuse.fusion.data import Drive, LocfuseError, Stream, Truth, changes
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.streams import MergedStream
@@ -16,7 +17,6 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .finding import Finding
-from .truth import robust
 from .turning import MIRROR
 
 STEERING = "steering"  # code of the finding
@@ -62,7 +62,7 @@ def _of_zero(wheels: Wheels, truth: Truth, wheelbase: float) -> list[Finding]:
     moved = wheels.relative(start, start + WINDOW_S)
     lacking = changes(start, WINDOW_S, truth.t, np.unwrap(truth.theta)) - moved[:, 2]
     rows = np.array_split(np.arange(len(start)), PARTS)
-    zeros = [math.degrees(float(robust(moved[some, :1] / wheelbase, lacking[some])[0])) for some in rows]
+    zeros = [math.degrees(float(robust(moved[some, :1] / wheelbase, lacking[some])[0][0])) for some in rows]
     if max(zeros) - min(zeros) < MIN_MOVED_ZERO_DEG:
         return []
     when = [f"{zero:z.1f}° from {start[some[0]]:.0f} s on" for zero, some in zip(zeros, rows, strict=True)]

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .chi_square import clipped_rms
-
 Array = NDArray[np.float64]
 Plain = tuple[float, float, float]  # one pose
 # bearing [rad, not wrapped], distance [m], derivatives of the bearing by the pose and by the mount
@@ -237,15 +235,6 @@ def in_other_frame(z: Array, poses: Array) -> tuple[NDArray[Any], NDArray[Any]]:
     if not np.isfinite(poses[:, 2]).all():
         del columns[1]
     return np.stack(columns, axis=-1), z[:, :2] @ (1.0, 1.0j)
-
-
-def spread_in_other_frame(z: Array, poses: Array) -> float | None:
-    """Return the clipped rms [m] of the residuals of `in_other_frame`; None for too few positions."""
-    A, y = in_other_frame(z, poses)
-    if len(y) <= A.shape[1]:
-        return None
-    x, *_ = np.linalg.lstsq(A, y, rcond=None)
-    return clipped_rms(np.abs(y - A @ x))
 
 
 def laid_on(a: Array, b: Array) -> tuple[float, float]:

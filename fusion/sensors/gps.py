@@ -38,7 +38,7 @@ from locfuse.fusion.sensor import (
 )
 from locfuse.fusion.streams import arrays, count_dropped, seconds
 
-from .points import detector_at
+from .points import detector_at, spread_in_other_frame
 
 FRAME = "_gps_frame"
 FIRST_FIX_SIGMA_M = 100.0  # m, 1 sigma of the error of the first fix
@@ -119,7 +119,7 @@ class Gps(Sensor):
 
     def misfit(self, m: Measurements, settings: GpsSettings, poses: Array) -> float | None:
         """Return the spread [m] of the fixes about poses (n, 3), with any antenna and direction of east."""
-        return se2.spread_in_other_frame(m.z, poses)
+        return spread_in_other_frame(m.z, poses)
 
     def model(self, settings: GpsSettings) -> Model:
         """Return the filter model of the GPS receiver for a new run."""

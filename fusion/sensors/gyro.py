@@ -100,7 +100,8 @@ class Gyro(Sensor):
         t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         good = np.isfinite(rate)
         held = np.zeros(len(rate), dtype=bool)
-        held[good] = stuck(rate[good], rate[good], t[good], wheels.heading)
+        if good.any() and np.ptp(rate[good]) > 0.0:  # else `_check_against` says why
+            held[good] = stuck(rate[good], rate[good], t[good], wheels.heading)
         dropped = dict(stream.dropped)
         count_dropped(dropped, not_finite=~good, stuck=held)
         good &= ~held

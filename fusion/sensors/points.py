@@ -8,9 +8,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.chi_square import clipped_rms
 from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.se2 import direction, sight, transform
+from locfuse.fusion.se2 import direction, in_other_frame, sight, transform
 from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
 from locfuse.fusion.streams import count_dropped, seconds
 
@@ -155,6 +156,15 @@ def detector_at(pose: Row, mount: Row) -> Point:
     """Return the detector's position (x, y) [m] in the map, for a robot pose (x [m], y [m], theta [rad])."""
     c, s = direction(pose[2])
     return pose[0] + c * mount[0] - s * mount[1], pose[1] + s * mount[0] + c * mount[1]
+
+
+def spread_in_other_frame(z: Array, poses: Array) -> float | None:
+    """Return the clipped rms [m] of the residuals of `in_other_frame`; None for too few positions."""
+    A, y = in_other_frame(z, poses)
+    if len(y) <= A.shape[1]:
+        return None
+    x, *_ = np.linalg.lstsq(A, y, rcond=None)
+    return clipped_rms(np.abs(y - A @ x))
 
 
 def predict(pose: Row, place: Point, mount: Row) -> tuple[Point, tuple[Row, Row]] | None:

@@ -58,6 +58,8 @@ from locfuse.fusion.sensor import (
 from locfuse.fusion.streams import arrays, count_dropped, seconds
 from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
 
+from .points import spread_in_other_frame
+
 CLONE = "_pose_before"
 MIN_SIGMAS = (0.002, math.radians(0.05))  # m, rad: no estimate is more exact, whatever it claims
 MAX_SIGMA = (1e3, 1e3)  # m, rad: a larger sigma means that a number was not measured
@@ -166,7 +168,7 @@ class PoseSensor(Sensor):
 
     def misfit(self, m: Measurements, settings: PoseSettings, poses: Array) -> float | None:
         """Return the spread [m] of the positions about poses (n, 3), for any body and frame; None for a drift."""
-        return None if m.extra["drifts"].any() else se2.spread_in_other_frame(m.z, poses)
+        return None if m.extra["drifts"].any() else spread_in_other_frame(m.z, poses)
 
     def reversal(self, settings: PoseSettings, msgtype: str) -> Reversal:
         """Return why poses turn opposite to the wheels: their z axis points down; no setting corrects that."""

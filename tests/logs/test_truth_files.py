@@ -291,7 +291,7 @@ def test_a_landmark_beyond_the_solar_system_was_never_seen(tmp_path: Path) -> No
     files = (f"landmarks.map={tmp_path / 'm.csv'}", f"landmarks.file={tmp_path / 'd.csv'}")
     done = locfuse("run", log, "-o", tmp_path / "o", "--set", files[0], "--set", files[1])
     assert done.exit_code == 3, done.stderr  # half of the readings is a loss
-    assert "landmarks: 8 of 16 readings refused (8 not finite)" in done.stderr
+    assert "landmarks: 8 of 16 readings refused (8 nan or not positive)" in done.stderr
 
 
 def test_an_effect_without_a_number_has_no_strip() -> None:

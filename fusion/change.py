@@ -59,6 +59,12 @@ def jackknife(estimate: Callable[[Ints], Any], n: int, parts: int) -> Array:
     return errors
 
 
+def part_of(t: Array, count: int) -> Ints:
+    """Return for times (n,), in order, the index of their part, with `count` parts of equal length."""
+    part: Ints = np.minimum((t - t[0]) / (t[-1] - t[0]) * count, count - 1).astype(np.int64)
+    return part
+
+
 def robust(A: NDArray[Any], y: NDArray[Any], least: float = 1e-4) -> tuple[NDArray[Any], Mask]:
     """Return the least-squares solution (k,) of A x = y, A (n, k), y (n,), without outliers, and the rows in use.
 
@@ -71,3 +77,8 @@ def robust(A: NDArray[Any], y: NDArray[Any], least: float = 1e-4) -> tuple[NDArr
         rest = np.abs(y - A @ x)
         keep = rest <= OUTLIER_LIMIT * max(float(np.median(rest)), least)
     return x, keep
+
+
+def robust_with_sigmas(A: NDArray[Any], y: NDArray[Any], parts: int) -> tuple[NDArray[Any], Array]:
+    """Return the solution (k,) of `robust`, and its standard errors (k,) by a jackknife of `parts` parts."""
+    return robust(A, y)[0], jackknife(lambda some: robust(A[some], y[some])[0], len(y), parts)

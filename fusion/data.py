@@ -258,6 +258,11 @@ class Truth(msgspec.Struct, frozen=True):
     sigma_theta: float = 0.0  # rad, standard deviation of the truth's heading
     time_offset: float = 0.0  # s, included in t
 
+    def spans(self, t: Array) -> Mask:
+        """Return the mask (n,) of the times t (n,) [s] between the first and the last pose."""
+        inside: Mask = (t >= self.t[0]) & (t <= self.t[-1])
+        return inside
+
 
 class Drive(msgspec.Struct, frozen=True):
     """Measured log: wheel motion between update times, measurements of every sensor, truth."""

@@ -208,7 +208,7 @@ class NoiseFindings(Judged):
         if drive.truth is None:
             return math.inf
         every = drive.measurements[sensor]
-        m = every.take(np.flatnonzero((every.t >= drive.truth.t[0]) & (every.t <= drive.truth.t[-1])))
+        m = every.take(np.flatnonzero(drive.truth.spans(every.t)))
         spread = REGISTRY[sensor].misfit(m, settings, poses_at(drive.truth, m.t)) if len(m.t) else None
         if spread is None or not math.isfinite(spread):
             return math.inf

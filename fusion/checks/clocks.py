@@ -346,7 +346,7 @@ def _lag_by_places(m: Measurements, misfit: Callable[..., float | None], truth: 
     def spreads(some: Measurements, lags: Array) -> Array:
         found = []
         for lag in lags.tolist():
-            inside = np.flatnonzero((some.t + lag >= truth.t[0]) & (some.t + lag <= truth.t[-1]))
+            inside = np.flatnonzero(truth.spans(some.t + lag))
             seen = some.take(inside) if 2 * len(inside) > len(some.t) else None
             spread = None if seen is None else misfit(seen, poses=poses_at(truth, seen.t + lag))
             found.append(math.inf if spread is None or math.isnan(spread) else spread)

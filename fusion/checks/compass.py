@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust
+from locfuse.fusion.change import jackknife, part_of, robust
 from locfuse.fusion.chi_square import MAD_OF_NORMAL, robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Stream
 from locfuse.fusion.robot import Robot
@@ -190,7 +190,7 @@ def _iron_by_truth(field: Array, t: Array, drive: Drive) -> Iron | None:
     truth = drive.truth
     if truth is None or truth.theta is None:
         return None
-    inside = (t >= truth.t[0]) & (t <= truth.t[-1])
+    inside = truth.spans(t)
     theta, m = np.interp(t[inside], truth.t, np.unwrap(truth.theta)), field[inside] @ (1.0, 1.0j)
     if len(m) < MIN_FITTED or np.ptp(theta) < MIN_FIELD_ARC_RAD:
         return None
@@ -222,11 +222,8 @@ def _iron_by_truth(field: Array, t: Array, drive: Drive) -> Iron | None:
     )
 
 
-MOVES, PART_COUNT, WANDER_S = (
-    "offset moves",
-    8,
-    2.0,
-)  # code; parts of the drive; s over which errors are correlated
+MOVES = "offset moves"  # code of the finding
+PART_COUNT, WANDER_S = 8, 2.0  # parts of the drive; s over which errors are correlated
 MIN_IN_PART = 10  # readings
 MIN_MOVE_DEG, MOVE_SIGMAS = 3.0, 4.0  # smallest reported change of the offset; standard errors
 
@@ -236,12 +233,12 @@ def of_offset_by_truth(drive: Drive, robot: Robot) -> list[Finding]:
     m, truth, settings = drive.measurements.get("compass"), drive.truth, robot.settings("compass")
     if m is None or truth is None or truth.theta is None or settings.offset_drift_deg:
         return []
-    inside = (m.t >= truth.t[0]) & (m.t <= truth.t[-1])
+    inside = truth.spans(m.t)
     t, theta = m.t[inside], np.interp(m.t[inside], truth.t, np.unwrap(truth.theta))
     if len(t) < MIN_FITTED or t[-1] - t[0] < PART_COUNT * WANDER_S:
         return []
     off = np.unwrap(np.unwrap(m.z[inside, 0]) - theta)
-    part = np.minimum((t - t[0]) / (t[-1] - t[0]) * PART_COUNT, PART_COUNT - 1).astype(np.int64)
+    part = part_of(t, PART_COUNT)
     iron = [f(k * theta) for f in (np.cos, np.sin) for k in (1, 2)]
     A = np.column_stack((np.eye(PART_COUNT)[part], *iron))
     x, _ = robust(A, off)

@@ -7,26 +7,23 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from locfuse.fusion.change import jackknife, robust
+from locfuse.fusion.change import part_of, robust_with_sigmas
 from locfuse.fusion.chi_square import robust_sigma
-from locfuse.fusion.data import Array, Drive, Ints, Stream, changes
+from locfuse.fusion.data import Array, Drive, Stream, changes
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gyro import rests, up_rate
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import arrays, seconds
 
 from .finding import Finding, Least
-from .turning import MIN_RMS_TURN_RAD, MIN_WINDOWS, Headings, Turning, headings_of, source_words
+from .turning import MIN_RMS_TURN_RAD, MIN_WINDOWS, Turning, headings_of, source_words, true_headings
 
 SCALE, ERRORS = "gyro scale", (Least(0.02, 4.0), Least(0.01, 3.0))  # smallest error: reported, tried
 BIAS, SATURATED = "gyro bias", "saturated"  # codes of findings on a bias that moves, on rates beyond the range
 WINDOW_S, PART_COUNT = 3.0, 8  # s over which turns are compared; parts of the drive, with a bias each
 MIN_IN_PART = 10  # windows in a part
 STRETCHES = 8  # parts of the jackknife
-MIN_BIAS_DEG, BIAS_SIGMAS = (
-    0.1,
-    4.0,
-)  # degrees/s; standard errors: smallest bias, and change of it, that is reported
+MIN_BIAS_DEG, BIAS_SIGMAS = 0.1, 4.0  # degrees/s; standard errors: smallest bias, and change of it, reported
 MIN_DRIFT_RATIO = 3.0  # least ratio of the observed drift of a bias to the configured one
 MIN_CLIPPED, MIN_CLIPPED_SHARE = 20, 0.005  # readings with the largest rate; share of all
 MIN_CLIPPED_RATIO = 1.15  # (wheels' rate / gyro's rate) of these readings to that of other turns
@@ -42,9 +39,7 @@ def of_gyro(
 
     `by_sensor` may have a fit of the truth. Each part of the drive has a bias of its own.
     """
-    known, truth = headings_of(drive), drive.truth
-    if truth is not None and truth.theta is not None:
-        known["truth"] = Headings(truth.t, np.unwrap(truth.theta))
+    known = headings_of(drive) | true_headings(drive)
     # wheels that slip often do not explain turns, but a truth is exact
     name = next((n for n in ("truth", "lrf", "compass") if n in known and (n in by_sensor or n == "truth")), None)
     if name is None or "gyro" not in known or ("gyro" not in by_sensor and name != "truth"):
@@ -58,14 +53,10 @@ def of_gyro(
     if len(start) < MIN_WINDOWS:
         return []
     turned, seen = changes(start, WINDOW_S, own_t, own), changes(start, WINDOW_S, t, heading)
-    part = np.minimum((start - start[0]) / (start[-1] - start[0]) * PART_COUNT, PART_COUNT - 1).astype(np.int64)
+    part = part_of(start, PART_COUNT)
     A = np.column_stack((turned, np.eye(PART_COUNT)[part]))
-
-    def fitted(some: Ints) -> float:
-        return float(robust(A[some], seen[some])[0][0])
-
-    x, _ = robust(A, seen)
-    scale, sigma = float(x[0]), float(jackknife(fitted, len(start), STRETCHES))
+    x, sigmas = robust_with_sigmas(A, seen, STRETCHES)
+    scale, sigma = float(x[0]), float(sigmas[0])
     tried, least = least is not None, ERRORS[least is not None]
     if turned.std() >= MIN_RMS_TURN_RAD and abs(scale - 1.0) >= least.error + least.sigmas * sigma:
         far = f"{abs(1.0 / scale - 1.0):.1%} too {'far' if scale < 1.0 else 'little'}"

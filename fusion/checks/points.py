@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust
+from locfuse.fusion.change import jackknife, robust, robust_with_sigmas
 from locfuse.fusion.chi_square import robust_sigma
-from locfuse.fusion.data import Array, Drive, Ints, Truth
+from locfuse.fusion.data import Array, Drive, Ints, Mask, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.landmarks import mounts_of
 from locfuse.fusion.sensors.points import PointsSettings
@@ -97,11 +97,11 @@ def _of_map(drive: Drive, robot: Robot, name: str) -> list[Finding]:
     return _compared(name, settings, seen.places)
 
 
-def _at_truth(drive: Drive, truth: Truth, settings: PointsSettings) -> tuple[Array, Array, Array]:
+def _at_truth(drive: Drive, truth: Truth, settings: PointsSettings) -> tuple[Array, Array, Mask]:
     """Return times (m,) [s] and ids (m,) of the rows inside the truth, and the mask (all rows,) of these rows."""
     m = drive.measurements[settings.table]
     t = np.repeat(m.t, np.diff(m.first))
-    inside = (t >= truth.t[0]) & (t <= truth.t[-1])
+    inside = truth.spans(t)
     return t[inside], m.extra["id"][inside], inside
 
 
@@ -114,9 +114,9 @@ def _range_scale(drive: Drive, truth: Truth, settings: RangesSettings) -> list[F
     anchors = np.array([places[int(i)] for i in ids])
     distance = np.hypot(*(settings.detector(poses_at(truth, t)) - anchors).T)
     A = np.stack((distance, np.ones(len(t))), axis=-1)
-    slope, offset = robust(A, z)[0].tolist()
-    sigma = float(jackknife(lambda some: robust(A[some], z[some])[0][0], len(t), PARTS))
-    before, after = z - distance, z - A @ (slope, offset)
+    x, sigmas = robust_with_sigmas(A, z, PARTS)
+    slope, sigma = float(x[0]), float(sigmas[0])
+    before, after = z - distance, z - A @ x
     clearly = robust_sigma(after) < MAX_REST_SHARE * robust_sigma(before - np.median(before))
     if abs(slope - 1.0) < MIN_SCALE_ERROR + SIGMAS * sigma or not clearly:
         return []

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust
+from locfuse.fusion.change import jackknife, robust, robust_with_sigmas
 from locfuse.fusion.chi_square import robust_sigma
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Truth
+from locfuse.fusion.data import Drive, Estimates, Ints, Measurements, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import poses_at
@@ -29,11 +29,7 @@ from .truth import Plane, axle_path
 
 GPS, POSE, ANTENNA = "gps", "pose", "antenna"  # sensors; code of the finding on the antenna
 EAST, PATH = "east", "path"  # codes of the findings on the direction of east, on a mirrored or scaled path
-BODY, FRAME, SPEEDS = (
-    "body",
-    "frame",
-    "speeds",
-)  # codes of findings on the body, frame and speeds of another program
+BODY, FRAME, SPEEDS = "body", "frame", "speeds"  # codes of findings on another program's body, frame, speeds
 SPEED_WINDOW_S = 1.0  # s over which speeds are summed
 WINDOW_S, SPEED_S = 5.0, 0.2  # s between two compared fixes; s before and after a time, for the speed at this time
 MIN_WINDOWS, STRETCH_COUNT = 40, 8  # windows; stretches of the drive, for the jackknife
@@ -41,10 +37,7 @@ MIN_TURNED = 1.0  # sum of squared changes of the direction of driving, unit vec
 # m, standard errors: smallest error reported; m
 MIN_ANTENNA_M, ANTENNA_SIGMAS, SEVERE_ANTENNA_M = 0.05, 4.0, 0.1
 MAX_EAST_SIGMA_DEG = 1.0  # of a direction of east that is offered
-CLAIM, MAX_CLAIM_RATIO = (
-    "claim",
-    2.0,
-)  # code of the finding on claimed errors; largest ratio of the real ones to them
+CLAIM, MAX_CLAIM_RATIO = "claim", 2.0  # code of the finding on claimed errors; largest ratio of real ones to them
 RADIANS = math.radians(1.0)  # size of a path whose degrees are recorded in radians
 MAX_SIZE_RATIO = 1.3  # largest factor between the observed size and that of a unit
 MIN_EXPLAINED_SHARE = 0.9  # least share of the positions' squares that a linear map of the truth explains
@@ -99,7 +92,7 @@ def _beside_truth(drive: Drive, sensor: str) -> tuple[Measurements | None, Any]:
     m, truth = drive.measurements.get(sensor), drive.truth
     if m is None or truth is None:
         return None, None
-    inside = np.flatnonzero((m.t >= truth.t[0]) & (m.t <= truth.t[-1]))
+    inside = np.flatnonzero(truth.spans(m.t))
     if len(inside) < MIN_WINDOWS:
         return None, None
     return m.take(inside), poses_at(truth, m.t[inside])
@@ -107,17 +100,17 @@ def _beside_truth(drive: Drive, sensor: str) -> tuple[Measurements | None, Any]:
 
 def of_positions(drive: Drive, robot: Robot) -> list[Finding]:
     """Return findings on sensors of positions and of speeds that the truth contradicts."""
-    found = []
-    for sensor in (GPS, POSE):
-        found += _of_path(drive, sensor)
-    return [*found, *([] if found else _of_body(drive, robot)), *_of_speeds(drive)]
+    fits = {sensor: fit for sensor in (GPS, POSE) if (fit := by_truth(drive, sensor)) is not None}
+    found = [f for sensor, fit in fits.items() for f in _of_path(drive, sensor, fit)]
+    if not found and POSE in fits:
+        found = _of_body(fits[POSE], robot)
+    return [*found, *_of_speeds(drive)]
 
 
-def _of_path(drive: Drive, sensor: str) -> list[Finding]:
+def _of_path(drive: Drive, sensor: str, fit: FrameFit) -> list[Finding]:
     """Return a finding on positions whose path is a mirror image of the truth's, or of another size."""
     m, poses = _beside_truth(drive, sensor)
-    fit = by_truth(drive, sensor)
-    if fit is None or m is None:
+    if m is None:
         return []
     z, A = m.z[:, :2], np.column_stack((poses[:, :2] - poses[:, :2].mean(axis=0), np.ones(len(poses))))
     x, *_ = np.linalg.lstsq(A, z, rcond=None)
@@ -136,11 +129,8 @@ def _of_path(drive: Drive, sensor: str) -> list[Finding]:
     return [Finding(sensor, PATH, words, (), True)]
 
 
-def _of_body(drive: Drive, robot: Robot) -> list[Finding]:
+def _of_body(fit: FrameFit, robot: Robot) -> list[Finding]:
     """Return a finding if poses are in another frame than the map, or of another body than configured."""
-    fit = by_truth(drive, POSE)
-    if fit is None:
-        return []
     settings = robot.settings(POSE)
     turned = abs(fit.turn) > FRAME_ERROR.error + FRAME_ERROR.sigmas * fit.turn_sigma
     if settings.frame == "map" and (turned or fit.shift > MIN_SHIFT_M):
@@ -184,12 +174,7 @@ def _of_speeds(drive: Drive) -> list[Finding]:
         both = np.stack((moved[:, 2 * column], m.z[last[first], column] - m.z[first, column]))
         moving = (np.abs(both) > MIN_MOVING_SHARE * np.sqrt((both**2).mean(axis=1, keepdims=True))).any(axis=0)
         theirs, own = both[:, moving]
-
-        def fitted(some: Ints, theirs: Array = theirs, own: Array = own) -> float:
-            return float(robust(theirs[some, None], own[some])[0][0])
-
-        slope = fitted(np.arange(len(own)))
-        sigma = float(jackknife(fitted, len(own), STRETCH_COUNT))
+        (slope,), (sigma,) = (one.tolist() for one in robust_with_sigmas(theirs[:, None], own, STRETCH_COUNT))
         rest = robust_sigma(own - slope * theirs)
         if rest > MAX_SPEED_REST * math.sqrt(float((own**2).mean())) or sigma > MAX_SPEED_REST * abs(slope):
             continue

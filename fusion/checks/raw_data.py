@@ -21,10 +21,17 @@ from locfuse.fusion.wheels.sources import SPEEDS_ALONE
 
 from .finding import Finding
 from .truth import UNIT, wheels_metre
-from .turning import Headings, headings_of, turnings
+from .turning import Headings, headings_of, true_headings, turnings
 
 PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
 MIN_CHANGES = 10  # from one publisher to the other
+STUCK = "stuck"  # code of the finding on a wheel that stands still
+MIN_TURN_RAD = 2.0 * math.pi  # about the standing wheel: robots rarely turn about one wheel for a whole turn
+MIN_SHORT_TURN_RAD = math.radians(15.0)  # about the standing wheel, if other sensors show that it rolls
+MIN_BOTH_M = 0.3  # of the truth, while both counters stand still
+MIN_STRAIGHT_M, MIN_TRUTH_SIGMAS = 0.08, 6.0  # of a straight line over a turn about one wheel, by the truth
+MIN_TURNED_SHARE = 0.5  # of that turn: a robot that did turn about one wheel turned by as much as wheels say
+MIN_SPEED_MPS = 0.02  # mean of the drive
 
 
 def of_publishers(name: str, stream: Stream, two_sources: bool = False) -> list[Finding]:
@@ -46,15 +53,6 @@ def of_publishers(name: str, stream: Stream, two_sources: bool = False) -> list[
         words = f"{part.topic} {how}: two publishers. Record each on a topic of its own"
         found.append(Finding(name, PUBLISHERS, words, severe=True))
     return found
-
-
-STUCK = "stuck"  # code of the finding on a wheel that stands still
-MIN_TURN_RAD = 2.0 * math.pi  # about the standing wheel: robots rarely turn about one wheel for a whole turn
-MIN_SHORT_TURN_RAD = math.radians(15.0)  # about the standing wheel, if other sensors show that it rolls
-MIN_BOTH_M = 0.3  # of the truth, while both counters stand still
-MIN_STRAIGHT_M, MIN_TRUTH_SIGMAS = 0.08, 6.0  # of a straight line over a turn about one wheel, by the truth
-MIN_TURNED_SHARE = 0.5  # of that turn: a robot that did turn about one wheel turned by as much as wheels say
-MIN_SPEED_MPS = 0.02  # mean of the drive
 
 
 class Unit(NamedTuple):
@@ -90,7 +88,7 @@ def of_stuck_wheel(drive: Drive) -> list[Finding]:
     moves.
     """
     still = drive.wheels.rolled == 0.0
-    sources = _sources(drive)
+    sources = [*(headings_of(drive) | true_headings(drive)).values()]
     found = {
         side: [s for first, last in stretches(still[:, i]) if (s := _alone(drive, sources, i, first, last))]
         for i, side in enumerate(("left", "right"))
@@ -105,14 +103,6 @@ def of_stuck_wheel(drive: Drive) -> list[Finding]:
     when += f" (the first of {len(times)} times)" if len(times) > 1 else ""
     words = f"{who} {when}, while {whom} {sum(s.distance for s in times):.1f} m; check the encoder"
     return [Finding("wheels", STUCK, words, severe=True)]
-
-
-def _sources(drive: Drive) -> list[Headings]:
-    """Return the headings of the truth and of the sensors that measure turns."""
-    truth = drive.truth
-    if truth is None or truth.theta is None:
-        return [*headings_of(drive).values()]
-    return [*headings_of(drive).values(), Headings(truth.t, np.unwrap(truth.theta), np.zeros(len(truth.t)))]
 
 
 def _alone(drive: Drive, sources: Sequence[Headings], side: int, first: int, last: int) -> Standstill | None:

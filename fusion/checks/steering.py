@@ -75,9 +75,12 @@ def _misfit(drive: Drive, truth: Truth) -> float:
     rows = (truth.t >= drive.wheels.t[0]) & (truth.t <= drive.wheels.t[-1])
     pose = drive.wheels.at(truth.t[rows])[2]
     point = np.broadcast_to([*truth.point, 0.0], pose.shape)
-    seen, own = ((xy - xy.mean(axis=0)) @ (1.0, 1.0j) for xy in (truth.xy[rows], se2.compose(pose, point)[:, :2]))
-    turn = np.exp(1.0j * np.angle(np.vdot(own, seen)))
-    return math.sqrt(float(np.mean(np.abs(seen - turn * own) ** 2))) if len(seen) else 0.0
+    seen, own = truth.xy[rows], se2.compose(pose, point)[:, :2]
+    if not len(seen):
+        return 0.0
+    turn, _ = se2.laid_on(own, seen)
+    rest = seen - se2.rotated(np.full(len(own), turn), own)
+    return math.sqrt(float(rest.var(axis=0).sum()))
 
 
 def _fitted(

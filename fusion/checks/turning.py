@@ -87,6 +87,14 @@ def headings_of(drive: Drive) -> dict[str, Headings]:
     return found
 
 
+def true_headings(drive: Drive) -> dict[str, Headings]:
+    """Return the headings of the truth, as those of a sensor; {} if it has none."""
+    truth = drive.truth
+    if truth is None or truth.theta is None:
+        return {}
+    return {"truth": Headings(truth.t, np.unwrap(truth.theta))}
+
+
 def turnings(drive: Drive) -> dict[str, Turning]:
     """Return the fit of turns by wheel distances, for each sensor that measures turns."""
     return _fits(headings_of(drive), drive.wheels)

@@ -454,7 +454,7 @@ def as_run(drive: Drive, estimates: Estimates) -> RunInnovations | None:
         return None
     pose = body_poses(truth, drive.t)
     after = np.clip(np.searchsorted(truth.t, drive.t), 1, len(truth.t) - 1)
-    known = (drive.t >= truth.t[0]) & (drive.t <= truth.t[-1])
+    known = truth.spans(drive.t)
     known &= truth.t[after] - truth.t[after - 1] <= gap_limit(truth.t)
     if not known.any():
         return None

@@ -64,6 +64,9 @@ CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # sigmas at which steps are clipped; st
 MIN_NOISE_FACTOR = 2.0  # noise above this multiple of the configured noise is reported
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # smaller noise is not reported
 MIN_TURN_RAD = math.radians(60.0)
+# tracked point by positions alone: s in which the wheels' heading error is constant; steps of the path, of Gauss-
+# Newton, and of its numeric slopes (m, 1)
+FRAME_S, MAX_FITTED_STEPS, GAUSS_NEWTON_STEPS, STEP_OF_SLOPE = 10.0, 2000, 5, 1e-3
 MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of laser distances and wheel distances
 
 
@@ -82,7 +85,7 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     if yaw and swings is not None and truth.theta is not None:
         truth = replace(truth, theta=truth.theta + swings.aside)
         swings = swing(truth, drive)
-    point = of_point(truth, swings)
+    point = of_point(truth, swings if truth.theta is not None else swing_by_positions(truth, drive))
     # jumps would look like noise; they and a wrong tracked point would look like a wrong start
     creep = of_creep(swings)
     aside = abs(swings.aside) if swings is not None and creep else 0.0
@@ -485,17 +488,74 @@ def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None
     # with points as complex numbers a step is turned * l + rolled * (scale + i sideways)
     columns = np.exp(1.0j * truth.theta), path @ (1.0, 1.0j), truth.xy @ (1.0, 1.0j)
     turned, rolled, y = (c[last] - c[first] for c in columns)
-    if 2.0 * np.vdot(turned, turned).real < 1.0:
+    if not _tells_point(turned, rolled):
         return None
-    alone = rolled - turned * (np.vdot(turned, rolled) / np.vdot(turned, turned))
-    if np.vdot(alone, alone).real <= MIN_SCALE_SHARE * np.vdot(rolled, rolled).real:
-        return None  # on a circle, a point beside the axle moves like a path of another scale
     A = np.stack((turned, rolled), axis=-1)
 
     def fitted(some: Ints) -> Array:
         return robust(A[some], y[some])[0].view(np.float64)
 
     return Swing(fitted(np.arange(len(y))), jackknife(fitted, len(y), STRETCH_COUNT))
+
+
+def swing_by_positions(truth: Truth, drive: Drive) -> Swing | None:
+    """Fit tracked point l and path scale s to a truth without headings; None if the robot hardly turns.
+
+    Over WINDOW_S, a step of the truth is c (s dp + dr l). The axle's step dp and the change dr of exp(i theta) are
+    those of the wheels. The factor c, of length 1, turns the wheels' frame to the truth's; it is constant in every
+    FRAME_S. It is found for each l and s, which are found by Gauss-Newton steps.
+    """
+    wheels = drive.wheels
+    inside = truth.spans(truth.t) & (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+    t, seen = truth.t[inside], truth.xy[inside] @ (1.0, 1.0j)
+    last = np.searchsorted(t, t + WINDOW_S)
+    first = np.flatnonzero(last < len(t))
+    first = first[:: 1 + len(first) // MAX_FITTED_STEPS]
+    if len(first) < MIN_STEPS:
+        return None
+    _, _, pose = wheels.at(t)
+    columns = np.exp(1.0j * pose[:, 2]), pose[:, :2] @ (1.0, 1.0j), seen
+    turned, rolled, y = (c[last[first]] - c[first] for c in columns)
+    part = ((t[first] - t[0]) / FRAME_S).astype(np.int64)
+    if np.ptp(wheels.heading(t)) < MIN_TURN_RAD or not _tells_point(turned, rolled):
+        return None
+
+    def rest(x: Array, some: Ints) -> Plane:
+        moved = (rolled * x[2] + turned * complex(x[0], x[1]))[some]
+        products = y[some] * moved.conj()
+        c = np.bincount(part[some], products.real) + 1.0j * np.bincount(part[some], products.imag)
+        return y[some] - np.exp(1.0j * np.angle(c))[part[some]] * moved
+
+    def fitted(some: Ints, x: Array, steps: int) -> Array:
+        for _ in range(steps):
+            own = rest(x, some)
+            slopes = np.stack(
+                [(own - rest(x + d, some)) / STEP_OF_SLOPE for d in STEP_OF_SLOPE * np.eye(3)], axis=-1
+            )
+            x = (
+                x
+                + robust(
+                    slopes.view(np.float64).reshape(len(own), 3, 2).transpose(0, 2, 1).reshape(-1, 3),
+                    own.view(np.float64),
+                )[0]
+            )
+        return x
+
+    x = fitted(np.arange(len(y)), np.array([*truth.point, 1.0]), GAUSS_NEWTON_STEPS)
+    sigma = jackknife(lambda some: fitted(some, x, 2), len(y), STRETCH_COUNT)
+    return Swing(np.append(x, 0.0), np.append(np.broadcast_to(sigma, 3), 0.0))
+
+
+def _tells_point(turned: Plane, rolled: Plane) -> bool:
+    """Return whether the changes of exp(i theta) and the steps of a path tell a point beside the axle from scale.
+
+    On a circle, such a point moves like a path of another scale.
+    """
+    square = np.vdot(turned, turned).real
+    alone = rolled - turned * (np.vdot(turned, rolled) / max(square, 1e-9))
+    return bool(
+        2.0 * square >= 1.0 and np.vdot(alone, alone).real > MIN_SCALE_SHARE * np.vdot(rolled, rolled).real
+    )
 
 
 def of_point(truth: Truth, found: Swing | None) -> list[Finding]:

@@ -348,6 +348,23 @@ def test_wheels_whose_turns_are_noisy_make_no_body_point(x: float, y: float, see
         assert "body point" not in {f.code for f in found}
 
 
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.3, 0.0)])
+def test_positions_alone_show_the_tracked_point(x: float, y: float) -> None:
+    healthy = drive(18, robot(), laps=1.5)
+    truth = truth_of(healthy)
+    assert truth.theta is not None
+    c, s = np.cos(truth.theta), np.sin(truth.theta)
+    xy = truth.xy + np.stack((x * c - y * s, x * s + y * c), axis=-1)
+    found = [
+        f
+        for f in of_truth(replace(healthy, truth=replace(truth, xy=xy, theta=None)), robot())
+        if f.role == "truth"
+    ]
+    assert told([f for f in found if f.code == "body point"]) == pytest.approx(
+        {"truth.x": x, "truth.y": y} if x else {}, abs=0.05
+    )
+
+
 def found_of(healthy: Drive, xy: Array, theta: Array | None = None) -> dict[str, dict[str, float]]:
     """What is found by kind where the truth's places move by xy (n, 2) and its headings by theta (n,)."""
     truth = truth_of(healthy)

@@ -444,9 +444,9 @@ def far_lag(t: Array, xy: Array | None, theta: Array | None, wheels: Wheels) -> 
         overlaps = ((a[max(0, k) : len(b) + k], b[max(0, -k) : len(a) - k]) for k in shifts.tolist())
         scores = np.array([_correlation(*overlap) for overlap in overlaps])
         best = int(np.argmax(scores))
-        rival = float(scores[np.abs(lags - lags[best]) > 3.0 * WINDOW_S].max(initial=0.0))
-        near = float(scores[np.abs(lags) <= MAX_LAG_S].max(initial=0.0))
-        if scores[best] >= MIN_CORRELATION and max(rival, near) < MAX_RIVAL_CORRELATION:
+        others = np.abs(lags - lags[best]) > 3.0 * WINDOW_S
+        rival, near = (float(scores[some].max(initial=0.0)) for some in (others, np.abs(lags) <= MAX_LAG_S))
+        if scores[best] >= MIN_CORRELATION and rival < MAX_RIVAL_CORRELATION and abs(lags[best]) > MAX_LAG_S:
             return Lag(float(lags[best]), float(scores[best]), near, spread=FAR_STEP_S)
     return None
 

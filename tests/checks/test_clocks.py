@@ -340,7 +340,7 @@ def test_a_late_truth_that_moves_while_the_wheels_stand_is_not_noisy() -> None:
     assert truth_sigma(truth, wheels).xy < 0.002
 
 
-@pytest.mark.parametrize("late", [-31.0, 20.0])
+@pytest.mark.parametrize("late", [-31.0, 2.0, 20.0])
 @pytest.mark.parametrize("headings", [True, False])
 def test_a_truth_on_its_own_clock_is_found_if_the_drive_never_repeats_itself(late: float, headings: bool) -> None:
     rng = np.random.default_rng(4)

@@ -60,7 +60,7 @@ class Unit(NamedTuple):
 
     words: str
     factor: float  # of the unit in a radian, or in a radian per second
-    per_revolution: int
+    per_revolution: float
     margin: float  # largest error of radius and track, as factor
     of_speeds: bool = False
 
@@ -175,10 +175,13 @@ def _drives_straight(drive: Drive, begin: float, end: float, ahead: float) -> bo
 def of_wheel_unit(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
     """Return a finding if the wheels' angles or speeds have another unit: the truth or a sensor moves less far."""
     wheels = drive.wheels
-    if robot.wheels.ticks_per_revolution is not None or counts_ticks(msgtype):
+    if counts_ticks(msgtype):
         return []
+    units, ticks = UNITS, robot.wheels.ticks_per_revolution
+    if ticks is not None:
+        units = (Unit("their readings look like radians, not ticks", 2.0 * math.pi / ticks, 2.0 * math.pi, 1.3),)
     speed = float(wheels.driven(wheels.t[-1])) / float(wheels.t[-1] - wheels.t[0])
-    for unit in UNITS:
+    for unit in units:
         if speed < MIN_SPEED_MPS * unit.factor or (unit.of_speeds and SPEEDS_ALONE not in drive.repairs):
             continue
         smaller = replace(drive, wheels=wheels.rerolled(wheels.rolled / unit.factor, wheels.track))
@@ -187,7 +190,7 @@ def of_wheel_unit(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
             ratios["truth"] = by_truth[0]
         by = [name for name, ratio in ratios.items() if 1.0 / unit.margin < ratio < unit.margin]
         if by:
-            words = f"by {', '.join(by)} they roll about {unit.factor:.3g} times too far: {unit.words}"
-            fix = f"wheels.ticks_per_revolution={unit.per_revolution}"
+            words = f"by {', '.join(by)} they roll about {unit.factor:.3g} times as far as the robot: {unit.words}"
+            fix = f"wheels.ticks_per_revolution={unit.per_revolution:.6g}"
             return [Finding("wheels", UNIT, words, (fix,), True)]
     return []

@@ -259,6 +259,15 @@ def test_wheels_in_another_unit_are_named_by_truth_and_compass(
     assert [f.fixes for f in found] == ([] if ticks is None else [(f"wheels.ticks_per_revolution={ticks}",)])
 
 
+def test_radians_that_are_configured_as_ticks_are_named() -> None:
+    one, settings = drive(5, robot(), ("compass",), laps=2.0), robot()
+    ticks = replace(settings, wheels=replace(settings.wheels, ticks_per_revolution=1024.0))
+    assert not of_wheel_unit(one, ticks, "sensor_msgs/msg/JointState")
+    short = replace(one, wheels=one.wheels.rerolled(one.wheels.rolled * 2.0 * np.pi / 1024.0, one.wheels.track))
+    (found,) = of_wheel_unit(short, ticks, "sensor_msgs/msg/JointState")
+    assert found.fixes == ("wheels.ticks_per_revolution=6.28319",)
+
+
 # --- left and right exchanged, on a robot without a sensor that turns: a truth of points shows it
 
 WHEELS_ALONE = ("compass.enabled=false", "camera.enabled=false", "lrf.enabled=false")

@@ -97,10 +97,15 @@ def of_angles(stream: Stream) -> list[Finding]:
 
 
 def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
-    """Return a finding if neighbouring ranges show more noise than configured.
+    """Return a finding if neighbouring ranges show more noise than configured, or no laser has the configured one.
 
     Ranges are compared directly, not with lines: if the noise is set too low, lines are split and fit well.
     """
+    if settings.sigma_range > MAX_NOISE_M:
+        fix = f"lrf.sigma_range={LrfSettings().sigma_range:g}"
+        return [
+            Finding("lrf", "noise", f"sigma_range is {settings.sigma_range:g} m: no laser is so noisy", (fix,))
+        ]
     sigma = ranges_sigma(stream, settings)
     if sigma is None or not scatter_more(sigma, settings.sigma_range):
         return []

@@ -188,6 +188,10 @@ def test_a_noise_that_is_right_or_too_high_and_walls_without_noise_are_not_menti
     assert said(room(), sigma_range=1e-6) is None
 
 
+def test_a_noise_that_no_laser_has_is_named() -> None:
+    assert said(np.full((3, 4), 2.0), sigma_range=0.5) == LrfSettings().sigma_range
+
+
 @pytest.mark.parametrize(("sigma", "more"), [(0.02, True), (0.028, False), (0.04, False)])
 def test_a_smaller_sigma_is_contradicted_by_the_ranges(sigma: float, more: bool) -> None:
     ranges = room() + noise(0.03)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .data import Array
+from .data import Array, LocfuseError
 
 SEMI_MAJOR_AXIS_M = 6_378_137.0  # of WGS 84
 FLATTENING = 1.0 / 298.257223563
 E2 = FLATTENING * (2.0 - FLATTENING)
+MAX_MAP_M = 1e5  # m from a map's origin to a fix in it
 
 
 def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -> Array:
@@ -23,6 +24,19 @@ def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -
     east = -sl * d[..., 0] + cl * d[..., 1]
     north = -s * cl * d[..., 0] - s * sl * d[..., 1] + c * d[..., 2]
     return np.stack((east, north), axis=-1)
+
+
+def check_near(where: Array, origin: tuple[float, float], role: str) -> None:
+    """Raise LocfuseError if the fixes (n, 2) [deg] of a role are far from the configured origin of its map."""
+    first = np.median(where, axis=0)
+    read = {"": first, "exchanged": first[::-1], "in radians": np.degrees(first)}
+    apart = {how: float(np.hypot(*east_north(*place, origin))) for how, place in read.items()}
+    if apart[""] < MAX_MAP_M:
+        return
+    how = min(apart, key=lambda one: apart[one])
+    likely = f": latitude and longitude look {how}" if apart[how] < MAX_MAP_M else ""
+    words = f"its fixes ({first[0]:.4f}, {first[1]:.4f}) lie {1e-3 * apart['']:.0f} km from {role}.origin{likely}."
+    raise LocfuseError(words, role=role, hint="Correct the fixes or the origin.")
 
 
 def _earth_centred(phi: Array, lam: Array) -> Array:

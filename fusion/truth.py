@@ -14,7 +14,7 @@ from locfuse.fusion.wheels.repairs import limits, spikes
 
 from . import se2
 from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible
-from .geodesy import east_north
+from .geodesy import check_near, east_north
 from .robot import TruthSettings
 from .streams import blank, count_dropped, seconds
 
@@ -153,6 +153,8 @@ def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str])
 def _in_plane(where: Array, settings: TruthSettings) -> Array:
     """Convert fixes (n, 2), latitude and longitude [deg], to x, y [m] in the map frame."""
     finite = where[plausible(where).all(axis=1)]
+    if settings.origin is not None and len(finite):
+        check_near(finite, settings.origin, "truth")
     origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
     xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))
     return se2.rotated(np.array(math.radians(settings.east_deg)), xy)

@@ -11,9 +11,9 @@ from pose_streams import odometry_stream, reckoned, slipping
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.checks.positions import of_antenna
-from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, Measurements
+from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, LocfuseError, Measurements
 from locfuse.fusion.fuse import Filter, fuse
-from locfuse.fusion.geodesy import east_north
+from locfuse.fusion.geodesy import check_near, east_north
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gps import Gps, GpsSettings
@@ -231,3 +231,17 @@ def test_an_antenna_off_the_base_is_found_and_a_right_one_is_not(
     x, y = (float(fix.split("=")[1]) for fix in finding.fixes)
     assert math.hypot(x - 0.4, y - 0.1) < 0.1
     assert rival.startswith("gps.time_offset=")
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        (ORIGIN[::-1], "exchanged"),
+        (tuple(np.radians(ORIGIN)), "in radians"),
+        ((10.0, 10.0), "km from gps.origin."),
+    ],
+)
+def test_fixes_far_from_the_origin_of_the_map_are_refused(place: tuple[float, float], words: str) -> None:
+    check_near(np.array([ORIGIN]) + 0.5, ORIGIN, "gps")
+    with pytest.raises(LocfuseError, match=words):
+        check_near(np.array([place]), ORIGIN, "gps")

@@ -228,6 +228,7 @@ NAME_TRUTH = "--set truth.topic=/TOPIC, a topic that holds the true poses"
 SENSOR_WORDS = {"lrf": "laser", "gps": "GPS"}
 MIN_HINT = 0.1  # of the agreeing share of points: a smaller gain is not reported
 TIE_SHARE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
+MIN_CONSISTENT_ANEES, MIN_SIGMA_RATIO = 0.05, 2.0  # a smaller ANEES has a cause; sigma / error that is this cause
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
@@ -324,7 +325,7 @@ def _as_configured(
 
 
 def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return a warning if, after the fixes, the run with all sensors has a too small covariance; else ""."""
+    """Return a warning if, after the fixes, the covariance is too small with all sensors, or far too large."""
     name = max(sets, key=lambda n: len(sets[n]), default="")
     anees = report["configurations"][name].get("anees") if name else None
     found = report.get("findings") or ()
@@ -333,6 +334,8 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
     if fixed and not any(shown):
         return ""  # the covariance after the fixes is unknown
     anees = next((value for value in reversed(shown) if value), anees)
+    if words := _claims_too_much(report, sets):
+        return words
     if anees is None or anees <= MAX_CONSISTENT_ANEES or any(not v["void"] for v in report.get("validity") or ()):
         return ""
     truth = report.get("settings", {}).get("truth", {})
@@ -343,6 +346,18 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
     other = f"most likely due to the finding on the {open_[0]}" if open_ else ""
     cause = other or "set truth.sigma, the truth's own noise"
     return f" ANEES ({name}) is over {MAX_ANEES:g}: {cause}{'' if open_ else ', to judge it'}."
+
+
+def _claims_too_much(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
+    """Return a warning if the covariance of the motion alone is far too large, with the sigma at fault."""
+    row = next((report["configurations"][name] for name in BASES if name in sets), {})
+    error, anees, tables = row.get("position_rmse_m"), row.get("anees"), report.get("settings", {})
+    if not error or not anees or anees > MIN_CONSISTENT_ANEES:
+        return ""
+    sigmas = {f"{t}.{key}": tables.get(t, {}).get(key) for t, key in (("truth", "sigma"), ("start", "sigma_xy"))}
+    large = [f"{key}={value:g} m is" for key, value in sigmas.items() if (value or 0.0) > MIN_SIGMA_RATIO * error]
+    times = f"{anees**-0.5:.0f} times too large"
+    return f" The covariance is {times}: {(large or ['wheels.noise is'])[0]} far larger than the errors show."
 
 
 def _ties(errors: Mapping[str, float]) -> list[str]:

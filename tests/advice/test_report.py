@@ -125,6 +125,24 @@ def test_an_unexplained_covariance_is_named(anees: float, fixed: float | None, s
 
 
 @pytest.mark.parametrize(
+    ("anees", "settings", "words"),
+    [
+        (0.06, {"truth": {"sigma": 0.5}}, ""),
+        (0.01, {"truth": {"sigma": 0.5}}, ": truth.sigma=0.5 m is far larger than the errors show."),
+        (0.01, {"start": {"sigma_xy": 5.0}}, ": start.sigma_xy=5 m is far larger than the errors show."),
+        (0.01, {}, ": wheels.noise is far larger than the errors show."),
+    ],
+)  # fmt: skip
+def test_a_covariance_that_is_far_too_large_names_the_sigma(
+    anees: float, settings: dict[str, Any], words: str
+) -> None:
+    rows = {"odometry": {"anees": anees, "position_rmse_m": 0.1}, "lrf": {"anees": 1.0, "position_rmse_m": 0.1}}
+    report: dict[str, Any] = {"configurations": rows, "findings": [], "settings": settings}
+    said = covariance(report, {"odometry": (), "lrf": ("lrf",)})
+    assert said == (f" The covariance is 10 times too large{words}" if words else "")
+
+
+@pytest.mark.parametrize(
     ("own", "smoothed", "end"),
     [
         (0.47, 0.64, "agree, in lrf-smoothed 64%, which hints that it is better. Try: --reference"),

@@ -30,7 +30,7 @@ def check_near(where: Array, origin: tuple[float, float], role: str) -> None:
     """Raise LocfuseError if the fixes (n, 2) [deg] of a role are far from the configured origin of its map."""
     first = np.median(where, axis=0)
     read = {"": first, "exchanged": first[::-1], "in radians": np.degrees(first)}
-    apart = {how: float(np.hypot(*east_north(*place, origin))) for how, place in read.items()}
+    apart = {how: float(np.hypot(*east_north(place[0], place[1], origin))) for how, place in read.items()}
     if apart[""] < MAX_MAP_M:
         return
     how = min(apart, key=lambda one: apart[one])

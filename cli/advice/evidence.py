@@ -41,21 +41,9 @@ from locfuse.fusion.checks.points import MAP, SCALE as RANGE_SCALE
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.start import START, start_by_shape
 from locfuse.fusion.checks.steering import ZERO
+from locfuse.fusion.checks.tracked_point import CREEP, POINT, YAW, of_point, swing
 from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, keys, together
-from locfuse.fusion.checks.truth import (
-    AXES,
-    CREEP,
-    POINT,
-    SIZE,
-    STEP,
-    UNIT,
-    WHEEL_SCALE,
-    YAW,
-    of_point,
-    of_truth,
-    of_ways,
-    swing,
-)
+from locfuse.fusion.checks.truth import AXES, SIZE, STEP, UNIT, WHEEL_SCALE, of_truth, of_ways
 from locfuse.fusion.checks.turning import MIRROR, RATIO, SWAPPED, turnings
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against

@@ -350,7 +350,7 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
 
 def _claims_too_much(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
     """Return a warning if the covariance of the motion alone is far too large, with the sigma at fault."""
-    row = next((report["configurations"][name] for name in BASES if name in sets), {})
+    row: Mapping[str, Any] = next((report["configurations"][name] for name in BASES if name in sets), {})
     error, anees, tables = row.get("position_rmse_m"), row.get("anees"), report.get("settings", {})
     if not error or not anees or anees > MIN_CONSISTENT_ANEES:
         return ""

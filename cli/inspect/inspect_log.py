@@ -32,7 +32,8 @@ from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
 from locfuse.fusion.checks.raw_data import PUBLISHERS
 from locfuse.fusion.checks.start import START
-from locfuse.fusion.checks.truth import FEW, POINT, of_few
+from locfuse.fusion.checks.tracked_point import POINT
+from locfuse.fusion.checks.truth import FEW, of_few
 from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

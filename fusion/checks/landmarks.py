@@ -25,7 +25,8 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
 from .finding import Finding
-from .truth import UNIT, UNITS, Plane
+from .tracked_point import Plane
+from .truth import UNIT, UNITS
 
 CLOCKWISE = "clockwise"  # code of the finding on bearings that grow clockwise
 MIN_ROLLED_M, MAX_ROLLED_M = 0.3, 1.5  # m that the robot drives between two compared detections

@@ -25,7 +25,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import poses_at
 
 from .finding import Finding, Least
-from .truth import Plane, axle_path
+from .tracked_point import Plane, axle_path
 
 GPS, POSE, ANTENNA = "gps", "pose", "antenna"  # sensors; code of the finding on the antenna
 EAST, PATH = "east", "path"  # codes of the findings on the direction of east, on a mirrored or scaled path

@@ -65,7 +65,7 @@ class Unit(NamedTuple):
     of_speeds: bool = False
 
 
-UNITS = (
+UNITS: tuple[Unit, ...] = (
     Unit("their angles look like degrees", math.degrees(1.0), 360, 1.3),
     # a radius of cm instead of mm is near
     Unit("their speeds look like revolutions per minute (60 / (2 pi))", 30.0 / math.pi, 60, 1.04, True),

@@ -22,6 +22,7 @@ from .clocks import MIN_LAG_S, SPEED_SIGMA_S, Pair, differences, explained, wron
 from .lag import SAID_SIGMAS, Lag
 from .laser import laser_motion
 from .probes import MIN_SCALE, MOUNT_KEYS, path_scale
+from .tracked_point import swing
 from .tried import (
     MIN_GAIN,
     MIN_GAIN_NATS,
@@ -35,7 +36,7 @@ from .tried import (
     worsens_alone,
     worsens_far,
 )
-from .truth import swing, wheels_metre
+from .truth import wheels_metre
 from .turning import clock_offset, observed_track, turnings, turns_by_truth
 
 LASER, CLOCK = "lrf", "time_offset"

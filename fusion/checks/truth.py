@@ -7,11 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Mask, Truth, changes, interpolate, stretches, totals
+from locfuse.fusion.data import Array, Drive, Estimates, Mask, Truth, changes, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
 from locfuse.fusion.truth import NO_TRUTH
@@ -22,8 +20,8 @@ from locfuse.fusion.wheels.repairs import gaps_of, spikes, times
 from .finding import Finding, Least, of_error
 from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right
 from .start import of_start
+from .tracked_point import axle_path, of_creep, of_point, of_yaw, swing, swing_by_positions
 
-Plane = NDArray[np.complex128]  # points of the plane, m
 UNIT, AXES, JUMP, FEW = "unit", "axes", "jump", "few"  # codes of the findings on an unusable truth
 SIZE = "size"  # code of the finding on a truth with another distance scale than wheels and laser
 # ratio of the truth's distances to those in m -> unit
@@ -35,12 +33,8 @@ MAX_LEVEL_SHARE, MIN_EXTENT_M, MAX_SEEN_SHARE = 0.1, 0.5, 0.8
 MAX_STILL_M = 1e-4  # m, extent of a truth that does not move
 # standard errors; largest difference of wheels and laser, as share of the truth's scale error
 MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
-MIN_SCALE_SHARE = 0.05  # least share of a path's squared steps that no tracked point explains, to find its scale
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: plausible range of the 99th percentile of a robot's speeds
 STEP = "step"  # code of the finding on sideways steps
-POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on sideways motion
-YAW = "body yaw"  # code of the finding on the direction of the tracked body
-MIN_CREEP, CREEP_SIGMAS, MIN_YAW_ERROR_RAD = 0.008, 5.0, math.radians(5.0)  # m per m; standard errors
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
 MIN_READINGS = 5  # of a truth that is used
 WINDOW_S = 1.0  # s over which steps are compared
@@ -53,8 +47,6 @@ MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheel
 WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
 MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps it is unusable
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a jump is longer than this factor times the wheels' step plus this distance
-MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
-APART_SIGMAS, MIN_APART_M = 6.0, 0.1  # standard errors of x and of y, one of which may be unclear; m
 # sideways steps: least size in m, and in median differences from the wheels; largest number
 MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5
 MIN_STEP_RATIO = 2.0  # of a step to the usual large ones
@@ -63,10 +55,6 @@ WINDOW_STEPS = 41  # steps of a path over which its direction is computed; one w
 CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # sigmas at which steps are clipped; standard errors of significant noise
 MIN_NOISE_FACTOR = 2.0  # noise above this multiple of the configured noise is reported
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # smaller noise is not reported
-MIN_TURN_RAD = math.radians(60.0)
-# tracked point by positions alone: s in which the wheels' heading error is constant; steps of the path, of Gauss-
-# Newton, and of its numeric slopes (m, 1)
-FRAME_S, MAX_FITTED_STEPS, GAUSS_NEWTON_STEPS, STEP_OF_SLOPE = 10.0, 2000, 5, 1e-3
 MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of laser distances and wheel distances
 
 
@@ -105,20 +93,6 @@ def with_headings(truth: Truth, wheels: Wheels) -> Truth:
     seen, rolled = (np.diff(xy @ (1.0, 1.0j)) for xy in (truth.xy, pose[:, :2]))
     turn = np.unwrap(np.angle(np.convolve(seen * rolled.conj(), np.ones(WINDOW_STEPS), "same")))
     return replace(truth, theta=pose[:, 2] + np.append(turn, turn[-1:]))
-
-
-def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
-    """Return the axle's path (n, 2) [m, map frame] from wheel distances and truth headings, at the truth's stamps.
-
-    The wheels' turns are not used, since slip changes them. None for a truth without headings.
-    """
-    if truth.theta is None:
-        return None
-    theta = np.interp(wheels.t, truth.t, np.unwrap(truth.theta))
-    turn = np.diff(theta)
-    chord = wheels.twist[:, :2] * np.sinc(turn / (2.0 * np.pi))[:, None]
-    path = totals(se2.rotated(theta[:-1] + 0.5 * turn, chord))
-    return interpolate(truth.t, wheels.t, path)
 
 
 def _inside(truth: Truth, wheels: Wheels) -> Mask:
@@ -448,156 +422,6 @@ def wheels_fix(robot: Robot, factor: float) -> tuple[str, ...]:
         return () if wheels.estimate else ("wheels.estimate=true",)
     track = () if wheels.track is None else (f"wheels.track={wheels.track * factor:.4g}",)  # turns stay equal
     return (f"wheels.radius={wheels.radius * factor:.4g}", *track)
-
-
-class Swing(NamedTuple):
-    """Fit of the base's path to the truth's motion: tracked point, scale of the path, sideways motion."""
-
-    x: Array  # (4,) tracked point (x, y) [m], scale of the path, sideways motion [m per m]
-    sigma: Array  # (4,)
-
-    @property
-    def aside(self) -> float:
-        """Angle from the truth's headings to the directions of travel [rad]."""
-        return math.atan2(self.x[3], self.x[2])
-
-    @property
-    def scale(self) -> float:
-        """Length of the truth's steps / length of the path's steps; wrong headings only turn the steps."""
-        return math.hypot(*self.x[2:])
-
-
-def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None:
-    """Fit tracked point, path scale and sideways motion to the truth; None if the robot hardly turns.
-
-    The point is at p(t) = base + R(theta) l. So its step is the step of the base, times a factor and rotated by a
-    small angle (sideways motion), plus (R(theta') - R(theta)) l. `path` (n, 2) [m] are the base's positions at the
-    truth's stamps, NaN where unknown; by default those of the axle by the wheels.
-    """
-    path = axle_path(truth, drive.wheels) if path is None else path
-    if path is None or truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
-        return None
-    wheels = drive.wheels
-    last = np.searchsorted(truth.t, truth.t + WINDOW_S)
-    first = np.flatnonzero((last < len(truth.t)) & (truth.t >= wheels.t[0]))
-    known = (truth.t[last[first]] <= wheels.t[-1]) & np.isfinite(path[first] + path[last[first]]).all(axis=1)
-    first = first[known]
-    if len(first) < 20:
-        return None
-    last = last[first]
-    # with points as complex numbers a step is turned * l + rolled * (scale + i sideways)
-    columns = np.exp(1.0j * truth.theta), path @ (1.0, 1.0j), truth.xy @ (1.0, 1.0j)
-    turned, rolled, y = (c[last] - c[first] for c in columns)
-    if not _tells_point(turned, rolled):
-        return None
-    A = np.stack((turned, rolled), axis=-1)
-
-    def fitted(some: Ints) -> Array:
-        return robust(A[some], y[some])[0].view(np.float64)
-
-    return Swing(fitted(np.arange(len(y))), jackknife(fitted, len(y), STRETCH_COUNT))
-
-
-def swing_by_positions(truth: Truth, drive: Drive) -> Swing | None:
-    """Fit tracked point l and path scale s to a truth without headings; None if the robot hardly turns.
-
-    Over WINDOW_S, a step of the truth is c (s dp + dr l). The axle's step dp and the change dr of exp(i theta) are
-    those of the wheels. The factor c, of length 1, turns the wheels' frame to the truth's; it is constant in every
-    FRAME_S. It is found for each l and s, which are found by Gauss-Newton steps.
-    """
-    wheels = drive.wheels
-    inside = truth.spans(truth.t) & (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
-    t, seen = truth.t[inside], truth.xy[inside] @ (1.0, 1.0j)
-    last = np.searchsorted(t, t + WINDOW_S)
-    first = np.flatnonzero(last < len(t))
-    first = first[:: 1 + len(first) // MAX_FITTED_STEPS]
-    if len(first) < MIN_STEPS:
-        return None
-    _, _, pose = wheels.at(t)
-    columns = np.exp(1.0j * pose[:, 2]), pose[:, :2] @ (1.0, 1.0j), seen
-    turned, rolled, y = (c[last[first]] - c[first] for c in columns)
-    part = ((t[first] - t[0]) / FRAME_S).astype(np.int64)
-    if np.ptp(wheels.heading(t)) < MIN_TURN_RAD or not _tells_point(turned, rolled):
-        return None
-
-    def rest(x: Array, some: Ints) -> Plane:
-        moved = (rolled * x[2] + turned * complex(x[0], x[1]))[some]
-        products = y[some] * moved.conj()
-        c = np.bincount(part[some], products.real) + 1.0j * np.bincount(part[some], products.imag)
-        return y[some] - np.exp(1.0j * np.angle(c))[part[some]] * moved
-
-    def fitted(some: Ints, x: Array, steps: int) -> Array:
-        for _ in range(steps):
-            own = rest(x, some)
-            slopes = np.stack(
-                [(own - rest(x + d, some)) / STEP_OF_SLOPE for d in STEP_OF_SLOPE * np.eye(3)], axis=-1
-            )
-            x = (
-                x
-                + robust(
-                    slopes.view(np.float64).reshape(len(own), 3, 2).transpose(0, 2, 1).reshape(-1, 3),
-                    own.view(np.float64),
-                )[0]
-            )
-        return x
-
-    x = fitted(np.arange(len(y)), np.array([*truth.point, 1.0]), GAUSS_NEWTON_STEPS)
-    sigma = jackknife(lambda some: fitted(some, x, 2), len(y), STRETCH_COUNT)
-    return Swing(np.append(x, 0.0), np.append(np.broadcast_to(sigma, 3), 0.0))
-
-
-def _tells_point(turned: Plane, rolled: Plane) -> bool:
-    """Return whether the changes of exp(i theta) and the steps of a path tell a point beside the axle from scale.
-
-    On a circle, such a point moves like a path of another scale.
-    """
-    square = np.vdot(turned, turned).real
-    alone = rolled - turned * (np.vdot(turned, rolled) / max(square, 1e-9))
-    return bool(
-        2.0 * square >= 1.0 and np.vdot(alone, alone).real > MIN_SCALE_SHARE * np.vdot(rolled, rolled).real
-    )
-
-
-def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
-    """Return a finding if the tracked point is not the configured one."""
-    if found is None:
-        return []
-    (x, y), sigma, configured = found.x[:2].tolist(), float(np.hypot(*found.sigma[:2])), truth.point
-    away = math.hypot(x - configured[0], y - configured[1])
-    apart = float(np.hypot(*((found.x[:2] - configured) / np.maximum(found.sigma[:2], 1e-9))))
-    unclear = apart < APART_SIGMAS or away < MIN_APART_M
-    if away < MIN_POINT_ERROR_M or (away < POINT_SIGMAS * sigma and unclear):
-        return []
-    words = (
-        f"it swings as the body point ({x:.3f}, {y:.3f}) m does (1 sigma {sigma:.3f}), not "
-        f"({configured[0]:g}, {configured[1]:g}): a tracked marker off the axle"
-    )
-    return [Finding("truth", POINT, words, (f"truth.x={x:.3f}", f"truth.y={y:.3f}"), away > SEVERE_POINT_ERROR_M)]
-
-
-def of_yaw(found: Swing | None, robot: Robot) -> list[Finding]:
-    """Return a finding if the truth's headings are not the directions of travel, by more than wheels can creep."""
-    if found is None or abs(found.aside) < MIN_YAW_ERROR_RAD + CREEP_SIGMAS * float(found.sigma[3]):
-        return []
-    yaw = math.degrees(se2.wrap(math.radians(robot.truth.yaw_deg) - found.aside))
-    words = f"{_sideways(found)}, more than wheels can creep: the tracked body is turned on the robot"
-    return [Finding("truth", YAW, words, (f"truth.yaw_deg={yaw:.1f}",), True)]
-
-
-def of_creep(found: Swing | None) -> list[Finding]:
-    """Return a finding if, by the truth, the robot drives sideways to its heading."""
-    if found is None or abs(found.aside) < max(MIN_CREEP, CREEP_SIGMAS * float(found.sigma[3])):
-        return []
-    words = f"{_sideways(found)}: wheels that creep sideways, or a truth whose headings are off by that"
-    return [Finding("wheels", CREEP, words)]
-
-
-def _sideways(found: Swing) -> str:
-    aside, sigma = math.degrees(found.aside), math.degrees(float(found.sigma[3]))
-    return (
-        f"by the truth the robot drives {abs(aside):.1f}° to the {'left' if aside > 0.0 else 'right'} of where it "
-        f"points (1 sigma {sigma:.1g}°)"
-    )
 
 
 def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:

@@ -73,11 +73,14 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     if yaw and swings is not None and truth.theta is not None:
         truth = replace(truth, theta=truth.theta + swings.aside)
         swings = swing(truth, drive)
-    point = of_point(truth, swings if truth.theta is not None else swing_by_positions(truth, drive))
-    # jumps would look like noise; they and a wrong tracked point would look like a wrong start
+    swings = swings if truth.theta is not None else swing_by_positions(truth, drive)
+    point = of_point(truth, swings)
+    if point and swings is not None:  # a wrong tracked point would look like a wrong start
+        truth = replace(truth, point=(float(swings.x[0]), float(swings.x[1])))
+    # jumps would look like noise, and like a wrong start
     creep = of_creep(swings)
     aside = abs(swings.aside) if swings is not None and creep else 0.0
-    start = [] if jumps or point else of_start(truth, drive, robot, aside)
+    start = [] if jumps else of_start(truth, drive, robot, aside)
     noise = [] if jumps else _noise(truth, drive)
     return [*yaw, *jumps, *_gaps(truth), *noise, *point, *start, *creep]
 

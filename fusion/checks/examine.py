@@ -26,7 +26,7 @@ from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .gyro import of_gyro, of_saturation
 from .landmarks import of_landmarks
-from .laser import laser_motion, of_laser, of_radius, of_sweep
+from .laser import BUMP, laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_angles, of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
 from .positions import of_positions
@@ -116,10 +116,16 @@ def examine(
         found += [*of_calibration(streams["camera"], robot.settings("camera")), *of_handedness(drive, robot)]
     sizes = scales(drive, robot, by_sensor, turning, least)
     if least is None:  # callers that try fixes compare clocks themselves
-        sizes += of_clocks(drive, robot)
+        sizes = _and_clocks(sizes, of_clocks(drive, robot))
         sizes += unseen(drive) if sizes else []
     truth = [] if any(o.code == SIZE for o in sizes) else of_truth(_on_clocks(drive, robot, sizes), robot)
     return [*found, *sizes, *truth]
+
+
+def _and_clocks(found: list[Finding], clocks: list[Finding]) -> list[Finding]:
+    """Return both; without a bumped laser if its clock is wrong, since walls at other times seem to turn."""
+    late = any(o.severe and o.role in {"lrf", "wheels"} for o in clocks)
+    return [*(o for o in found if not (late and o.code == BUMP)), *clocks]
 
 
 def _on_clocks(drive: Drive, robot: Robot, found: Sequence[Finding]) -> Drive:

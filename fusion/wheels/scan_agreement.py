@@ -38,12 +38,14 @@ NEAR_M = 0.1  # largest distance of an agreeing point from a point of the earlie
 LATER_POINTS, SURFACE_POINTS = 90, 360  # of the later and of the earlier scan
 MATCHED_POINTS = 40  # of a scan between both
 SEARCH_STRIDE = 4  # every fourth point is used while clock and mount are searched
-# laser parameters of the search: turn [rad] and mirroring relative to the mount, lag [s] of the clock, x offset
-# [m]
-AS_CONFIGURED, LAG, AHEAD = np.zeros(4), np.eye(4)[2], np.eye(4)[3]
-TURNS = np.array([(turn, side, 0.0, 0.0) for side in (0.0, 1.0) for turn in np.radians([0.0, 90.0, 180.0, -90.0])])
+# laser parameters of the search: turn [rad] and mirroring relative to the mount, lag [s] of the clock, x and y
+# offset [m] from the configured mount
+AS_CONFIGURED, LAG, AHEAD, ASIDE = np.zeros(5), *np.eye(5)[2:]
+TURNS = np.array([(turn, side, 0, 0, 0) for side in (0, 1) for turn in np.radians([0.0, 90.0, 180.0, -90.0])])
 LAGS_S, FINER_S = np.linspace(-0.5, 0.5, 11), np.array([-0.05, 0.05])  # of the laser's clock
-AHEAD_M = np.array([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])  # x offsets tried if the laser's position is not configured
+MAX_FAR_LAG_S, FAR_STEP_S = 60.0, 0.1  # s: larger lags, found by the turns of the pairs
+MIN_FAR_CORRELATION, MAX_NEAR_CORRELATION = 0.8, 0.5  # of the turns, at a far lag; at those in LAGS_S
+OFFSETS_M = np.array([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])
 STEP_S = 0.2  # s between matched scans within a pair
 STEP_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(12.0) ** -2])  # weak prior of a step
 BETWEEN_PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # prior of a pair after its steps were matched
@@ -94,8 +96,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
     def of(self, motion: WheelReading) -> float:
         """Return the share s of scan points that agree with a wheel motion.
 
-        The laser's direction, mirroring and clock are chosen so that s is largest, and its x offset too if the
-        position of the laser is not configured.
+        The laser's direction, mirroring, clock and position are chosen so that s is largest.
         """
         return self.share(self._by(motion, self._best_laser(motion)))
 
@@ -108,16 +109,28 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return robust_sigma(off / np.sqrt(variance))
 
     def _best_laser(self, motion: WheelReading) -> Array:
-        """Search for the laser's turn [rad], mirroring, lag [s] and x offset [m] with the largest share s."""
-        best, placed = AS_CONFIGURED, self.laser.mount[:2].any()
+        """Search for the laser's turn [rad], mirroring, lag [s] and offsets [m] with the largest share s."""
+        best = AS_CONFIGURED + self._far_lag(motion) * LAG
         share = self.share(self._by(motion, best), SEARCH_STRIDE)
-        searched = [TURNS, *(lags[:, None] * LAG for lags in (LAGS_S, FINER_S))]
-        for steps in searched if placed else (*searched, AHEAD_M[:, None] * AHEAD):
+        lags, offsets = ((LAGS_S, LAG), (FINER_S, LAG)), ((OFFSETS_M, AHEAD), (OFFSETS_M, ASIDE))
+        for steps in (TURNS, *(sizes[:, None] * part for sizes, part in (*lags, *offsets))):
             tries = [best + step for step in steps if step.any()]
             shares = [self.share(self._by(motion, one), SEARCH_STRIDE) for one in tries]
             if shares and max(shares) > share:
                 share, best = max(shares), tries[int(np.argmax(shares))]
         return best
+
+    def _far_lag(self, motion: WheelReading) -> float:
+        """Return the lag [s] at which the motion turns as by scan matching, if that is a far one; else 0."""
+        lags = np.arange(-MAX_FAR_LAG_S, MAX_FAR_LAG_S, FAR_STEP_S)
+        ends = (self._within(motion, lags[:, None])[i] for i in (0, 1))
+        begin, end = (motion.wheels.heading(t.ravel()).reshape(len(lags), -1) for t in ends)
+        turned, own = end - begin, self._poses[:, 2] - self._poses[:, 2].mean()
+        turned -= turned.mean(axis=1, keepdims=True)
+        lengths = np.sqrt((turned**2).sum(axis=1) * float(own @ own))
+        fits = np.abs(np.divide(turned @ own, lengths, out=np.zeros(len(lags)), where=lengths > 0.0))
+        near, best = float(fits[np.abs(lags) <= LAGS_S[-1]].max()), int(np.argmax(fits))
+        return float(lags[best]) if fits[best] > MIN_FAR_CORRELATION and near < MAX_NEAR_CORRELATION else 0.0
 
     def of_path(self, motion: WheelReading) -> float:
         """Return the share s of agreeing points for a motion that is the laser's own path by scan matching.
@@ -157,15 +170,15 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     def _by(self, motion: WheelReading, how: Array) -> Array:
         """Return the laser's motion over each pair (p, 3) by a wheel motion, for laser parameters `how` (4,)."""
-        turn, mirrored, lag, ahead = how.tolist()
-        mount = self.laser.mount + np.array([ahead, 0.0, turn])
+        turn, mirrored, lag, ahead, aside = how.tolist()
+        mount = self.laser.mount + np.array([ahead, aside, turn])
         body = motion.wheels.relative(*self._within(motion, lag))
         laser = np.broadcast_to(mount, body.shape)
         moved = se2.between(laser, se2.compose(body, laser))
         return moved * [1.0, -1.0, -1.0] if mirrored else moved
 
-    def _within(self, motion: WheelReading, lag: float) -> tuple[Array, Array]:
-        """Return begin and end time of each pair (p,) on the clock of a motion, limited to its range."""
+    def _within(self, motion: WheelReading, lag: float | Array) -> tuple[Array, Array]:
+        """Return begin and end time of each pair (..., p) on the clock of a motion, limited to its range."""
         return _times(self.stream, motion, self.t[self.first] + lag, self.t[self.later] + lag)
 
     def _rows_between(self, i: int, j: int) -> Ints:

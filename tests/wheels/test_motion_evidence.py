@@ -62,6 +62,28 @@ def test_a_motion_twice_as_far_agrees_less_and_a_late_clock_and_a_turned_laser_d
     assert turned_laser.of(true) > 0.74
 
 
+def test_a_wrong_position_of_the_laser_does_not_speak_against_the_motion() -> None:
+    true, rng = moved_by(TRUTH), np.random.default_rng(1)
+    scans = scan_stream(stamps(T), np.stack([ranges_of(pose, ROOM, rng) for pose in TRUTH]))
+    pairs = present(scan_pairs(scans, laser_of(LrfSettings(x=-0.2, y=0.3)), [true]))
+    assert pairs.of(true) > 0.74
+    assert pairs.of(moved_by(TRUTH * (2.0, 2.0, 1.0))) < pairs.of(true) - 0.1
+
+
+@pytest.mark.parametrize("late_s", [-25.0, 37.0])
+def test_a_clock_that_is_far_off_does_not_speak_against_the_motion(late_s: float) -> None:
+    t, rng = np.arange(0.0, 60.0, 0.2), np.random.default_rng(4)
+    turns = np.repeat(rng.normal(0.0, 0.6, len(t) // 10), 10)[1:]
+    poses = se2.chain(0.2 * np.stack((0.05 + 0.0 * turns, 0.0 * turns, turns), axis=-1))
+    twist = se2.log(se2.between(poses[:-1], poses[1:]))
+    true = WheelReading(Wheels.from_twists(t, twist, 0.3, 0.0), stamps(t[:1])[0], {}, ())
+    scans = scan_stream(stamps(t), np.stack([ranges_of(pose, ROOM, rng) for pose in poses]))
+    pairs = present(scan_pairs(scans, laser_of(LrfSettings()), [true]))
+    late = true._replace(epoch_ns=true.epoch_ns + round(late_s * 1e9))
+    assert pairs.of(late) > pairs.of(true) - 0.15
+    assert pairs.share(pairs._by(late, np.zeros(5))) < pairs.of(true) - 0.3
+
+
 def test_a_laser_upside_down_sees_the_mirror_image_and_does_not_speak_against_the_motion(tmp_path: Path) -> None:
     """A beam to the left is told as one to the right. An odometry that turns wrongly is much rarer."""
     true, mirrored = moved_by(TRUTH), TRUTH * (1.0, -1.0, -1.0)

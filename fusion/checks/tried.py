@@ -25,6 +25,7 @@ MAX_CONSISTENT_LOSS = 0.3  # the same, if its ANEES is not above its chance rang
 MAX_SMOOTHED_LOSS = 1.0  # the same, for a smoothed path whose ANEES is not above its chance range
 MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: a larger loss is not due to chance
 MAX_LN_ANEES_LOSS = 0.1  # largest move of ln ANEES away from its chance range, at equal error
+MAX_CHANCE_LN_ANEES_LOSS = 0.3  # the same, for a configuration that no user would keep
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_TURN_DEG = 0.1  # deg: smallest change of a heading error; allowed growth in addition to MAX_LOSS
 MIN_LN_ANEES_GAIN = 0.2  # least move of ln ANEES towards its chance range
@@ -63,10 +64,11 @@ def readable(before: Marks, after: Marks) -> tuple[Marks, Marks]:
     return before, after
 
 
-def worsens(before: Marks, after: Marks, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:
+def worsens(before: Marks, after: Marks, allowed: float = MAX_LOSS, by_chance: bool = False) -> bool:
     """Return whether a figure gets notably worse or is missing after a fix.
 
-    `allowed` is the largest relative growth of the position error, `allowed_nats` the largest loss of prediction.
+    `allowed` is the largest relative growth of the position error. With `by_chance`, the limits for ANEES and
+    prediction are those of chance.
     """
     if after.lost > before.lost + MAX_LOST_GROWTH:
         return True
@@ -76,9 +78,11 @@ def worsens(before: Marks, after: Marks, allowed: float = MAX_LOSS, allowed_nats
         much_smaller = after.position < (1.0 - MIN_GAIN) * before.position
         if after.position >= MAX_SETTLED_SHARE * before.position and _turns_worse(before, after, allowed):
             return True
-        return not much_smaller and _off(after) > _off(before) + MAX_LN_ANEES_LOSS
+        more = MAX_CHANCE_LN_ANEES_LOSS if by_chance else MAX_LN_ANEES_LOSS
+        return not much_smaller and _off(after) > _off(before) + more
     if before.prediction is not None:
-        return after.prediction is None or after.prediction < before.prediction - allowed_nats
+        less = MAX_CHANCE_LOSS_NATS if by_chance else MAX_LOSS_NATS
+        return after.prediction is None or after.prediction < before.prediction - less
     return False
 
 
@@ -102,7 +106,7 @@ def worsens_alone(before: Marks, after: Marks) -> bool:
     fix.
     """
     allowed = MAX_CONSISTENT_LOSS if within_claim(before, after) or was_chance(before, after) else MAX_CHANCE_LOSS
-    return worsens(before, after, allowed, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
+    return worsens(before, after, allowed, by_chance=True) and not _only_underconfident(before, after)
 
 
 def within_claim(before: Marks, after: Marks) -> bool:
@@ -565,10 +569,10 @@ def judged_pairs(
     pairs: dict[str, tuple[Marks, Marks]] = {}
     chance_alone = turned = False
     # a value that others confirm, and that halves one error, is right even if other rows lose by it
-    proven = candidate.proven and any(
+    settled = candidate.measured and any(
         settles(*pair) for pair in scored(kept, together(kept, fixes), candidate.judges, trial).values()
     )
-    settled = proven
+    proven = settled and candidate.proven
     for name in candidate.judges:
         found = scored(kept, together(kept, fixes), (name,), trial)
         if not found:

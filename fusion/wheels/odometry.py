@@ -83,6 +83,9 @@ MAX_FRAME_SHARE = 0.5
 MIN_BODY_MISFIT = 0.3  # least misfit to the body's axes, as share of the distance, for speeds in the poses' frame
 MAX_SIDEWAYS_MPS = 3.0  # m/s, limit of the 95th percentile of the sideways speed
 MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and largest share of jumps among the steps
+MIN_UNSEEN_TURN_RAD = 1.0  # turn by the rates, beside a heading that never changes
+# smallest grid of positions that is too coarse; number of steps; largest distance from the grid as share of it
+MIN_GRID_M, MIN_GRID_STEPS, MAX_OFF_GRID = 0.02, 20, 1e-3
 # length of the mean unit step in the body's frame: least one with which steps have one direction; gain by a mirror
 MIN_ALONG, MIN_MIRROR_GAIN = 0.9, 0.3
 MAX_SPEED_MISFIT = 0.3  # mean difference of steps by speed and by pose, as share of the step, if speeds are used
@@ -192,13 +195,14 @@ def travelled(
     """Return the motion by an odometry's values (n, 5): x, y [m], yaw [rad], speed [m/s], turning rate [rad/s].
 
     The steps are those of the poses; with `by_twist`, a negative speed marks a step as backwards. If the position
-    never changes, the speeds are integrated. `posed` is whether the messages have a pose.
+    never changes, or in coarse steps, the speeds are integrated. `posed` is whether the messages have a pose.
     """
-    placed = posed and not (np.ptp(values[:, :2], axis=0).max() <= 0.0 and values[:, 3:].any())
-    if posed and not placed and np.ptp(values[:, 2]) > 0.0:  # the position is constant: use heading and speed
+    useless, turns = _useless(t, values) if posed else ("", False)
+    placed = posed and not useless
+    if useless and turns:
         values = np.column_stack((_poses_by_heading(t, values[:, 3], values[:, 2]), values[:, 3:]))
     elif not placed:
-        notes = ("its pose never changes: its twist is used",) if posed else ()
+        notes = (f"its {useless}: its twist is used",) if posed else ()
         keep = possible(values[:, 3:], max_speed)
         return OdometryMotion(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
     values, words = along_the_way(t, values)
@@ -222,12 +226,32 @@ def travelled(
     in_frame = bool(by_speed.any()) and along_the_frame(steps[:, 0], np.diff(values[:, 0]), by_speed)
     backing = backing_up(steps, by_speed) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0
-    words += [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
+    words += [f"its {useless}: its speed is used along its heading"] if useless else []
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
     words += _words(int(bad.sum()), still, t[1:][far].tolist(), int(backing.sum()))
     used = ~bad
     used[rows[held]] = False
     return OdometryMotion(used, steps, int(bad.sum()), tuple(words), doubt)
+
+
+def _useless(t: Array, values: Array) -> tuple[str, bool]:
+    """Return why poses (n, 5) are useless beside their speeds, "" if they are not; and whether they turn.
+
+    The position never changes, or is rounded to a coarse grid; or the heading never changes although it turns.
+    """
+    speeds, turns = np.abs(values[:, 3:]), bool(np.ptp(values[:, 2]) > 0.0)
+    if not speeds.any():
+        return "", turns
+    steps = np.abs(np.diff(values[:, :2], axis=0))
+    if not steps.any():
+        return f"{'position' if turns else 'pose'} never changes", turns
+    if not turns and float(np.diff(t) @ speeds[1:, 1]) > MIN_UNSEEN_TURN_RAD:
+        return "heading never changes", False
+    steps = steps[steps > MIN_STEP_M]
+    grid = float(steps.min(initial=np.inf))
+    coarse = MIN_GRID_M <= grid < np.inf and len(steps) >= MIN_GRID_STEPS and speeds[:, 0].any()
+    coarse = coarse and np.abs(steps / grid - np.round(steps / grid)).max() < MAX_OFF_GRID
+    return (f"position changes in steps of {grid:.2g} m" if coarse else ""), turns
 
 
 def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:

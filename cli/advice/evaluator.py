@@ -166,7 +166,7 @@ def on_the_whole_drive(
     more = 0 if trial.loaded is trial.whole else MAX_WHOLE
     for advice in found:
         fixes = advice.fixes
-        if not fixes and more > 0 and advice.harmless and advice.finding.severe and advice.tried:
+        if not fixes and more > 0 and advice.finding.severe and advice.tried:
             fixes, more = advice.tried[0], more - 1
         if not fixes:
             judged.append(advice)

@@ -24,6 +24,7 @@ WINDOW_S, PART_COUNT = 3.0, 8  # s over which turns are compared; parts of the d
 MIN_IN_PART = 10  # windows in a part
 STRETCHES = 8  # parts of the jackknife
 MIN_BIAS_DEG, BIAS_SIGMAS = 0.1, 4.0  # degrees/s; standard errors: smallest bias, and change of it, reported
+SEVERE_BIAS_RATIO = 3.0  # least ratio of the change of a bias to the smallest one, to be severe
 MIN_DRIFT_RATIO = 3.0  # least ratio of the observed drift of a bias to the configured one
 MIN_CLIPPED, MIN_CLIPPED_SHARE = 20, 0.005  # readings with the largest rate; share of all
 MIN_CLIPPED_RATIO = 1.15  # (wheels' rate / gyro's rate) of these readings to that of other turns
@@ -90,7 +91,8 @@ def _of_bias(bias: Array, rest: Array, duration: float, robot: Robot, name: str,
         return []
     moves = f"its bias moves by {np.ptp(bias):.2g} degrees/s during the drive (1 sigma {sigma:.1g})"
     words = f"{moves}, by the headings of {source_words(name)}"
-    return [Finding("gyro", BIAS, words, (f"gyro.bias_drift_deg={drift:.2g}",))]
+    severe = float(np.ptp(bias)) > SEVERE_BIAS_RATIO * least
+    return [Finding("gyro", BIAS, words, (f"gyro.bias_drift_deg={drift:.2g}",), severe)]
 
 
 def of_saturation(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:

@@ -15,13 +15,14 @@ from locfuse.fusion.data import Array, Drive, Stream, Truth, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import parts_of
 from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.odometry import BODY_READS
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.repairs import MAX_HELD_FACTOR
 from locfuse.fusion.wheels.sources import SPEEDS_ALONE
 
 from .finding import Finding
 from .truth import UNIT, wheels_metre
-from .turning import Headings, headings_of, true_headings, turnings
+from .turning import Headings, and_truth, headings_of, true_headings, turnings
 
 PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
 MIN_CHANGES = 10  # from one publisher to the other
@@ -32,6 +33,7 @@ MIN_BOTH_M = 0.3  # of the truth, while both counters stand still
 MIN_STRAIGHT_M, MIN_TRUTH_SIGMAS = 0.08, 6.0  # of a straight line over a turn about one wheel, by the truth
 MIN_TURNED_SHARE = 0.5  # of that turn: a robot that did turn about one wheel turned by as much as wheels say
 MIN_SPEED_MPS = 0.02  # mean of the drive
+MAX_LN_TURNS = 0.25  # of (sensor's turns / wheels' turns), in the right unit
 
 
 def of_publishers(name: str, stream: Stream, two_sources: bool = False) -> list[Finding]:
@@ -175,6 +177,8 @@ def _drives_straight(drive: Drive, begin: float, end: float, ahead: float) -> bo
 def of_wheel_unit(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
     """Return a finding if the wheels' angles or speeds have another unit: the truth or a sensor moves less far."""
     wheels = drive.wheels
+    if msgtype in BODY_READS:
+        return _of_rate_unit(drive, robot)
     if counts_ticks(msgtype):
         return []
     units, ticks = UNITS, robot.wheels.ticks_per_revolution
@@ -194,3 +198,15 @@ def of_wheel_unit(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
             fix = f"wheels.ticks_per_revolution={unit.per_revolution:.6g}"
             return [Finding("wheels", UNIT, words, (fix,), True)]
     return []
+
+
+def _of_rate_unit(drive: Drive, robot: Robot) -> list[Finding]:
+    """Return a finding if the turns of an odometry look like degrees: other sensors turn less far."""
+    wheels, degrees = drive.wheels, math.degrees(1.0)
+    smaller = Wheels.from_twists(wheels.t, wheels.twist / [1.0, 1.0, degrees], wheels.track, wheels.noise)
+    fits = and_truth(replace(drive, wheels=smaller), turnings(replace(drive, wheels=smaller)))
+    by = [n for n, t in fits.items() if abs(math.log(max((t.a - t.b) * wheels.track / 2.0, 1e-9))) < MAX_LN_TURNS]
+    if not by:
+        return []
+    words = f"by {', '.join(by)} they turn about 57.3 times as far as the robot: their rates look like degrees/s"
+    return [Finding("wheels", UNIT, words, (f"wheels.turn_scale={robot.wheels.turn_scale / degrees:.4g}",), True)]

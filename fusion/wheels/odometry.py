@@ -86,6 +86,7 @@ MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and largest share o
 MIN_UNSEEN_TURN_RAD = 1.0  # turn by the rates, beside a heading that never changes
 # smallest grid of positions that is too coarse; number of steps; largest distance from the grid as share of it
 MIN_GRID_M, MIN_GRID_STEPS, MAX_OFF_GRID = 0.02, 20, 1e-3
+MIN_GRID_RATIO = 1.3  # least ratio of a grid to the usual step by the speeds
 # length of the mean unit step in the body's frame: least one with which steps have one direction; gain by a mirror
 MIN_ALONG, MIN_MIRROR_GAIN = 0.9, 0.3
 MAX_SPEED_MISFIT = 0.3  # mean difference of steps by speed and by pose, as share of the step, if speeds are used
@@ -239,18 +240,22 @@ def _useless(t: Array, values: Array) -> tuple[str, bool]:
 
     The position never changes, or is rounded to a coarse grid; or the heading never changes although it turns.
     """
-    speeds, turns = np.abs(values[:, 3:]), bool(np.ptp(values[:, 2]) > 0.0)
+    dt, speeds, turns = np.diff(t), np.abs(values[1:, 3:]), bool(np.ptp(values[:, 2]) > 0.0)
     if not speeds.any():
         return "", turns
     steps = np.abs(np.diff(values[:, :2], axis=0))
     if not steps.any():
         return f"{'position' if turns else 'pose'} never changes", turns
-    if not turns and float(np.diff(t) @ speeds[1:, 1]) > MIN_UNSEEN_TURN_RAD:
+    if not turns and float(dt @ speeds[:, 1]) > MIN_UNSEEN_TURN_RAD:
         return "heading never changes", False
-    steps = steps[steps > MIN_STEP_M]
-    grid = float(steps.min(initial=np.inf))
-    coarse = MIN_GRID_M <= grid < np.inf and len(steps) >= MIN_GRID_STEPS and speeds[:, 0].any()
-    coarse = coarse and np.abs(steps / grid - np.round(steps / grid)).max() < MAX_OFF_GRID
+    steps, driven = steps[steps > MIN_STEP_M], (dt * speeds[:, 0])[speeds[:, 0] > 0.0]
+    if len(steps) < MIN_GRID_STEPS or not len(driven):
+        return "", turns
+    grid = float(steps.min())
+    coarse = grid > max(
+        MIN_GRID_M, MIN_GRID_RATIO * float(np.median(driven))
+    )  # a robot at a constant speed has equal steps
+    coarse &= float(np.abs(steps / grid - np.round(steps / grid)).max()) < MAX_OFF_GRID
     return (f"position changes in steps of {grid:.2g} m" if coarse else ""), turns
 
 

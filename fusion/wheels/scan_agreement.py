@@ -110,7 +110,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     def _best_laser(self, motion: WheelReading) -> Array:
         """Search for the laser's turn [rad], mirroring, lag [s] and offsets [m] with the largest share s."""
-        best = AS_CONFIGURED + self._far_lag(motion) * LAG
+        best: Array = AS_CONFIGURED + self._far_lag(motion) * LAG
         share = self.share(self._by(motion, best), SEARCH_STRIDE)
         lags, offsets = ((LAGS_S, LAG), (FINER_S, LAG)), ((OFFSETS_M, AHEAD), (OFFSETS_M, ASIDE))
         for steps in (TURNS, *(sizes[:, None] * part for sizes, part in (*lags, *offsets))):

@@ -18,6 +18,7 @@ from locfuse.fusion.checks.raw_data import STUCK, of_stuck_wheel, of_wheel_unit
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive
+from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.sources import SPEEDS_ALONE
 from locfuse.sample_logs.load import load as scenario_of
@@ -257,6 +258,15 @@ def test_wheels_in_another_unit_are_named_by_truth_and_compass(
     long = replace(one, wheels=one.wheels.rerolled(factor * one.wheels.rolled, one.wheels.track), repairs=repairs)
     found = of_wheel_unit(long, robot(), "sensor_msgs/msg/JointState")
     assert [f.fixes for f in found] == ([] if ticks is None else [(f"wheels.ticks_per_revolution={ticks}",)])
+
+
+def test_turning_rates_of_an_odometry_in_degrees_are_named_by_the_truth() -> None:
+    one, settings = drive(5, robot(), ("compass",), laps=2.0), replace(robot(), wheels=WheelSettings())
+    assert not of_wheel_unit(one, settings, "nav_msgs/msg/Odometry")
+    wheels = one.wheels
+    turned = Wheels.from_twists(wheels.t, wheels.twist * [1.0, 1.0, 57.3], wheels.track, NOISE)
+    (found,) = of_wheel_unit(replace(one, wheels=turned), settings, "nav_msgs/msg/Odometry")
+    assert found.fixes == ("wheels.turn_scale=0.01745",)
 
 
 def test_radians_that_are_configured_as_ticks_are_named() -> None:

@@ -22,7 +22,7 @@ from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.wheels.motion import Wheels, distances_explained, turns_explained
-from locfuse.fusion.wheels.odometry import pose_and_speed, unlike_a_robot
+from locfuse.fusion.wheels.odometry import pose_and_speed, travelled, unlike_a_robot
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
 
@@ -217,6 +217,21 @@ def test_poses_of_the_robot_are_taken_before_a_marker_and_a_setpoint(tmp_path: P
         for f, t in (("camera_link", "/marker/pose"), ("map", "/setpoint"), ("map", "/slam/pose"))
     ]
     assert chosen(tmp_path, *said).of("wheels") == ("/slam/pose",)
+
+
+@pytest.mark.parametrize("place", ["rounded", "heading 0", "at 0"])
+def test_poses_that_are_useless_beside_their_speeds_are_not_used(place: str) -> None:
+    t, speeds = np.arange(0.0, 40.0, 0.1), np.array([0.2, 0.3])
+    turn = speeds[1] * t
+    path = speeds[0] / speeds[1] * np.stack((np.sin(turn), 1.0 - np.cos(turn)), axis=-1)
+    values = np.column_stack((path, turn, *np.broadcast_to(speeds, (len(t), 2)).T))
+    values[:, :2] = np.round(values[:, :2], 1) if place == "rounded" else values[:, :2] * (place != "at 0")
+    values[:, 2] *= place != "heading 0"
+    motion = travelled(t, values, True, None)
+    assert np.abs(motion.twist - [0.02, 0.0, 0.03]).max() < 1e-3
+    assert any("used" in note for note in motion.notes)
+    exact = travelled(t, np.column_stack((path, turn, 0.0 * values[:, 3:])), True, None)
+    assert exact.notes == ()
 
 
 def test_what_no_robot_drives_is_no_motion_and_a_mecanum_or_a_fast_car_is_one() -> None:

@@ -30,6 +30,8 @@ SUFFIXES = (".tum", ".csv", ".txt")
 TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
 HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
 COVARIANCE_COLUMNS = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
+MIN_ALONG, MAX_ACROSS = 0.9, 0.5  # length of the mean unit step along headings in the right unit, in a wrong one
+MAX_OTHER_AXES, MIN_TURNED = 1e-3, 0.1  # y^2 + z^2 over x^2 of quaternions about the x axis; range of their w
 MAX_IDENT = 2**53  # smaller integers are exact as floats
 MIN_NS = 1e14  # larger times are nanoseconds, smaller ones seconds
 
@@ -142,6 +144,9 @@ def _table_of_poses(
     if heading is None:
         return _points(path, times, position)
     theta = column(heading)
+    if _are_degrees(position, theta):
+        most = float(np.nanmax(np.abs(theta)))
+        raise LocfuseError(f"{path}: {heading} reaches {most:.0f}: it looks like degrees. Write radians")
     q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # infinite headings are missing; sin() would warn
     if not set(COVARIANCE_COLUMNS) <= at.keys():
         return _poses(path, times, position, q, None)
@@ -149,11 +154,31 @@ def _table_of_poses(
     return _poses(path, times, position, q, P)
 
 
+def _are_degrees(xy: Array, theta: Array) -> bool:
+    """Return whether a path xy (n, 2) goes along headings theta (n,) in degrees, and not along them in radians."""
+    step = np.diff(xy @ (1.0, 1.0j))
+    used = (np.abs(step) > 0.0) & np.isfinite(step + theta[1:])
+    step, heading = step[used], theta[1:][used]
+    if not len(step) or np.abs(heading).max() <= 2.0 * math.pi:
+        return False
+    # of twice the angles: a robot that backs up goes along its heading too
+    in_radians, in_degrees = (
+        abs(np.abs(step) @ (step / np.abs(step) * np.exp(-1.0j * angle)) ** 2) / np.abs(step).sum()
+        for angle in (heading, np.radians(heading))
+    )
+    return bool(in_degrees > MIN_ALONG and in_radians < MAX_ACROSS)
+
+
 def _points(path: Path, times: Sequence[int], xy: Array) -> MadeStream:
     return in_time_order(str(path), POINT, np.array(times, np.int64), {"point.x": xy[:, 0], "point.y": xy[:, 1]})
 
 
 def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | None) -> MadeStream:
+    finite = q[np.isfinite(q).all(axis=1)]
+    x, *others = np.square(finite[:, :3]).sum(axis=0).tolist()
+    if sum(others) < MAX_OTHER_AXES * x and np.ptp(finite[:, 3]) > MIN_TURNED:
+        words = f"{path}: its quaternions turn about the x axis: qw seems to come first"
+        raise LocfuseError(f"{words}. Write t x y z qx qy qz qw")
     data: dict[str, Column] = {"pose.pose.position.x": xy[:, 0], "pose.pose.position.y": xy[:, 1]}
     data |= {f"pose.pose.orientation.{axis}": column for axis, column in zip("xyzw", q.T, strict=True)}
     data["pose.covariance"] = np.zeros((len(xy), 36)) if P is None else P.reshape(len(P), 36)

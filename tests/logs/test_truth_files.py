@@ -77,6 +77,33 @@ def test_a_file_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_pa
     assert says in refusal
 
 
+@pytest.mark.parametrize(
+    ("unit", "words"), [(1.0, ""), (180.0 / np.pi, "theta reaches 315: it looks like degrees")]
+)
+def test_headings_in_degrees_are_refused(unit: float, words: str, tmp_path: Path) -> None:
+    path, turn = tmp_path / "truth.csv", np.linspace(0.0, 5.5, 200)
+    rows = zip(turn, np.sin(turn), -np.cos(turn), turn * unit, strict=True)
+    path.write_text("t,x,y,theta\n" + "".join(",".join(map(repr, map(float, row))) + "\n" for row in rows))
+    if words:
+        with pytest.raises(LocfuseError, match=words):
+            read_file(str(path))
+    else:
+        assert len(read_file(str(path)).t_ns) == len(turn)
+
+
+def test_quaternions_that_begin_with_qw_are_refused(tmp_path: Path) -> None:
+    path, turn = tmp_path / "truth.tum", np.linspace(0.0, 5.0, 50)
+    for order, words in (("{t} 1 2 0 0 0 {s} {c}", ""), ("{t} 1 2 0 {c} 0 0 {s}", "qw seems to come first")):
+        half = 0.5 * turn
+        lines = (order.format(t=t, s=np.sin(h), c=np.cos(h)) for t, h in zip(turn, half, strict=True))
+        path.write_text("\n".join(lines) + "\n")
+        if words:
+            with pytest.raises(LocfuseError, match=words):
+                read_file(str(path))
+        else:
+            assert len(read_file(str(path)).t_ns) == len(turn)
+
+
 def test_a_tum_of_another_clock_is_refused_and_the_offset_that_it_names_fits(tmp_path: Path) -> None:
     own = error(SAMPLE, tmp_path / "own")
     rows = [line.split() for line in (tmp_path / "own" / "truth.tum").read_text().splitlines()]

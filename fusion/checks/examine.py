@@ -30,7 +30,7 @@ from .laser import BUMP, laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_angles, of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
 from .positions import of_positions
-from .raw_data import PUBLISHERS, STUCK, of_publishers, of_stuck_wheel, of_wheel_unit
+from .raw_data import PUBLISHERS, STUCK, UNSIGNED, of_publishers, of_signs, of_stuck_wheel, of_wheel_unit
 from .start import START
 from .steering import ZERO, of_steering
 from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
@@ -63,7 +63,7 @@ MIN_COVERED_SHARE = 0.5  # of the drive, by the times of a sensor
 HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 # least motion in a hole: m, rad, share of the drive's distance; over a smaller one, wheel odometry is good enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
-MIXED = frozenset({EQUAL, PUBLISHERS, STUCK, UNIT})  # codes of findings that make all other checks wrong
+MIXED = frozenset({EQUAL, PUBLISHERS, STUCK, UNIT, UNSIGNED})  # codes of findings that make all other checks wrong
 HELD = "held"  # code of the finding on counters that stood still while the robot drove far, and then caught up
 BLIND = "blind"  # code of the finding on a sensor without measurements
 CHECK_SENSOR = "Check the sensor and its driver, then record again"
@@ -297,7 +297,7 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
     if drive.wheels.matched is None:
         wheels = stream("wheels")
         found += of_publishers("wheels", wheels)
-        stuck = of_stuck_wheel(drive) if wheels.msgtype not in BODY_READS else []
+        stuck = of_stuck_wheel(drive) or of_signs(drive) if wheels.msgtype not in BODY_READS else []
         found += stuck or of_wheel_unit(drive, robot, wheels.msgtype)
     for name, m in drive.measurements.items():
         found += of_publishers(name, stream(name), m.two_sources)

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Stream, Truth, stretches
+from locfuse.fusion.data import Array, Drive, Stream, Truth, changes, stretches, totals
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import parts_of
 from locfuse.fusion.wheels.motion import Wheels
@@ -22,7 +22,7 @@ from locfuse.fusion.wheels.sources import SPEEDS_ALONE
 
 from .finding import Finding
 from .truth import UNIT, wheels_metre
-from .turning import Headings, and_truth, headings_of, true_headings, turnings
+from .turning import Headings, and_truth, headings_of, source_words, true_headings, turnings
 
 PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
 MIN_CHANGES = 10  # from one publisher to the other
@@ -32,6 +32,10 @@ MIN_SHORT_TURN_RAD = math.radians(15.0)  # about the standing wheel, if other se
 MIN_BOTH_M = 0.3  # of the truth, while both counters stand still
 MIN_STRAIGHT_M, MIN_TRUTH_SIGMAS = 0.08, 6.0  # of a straight line over a turn about one wheel, by the truth
 MIN_TURNED_SHARE = 0.5  # of that turn: a robot that did turn about one wheel turned by as much as wheels say
+UNSIGNED = "unsigned"  # code of the finding on encoders without a sign
+WINDOW_S = 1.0  # s over which turns are compared
+MIN_SPOT_TURN_RAD, MIN_SPOT_RAD = math.radians(5.0), math.radians(45.0)  # turn on the spot: in a window, in all
+MIN_SPOT_SHARE = 0.5  # least ratio of a turn to that of both wheels in opposite directions
 MIN_SPEED_MPS = 0.02  # mean of the drive
 MAX_LN_TURNS = 0.25  # of (sensor's turns / wheels' turns), in the right unit
 
@@ -55,6 +59,32 @@ def of_publishers(name: str, stream: Stream, two_sources: bool = False) -> list[
         words = f"{part.topic} {how}: two publishers. Record each on a topic of its own"
         found.append(Finding(name, PUBLISHERS, words, severe=True))
     return found
+
+
+def of_signs(drive: Drive) -> list[Finding]:
+    """Return a finding if wheels never roll back, but a sensor turns as with one wheel that does.
+
+    Encoders with one channel count without a sign: on the spot, both wheels seem to roll ahead.
+    """
+    wheels, found = drive.wheels, dict[str, float]()
+    if wheels.rolled.min(initial=0.0) < 0.0:
+        return []
+    for name, (t, angle, without_lines) in (headings_of(drive) | true_headings(drive)).items():
+        start = t[(t >= wheels.t[0]) & (t + WINDOW_S <= min(t[-1], wheels.t[-1]))]
+        turned = np.abs(changes(start, WINDOW_S, t, angle))
+        if without_lines is not None:
+            turned[changes(start, WINDOW_S, t, without_lines) > 0.0] = 0.0
+        left, right = changes(start, WINDOW_S, wheels.t, totals(wheels.rolled)).T / wheels.track
+        spot = (turned > MIN_SPOT_TURN_RAD) & (turned > MIN_SPOT_SHARE * (left + right))
+        spot &= np.abs(right - left) < MIN_TURNED_SHARE * turned
+        if spot.any():
+            found[name] = float(turned[spot].sum() * np.median(np.diff(start))) / WINDOW_S
+    name = max(found, key=lambda one: found[one], default="")
+    if found.get(name, 0.0) < MIN_SPOT_RAD:
+        return []
+    far = f"{math.degrees(found[name]):.0f}° on the spot"
+    words = f"they never roll back, but by {source_words(name)} the robot turns {far}: they count without a sign"
+    return [Finding("wheels", UNSIGNED, words, severe=True)]
 
 
 class Unit(NamedTuple):

@@ -14,7 +14,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.checks.examine import HOLE, holes, longest_part, of_holes, unseen
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import WallMotion
-from locfuse.fusion.checks.raw_data import STUCK, of_stuck_wheel, of_wheel_unit
+from locfuse.fusion.checks.raw_data import STUCK, of_signs, of_stuck_wheel, of_wheel_unit
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive
@@ -258,6 +258,19 @@ def test_wheels_in_another_unit_are_named_by_truth_and_compass(
     long = replace(one, wheels=one.wheels.rerolled(factor * one.wheels.rolled, one.wheels.track), repairs=repairs)
     found = of_wheel_unit(long, robot(), "sensor_msgs/msg/JointState")
     assert [f.fixes for f in found] == ([] if ticks is None else [(f"wheels.ticks_per_revolution={ticks}",)])
+
+
+def test_encoders_that_count_without_a_sign_are_named() -> None:
+    one = drive(5, robot(), ("compass",), laps=1.0)
+    t, wheels = one.wheels.t, one.wheels
+    turn = np.where((t > 5.0) & (t < 7.0), 0.02, 0.0)[1:, None] * [-0.5, 0.5] * wheels.track  # on the spot
+    rolled = wheels.rolled * (turn == 0.0) + turn
+    signed = Wheels.from_wheels(t, *np.vstack((np.zeros(2), np.cumsum(rolled, axis=0))).T, wheels.track, NOISE)
+    truth = replace(present(one.truth), t=t, xy=signed.pose[:, :2], theta=se2.wrap_all(signed.pose[:, 2]))
+    known = replace(one, wheels=signed, truth=truth, measurements={})
+    assert not of_signs(known)
+    (found,) = of_signs(replace(known, wheels=signed.rerolled(np.abs(rolled), wheels.track)))
+    assert (found.code, found.severe) == ("unsigned", True)
 
 
 def test_turning_rates_of_an_odometry_in_degrees_are_named_by_the_truth() -> None:

@@ -52,10 +52,10 @@ SCALES = {
     "yaw_deg": ("z.2f", "°", 0.5, 0.2, False),
     "track": (".4g", " m", 0.03, 0.01, True),
     "radius": (".4g", " m", 0.02, 0.01, True),
-    "range_scale": (".4g", "", 0.01, 0.005, True),
+    **dict.fromkeys(("range_scale", "scale", "turn_scale"), (".4g", "", 0.01, 0.005, True)),
 }
 # classes of settings by the ends of their keys: an error of an earlier class looks like one of a later class
-CLASSES = ("radius range_scale", "track", "x y yaw_deg")
+CLASSES = ("radius scale range_scale", "track turn_scale", "x y yaw_deg")
 MAX_MEAN_LOSS = 0.02  # largest growth of ln(error), mean over the logs, for any configuration with sensors
 MAX_STEPS = 6  # largest number of fixes for one robot
 
@@ -150,13 +150,17 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> LogEsti
     by_sensor, motion = turnings(drive), None
     if drive.wheels.matched is None and turns_by_truth(drive) is None:
         motion = laser_motion(drive, robot, clock_offset(LASER, by_sensor))
-    track = observed_track(wheels.track or 0.0, drive, by_sensor, motion)
-    if track is not None and wheels.track and wheels.radius:
-        slips = 0.0 if motion is None else track[0] * motion.by_slips
-        found["wheels.track"] = Number(track[0], max(track[1], slips), wheels.track)
-    scale = wheels_metre(drive)
-    if scale is not None and wheels.radius:
-        found["wheels.radius"] = Number(wheels.radius * scale[0], wheels.radius * scale[1], wheels.radius)
+    scale, track = wheels_metre(drive), observed_track(1.0, drive, by_sensor, motion)
+    if track is not None:
+        ratio, sigma = track[0], max(track[1], 0.0 if motion is None else track[0] * motion.by_slips)
+        if wheels.is_of_driver:  # it turns too little where the track is too large
+            turn = wheels.turn_scale
+            found["wheels.turn_scale"] = Number(turn / ratio, turn * sigma / ratio**2, turn)
+        elif wheels.track and wheels.radius:
+            found["wheels.track"] = Number(wheels.track * ratio, wheels.track * sigma, wheels.track)
+    key = "scale" if wheels.is_of_driver else "radius"
+    if scale is not None and (now := getattr(wheels, key)):
+        found[f"wheels.{key}"] = Number(now * scale[0], now * scale[1], now)
     swings = None if drive.truth is None else swing(drive.truth, drive)
     if swings is not None and drive.truth is not None:
         for i, key in enumerate(("truth.x", "truth.y")):

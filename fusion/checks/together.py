@@ -152,15 +152,15 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> LogEsti
         motion = laser_motion(drive, robot, clock_offset(LASER, by_sensor))
     scale, track = wheels_metre(drive), observed_track(1.0, drive, by_sensor, motion)
     if track is not None:
-        ratio, sigma = track[0], max(track[1], 0.0 if motion is None else track[0] * motion.by_slips)
+        times, sigma = track[0], max(track[1], 0.0 if motion is None else track[0] * motion.by_slips)
         if wheels.is_of_driver:  # it turns too little where the track is too large
             turn = wheels.turn_scale
-            found["wheels.turn_scale"] = Number(turn / ratio, turn * sigma / ratio**2, turn)
+            found["wheels.turn_scale"] = Number(turn / times, turn * sigma / times**2, turn)
         elif wheels.track and wheels.radius:
-            found["wheels.track"] = Number(wheels.track * ratio, wheels.track * sigma, wheels.track)
-    key = "scale" if wheels.is_of_driver else "radius"
-    if scale is not None and (now := getattr(wheels, key)):
-        found[f"wheels.{key}"] = Number(now * scale[0], now * scale[1], now)
+            found["wheels.track"] = Number(wheels.track * times, wheels.track * sigma, wheels.track)
+    key, own = ("scale", wheels.scale) if wheels.is_of_driver else ("radius", wheels.radius)
+    if scale is not None and own:
+        found[f"wheels.{key}"] = Number(own * scale[0], own * scale[1], own)
     swings = None if drive.truth is None else swing(drive.truth, drive)
     if swings is not None and drive.truth is not None:
         for i, key in enumerate(("truth.x", "truth.y")):

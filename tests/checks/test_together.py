@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from small_drive import TRACK, drive, robot
+from small_drive import TRACK, drive, robot as robot_of
 
 from locfuse.fusion.checks.together import (
     LogEstimates,
@@ -159,9 +159,9 @@ def test_nothing_is_judged_where_no_configuration_uses_the_sensor() -> None:
 
 
 def test_the_factors_of_an_odometry_are_estimated_by_a_truth() -> None:
-    one = drive(5, robot(), ("compass",), laps=2.0)
+    one = drive(5, robot_of(), ("compass",), laps=2.0)
     longer = replace(one, wheels=one.wheels.rerolled(1.1 * one.wheels.rolled, 1.1 * 1.05 * TRACK))
-    found = shown(longer, replace(robot(), wheels=WheelSettings())).settings
+    found = shown(longer, replace(robot_of(), wheels=WheelSettings())).settings
     assert found["wheels.scale"].value == pytest.approx(1.0 / 1.1, rel=0.01)
     assert found["wheels.turn_scale"].value == pytest.approx(1.05, rel=0.02)
     assert {"wheels.radius", "wheels.track"}.isdisjoint(found)

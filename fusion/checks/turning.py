@@ -170,7 +170,7 @@ def of_turning(drive: Drive, robot: Robot, by_sensor: Turnings, streams: Mapping
         by = " and ".join(name for name, t in by_sensor.items() if _mirrored(t) == wheel)
         words = f"the {wheel} wheel counts backward, by the turning of {by}"
         return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
-    found = _against_the_truth(drive, robot, by_sensor, streams["wheels"])
+    found = _against_the_truth(drive, robot, by_sensor, streams)
     if not found and not by_sensor and counts_wheels:
         found = _by_the_wheels_alone(drive.wheels, robot)
     if found:
@@ -484,12 +484,14 @@ def _sense_by_truth(drive: Drive, by_path: bool) -> int:
     return 1 if slope > 0.0 else -1
 
 
-def _against_the_truth(drive: Drive, robot: Robot, by_sensor: Turnings, stream: Stream) -> list[Finding]:
+def _against_the_truth(
+    drive: Drive, robot: Robot, by_sensor: Turnings, streams: Mapping[str, Stream]
+) -> list[Finding]:
     """Return a finding if truth and wheels turn in opposite directions.
 
     A third sensor shows which of them is right. If the truth's own path and headings disagree, the truth is wrong.
     """
-    truth = drive.truth
+    truth, stream = drive.truth, streams["wheels"]
     by_path = _sense_by_truth(drive, by_path=True)
     sense = by_path if truth is None or truth.theta is None else _sense_by_truth(drive, by_path=False)
     if by_path * sense < 0:
@@ -511,6 +513,10 @@ def _against_the_truth(drive: Drive, robot: Robot, by_sensor: Turnings, stream: 
     elif not others:
         words += "; or the odometry turns the wrong way round"
     agree = all(t.b < 0.0 < t.a for t in others.values())
+    if len(others) == 1 and stream.msgtype not in BODY_READS:
+        (name,) = others
+        rival = *_swapped(robot.wheels, stream), *_reversed(name, robot, streams).fixes
+        words += f"; or both others turn the wrong way: --set {' --set '.join(rival)}"
     return [Finding("truth", MIRROR, words, (), True)] if agree else []
 
 

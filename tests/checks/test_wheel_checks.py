@@ -329,7 +329,8 @@ def of_mirrored(one: Session, y: int, theta: int | None, sensors: dict[str, Turn
     stream = one.loaded.stream("wheels")
     wheels = SimpleNamespace(msgtype=kind) if kind else stream
     drive = replace(drive, truth=replace(truth, xy=truth.xy * [1.0, y], theta=headings))
-    (found,) = of_turning(drive, one.loaded.robot, sensors, {"wheels": cast("Any", wheels)})
+    streams = {"wheels": wheels, "lrf": SimpleNamespace(msgtype="")}
+    (found,) = of_turning(drive, one.loaded.robot, sensors, cast("Any", streams))
     assert found.severe
     return found
 
@@ -341,6 +342,7 @@ AGREES, AGAINST = {"lrf": Turning(5.0, -5.0, 0.1, 0.99, 0.0)}, {"lrf": Turning(-
 def test_a_sensor_shows_whether_truth_or_wheels_turn_wrongly(wheels_alone: Session, theta: int | None) -> None:
     truth = of_mirrored(wheels_alone, -1, theta, AGREES)
     assert (truth.role, truth.code, truth.fixes) == ("truth", MIRROR, ())
+    assert truth.message.endswith("--set lrf.flipped=true")  # if wheels and laser are both wrong
     wheels = of_mirrored(wheels_alone, -1, theta, AGAINST)
     assert (wheels.role, wheels.code, len(wheels.fixes)) == ("wheels", SWAPPED, 2)
     assert "against lrf and the truth" in wheels.message

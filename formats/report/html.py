@@ -20,7 +20,7 @@ from markupsafe import Markup
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT_PX, WIDTH_PX, svg
-from locfuse.fusion.data import REFUSED, Colour
+from locfuse.fusion.data import BASES, REFUSED, Colour
 
 from . import tables
 from .findings import fingerprint, in_parts, notes_of, options, title_of, together, unwarned, warnings_of
@@ -57,6 +57,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         swatches,
         report=report,
         title=title_of(report),
+        base=next((name for name in BASES if name in names), "odometry"),
         fingerprint=fingerprint(report["input"]),
         figures=partial(figure, report),
         tables=tables,

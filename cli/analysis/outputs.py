@@ -99,21 +99,21 @@ def scene(compared: Compared) -> Scene:
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
         credit=credit_values(compared.credit) if compared.credit else None,
-        landmarks=_landmarks(compared),
+        landmarks=landmarks(compared.loaded, compared.estimates),
         events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
         states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
     )
 
 
-def _landmarks(compared: Compared) -> list[tuple[float, float]]:
+def landmarks(loaded: Loaded, runs: Iterable[Estimates]) -> list[tuple[float, float]]:
     """Return positions [m, map frame] of landmarks and anchors, given or estimated."""
-    robot, found = compared.loaded.robot, []
-    for sensor in compared.loaded.drive.measurements:
-        settings = robot.settings(sensor)
+    found: list[Any] = []
+    for sensor in loaded.drive.measurements:
+        settings = loaded.robot.settings(sensor)
         found += [REGISTRY[sensor].landmark(settings)]
         given = settings.places if sensor in of_points() and not settings.grows else {}
         found += given.values()
-    best = max(compared.estimates, key=lambda e: (len(e.points), len(e.sensors)))
+    best = max(runs, key=lambda e: (len(e.points), len(e.sensors)))
     found += [(x, y) for _, x, y in best.points]
     return list(dict.fromkeys((float(p[0]), float(p[1])) for p in found if p is not None))
 

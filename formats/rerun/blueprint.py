@@ -71,7 +71,7 @@ def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = N
 def _map_view(scene: RerunScene) -> Any:
     """Return the map view; at first, walls and matches are visible only for the best configuration."""
     low, high = scene.extent
-    margin = MARGIN_SHARE * max(float((high - low).max()), 1.0)
+    margin = max(MARGIN_SHARE * float((high - low).max()), scene.track)
     (x0, y0), (x1, y1) = (low - margin).tolist(), (high + margin).tolist()
     growing = [f"{ROOT}/truth/path"]
     overrides: dict[Any, Any] = {}

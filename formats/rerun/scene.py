@@ -78,6 +78,7 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
     full: bool = False  # whether long logs are drawn without thinning
     palette: Mapping[str, Rgb] = {}  # by configuration
     events: Sequence[Event] = ()  # in order of time
+    landmarks: Sequence[tuple[float, float]] = ()  # m, map frame: targets of bearings and ranges
     thinned: Mapping[str, Drive] = {}  # configuration with reduced rates -> its drive
 
     @property
@@ -105,7 +106,7 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         if self.drive.truth is not None and len(self.drive.truth.xy):
             parts.append(self.drive.truth.xy)
         parts.append(walls([line for line in self.best.final_map if line.hits > 1]).reshape(-1, 2))
-        parts += [np.array([s.landmark]) for s in self.sights.values() if s.landmark is not None]
+        parts += [np.array([place]) for place in self.landmarks]
         points = np.concatenate(parts)
         return points.min(axis=0), points.max(axis=0)
 

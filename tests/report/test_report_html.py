@@ -245,6 +245,13 @@ def test_text_from_logs_stays_text(written: str) -> None:
         assert r"\textbackslash" in tables.latex(report)
 
 
+def test_a_command_in_the_headline_is_code() -> None:
+    _, report = small_scene.long(minutes=0.1, configurations=2)
+    report["headline"] = "The track is unknown: `locfuse init a_b.mcap` asks for it."
+    assert "<code>locfuse init a_b.mcap</code> asks" in report_html.render(report, [], SENSORS)
+    assert "`locfuse init a_b.mcap` asks" in markdown.render(report)
+
+
 def test_a_report_without_truth_says_so_and_ranks_by_prediction() -> None:
     scene, report = small_scene.untrue()
     html = report_html.render(report, sections(scene), SENSORS)

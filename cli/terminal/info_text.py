@@ -112,9 +112,10 @@ def _headline(overview: Overview) -> str:
     recorded = [f for f in overview.facts if not f.derived]
     count = sum(f.count for f in recorded)
     size = overview.log.identity.size / 1e6
+    megabytes = f"{size:.1f}" if size >= 1.0 else f"{size:.1g}"
     files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
     topics = f"{len(recorded)} topic{'' if len(recorded) == 1 else 's'}"
-    return f"{overview.log.name}: {seconds}, {count} messages on {topics}, {size:.1f} MB{files}"
+    return f"{overview.log.name}: {seconds}, {count} messages on {topics}, {megabytes} MB{files}"
 
 
 def _topics(overview: Overview, width: int | None) -> Iterator[str]:

@@ -175,7 +175,8 @@ def spread(scene: Scene) -> Section:
 
 def _sizes(errors: Array, least: float) -> Array:
     """Return the absolute values (k,) of the finite, nonzero `errors` (n,), raised to at least `least`."""
-    return np.maximum(np.abs(errors[np.isfinite(errors) & (errors != 0.0)]), least)
+    found: Array = errors[np.isfinite(errors) & (errors != 0.0)]
+    return np.maximum(np.abs(found), least)
 
 
 def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str) -> Panel | None:

@@ -57,7 +57,8 @@ def _right(scene: RerunScene, tab: str | None) -> Any | None:
     sensor_views += [] if scene.picture_rows is None else [_view_2d("Omni image", f"/{drawing.OMNI}")]
     parts: list[Any] = [rrb.Horizontal(contents=sensor_views)] if sensor_views else []
     if tabs := _tabs(scene):
-        front = list(tabs).index(tab) if tab in tabs else 0
+        first = tab if tab in tabs else "Result" if scene.table and "Deviation" not in tabs else next(iter(tabs))
+        front = list(tabs).index(first)
         parts.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
     return rrb.Vertical(contents=parts, row_shares=[0.26, 0.74]) if len(parts) > 1 else next(iter(parts), None)
 

@@ -99,23 +99,25 @@ def scene(compared: Compared) -> Scene:
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
         credit=credit_values(compared.credit) if compared.credit else None,
-        landmarks=landmarks(compared.loaded, compared.estimates),
+        landmarks=_landmarks(compared),
         events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
         states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
     )
 
 
-def landmarks(loaded: Loaded, runs: Iterable[Estimates]) -> list[tuple[float, float]]:
+def places(sensor: str, settings: Any) -> list[tuple[float, float]]:
+    """Return the configured positions [m, map frame] of a sensor's landmarks and anchors."""
+    given = settings.places.values() if sensor in of_points() and not settings.grows else ()
+    found = (REGISTRY[sensor].landmark(settings), *given)
+    return [(float(p[0]), float(p[1])) for p in found if p is not None]
+
+
+def _landmarks(compared: Compared) -> list[tuple[float, float]]:
     """Return positions [m, map frame] of landmarks and anchors, given or estimated."""
-    found: list[Any] = []
-    for sensor in loaded.drive.measurements:
-        settings = loaded.robot.settings(sensor)
-        found += [REGISTRY[sensor].landmark(settings)]
-        given = settings.places if sensor in of_points() and not settings.grows else {}
-        found += given.values()
-    best = max(runs, key=lambda e: (len(e.points), len(e.sensors)))
-    found += [(x, y) for _, x, y in best.points]
-    return list(dict.fromkeys((float(p[0]), float(p[1])) for p in found if p is not None))
+    loaded = compared.loaded
+    found = [p for s in loaded.drive.measurements for p in places(s, loaded.robot.settings(s))]
+    best = max(compared.estimates, key=lambda e: (len(e.points), len(e.sensors)))
+    return list(dict.fromkeys([*found, *((float(x), float(y)) for _, x, y in best.points)]))
 
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.load import Loaded, common_fields
-from locfuse.cli.analysis.outputs import events, landmarks
+from locfuse.cli.analysis.outputs import events, places
 from locfuse.cli.session.foreign import estimates_in
 from locfuse.cli.session.result import Result
 from locfuse.formats.caps import MAX_REPORT
@@ -86,7 +86,6 @@ def make_scene(result: Result, images: int | None = None, full: bool = False) ->
         full=full,
         palette=palette(traces_of(runs)),
         events=events(loaded, runs),
-        landmarks=landmarks(loaded, runs),
         thinned={e.name: thinned(drive, e.rates) for e in runs if e.rates},
     )
     found: dict[str, Any] = {}
@@ -117,7 +116,7 @@ def _look_of(name: str, settings: Any) -> SensorLook:
     sensor = REGISTRY[name]
     low, high = (chi_square(share, len(sensor.components)) for share in (NIS_LOW, NIS_HIGH))
     mount, landmark = sensor.mount(settings), sensor.landmark(settings)
-    return SensorLook(sensor.components, (low, high), sensor.drawn, mount, landmark)
+    return SensorLook(sensor.components, (low, high), sensor.drawn, mount, landmark, places(name, settings))
 
 
 def _stream(loaded: Loaded, role: str) -> Stream:

@@ -31,6 +31,7 @@ class SensorLook(msgspec.Struct, frozen=True):
     kind: Literal["segments", "bearing", "heading", ""] = ""  # shape on the map
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x, y [m], yaw [rad] in the base frame
     landmark: tuple[float, float] | None = None  # m, map frame: target of a bearing
+    places: Sequence[tuple[float, float]] = ()  # m, map frame: targets of bearings and ranges
 
 
 class DrawnScans(NamedTuple):
@@ -78,7 +79,6 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
     full: bool = False  # whether long logs are drawn without thinning
     palette: Mapping[str, Rgb] = {}  # by configuration
     events: Sequence[Event] = ()  # in order of time
-    landmarks: Sequence[tuple[float, float]] = ()  # m, map frame: targets of bearings and ranges
     thinned: Mapping[str, Drive] = {}  # configuration with reduced rates -> its drive
 
     @property
@@ -95,6 +95,12 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
     def best(self) -> Estimates:
         """The configuration with most sensors, whose map, scans and matches are visible at first."""
         return max(self.estimates, key=lambda e: len(e.sensors))
+
+    @cached_property
+    def landmarks(self) -> list[tuple[float, float]]:
+        """Positions [m, map frame] of landmarks and anchors, given or estimated."""
+        given = (place for sight in self.sights.values() for place in sight.places)
+        return list(dict.fromkeys([*given, *((float(x), float(y)) for _, x, y in self.best.points)]))
 
     @cached_property
     def extent(self) -> tuple[Array, Array]:

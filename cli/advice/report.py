@@ -229,7 +229,7 @@ SENSOR_WORDS = {"lrf": "laser", "gps": "GPS"}
 MIN_HINT = 0.1  # of the agreeing share of points: a smaller gain is not reported
 TIE_SHARE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 MIN_CONSISTENT_ANEES, MIN_SIGMA_RATIO = 0.05, 2.0  # a smaller ANEES has a cause; sigma / error that is this cause
-HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
+NO_EFFECT, HELPS, HURTS = "no effect seen", ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
 def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
@@ -270,7 +270,9 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
         todo = "Set the fixes first." if report.get("fixes") else "Something is wrong that no setting explains."
         first += "" if {*doubts} == {HOLE} else f" {todo}"
         return f"{first}{_with_fixes(report, sets, least)}"
-    first = f"Keep {_names(sets[best])}: {length(errors[best])}{smoothed}."
+    seen = any(report.get("verdicts", {}).get(s, {}).get("verdict") != NO_EFFECT for s in sets[best])
+    keep = "Keep" if seen else "The best on this drive is"
+    first = f"{keep} {_names(sets[best])}: {length(errors[best])}{smoothed}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
 
 

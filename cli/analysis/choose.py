@@ -93,7 +93,8 @@ def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> No
     if candidates:
         fixes = (f"{name}.topic={candidates[0]}",)
         why = REGISTRY[name].asked_only
-        choice.leave(name, f"{' or '.join(candidates)} may be one: {why}. If not: {fixes[0]}", fixes)
+        words = f"{' or '.join(candidates)} is used only if you name it: {why}. To use it: --set {fixes[0]}"
+        choice.leave(name, words, fixes)
 
 
 def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:

@@ -105,17 +105,19 @@ def scene(compared: Compared) -> Scene:
     )
 
 
+def places(sensor: str, settings: Any) -> list[tuple[float, float]]:
+    """Return the configured positions [m, map frame] of a sensor's landmarks and anchors."""
+    given = settings.places.values() if sensor in of_points() and not settings.grows else ()
+    found = (REGISTRY[sensor].landmark(settings), *given)
+    return [(float(p[0]), float(p[1])) for p in found if p is not None]
+
+
 def _landmarks(compared: Compared) -> list[tuple[float, float]]:
     """Return positions [m, map frame] of landmarks and anchors, given or estimated."""
-    robot, found = compared.loaded.robot, []
-    for sensor in compared.loaded.drive.measurements:
-        settings = robot.settings(sensor)
-        found += [REGISTRY[sensor].landmark(settings)]
-        given = settings.places if sensor in of_points() and not settings.grows else {}
-        found += given.values()
+    loaded = compared.loaded
+    found = [p for s in loaded.drive.measurements for p in places(s, loaded.robot.settings(s))]
     best = max(compared.estimates, key=lambda e: (len(e.points), len(e.sensors)))
-    found += [(x, y) for _, x, y in best.points]
-    return list(dict.fromkeys((float(p[0]), float(p[1])) for p in found if p is not None))
+    return list(dict.fromkeys([*found, *((float(x), float(y)) for _, x, y in best.points)]))
 
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:

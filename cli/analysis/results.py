@@ -92,7 +92,7 @@ def log_words(log: Log, as_given: bool = False) -> list[str]:
         return [str(place) for place in log.given]
     names = [path.name for path in log.paths]
     in_folder = len({p.parent for p in log.paths}) == 1 and log.paths[0].parent.name == log.name
-    return [f"{log.name}/"] if in_folder and log.name not in names else names
+    return [f"{log.name}/"] if in_folder and not {*log.given} & {*log.paths} else names
 
 
 def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:

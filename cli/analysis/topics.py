@@ -132,4 +132,5 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
 def types(reads: Iterable[str]) -> str:
     """Return message types as text; Foxglove types only if there are no others."""
     kinds = list(reads)
-    return " or ".join(t.replace("/msg/", "/") for t in [k for k in kinds if "foxglove" not in k] or kinds)
+    *others, last = (t.replace("/msg/", "/") for t in [k for k in kinds if "foxglove" not in k] or kinds)
+    return f"{', '.join(others)} or {last}" if others else last

@@ -60,11 +60,10 @@ def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -
     if not lacks:
         words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
         words = f"{words}; wheels.left and wheels.right name them"
-    elif log.topics[used].msgtype == SCANS or (steers(counters) and choice.of("truth")):
-        choice.unused_wheels, choice.lacks = tuple(counters), lacks  # scans or truth may calibrate them
-        words = f"{unused_words(choice)}. {used} is used"
     else:
         words = f"{used} is used, since {_of_wheels(counters, lacks)}"
+        if log.topics[used].msgtype == SCANS or (steers(counters) and choice.of("truth")):
+            choice.unused_wheels, choice.lacks = tuple(counters), lacks  # scans or truth may calibrate them
     choice.notes.append(Note("wheels", words))
 
 

@@ -73,8 +73,7 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
     if as_json:
         put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
     else:
-        helped = tried["fixes"] if tried else None
-        text = info_text.lines(overview, (*log, *how.words), show.width(), helped)
+        text = info_text.lines(overview, (*log, *how.words), show.width(), tried or None)
         show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
         if tried:
             show.lines(("", TRIED), (TRIED,))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.load import Loaded, common_fields
-from locfuse.cli.analysis.outputs import events
+from locfuse.cli.analysis.outputs import events, places
 from locfuse.cli.session.foreign import estimates_in
 from locfuse.cli.session.result import Result
 from locfuse.formats.caps import MAX_REPORT
@@ -32,7 +31,6 @@ from locfuse.formats.rerun.scene import (
     Rgb,
     SensorLook,
 )
-from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import (
     Array,
@@ -83,7 +81,7 @@ def make_scene(result: Result, images: int | None = None, full: bool = False) ->
         evaluations=result.evaluations,
         sights={s: _look_of(s, settings(s)) for s in drive.measurements},
         track=loaded.robot.wheels.track or VIRTUAL_TRACK,
-        table=table_of(result.report),
+        table=markdown.render(result.report),
         raw=_raw_topics(loaded),
         full=full,
         palette=palette(traces_of(runs)),
@@ -99,14 +97,6 @@ def make_scene(result: Result, images: int | None = None, full: bool = False) ->
         found["pictures"] = _pictures(stream, settings("camera"), scene, every)
         found["picture_rows"] = _panorama_rows(stream, settings("camera"))
     return replace(scene, **found)
-
-
-def table_of(report: Mapping[str, Any]) -> str:
-    """Return the tables of a report in Markdown, and a command to continue with."""
-    log = shlex.quote(visible(str(report["input"]["name"])))
-    what = "tune" if "verdicts" in report else "compare"
-    why = "which noise figures suit this log" if what == "tune" else "what each sensor adds"
-    return f"{markdown.render(report)}\n\nNext: `locfuse {what} {log}` says {why}.\n"
 
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
@@ -126,7 +116,7 @@ def _look_of(name: str, settings: Any) -> SensorLook:
     sensor = REGISTRY[name]
     low, high = (chi_square(share, len(sensor.components)) for share in (NIS_LOW, NIS_HIGH))
     mount, landmark = sensor.mount(settings), sensor.landmark(settings)
-    return SensorLook(sensor.components, (low, high), sensor.drawn, mount, landmark)
+    return SensorLook(sensor.components, (low, high), sensor.drawn, mount, landmark, places(name, settings))
 
 
 def _stream(loaded: Loaded, role: str) -> Stream:
@@ -272,7 +262,7 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
         estimates,
         {e.name: evaluate(e, drive, rows[e.name]["align"]) for e in estimates},
         track=report["settings"].get("wheels", {}).get("track", 0.3),
-        table=table_of(report),
+        table=markdown.render(report),
         palette=palette(traces_in(report)),
     )
 

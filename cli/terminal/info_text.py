@@ -50,12 +50,15 @@ MAX_UNREADABLE_LISTED = 6  # number of unreadable topics listed with their reaso
 
 
 def lines(
-    overview: Overview, typed: Sequence[str], width: int | None, helped: Sequence[str] | None = None
+    overview: Overview, typed: Sequence[str], width: int | None, tried: Mapping[str, Any] | None = None
 ) -> Iterator[str]:
     """Yield the lines on one log; `typed`: the words after `info`, `width`: characters per line, None: no limit.
 
-    `helped` are the tried fixes that help; None: no fix was tried.
+    `tried` has the fixes that help, and findings with those that do not; None: no fix was tried.
     """
+    helped = tried["fixes"] if tried else None
+    others = [fix for f in (tried or {}).get("findings", ()) for fixes in f["alternatives"] for fix in fixes]
+    failed = keys(others) - keys(helped or ())
     yield _headline(overview)
     yield ""
     yield from _topics(overview, width)
@@ -63,7 +66,7 @@ def lines(
     yield from _configurations(overview, width)
     for title, severe in BY_EFFECT:
         found = (f for f in overview.findings if f.severe == severe)
-        yield from _section(title, [line for f in found for line in _finding(f, width, helped)])
+        yield from _section(title, [line for f in found for line in _finding(f, width, failed)])
     yield from _section(NEXT, [f"  {command}" for command in _next(overview, typed, helped)])
 
 
@@ -84,7 +87,7 @@ def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Ite
 def _shared(of: Mapping[str, Finding], logs: int) -> list[str]:
     name, first = next(iter(of.items()))
     where = f"in all {logs} logs, {name}" if len(of) == logs else f"in {len(of)} of {logs} logs, {name}"
-    return _finding(replace(first, role=f"{first.role} ({where})"), None, None)
+    return _finding(replace(first, role=f"{first.role} ({where})"), None, set())
 
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
@@ -112,9 +115,10 @@ def _headline(overview: Overview) -> str:
     recorded = [f for f in overview.facts if not f.derived]
     count = sum(f.count for f in recorded)
     size = overview.log.identity.size / 1e6
+    megabytes = f"{size:.1f}" if size >= 1.0 else f"{size:.1g}"
     files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
     topics = f"{len(recorded)} topic{'' if len(recorded) == 1 else 's'}"
-    return f"{overview.log.name}: {seconds}, {count} messages on {topics}, {size:.1f} MB{files}"
+    return f"{overview.log.name}: {seconds}, {count} messages on {topics}, {megabytes} MB{files}"
 
 
 def _topics(overview: Overview, width: int | None) -> Iterator[str]:
@@ -187,12 +191,12 @@ def _briefly(words: str, role: str, overview: Overview) -> str:
     return "see below" if below else words
 
 
-def _finding(f: Finding, width: int | None, helped: Sequence[str] | None) -> list[str]:
+def _finding(f: Finding, width: int | None, failed: set[str]) -> list[str]:
     fixes = () if f.code == OPEN_SCALE else f.fixes  # the message names two alternative fixes
     body = text_table.wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
     if not fixes:
         return body
-    if helped is None or not f.severe or keys(fixes) & keys(helped):
+    if not f.severe or not keys(fixes) <= failed:
         return [*body, *_options("    fix: ", fixes, width)]
     return [*body, *_options("    as measured, but it does not help (see below): ", fixes, width)]
 

@@ -43,7 +43,7 @@ def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
     strips = [Strip(c, (heading(c, brief=True), *cells)) for c, cells in zip(table.columns, texts, strict=True)]
     strips = [s for s in strips if any(s.cells[1:])]
     fitted = strips if width is None else _fitted(strips, width, len(gap))
-    return [gap.join(row) for row in zip(*(s.padded() for s in fitted), strict=True)]
+    return [gap.join(row).rstrip() for row in zip(*(s.padded() for s in fitted), strict=True)]
 
 
 def _text(column: Column, cell: Cell) -> str:

@@ -29,7 +29,7 @@ OVERLAYS: Mapping[str, tuple[str, str, Callable[[Evaluation], Array]]] = {
 
 def deviations(scene: Scene) -> Section:
     """Return the section of deviations (x, y, along, across, heading, position), all configurations per panel."""
-    judged = [j for _, j in scene.shown() if len(j.t)]
+    judged = scene.judged()
     span = (0.0, float(scene.drive.t[-1]))
     unit = metres([j.deviation for j in judged])
     panels = {name: _overlay(judged, name, span, unit) for name in OVERLAYS if "heading" not in name}
@@ -82,7 +82,8 @@ def _enlarged(panel: Panel, judged: list[Evaluation], small: list[Array], in_uni
 
 def _error(judged: list[Evaluation], by: str) -> Panel:
     """Return the panel of the position error over the distance driven, with a logarithmic y axis."""
-    errors = [np.maximum(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged]
+    errors = [np.hypot(*j.deviation.T) for j in judged]
+    errors = [np.where(e > 0.0, np.maximum(e, MIN_ERROR_M), np.nan) for e in errors]
     scale, unit = metres(errors)
     marks = tuple(Curve(j.name, j.distance, scale * e) for j, e in zip(judged, errors, strict=True))
     title, label = "Position error against distance", f"position error, {unit}"
@@ -92,7 +93,7 @@ def _error(judged: list[Evaluation], by: str) -> Panel:
 
 def bands(scene: Scene) -> Section:
     """Return the section of deviations in x, y and heading with their 3-sigma bands, a row per configuration."""
-    judged = [j for _, j in scene.shown() if len(j.t)]
+    judged = scene.judged()
     rows = [_bands(j) for j in judged]
     text = (
         "Each configuration on its own scale. The band is the 3 sigma that the filter claims: "
@@ -163,7 +164,7 @@ MAX_BIN_HEIGHT_LANES = 0.8  # height of the highest bin, in lane heights
 
 def spread(scene: Scene) -> Section:
     """Return the section of histograms of position and heading errors, on logarithmic axes, with medians."""
-    judged = [j for _, j in scene.shown() if len(j.t)]
+    judged = scene.judged()
     position = {j.name: _sizes(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged}
     scale, unit = metres(list(position.values()))
     heading = {j.name: _sizes(np.degrees(j.heading), MIN_ERROR_DEG) for j in judged if j.heading is not None}
@@ -173,8 +174,9 @@ def spread(scene: Scene) -> Section:
 
 
 def _sizes(errors: Array, least: float) -> Array:
-    """Return the absolute values (k,) of the finite `errors` (n,); values below `least` are raised to `least`."""
-    return np.maximum(np.abs(errors[np.isfinite(errors)]), least)
+    """Return the absolute values (k,) of the finite, nonzero `errors` (n,), raised to at least `least`."""
+    found: Array = errors[np.isfinite(errors) & (errors != 0.0)]
+    return np.maximum(np.abs(found), least)
 
 
 def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str) -> Panel | None:
@@ -220,7 +222,7 @@ def _bins(errors: Array) -> Array:
 
 EFFECTS = {"alone": 0.28, "leave_one_out": 0.55, "credit": 0.82}  # effect -> y in a sensor's lane
 WORDS = {
-    "alone": "alone, compared with odometry",
+    "alone": "alone",
     "leave_one_out": "last, beside all others",
     "credit": "credit: mean over every order",
     "bounds": "no effect",

@@ -47,6 +47,11 @@ class Scene(msgspec.Struct, frozen=True):
         """Whether any configuration has deviations from truth or reference."""
         return any(len(e.t) for e in self.evaluations)
 
+    def judged(self) -> list[Evaluation]:
+        """Return the evaluations to draw, without those of the result that is the reference itself."""
+        found = [j for _, j in self.shown() if len(j.t)]
+        return [j for j in found if not j.reference or j.deviation.any()] or found
+
     def shown(self) -> list[tuple[Estimates, Evaluation]]:
         """Return the configurations to draw, at most MAX_CONFIGURATIONS.
 

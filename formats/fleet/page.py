@@ -32,6 +32,7 @@ from locfuse.fusion.data import Array, Colour
 
 from .entry import Entry
 
+RMSE_M = "position rmse, m"
 MAX_ROWS = 200  # of each table on the page; all rows are in summary.csv
 MAX_CONFIGURATIONS = 12  # columns of the table of logs
 LOG, ROBOT = (Column(key, key, kind="text") for key in ("log", "robot"))
@@ -272,7 +273,7 @@ def _distribution(errors: Mapping[str, Array]) -> Section:
     marks = tuple(Curve(name, share, np.percentile(v, share)) for name, v in errors.items())
     words = "; ".join(f"{name}: median {np.median(v):.4g} m, worst {v[-1]:.4g} m" for name, v in errors.items())
     label = "% of the logs stay below"
-    panel = Panel("distribution", "Position rmse", "m", label, marks, words, log=True, x_range=(0.0, 100.0))
+    panel = Panel("distribution", "Position rmse", RMSE_M, label, marks, words, log=True, x_range=(0.0, 100.0))
     text = "At 50 the median log, at 90 what nine of ten logs stay below, at 100 the worst."
     return Section("distribution", "How errors are distributed over the logs", text, (panel,), columns=1)
 
@@ -291,6 +292,6 @@ def _trend(best: str | None, entries: Sequence[Entry]) -> list[Section]:
     x = np.array([(day - first).days for day in sorted(days)], float)
     low, middle, high = np.array([np.percentile(days[day], (10.0, 50.0, 90.0)) for day in sorted(days)]).T
     marks = (Band(best, x, low, high), Curve(best, x, middle), Dots(best, x, middle))
-    panel = Panel("trend", "Position rmse by day", "m", f"days since {first}", marks, "median by day", log=True)
+    panel = Panel("trend", "Position rmse by day", RMSE_M, f"days since {first}", marks, "median by day", log=True)
     text = f"The median of {best} on each day; the band holds the logs between 10 and 90 %."
     return [Section("trend", "From day to day", text, (panel,), columns=1)]

@@ -237,7 +237,7 @@ def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
     delay = float(np.median(log_time - stamp)) / 1e9
     if abs(delay) <= MAX_DELAY_S:
         return ()
-    return (f"header stamps and log times differ by {delay:.3f} s (median): two clocks; header stamps are used",)
+    return (f"header stamps and log times differ by {delay:.1f} s: two clocks; header stamps are used",)
 
 
 def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[str]:

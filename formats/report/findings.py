@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+KEY_SET = re.compile(r"--set ([\w.]+)=")
 CLAUSE_END = re.compile(r"; |, but ")
 MIN_HEADING_CHANGE = 0.2  # share of the heading error; smaller changes are not shown
 MIN_SCORE_CHANGE_NATS = 0.02  # per number; a smaller change is shown as no change
@@ -48,6 +49,8 @@ def _is_about(finding: Mapping[str, Any], warning: Mapping[str, Any]) -> bool:
     """Return whether a finding and a warning (of doubtful figures) are about the same problem."""
     role, _, words = warning["message"].partition(": ")
     found = words.partition(". ")[0] in without_correlation(finding["message"])
+    keys = {*KEY_SET.findall(words)}  # the fix of the finding replaces these
+    found |= bool(keys) and keys <= {fix.partition("=")[0] for fix in finding["fixes"]}
     return not warning.get("void", True) and finding["role"] == role and found
 
 

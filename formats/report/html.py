@@ -20,12 +20,12 @@ from markupsafe import Markup
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT_PX, WIDTH_PX, svg
-from locfuse.fusion.data import REFUSED, Colour
+from locfuse.fusion.data import BASES, REFUSED, Colour
 
 from . import tables
 from .findings import fingerprint, in_parts, notes_of, options, title_of, together, unwarned, warnings_of
 from .glossary import GLOSSARY
-from .render import SIGNS, Swatches, data, html
+from .render import SIGNS, Swatches, data, html, with_code
 from .summary import errors_of
 from .table import Path, Piece, written
 
@@ -57,6 +57,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         swatches,
         report=report,
         title=title_of(report),
+        base=next((name for name in BASES if name in names), "odometry"),
         fingerprint=fingerprint(report["input"]),
         figures=partial(figure, report),
         tables=tables,
@@ -66,6 +67,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         credit=[d for d in drawings if d["section"].name == "credit"],
         legend=[(name, swatches.slugs[name]) for name in names if name in drawn],
         strips=_strips(report),
+        coded=lambda words: Markup(with_code(words)),
         notes=notes_of(report),
         warnings=[(kind, at, f and in_parts(f)) for kind, at, f in warnings_of(report)],
         findings=[in_parts(f) for f in unwarned(report)],

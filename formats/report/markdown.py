@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
 from . import tables
 from .findings import banner_of, counts, fingerprint, notes_of, sentence, title_of, together, unwarned
 from .render import SIGNS, code, escape, markdown
+
+CODE, ESCAPE = re.compile(r"\\`(.*?)\\`"), re.compile(r"\\(.)")  # in escaped text
 
 
 def render(report: Mapping[str, Any]) -> str:
@@ -27,7 +30,7 @@ def render(report: Mapping[str, Any]) -> str:
     prediction, jitter = report.get("prediction"), report.get("jitter")
     parts = [
         f"# locfuse: {escape(title_of(report))}",
-        escape(report.get("headline", "")),
+        _with_code(report.get("headline", "")),
         "\n".join(f"- {escape(line)}" for line in banner_of(report)),
         _verdicts(report),
         markdown(tables.configurations(report)),
@@ -41,6 +44,11 @@ def render(report: Mapping[str, Any]) -> str:
         f"Input {identity}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with}.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
+
+
+def _with_code(words: str) -> str:
+    """Return a text escaped for Markdown; parts between backticks stay code."""
+    return CODE.sub(lambda found: code(ESCAPE.sub(r"\1", found[1])), escape(words))
 
 
 def _verdicts(report: Mapping[str, Any]) -> str:

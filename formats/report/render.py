@@ -145,6 +145,12 @@ def html_text(words: str) -> str:
     return _escaped(visible_lines(words))
 
 
+def with_code(words: str) -> str:
+    """Return a text escaped for HTML; parts between backticks become code."""
+    parts = html_text(words).split("`")
+    return "".join(f"<code>{part}</code>" if i % 2 else part for i, part in enumerate(parts))
+
+
 def latex(table: Table) -> str:
     """Return the table as a booktabs tabular."""
     heads = [f"{c.heading} [{c.unit}]" if c.unit else c.heading for c in table.columns]

@@ -58,7 +58,7 @@ SENSORS = (
 )
 RANKING = (
     CONFIGURATION,
-    Column("gain_nats", "nats per number, compared with odometry", form="{:+.3f}", missing="leaves nothing out"),
+    Column("gain_nats", "gain, nats per number", form="{:+.3f}", missing="leaves nothing out"),
     Column("sensors", "on", kind="text"),
 )
 SCORES = (
@@ -66,7 +66,7 @@ SCORES = (
     Column("sensor", "predicts", kind="text"),
     Column("numbers", "numbers"),
     Column("score_nats", "score, nats", form="{:.3f}"),
-    Column("gain_nats", "compared with odometry", form="{:+.3f}"),
+    Column("gain_nats", "gain, nats", form="{:+.3f}"),
     Column("low", "95 % from", form="{:+.3f}"),
     Column("high", "to", form="{:+.3f}"),
     Column("by", "left out in", kind="text"),
@@ -109,7 +109,7 @@ SENSORS_NOTE = (
 MAX_JUMPS = 30  # rows: the largest jumps
 MIN_AGREEMENT = 0.3  # revisit agreement; below it the path is wrong, and its crispness is not shown
 AGREEMENT = Column("revisit_agreement", "revisits agree", form="{:.0%}", rank=5)
-CRISPNESS = Column("crispness", "crispness", kind="text", rank=5)
+CRISPNESS = Column("crispness", "crispness", rank=5)
 JUMPS = (
     CONFIGURATION,
     Column("t_s", "at", "s", "{:.1f}"),
@@ -159,7 +159,7 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
     fewest = min(filter(None, hit), default=0)
     for name, values in runs.items():
         own = values if key is None else values.get(key)
-        judged_by, crispness = _judged_by(values.get("reference")), _crispness(values, fewest)
+        judged_by, crispness = _judged_by(values), _crispness(values, fewest)
         more = {"configuration": name, JUDGED_BY.key: judged_by, CRISPNESS.key: crispness}
         if own:
             yield {**own, **more}, ("configurations", name, *([key] if key else []))
@@ -207,14 +207,19 @@ def jumps(report: Report) -> Table:
     return of_values(JUMPS, rows, words)
 
 
-def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
+def _judged_by(values: Mapping[str, Any]) -> str | None:
     """Return the sensors of the reference as text: "all", "camera", "compass+lrf"; None without a reference.
+
+    For the result that is the reference, return "itself".
 
     " *" is added if the judged result uses some of these sensors too. Else " ?" is added if this reference and the
     reference of all sensors contradict each other.
     """
+    reference = values.get("reference")
     if reference is None:
         return None
+    if values.get("position_max_m") == 0.0:
+        return "itself"
     every = not reference["left_out"] and len(reference["sensors"]) > 1
     mark = " *" if reference["shared"] else "" if reference["agrees"] else " ?"
     return f"{'all' if every else '+'.join(reference['sensors'])}{mark}"
@@ -296,7 +301,7 @@ def credit(report: Report) -> Table:
     rows = []
     for sensor, values in report["credit"]["sensors"].items():
         others = " and ".join(values["beside"])
-        beside = f"beside {others}" if others else "alone, compared with odometry"
+        beside = f"beside {others}" if others else "alone"
         effects = {"credit": "credit", "alone": beside, "leave_one_out": "last, beside all others"}
         for kind, title in effects.items():
             at = ("credit", "sensors", sensor, kind)

@@ -20,7 +20,7 @@ MARGIN_SHARE = 0.06  # margin around the map, as a share of its size
 SCAN_RANGE_M = (1.5, 15.0)  # smallest and largest range around the robot that the scan view shows at first
 LEGEND_SHARES = (0.04, 0.037)  # heights as shares of the left column: the legend's title, each row of the legend
 TICK_MARGIN = 0.04  # margin beyond the outer values, as a share of the plot's range or of a tick step
-MAX_TEN_STEPS = 6.5  # with more tick steps than this, a plot has no room for their labels
+MAX_TEN_STEPS = 6.5  # with more tick steps than this, one of three plots has no room for their labels
 LEGEND_ROWS = 5  # entries of a plot's legend that fit into a plot of usual height
 MAX_RAW_VIEWS = 12  # topics with a view of their own
 Range = tuple[float, float]
@@ -57,7 +57,8 @@ def _right(scene: RerunScene, tab: str | None) -> Any | None:
     sensor_views += [] if scene.picture_rows is None else [_view_2d("Omni image", f"/{drawing.OMNI}")]
     parts: list[Any] = [rrb.Horizontal(contents=sensor_views)] if sensor_views else []
     if tabs := _tabs(scene):
-        front = list(tabs).index(tab) if tab in tabs else 0
+        first = tab if tab in tabs else "Result" if scene.table and "Deviation" not in tabs else next(iter(tabs))
+        front = list(tabs).index(first)
         parts.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
     return rrb.Vertical(contents=parts, row_shares=[0.26, 0.74]) if len(parts) > 1 else next(iter(parts), None)
 
@@ -71,7 +72,7 @@ def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = N
 def _map_view(scene: RerunScene) -> Any:
     """Return the map view; at first, walls and matches are visible only for the best configuration."""
     low, high = scene.extent
-    margin = MARGIN_SHARE * max(float((high - low).max()), 1.0)
+    margin = max(MARGIN_SHARE * float((high - low).max()), 0.6 * scene.track)  # the robot's own reach
     (x0, y0), (x1, y1) = (low - margin).tolist(), (high + margin).tolist()
     growing = [f"{ROOT}/truth/path"]
     overrides: dict[Any, Any] = {}
@@ -137,7 +138,8 @@ def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: l
         origin = f"/deviation/{component}"
         shown = {part(e.name): rrb.EntityBehavior(visible=e.name == scene.best.name) for e in judged}
         bands = {f"{origin}/{name}/three_sigma": [behaviour] for name, behaviour in shown.items()}
-        low, high = ticked(*((-close[i], close[i]) if close else _deviation_range(scene, judged, i)))
+        limits = (-close[i], close[i]) if close else _deviation_range(scene, judged, i)
+        low, high = ticked(*limits, most=MAX_TEN_STEPS * 3 / count)
         views.append(_plot(f"{component} [{unit}]", origin, high, low, legend=i == 0, overrides=bands))
     label = f"{name} (reference)" if judged[0].reference else name
     first = max(1.2, len(judged) / LEGEND_ROWS)  # room for the legend
@@ -157,18 +159,18 @@ def _deviation_range(scene: RerunScene, judged: list[Evaluation], i: int) -> Ran
     return (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)
 
 
-def ticked(low: float, high: float) -> Range:
+def ticked(low: float, high: float, most: float = MAX_TEN_STEPS) -> Range:
     """Return limits of a y axis, widened until it has at least two labelled ticks.
 
-    The viewer labels only multiples of a power of ten, and only if they are not too close.
+    The viewer labels only multiples of a power of ten, and only if there are at most `most` of them.
     """
     margin = TICK_MARGIN * max(high - low, 1e-9)
     low, high = low - margin, high + margin
     step = 10.0 ** np.floor(np.log10(high - low))
     steps = (high - low) / step
-    if steps <= MAX_TEN_STEPS and count_ticks(low, high, step) >= 2:
+    if steps <= most and count_ticks(low, high, step) >= 2:
         return low, high
-    step *= 10.0 if steps > MAX_TEN_STEPS else 1.0
+    step *= 10.0 if steps > most else 1.0
     down = float((np.floor(low / step) - TICK_MARGIN) * step)
     up = float((np.ceil(high / step) + TICK_MARGIN) * step)
     wider = [ends for ends in ((down, high), (low, up)) if count_ticks(*ends, step) >= 2]

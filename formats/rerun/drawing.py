@@ -97,11 +97,11 @@ def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:
     groups = {"matched": GROUPS[MATCHED], "rejected": GROUPS[REJECTED], "new": GROUPS[NEW]}
     shown: list[tuple[bool, dict[str, Rgb]]] = [
         (scene.drive.truth is not None, {"truth": TRUTH}),
-        (any(e.audits for e in runs), groups),
+        (any(scene.sights[s].kind for e in runs for s in e.audits), groups),
         (any(e.final_map for e in runs), {"wall": WALL, "wall at first sight": FIRST_WALL}),
         (any(len(e.loops) for e in runs), {"loop closed": LOOP}),
         (scene.scans is not None, {"scan": SCAN}),
-        (any(sight.landmark is not None for sight in scene.sights.values()), {"landmark": LANDMARK}),
+        (bool(scene.landmarks), {"landmark": LANDMARK}),
     ]
     rest = [entry for present, entries in shown if present for entry in entries.items()]
     return [*((e.name, scene.colour(e.name)) for e in runs), *rest]

@@ -59,10 +59,9 @@ def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
         now = evenly(len(truth.t), scene.max_points)
         to.static(f"{ROOT}/truth/now", ink.points(ink.TRUTH, 4.0))
         to.send(f"{ROOT}/truth/now", truth.t[now], rr.Points2D.columns(positions=truth.xy[now]))
-    for sensor, sight in scene.sights.items():
-        if sight.landmark is not None:
-            point = rr.Points2D([sight.landmark], labels=["landmark"])
-            to.static(f"{ROOT}/landmark/{sensor}", point, ink.points(ink.LANDMARK, 6.0))
+    if scene.landmarks:
+        label = ["landmark"] if len(scene.landmarks) == 1 else None
+        to.static(f"{ROOT}/landmark", rr.Points2D(scene.landmarks, labels=label), ink.points(ink.LANDMARK, 6.0))
 
 
 def _draw_path(to: TimelineRecorder, path: str, t: Array, xy: Array, limit: int) -> None:

@@ -31,6 +31,7 @@ class SensorLook(msgspec.Struct, frozen=True):
     kind: Literal["segments", "bearing", "heading", ""] = ""  # shape on the map
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x, y [m], yaw [rad] in the base frame
     landmark: tuple[float, float] | None = None  # m, map frame: target of a bearing
+    places: Sequence[tuple[float, float]] = ()  # m, map frame: targets of bearings and ranges
 
 
 class DrawnScans(NamedTuple):
@@ -96,6 +97,12 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         return max(self.estimates, key=lambda e: len(e.sensors))
 
     @cached_property
+    def landmarks(self) -> list[tuple[float, float]]:
+        """Positions [m, map frame] of landmarks and anchors, given or estimated."""
+        given = (place for sight in self.sights.values() for place in sight.places)
+        return list(dict.fromkeys([*given, *((float(x), float(y)) for _, x, y in self.best.points)]))
+
+    @cached_property
     def extent(self) -> tuple[Array, Array]:
         """Lower and upper corner (2,) [m, map frame] of the box around all that is drawn at first.
 
@@ -105,7 +112,7 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         if self.drive.truth is not None and len(self.drive.truth.xy):
             parts.append(self.drive.truth.xy)
         parts.append(walls([line for line in self.best.final_map if line.hits > 1]).reshape(-1, 2))
-        parts += [np.array([s.landmark]) for s in self.sights.values() if s.landmark is not None]
+        parts += [np.array([place]) for place in self.landmarks]
         points = np.concatenate(parts)
         return points.min(axis=0), points.max(axis=0)
 

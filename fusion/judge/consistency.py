@@ -91,9 +91,10 @@ def by_itself(sensor: str, settings: Any, o: OwnInnovations, floor: Sequence[flo
         # the state followed the slow errors, so the innovations contain only a part of these errors
         return by_memory(sensor, settings, o.R[0] * o.nis, repeats, period, o.R[0] / MIN_MEAN_VARIANCE_RATIO)
     if o.raw > MIN_SIGMA_FACTOR and o.whiteness[0] > MIN_WANDER_CORRELATION:
+        scale = "the range scale, " if hasattr(settings, "range_scale") else ""
         words = (
             f"successive residuals are similar ({o.whiteness[0]:.0%}). Usual causes, in this order: wheels.track, "
-            f"{sensor}.time_offset, the mount, the range scale, wheels.noise"
+            f"{sensor}.time_offset, the mount, {scale}wheels.noise"
         )
         return Consistency("correlated", words)
     factor = _on_sigma(o, floor)

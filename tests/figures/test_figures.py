@@ -388,6 +388,14 @@ def test_the_picture_of_credit_shows_every_interval_of_the_report() -> None:
     assert credit(replace(scene, credit=None)).panels == ()
 
 
+def test_the_result_that_is_the_reference_itself_has_no_curve_of_its_errors() -> None:
+    scene, _ = small_scene.long(0.1, 2)
+    other, best = (replace(j, reference=True) for j in scene.evaluations)
+    itself = replace(best, deviation=np.zeros_like(best.deviation))
+    assert replace(scene, evaluations=[other, itself]).judged() == [other]
+    assert replace(scene, evaluations=[other, best]).judged() == [other, best]
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("vision", VISION)
 def test_the_colours_of_a_scale_are_told_apart_and_grow_evenly_in_lightness(theme: str, vision: str) -> None:

@@ -219,7 +219,7 @@ def test_order_stamp_sorts_the_rows_and_drops_what_has_no_stamp() -> None:
 def test_two_clocks_are_noted() -> None:
     log_time, stamp = recording()
     assert settle(log_time + 2 * S, stamp).notes == (
-        f"header stamps and log times differ by {2 + np.median(log_time - stamp) / S:.3f} s (median): two clocks; "
+        f"header stamps and log times differ by {2 + np.median(log_time - stamp) / S:.1f} s: two clocks; "
         "header stamps are used",
     )
 

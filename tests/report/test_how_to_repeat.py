@@ -20,8 +20,9 @@ SETS = ("--sensors", "odometry", "--sensors", "compass", "--align", "origin", "-
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A user's own file with a space in its name."""
-    path = tmp_path_factory.mktemp("logs") / "my drive.mcap"
+    """A user's own file with a space in its name, in a folder of the same name, which is not what was named."""
+    path = tmp_path_factory.mktemp("logs") / "my drive" / "my drive.mcap"
+    path.parent.mkdir()
     shutil.copy(sample_logs.path("rounded_rectangle"), path)
     return path
 

@@ -18,7 +18,7 @@ from commands import ok
 
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.report import html as report_html, markdown, tables
-from locfuse.formats.report.findings import in_parts, notes_of, options
+from locfuse.formats.report.findings import banner_of, in_parts, notes_of, options
 from locfuse.formats.report.glossary import GLOSSARY
 from locfuse.fusion.sensors.registry import colours
 
@@ -243,6 +243,20 @@ def test_text_from_logs_stays_text(written: str) -> None:
         assert not re.search(r"(?<!\\)<script", text)
     else:
         assert r"\textbackslash" in tables.latex(report)
+
+
+def test_a_warning_whose_setting_a_finding_replaces_is_said_by_the_finding_alone() -> None:
+    fix = {"role": "wheels", "message": "too long", "fixes": ["wheels.track=1.85"], "tried": None}
+    old = {"message": "wheels: the track is 1.98 m. Not set: --set wheels.track=1.98", "void": False}
+    report = {"validity": [old, {"message": "wheels: too long", "void": False}], "findings": [fix]}
+    assert banner_of(report) == ["Warning: wheels: too long. Fix (not tried): --set wheels.track=1.85"]
+
+
+def test_a_command_in_the_headline_is_code() -> None:
+    _, report = small_scene.long(minutes=0.1, configurations=2)
+    report["headline"] = "The track is unknown: `locfuse init a_b.mcap` asks for it."
+    assert "<code>locfuse init a_b.mcap</code> asks" in report_html.render(report, [], SENSORS)
+    assert "`locfuse init a_b.mcap` asks" in markdown.render(report)
 
 
 def test_a_report_without_truth_says_so_and_ranks_by_prediction() -> None:

@@ -251,7 +251,7 @@ def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:
         ]
     )
     told = locfuse("info", drive.record(tmp_path / "wishes.mcap")).stdout
-    assert "may be one" not in told
+    assert "if you name it" not in told
 
 
 def test_compare_uses_it_where_it_is_named(log: Path) -> None:

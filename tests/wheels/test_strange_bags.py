@@ -201,7 +201,7 @@ def test_where_nobody_knows_the_size_of_the_wheels_the_laser_says_how_the_robot_
     choice = chosen(log)
     assert choice.of("wheels") == ("/scan",)
     assert choice.notes[0].words == (
-        "Wheel angles are in /joint_states but radius and track are unknown. /scan is used"
+        "/scan is used, since wheel angles are in /joint_states but radius and track are unknown"
     )
     assert chosen(log, wheels={"radius": 0.05}).of("wheels") == ("/joint_states",)
     assert chosen(log, wheels={"radius": 0.05, "track": 0.3}).of("wheels") == ("/joint_states",)

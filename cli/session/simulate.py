@@ -146,11 +146,15 @@ class Localiser:
             elif message.topic in self._role:
                 self._waiting.append((self._role[message.topic], message))
         if len(self._wheel_t) >= 2:
-            wheels = self._wheels()
+            settings, (left, right) = self.robot.wheels, np.array(self._rolled).T
+            t = np.array(self._wheel_t)
+            wheels = Wheels.from_wheels(t, left, right, settings.track or 1.0, settings.noise)
             self._correct(wheels)
             now = wheels.relative(np.array([self._at]), wheels.t[-1:])[0]
             self._pose = se2.compose(np.array(self.filter.pose()), now)
-            self._drop_old()
+            while self._wheel_t[0] < min(t[-1] - WHEEL_MEMORY_S, self._at - WHEEL_MEMORY_S / 2):
+                self._wheel_t.pop(0)
+                self._rolled.pop(0)
         x, y, theta = self._pose.tolist()
         return x, y, theta
 
@@ -170,14 +174,16 @@ class Localiser:
         self._wheel_t.append(t)
         self._rolled.append((radius * left * angle[settings.left], radius * right * angle[settings.right]))
 
-    def _wheels(self) -> Wheels:
-        settings, (left, right) = self.robot.wheels, np.array(self._rolled).T
-        return Wheels.from_wheels(np.array(self._wheel_t), left, right, settings.track or 1.0, settings.noise)
-
     def _correct(self, wheels: Wheels) -> None:
         """Advance the filter through all readings older than MAX_LATENCY_S, in time order."""
+        from locfuse.sample_logs.record import stream_of
+
+        def measured_by(sensor: str, message: RawMessage) -> Measurements:
+            settings = self.robot.settings(sensor)
+            return REGISTRY[sensor].measure(stream_of([message]), settings, wheels, self._epoch_ns)
+
         horizon = wheels.t[-1] - MAX_LATENCY_S
-        measured = [(self._measure(s, message, wheels), s, message) for s, message in self._waiting]
+        measured = [(measured_by(s, message), s, message) for s, message in self._waiting]
         ready = [(m, s) for m, s, _ in measured if len(m.t) and self._at <= m.t[0] <= horizon]
         self._waiting = [(s, message) for m, s, message in measured if len(m.t) and m.t[0] > horizon]
         for t in sorted({float(m.t[0]) for m, _ in ready}):
@@ -185,13 +191,3 @@ class Localiser:
             due = {s: m for m, s in ready if m.t[0] == t}
             self.filter.advance(0, step, [(s, 0) for s in due], due)
             self._at = t
-
-    def _measure(self, sensor: str, message: RawMessage, wheels: Wheels) -> Measurements:
-        from locfuse.sample_logs.record import stream_of
-
-        return REGISTRY[sensor].measure(stream_of([message]), self.robot.settings(sensor), wheels, self._epoch_ns)
-
-    def _drop_old(self) -> None:
-        while self._wheel_t[0] < min(self._wheel_t[-1] - WHEEL_MEMORY_S, self._at - WHEEL_MEMORY_S / 2):
-            self._wheel_t.pop(0)
-            self._rolled.pop(0)

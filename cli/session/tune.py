@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import msgspec
@@ -66,10 +66,10 @@ class Tuning(Found, frozen=True, kw_only=True):
             low, high = _interval(row) or (None, None)
             noise[row.key] = {"before": row.before, "after": row.after, "low": low, "high": high}
             noise[row.key]["identifiable"] = row.identifiable
-        likelihood = {
-            name: None if pair is None else {"before": pair[0], "after": pair[1], "numbers": numbers}
-            for name, pair, numbers in self._likelihoods("training", "held_out")
-        }
+        likelihood = {}
+        pairs = (self.tuned.train, self.tuned.held_out)
+        for part, pair, n in zip(("training", "held_out"), pairs, self.tuned.numbers, strict=True):
+            likelihood[part] = pair and {"before": pair[0], "after": pair[1], "numbers": n}
         logs = []
         for j in self.judged:
             found: dict[str, Any] = {"name": j.name}
@@ -86,13 +86,6 @@ class Tuning(Found, frozen=True, kw_only=True):
             "robot": self.tables(),
             "notes": list(self.notes),
         }
-
-    def _likelihoods(self, *parts: str) -> Iterator[tuple[str, tuple[float, ...] | None, int]]:
-        """Yield (name, (ln likelihood before, after) or None, number of values) for training, then held-out data.
-
-        `parts` are the names of the two data sets.
-        """
-        return zip(parts, (self.tuned.train, self.tuned.held_out), self.tuned.numbers, strict=True)
 
     def rows(self) -> list[Row]:
         """Return the table's rows as text: key, before, after, 95 % interval."""
@@ -116,7 +109,8 @@ class Tuning(Found, frozen=True, kw_only=True):
     def judgements(self) -> list[tuple[str, str, str]]:
         """Return rows of text: figure, value before, value after tuning."""
         rows: list[tuple[str, str, str]] = []
-        for part, pair, n in self._likelihoods("tuned on", "held out"):
+        pairs = (self.tuned.train, self.tuned.held_out)
+        for part, pair, n in zip(("tuned on", "held out"), pairs, self.tuned.numbers, strict=True):
             if pair is not None:
                 rows.append((f"ln likelihood per number, {part} ({n})", f"{pair[0]:.2f}", f"{pair[1]:.2f}"))
         for j in self.judged:
@@ -197,7 +191,10 @@ def tune_logs(
             BothNoises(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
             for one, check in zip(loaded, checks, strict=True)
         ]
-        return tuned, judged, _worse(tuned, judged)
+        worse = [line for j in judged if (line := got_worse(j)) is not None]
+        if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
+            worse.append(f"{_less_likely(*tuned.held_out)}: the noise that was found is not used")
+        return tuned, judged, worse
 
     tuned, judged, worse = tuned_by(sensors)
     lasting = lasting_errors(tuned.trials)
@@ -215,14 +212,6 @@ def tune_logs(
         again.append(f"{_less_likely(*found)}, by no more than chance: a longer log would settle it")
     notes = [*worse, *tuned.flags, *again, *notes]
     return Tuning(loaded=loaded, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
-
-
-def _worse(tuned: Tuned, judged: Sequence[BothNoises]) -> list[str]:
-    """Return notes on logs, or held-out data, that get worse with the tuned noise."""
-    worse = [line for j in judged if (line := got_worse(j)) is not None]
-    if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
-        worse.append(f"{_less_likely(*tuned.held_out)}: the noise that was found is not used")
-    return worse
 
 
 def _less_likely(before: float, after: float) -> str:

@@ -164,7 +164,9 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
 def _odometry_body(topic: str, why: str, others: Sequence[str]) -> Body:
     """Return an odometry as the motion, with a note on unused odometries or on an IMU or GPS fused in it."""
     if not others:
-        return Body(topic, why, HOLDS_MORE.format(topic=topic) if _holds_more(topic) else "")
+        name = topic.lower()
+        holds_more = _odometry_rank(topic) > 1 and (NAMES_FILTER.search(name) or NAMES_GPS.search(name))
+        return Body(topic, why, HOLDS_MORE.format(topic=topic) if holds_more else "")
     looks = "looks" if len(others) == 1 else "look"
     words = f"{topic} is used: {' and '.join(others)} {looks} made of more than the wheels"
     return Body(topic, why, words, (f"wheels.topic={topic}",))
@@ -219,21 +221,10 @@ def _free_topics(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -
     A topic configured for a sensor (`[pose] topic`) is left out if there are others.
     """
     taken = {topic for role in choice.topics for topic in choice.of(role)}
-    found = [
-        t
-        for t in filled(log, *kinds)
-        if t not in taken
-        and (":" not in t or t.endswith(ADAPTED_SUFFIX))  # left out: frames of /tf, and single fields of a message
-        and not looks_like_truth(t)
-    ]
+    free = [t for t in filled(log, *kinds) if t not in taken and not looks_like_truth(t)]
+    found = [t for t in free if ":" not in t or t.endswith(ADAPTED_SUFFIX)]  # no frames of /tf, no single fields
     asked = {robot.settings(name).topic for name, sensor in REGISTRY.items() if sensor.asked_only}
     return [t for t in found if t not in asked] or found
-
-
-def _holds_more(topic: str) -> bool:
-    """Return whether an odometry's name shows that an IMU or GPS is fused in it."""
-    name = topic.lower()
-    return _odometry_rank(topic) > 1 and bool(NAMES_FILTER.search(name) or NAMES_GPS.search(name))
 
 
 def _odometry_rank(topic: str) -> int:
@@ -269,13 +260,10 @@ def of_camera(log: Log, topic: str) -> bool:
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
     """Return /tf pairs (fixed frame, moving frame) as topics; if base frames move, only pairs with these."""
-    found: dict[str, bool] = {}
-    for topic in log.transform_topics:
-        for (parent, child), edge in log.frames(topic).items():
-            if edge.moves and fixed(parent) and not is_fixed(child):
-                found[f"{topic}:{parent}:{child}"] = is_base(child)
-    based = [name for name, base in found.items() if base]
-    names = based or list(found)
+    pairs = ((topic, edge) for topic in log.transform_topics for edge in log.frames(topic).values())
+    found = [(topic, e) for topic, e in pairs if e.moves and fixed(e.parent) and not is_fixed(e.child)]
+    based = [(topic, e) for topic, e in found if is_base(e.child)]
+    names = (f"{topic}:{e.parent}:{e.child}" for topic, e in based or found)
     return [name for name in names if log.find(name) is not None]
 
 

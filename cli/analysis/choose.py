@@ -142,13 +142,16 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     if the sensor may have several; the likeliest, if the sensor has a list of unlikely names. Otherwise an extra
     sensor gets no topic, and LocfuseError is raised for any other sensor.
     """
-    sensor = REGISTRY[name]
+    sensor, kinds = REGISTRY[name], {log.topics[t].msgtype for t in candidates}
+    several = sensor.several
+    if sensor.several_frames and len(candidates) > 1 and len(kinds) == 1:  # equal sensors, mounted apart
+        several = several or len({log.stream(t).frame_id for t in candidates} - {""}) == len(candidates)
     if len(candidates) == 1:
         same = filled(log, log.topics[candidates[0]].msgtype)
         choice.take(name, candidates, WHY_ONLY if len(same) < 2 else "the only one of its type that fits")
     elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
         choice.take(name, shared[:1], "another sensor reads it too")
-    elif sensor.several or (sensor.several_frames and _differ_in_frame(log, candidates)):
+    elif several:
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
     elif sensor.unlikely is not None:
         best = likeliest(candidates, sensor.unlikely, choice.topics.get("wheels", ""))
@@ -160,12 +163,6 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     else:  # an extra sensor: no guess, and no error that would stop the other sensors
         why = several_fit(log, name, candidates)
         choice.leave(name, why.sentence, why.fixes)
-
-
-def _differ_in_frame(log: Log, topics: Sequence[str]) -> bool:
-    """Return whether topics have equal types and different frames: several sensors, mounted apart."""
-    frames = {log.stream(t).frame_id for t in topics}
-    return len({log.topics[t].msgtype for t in topics}) == 1 and len(frames - {""}) == len(topics)
 
 
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:

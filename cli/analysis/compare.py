@@ -237,24 +237,6 @@ def _judged(
     return judged, runs
 
 
-def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
-    """Return the distance [m] between a foreign estimate and the truth at the first common time.
-
-    None if both are near in position and heading, or without truth.
-    """
-    if drive.truth is None or estimates.truth_pose is None:
-        return None
-    rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
-    if not len(rows):
-        return None
-    first, pose = rows[0], estimates.truth_pose[rows[0]]
-    point = se2.transform(pose[None], np.array([drive.truth.point]))[0]
-    away = float(np.hypot(*(point - drive.truth.xy[first])))
-    theta = drive.truth.theta
-    turned = 0.0 if theta is None else abs(float(se2.wrap_all(np.array([pose[2] - theta[first]]))[0]))
-    return away if away > OTHER_FRAME_M or turned > OTHER_FRAME_RAD else None
-
-
 def _in_frame_of(
     e: Estimates, drive: Drive, references: References | None, align: Align
 ) -> tuple[Estimates, Align]:
@@ -264,8 +246,14 @@ def _in_frame_of(
     """
     whole = None if references is None else references.whole
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
-    away = _other_frame(seen, judge) if align == "none" else None
-    if away is None:
+    truth, poses = judge.truth, seen.truth_pose
+    if align != "none" or truth is None or poses is None:
+        return e, align
+    common = np.flatnonzero(np.isfinite(poses[:, 0]))[:1]  # the first time of both
+    points = se2.transform(poses[common], np.array([truth.point]))
+    away = float(np.hypot(*(points - truth.xy[common]).T).sum())
+    turns = np.zeros(1) if truth.theta is None else se2.wrap_all(poses[common, 2] - truth.theta[common])
+    if away <= OTHER_FRAME_M and abs(turns.sum()) <= OTHER_FRAME_RAD:
         return e, align
     words = f"{e.name}: begins {away:.2f} m from the {what}, so it is of another frame: aligned at its first pose"
     return replace(e, notes=(*e.notes, words)), "origin"

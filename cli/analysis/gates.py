@@ -30,8 +30,8 @@ from .settings import GateOptions
 EXIT_GATE_FAILED = 4
 OF_REFERENCE = "reference."  # prefix of errors against a reference, in a log without truth
 OF_FLEET = "fleet."  # prefix of figures over all logs
-Operator = Callable[[float, float], bool]
-OPERATORS: dict[str, Operator] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+OPERATORS: dict[str, Callable[[float, float], bool]]
+OPERATORS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 TOLERANCE_UNITS = {
     "": ("share", 1.0),
     "%": ("share", 0.01),
@@ -118,22 +118,32 @@ class Gates(msgspec.Struct, frozen=True):
 
     def failures(self, report: Mapping[str, Any]) -> list[str]:
         """Return one line per gate on one log that fails or whose figure is missing."""
-        lines = []
+        lines, absent = (
+            [],
+            f"the figure does not exist {'without truth' if report.get('truth') is None else 'here'}",
+        )
         for gate in self.limits:
-            path = gate.figure.removeprefix(OF_REFERENCE)
-            name, value = figure(report["configurations"], path)
-            mixed = _mixed(report, gate)
-            lines.append(gate.line(None if mixed else value, mixed or _missing(report, path, name)))
+            path, mixed = gate.figure.removeprefix(OF_REFERENCE), _mixed(report, gate)
+            value, missing = (None, mixed) if mixed else _reported(report["configurations"], path, absent)
+            lines.append(gate.line(value, missing))
         worse = _worse(report, self.baseline) if self.baseline and not self.baseline.of_fleet else []
         return [line for line in lines if line] + worse
 
     def failures_together(self, summary: Mapping[str, Any]) -> list[str]:
         """Return one line per gate on the whole fleet that fails or whose figure is missing."""
-        lines = [line for gate in self.together if (line := _violated_together(summary, gate))]
+        figures = {name: c["figures"] for name, c in summary["configurations"].items()}
+        failed = float(sum(log["state"] != "done" for log in summary["logs"].values()))
+        lines = []
+        for gate in self.together:
+            path = gate.figure.removeprefix(OF_FLEET)
+            absent = f"name one of its statistics: {', '.join(OVER_LOGS)}"
+            value, missing = (failed, "") if path == "failed" else _reported(figures, path, absent)
+            lines.append(gate.line(value, missing))
+        found = [line for line in lines if line]
         if self.baseline is None:
-            return lines
+            return found
         other = _other_logs(summary, self.baseline)
-        return [*lines, *([other] if other else self.baseline.grown(summary, "figure in common with these logs"))]
+        return [*found, *([other] if other else self.baseline.grown(summary, "figure in common with these logs"))]
 
 
 def parse_gate(text: str) -> Gate:
@@ -229,15 +239,16 @@ def figure(configurations: Mapping[str, Any], path: str) -> tuple[str | None, fl
     return name, float(value) if _is_number(value) and math.isfinite(value) else None
 
 
-def _missing(report: Mapping[str, Any], path: str, name: str | None) -> str:
-    configurations = report["configurations"]
+def _reported(configurations: Mapping[str, Any], path: str, absent: str) -> tuple[float | None, str]:
+    """Return a figure by its path, and the reason if it is missing: `absent` for a known name without a number."""
+    name, value = figure(configurations, path)
     if name is None:
-        return f"no such configuration in this report ({', '.join(configurations)})"
-    if path[len(name) + 1 :] in configurations[name]:
-        why = "without truth" if report.get("truth") is None else "here"
-        return f"the figure does not exist {why}"
-    known = (key for key, value in configurations[name].items() if value is None or _is_number(value))
-    return f"no such figure; there are {', '.join(known)}"
+        return None, f"no such configuration; there are {', '.join(configurations)}"
+    of, rest = configurations[name], path[len(name) + 1 :]
+    if rest in of or rest.rpartition(".")[0] in of:
+        return value, absent
+    numbers = [key for key, value in of.items() if value is None or _is_number(value)]
+    return value, f"no such figure; there are {', '.join(numbers or of) or 'none: no log has a truth'}"
 
 
 def _is_number(value: Any) -> bool:
@@ -272,35 +283,17 @@ def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tu
     return found
 
 
-def _violated_together(summary: Mapping[str, Any], gate: Gate) -> str | None:
-    path = gate.figure.removeprefix(OF_FLEET)
-    if path == "failed":
-        return gate.line(float(sum(log["state"] != "done" for log in summary["logs"].values())), "")
-    configurations = {name: c["figures"] for name, c in summary["configurations"].items()}
-    name, value = figure(configurations, path)
-    if name is None:
-        return gate.line(None, f"no such configuration in these logs ({', '.join(configurations)})")
-    key = path[len(name) + 1 :].partition(".")[0]
-    if key in configurations[name]:
-        return gate.line(value, f"name a statistic: {OF_FLEET}{name}.{key}.{'|'.join(OVER_LOGS)}")
-    known = ", ".join(configurations[name]) or "none: no log has a truth"
-    return gate.line(value, f"no such figure; there are {known}")
-
-
 def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
     """Return a line if the summary and the baseline are of different logs, else None."""
-    before, now = _contents(baseline.values), _contents(summary)
+    before, now = (  # names of the logs with a result, by the hash of the log's content
+        {str(v.get("identity")): n for n, v in of["logs"].items() if v.get("state", "done") == "done"}
+        for of in (baseline.values, summary)
+    )
     missing = [name for content, name in before.items() if content not in now]
     new = [name for content, name in now.items() if content not in before]
     parts = [f"{len(missing)} of its logs have no result now ({missing[0]})"] if missing else []
     parts += [f"{len(new)} logs are not in it ({new[0]})"] if new else []
     return f"--baseline {baseline.path}: it is over other logs: {'; '.join(parts)}" if parts else None
-
-
-def _contents(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Return the names of the logs with a result, by the hash of the log's content."""
-    logs = summary["logs"].items()
-    return {str(v.get("identity")): n for n, v in logs if v.get("state", "done") == "done"}
 
 
 def _number(text: str) -> float | None:

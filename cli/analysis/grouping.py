@@ -38,7 +38,7 @@ def expanded(words: Sequence[str], each: Sequence[str] = ()) -> list[str]:
     """
     found = [path for word in words for path in _expanded(word)]
     for folder in each:
-        below = list(_objects(Url(folder)) if is_url(folder) else _below(Path(folder)))
+        below = _objects(Url(folder)) if is_url(folder) else list(_below(Path(folder)))
         if not below:
             raise UsageError(f"--each {folder}: no log below it ({', '.join(ENDINGS)})")
         found += below
@@ -78,13 +78,16 @@ def _regex(pattern: str) -> str:
     return "".join((whole | some).get(p) or re.escape(p) for p in parts)
 
 
-def _objects(folder: Url) -> Iterator[str]:
-    """Yield every log file below a remote folder, sorted by key; each part of a recording by itself."""
+def _objects(folder: Url) -> list[str]:
+    """Return every log file below a remote folder, sorted by key; each part of a recording by itself."""
     from locfuse.formats.container.remote_objects import below
 
-    for found in below(folder):
-        if any(Path(found.name).match(ending) for ending in ENDINGS):
-            yield str(found)
+    return [str(found) for found in below(folder) if is_log(found.name)]
+
+
+def is_log(name: str) -> bool:
+    """Return whether a file is a log, by the ending of its name."""
+    return any(Path(name).match(ending) for ending in ENDINGS)
 
 
 def _lines(file: Path) -> list[str]:
@@ -105,16 +108,12 @@ def _below(folder: Path) -> Iterator[str]:
     """Yield every log below a folder, sorted by path; folders with results of locfuse are skipped."""
     for here, folders, names in os.walk(folder):
         folders.sort()
-        if set(RESULTS) & set(names):  # a folder of results: its logs are exports
+        results = bool(set(RESULTS) & set(names))  # a folder of results: its logs are exports
+        if results or METADATA_FILE in names:
             folders.clear()
+            yield from [] if results else [here]
             continue
-        if METADATA_FILE in names:
-            yield here
-            folders.clear()
-            continue
-        for name in sorted(names):
-            if any(Path(name).match(ending) for ending in ENDINGS):
-                yield str(Path(here) / name)
+        yield from (str(Path(here) / name) for name in sorted(names) if is_log(name))
 
 
 def result_file(word: str) -> Path | None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from functools import cached_property
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -31,7 +31,7 @@ from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import merged, outside, parts_of
+from locfuse.fusion.streams import merged, outside, parts_of, seconds
 from locfuse.fusion.truth import NO_TRUTH, TRUTH_READS
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WHEEL_READS, WheelReading, read_wheels
@@ -104,16 +104,11 @@ def _find(word: str) -> Place:
     samples = sample_logs.names()
     if word in samples:
         return sample_logs.path(word)
-    near = did_you_mean(word, [*samples, *_beside(path)])
+    known = list(samples)
+    with suppress(OSError):
+        known += map(str, itertools.islice(path.parent.iterdir(), MAX_LISTED))
+    near = did_you_mean(word, known)
     raise UsageError(f"no such log: {word}{f'; {near}' if near else '.'} Sample logs: {', '.join(samples)}")
-
-
-def _beside(path: Path) -> list[str]:
-    """Return the paths of the files and folders next to a missing path, for suggestions."""
-    try:
-        return [str(path.parent / entry.name) for entry in itertools.islice(path.parent.iterdir(), MAX_LISTED)]
-    except OSError:
-        return []
 
 
 def load(
@@ -379,14 +374,11 @@ def fault_labels(log: Log, drive: Drive, order: str) -> list[Event]:
     info = log.topics.get(FAULTS)
     if info is None or info.msgtype != FAULTS_TYPE:
         return []
-    stream = log.stream(FAULTS, order=order)
-    texts = stream.columns("data")["data"]
-    assert isinstance(texts, list)
-    end = float(drive.t[-1])
-    t = ((stream.t_ns - drive.epoch_ns) * 1e-9).tolist()
+    stream, end = log.stream(FAULTS, order=order), float(drive.t[-1])
+    times, texts = seconds(stream.t_ns, drive.epoch_ns).tolist(), cast("list[str]", stream.columns("data")["data"])
     begun: dict[str, float] = {}
     found: list[Event] = []
-    for at, text in zip(t, texts, strict=True):
+    for at, text in zip(times, texts, strict=True):
         event, words = _parse_label(str(text))
         if event == "begin":
             begun[words] = at

@@ -6,9 +6,9 @@ With a laser a measured motion is kept if about as many scan points agree as by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakKeyDictionary
@@ -52,7 +52,7 @@ TELLING_SHARE = 0.03  # least gain of scan matching over standing still; with le
 ALIKE_SHARE = 0.10  # least difference between two motions of one kind; with less none is preferred
 
 # --- without a laser
-HEADING_TYPES = {"gyro": (IMU,), "compass": (IMU, FIELD)}
+JUDGING_TYPES = {"gyro": (IMU,), "compass": (IMU, FIELD), "gps": (FIX,)}  # sensor -> message types that judge
 MIN_EXPLAINED_SHARE = 0.5  # least share that the best topic explains of a sensor; with less the sensor is not used
 LESS_EXPLAINED_SHARE = 0.3  # largest loss of a motion against the best one
 MIN_OTHER_WAY_M = 1.0  # least distance travelled by another motion, to be compared
@@ -267,29 +267,25 @@ class MotionSensors:
     @cached_property
     def _sensor(self) -> MotionSensor | None:
         """The first sensor of which a motion explains at least MIN_EXPLAINED_SHARE; None without one."""
-        for name, explained in self._sensors() if len(self._readable) > 1 else ():
-            found = {topics: explained(motion) for topics, motion in self._readable.items()}
+        for name, kinds in JUDGING_TYPES.items() if len(self._readable) > 1 else ():
+            if (topic := of_sensor(self._log, self._robot, name, kinds)) is None:
+                continue
+            found = {topics: self._explained(name, topic, motion) for topics, motion in self._readable.items()}
             shares = {topics: share for topics, share in found.items() if share is not None}
             if max(shares.values(), default=0.0) >= MIN_EXPLAINED_SHARE:
-                return MotionSensor(name, shares)
+                what = "the way between the fixes" if name == "gps" else "the turning"
+                return MotionSensor(f"{what} of {topic}", shares)
         return None
 
-    def _sensors(self) -> Iterator[tuple[str, Callable[[WheelReading], float | None]]]:
-        """Yield each sensor that can judge motions: name in words, function motion -> explained share."""
-        for name, kinds in HEADING_TYPES.items():
-            if (topic := of_sensor(self._log, self._robot, name, kinds)) is not None:
-                yield f"the turning of {topic}", partial(self._turning_explained, name, topic)
-        if (topic := of_sensor(self._log, self._robot, "gps", (FIX,))) is not None:
-            yield f"the way between the fixes of {topic}", partial(self._way_explained, topic)
-
-    def _turning_explained(self, name: str, topic: str, motion: WheelReading) -> float | None:
+    def _explained(self, name: str, topic: str, motion: WheelReading) -> float | None:
+        """Return the share of a sensor's measurements that a motion explains; None if they cannot judge it."""
         m = seen(self._log, self._robot, name, topic, motion)
-        found = REGISTRY[name].heading(m) if m is not None and len(m.t) > 1 else None
+        if m is None or len(m.t) < 2:
+            return None
+        if name == "gps":
+            return distances_explained(motion.wheels, m.t, m.z)
+        found = REGISTRY[name].heading(m)
         return None if found is None else turns_explained(motion.wheels, *found)
-
-    def _way_explained(self, topic: str, motion: WheelReading) -> float | None:
-        m = seen(self._log, self._robot, "gps", topic, motion)
-        return distances_explained(motion.wheels, m.t, m.z) if m is not None and len(m.t) > 1 else None
 
 
 def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) -> Measurements | None:
@@ -337,25 +333,16 @@ def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> I
         kind = log.topics[topic].msgtype
         if topic in choice.of("wheels") or commanded(topic, kind) or looks_like_truth(topic):
             continue
-        if (moved := _moved(log, robot, topic)) > MIN_WAY_M:
+        other = motion_of(log, robot, [topic], {})
+        moved = 0.0 if other is None else float(np.hypot(*np.diff(other.wheels.pose[:, :2], axis=0).T).sum())
+        if moved > MIN_WAY_M:
             words = f"{own} never moves, but {topic} moves {moved:.1f} m"
             yield Note("wheels", words, (f"wheels.topic={topic}",), is_fault=True)
             return
     for topic in of_type(log, (FIX,)):
-        if (spread := _spread(seen(log, robot, "gps", topic, motion))) > MIN_FIX_SPREAD_M:
+        fixes = seen(log, robot, "gps", topic, motion)
+        between = (0.0, 0.0) if fixes is None else np.percentile(fixes.z, (5.0, 95.0), axis=0)
+        if (spread := float(np.max(np.ptp(between, axis=0)))) > MIN_FIX_SPREAD_M:
             words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart"
             yield Note("wheels", words, is_fault=True)
             return
-
-
-def _moved(log: Log, robot: Robot, topic: str) -> float:
-    """Return the path length [m] by a topic; 0 if it cannot be read."""
-    motion = motion_of(log, robot, [topic], {})
-    return 0.0 if motion is None else float(np.hypot(*np.diff(motion.wheels.pose[:, :2], axis=0).T).sum())
-
-
-def _spread(fixes: Measurements | None) -> float:
-    """Return the larger extent [m] of the fixes, east or north, between their 5 % and 95 % quantiles."""
-    if fixes is None:
-        return 0.0
-    return float(np.ptp(np.percentile(fixes.z, (5.0, 95.0), axis=0), axis=0).max())

@@ -38,14 +38,10 @@ def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
     static = log.static_transforms()
     if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
         return static
-    return replace(log.all_mounts(), bases=tuple(_bodies(log)), moving=tuple(log.moving_transforms()))
-
-
-def _bodies(log: Log) -> list[str]:
-    """Return the frames of /tf that move in an odometry frame; without one, those that move in a map frame."""
     edges = [edge for topic in log.transform_topics for edge in log.frames(topic).values() if edge.moves]
     bodies = [e for e in edges if not is_fixed(e.child)]
-    return [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
+    bases = [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
+    return replace(log.all_mounts(), bases=tuple(bases), moving=tuple(log.moving_transforms()))
 
 
 def is_base(frame: str) -> bool:
@@ -83,20 +79,14 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
         mounts = {part.topic: m for part in parts if (m := mount_of(transforms, part.frame_id)) is not None}
+        views = {topic: _view(m) if "fx" in keys else {} for topic, m in mounts.items()}
+        placed = {topic: _table(m) | views[topic] for topic, m in mounts.items()}
         if "mounts" in keys and (len(parts) > 1 or "x" not in keys):
-            looks = {t: _view(m) if "fx" in keys else {} for t, m in mounts.items()}
-            tables[sensor] = {"mounts": {t: _placed(m, looks[t]) for t, m in mounts.items()}}
+            shown = {topic: ("x", "y", *(view or ("yaw_deg",))) for topic, view in views.items()}
+            tables[sensor] = {"mounts": {t: [placed[t][key] for key in of] for t, of in shown.items()}}
         elif parts[0].topic in mounts:
-            mount = mounts[parts[0].topic]
-            looks = _view(mount) if "fx" in keys else {}
-            tables[sensor] = {k: v for k, v in (_table(mount) | looks).items() if k in keys}
+            tables[sensor] = {k: v for k, v in placed[parts[0].topic].items() if k in keys}
     return tables
-
-
-def _placed(mount: FrameMount, looks: Mapping[str, Any]) -> list[float]:
-    if not looks:
-        return [mount.x, mount.y, math.degrees(mount.yaw)]
-    return [mount.x, mount.y, looks["yaw_deg"], looks["pitch_deg"]]
 
 
 def _view(mount: FrameMount) -> dict[str, Any]:

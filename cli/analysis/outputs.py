@@ -30,7 +30,7 @@ from .verdicts import credit_values
 if TYPE_CHECKING:
     from locfuse.formats.figures.panels import Scene
     from locfuse.formats.whole_files import Content
-    from locfuse.fusion.data import Array, Drive
+    from locfuse.fusion.data import Drive
 
     from .load import Loaded
 
@@ -39,16 +39,17 @@ MCAP = "estimates.mcap"
 
 def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
     """Return file name -> content for these kinds of output."""
-    from locfuse.formats.report import markdown, render, tables
+    from locfuse.formats.figures.sections import sections
+    from locfuse.formats.report import html, markdown, render, tables
     from locfuse.formats.results import trajectory as to
 
     loaded, drive = compared.loaded, compared.loaded.drive
-    out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
+    out: dict[str, Content] = {"robot.toml": robot_toml.dump(results.settings_tables(loaded.robot))}
     if "tum" in kinds:
         out |= exported_files(["tum"], loaded, {e.name: e for e in compared.estimates})
         out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
     made: dict[str, Callable[[], str]] = {
-        "html": lambda: page(compared, report),
+        "html": lambda: html.render(report, sections(scene(compared)), colours()),
         "md": lambda: markdown.render(report),
         "csv": lambda: render.csv(tables.everything(report)),
         "tex": lambda: tables.latex(report),
@@ -61,19 +62,11 @@ def files_of_run(
     loaded: Loaded, named: Mapping[str, Estimates], report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
     """Return file name -> content for one configuration; `named` has its trajectories by file name."""
-    out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
+    out: dict[str, Content] = {"robot.toml": robot_toml.dump(results.settings_tables(loaded.robot))}
     out |= exported_files([kind for kind in kinds if kind != "json"], loaded, named)
     if "json" in kinds:
         out["run.json"] = json_report.encode(report)
     return out
-
-
-def page(compared: Compared, report: Mapping[str, Any]) -> str:
-    """Return report.html."""
-    from locfuse.formats.figures.sections import sections
-    from locfuse.formats.report import html
-
-    return html.render(report, sections(scene(compared)), colours())
 
 
 def figure_files(compared: Compared) -> dict[str, bytes]:
@@ -154,18 +147,14 @@ def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dic
             tables[table].pop(key, None)
     drive = loaded.drive
     delay_s = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
+    dt = np.diff(drive.t, prepend=drive.t[0])
     export = Export(
         drive=drive,
         estimates=tuple(found.values()),
-        twist=_twist(drive),
+        # mean body twist (n, 3) [m/s, m/s, rad/s] by the wheels over the interval that ends at each t
+        twist=se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None],
         robot_toml=robot_toml.dump(tables).encode(),
         clock_ns=round(delay_s * 1e9) if abs(delay_s) > MAX_DELAY_S else 0,
         log=loaded.log if with_log else None,
     )
     return {MCAP: export.write, **layouts(export.topics)}
-
-
-def _twist(drive: Drive) -> Array:
-    """Return the mean body twist (n, 3) [m/s, m/s, rad/s] by the wheels over the interval that ends at each t."""
-    dt = np.diff(drive.t, prepend=drive.t[0])
-    return se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]

@@ -133,7 +133,15 @@ def verdicts(
     if credit is not None:
         of = credit.sensors.items()
         return {s: {"verdict": c.verdict, "words": _credit_words(c, credit, over, base)} for s, c in of}
-    return _predicted_verdicts(found, sets, base)
+    alone = {sensors[0]: name for name, sensors in sets.items() if len(sensors) == 1}
+    contradicting = contradictions(found, alone)
+    out = {}
+    for sensor, name in alone.items():
+        mine = [s for s in found if s.configuration == name]
+        others = [s for s in mine if not s.stretches]
+        against = [a if b == sensor else b for a, b in contradicting if sensor in {a, b}]
+        out[sensor] = _predicted(others or mine, against, len(alone), base)
+    return out
 
 
 def credit_values(credit: Credit) -> dict[str, Any]:
@@ -149,19 +157,18 @@ def credit_values(credit: Credit) -> dict[str, Any]:
             "block_s": credit.block_s,
             "logs": credit.logs,
         },
-        "sensors": {s: _sensor_values(c) for s, c in credit.sensors.items()},
-    }
-
-
-def _sensor_values(c: SensorCredit) -> dict[str, Any]:
-    return {
-        "credit": _effect(c.credit),
-        "alone": _effect(c.alone),
-        "leave_one_out": _effect(c.last),
-        "share": c.share,
-        "anees_without": None if c.anees is None else c.anees[0],
-        "anees_with": None if c.anees is None else c.anees[1],
-        "beside": list(c.beside),
+        "sensors": {
+            s: {
+                "credit": _effect(c.credit),
+                "alone": _effect(c.alone),
+                "leave_one_out": _effect(c.last),
+                "share": c.share,
+                "anees_without": c.anees and c.anees[0],
+                "anees_with": c.anees and c.anees[1],
+                "beside": list(c.beside),
+            }
+            for s, c in credit.sensors.items()
+        },
     }
 
 
@@ -305,20 +312,6 @@ def add_pairs(
         found["words"] = " ".join((found["words"], *words)).strip()
 
 
-def _predicted_verdicts(
-    found: Sequence[Score], sets: Mapping[str, Sequence[str]], base: str
-) -> dict[str, dict[str, Any]]:
-    alone = {sensors[0]: name for name, sensors in sets.items() if len(sensors) == 1}
-    contradicting = contradictions(found, alone)
-    out = {}
-    for sensor, name in alone.items():
-        others = [s for s in found if s.configuration == name and not s.stretches]
-        own = [s for s in found if s.configuration == name and s.stretches]
-        against = [a if b == sensor else b for a, b in contradicting if sensor in {a, b}]
-        out[sensor] = _predicted(others or own, against, len(alone), base)
-    return out
-
-
 def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int, base: str) -> dict[str, Any]:
     if against:
         lone = sensors > 2 and len(against) == sensors - 1
@@ -329,9 +322,9 @@ def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int, base
         return {"verdict": "hurts" if lone else "no verdict", "words": words}
     if not mine:
         return {"verdict": "no verdict", "words": "No other sensor in this log can check it."}
-    gain = sum(s.gain for s in mine) / len(mine)
     if mine[0].stretches:
         return _by_itself(mine[0], base)
+    gain = sum(s.gain for s in mine) / len(mine)
     on = " and ".join(s.sensor for s in mine)
     better = f"{abs(gain):.2f} nats per number {'better' if gain >= 0 else 'worse'} than by {base}"
     return {"verdict": _grade(mine, gain), "words": f"With it, {on} can be predicted {better}."}
@@ -375,18 +368,11 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 def _by_itself(score: Score, base: str) -> dict[str, Any]:
     """Return the verdict on a log's only sensor by its own readings: they show faults, but not correctness."""
-    notable = abs(score.gain) > MIN_GAIN_NATS
+    notable, size = abs(score.gain) > MIN_GAIN_NATS, f"than {base} ({score.gain:+.2f}; 0.1 is much)"
     if notable and score.high < 0.0:
-        words = (
-            f"Self-check failed: it predicts its readings worse than {base} ({score.gain:+.2f}; 0.1 is much). "
-            "Check its clock, mount and settings."
-        )
+        words = f"Self-check failed: it predicts its readings worse {size}. Check its clock, mount and settings."
         return {"verdict": "hurts", "words": words}
+    words = f"Self-check: it predicts its readings no better than {base}."
     if notable and score.low > 0.0:
-        words = (
-            f"Self-check passed: it predicts its readings better than {base} ({score.gain:+.2f}; 0.1 is much). "
-            "A bias would not show."
-        )
-    else:
-        words = f"Self-check: it predicts its readings no better than {base}."
+        words = f"Self-check passed: it predicts its readings better {size}. A bias would not show."
     return {"verdict": "no verdict", "words": words}

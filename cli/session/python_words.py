@@ -52,10 +52,12 @@ def in_python(words: str) -> str:
 
 def in_tools(words: str) -> str:
     """Return a message with command-line options replaced by arguments of the tools of `locfuse mcp`."""
-    words = AS_CALL.sub(r"\3([\1]\2)", in_python(words))
-    words = re.sub(r"\bfindings\(\[(.*?)\](.*?)\)", r"info(\1\2, check=true)", words).replace(
-        "sets={", "settings={"
-    )
+
+    def call(found: re.Match[str]) -> str:
+        log, rest, method = found.groups()
+        return f"info({log}{rest}, check=true)" if method == "findings" else f"{method}([{log}]{rest})"
+
+    words = AS_CALL.sub(call, in_python(words)).replace("sets={", "settings={")
     words = re.sub(r"\blocfuse\.(info|compare)\(", r"\1(", words)
     return re.sub(r"([:=] ?)(True|False)\b", lambda found: found[0].lower(), words)
 

@@ -136,7 +136,7 @@ class Gates(msgspec.Struct, frozen=True):
         lines = []
         for gate in self.together:
             path = gate.figure.removeprefix(OF_FLEET)
-            absent = f"name one of its statistics: {', '.join(OVER_LOGS)}"
+            absent = f"name a statistic: {', '.join(OVER_LOGS)}"
             value, missing = (failed, "") if path == "failed" else _reported(figures, path, absent)
             lines.append(gate.line(value, missing))
         found = [line for line in lines if line]

@@ -92,7 +92,9 @@ def many(words: Sequence[str], options: o.Options) -> int:
         written = write_summary(folder, summary, found.entries, outputs.write, keys)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
-        show.say(f"{folder}: {_counts(found)}; the same command goes on with the rest")
+        states = [e.state for e in found.entries]
+        counts = ", ".join(f"{states.count(s)} {s}" for s in ("done", "failed", "not run") if s in states)
+        show.say(f"{folder}: {counts}; the same command goes on with the rest")
         raise ended.by
     _print(summary, written, outputs.as_json)
     _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
@@ -183,11 +185,6 @@ def _refuse_misuse(found: FleetRows, ended: Ended, todo: FleetPlan) -> None:
         raise UsageError(outcomes[0].reason)
 
 
-def _counts(found: FleetRows) -> str:
-    states = [e.state for e in found.entries]
-    return ", ".join(f"{states.count(s)} {s}" for s in ("done", "failed", "not run") if s in states)
-
-
 def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:
     from locfuse.formats.report import summary as over
 
@@ -207,8 +204,9 @@ def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED
 
     gates = [*found.gates, *failed_gates]
+    void = [f"void: {e.name}: {line}" for e in found.entries for line in e.void]
     # also with --quiet, since they explain exit code 3
-    _say_some([f"void: {line}" for line in found.void], "void figures")
+    _say_some(void, "void figures")
     _say_some([f"doubtful: {e.name}: {line}" for e in found.entries for line in e.doubtful], "doubtful figures")
     _say_some([f"lost: {line}" for line in found.lost], "losses")
     _say_some([f"gate: {line}" for line in gates], "gates")
@@ -219,7 +217,7 @@ def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
         return EXIT_GATE_FAILED
     if "done" not in states:
         raise LocfuseError(f"none of {len(found.entries)} logs could be compared; the reasons stand above")
-    return EXIT_LOSS if found.void or found.lost or states != {"done"} else 0
+    return EXIT_LOSS if void or found.lost or states != {"done"} else 0
 
 
 def _say_some(lines: Sequence[str], what: str) -> None:

@@ -133,11 +133,21 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
 
 def _preview(overview: Overview, folder: Path) -> list[str]:
     """Write preview pictures, and return the lines to print about them."""
+    from locfuse.cli.inspect.inspect_log import pictures_of
     from locfuse.formats.whole_files import write_results
-    from locfuse.fusion.checks.preview import preview as pictures_of
+    from locfuse.fusion.checks import preview
+    from locfuse.fusion.data import LocfuseError
 
-    topic = _topic_of_pictures(overview)
-    shown = pictures_of(overview.log.stream(topic, overview.robot.order), overview.robot.settings("camera"))
+    log, settings = overview.log, overview.robot.settings("camera")
+    fit = pictures_of(log, overview.choice)
+    if not fit:
+        raise LocfuseError(f"--preview: no topic of {log.name} holds pictures")
+    if settings.topic not in fit and len(fit) > 1:
+        fix = f"camera.topic={fit[0]}"
+        words = f"--preview: {log.name} has {len(fit)} topics of pictures;"
+        raise LocfuseError(words, fixes=(fix,), hint=f"choose one with --set {fix}")
+    topic = settings.topic if settings.topic in fit else fit[0]
+    shown = preview.preview(log.stream(topic, overview.robot.order), settings)
     lines = ["", PICTURES]
     write_results(folder, {name: file for one in shown for name, file in one.named().items()}, overwrite=True)
     for one in shown:
@@ -145,19 +155,3 @@ def _preview(overview: Overview, folder: Path) -> list[str]:
         what = f"something red at {found} deg" if found else "nothing red and upright"
         lines.append(f"  {folder}/{one.row:06d}-*.png: {what}")
     return lines
-
-
-def _topic_of_pictures(overview: Overview) -> str:
-    """Return the topic to preview: the configured one, or the only one with pictures."""
-    from locfuse.cli.inspect.inspect_log import pictures_of
-    from locfuse.fusion.data import LocfuseError
-
-    fit = pictures_of(overview.log, overview.choice)
-    named = overview.robot.settings("camera").topic
-    if named in fit or len(fit) == 1:
-        return named if named in fit else fit[0]
-    if not fit:
-        raise LocfuseError(f"--preview: no topic of {overview.log.name} holds pictures")
-    fix = f"camera.topic={fit[0]}"
-    words = f"--preview: {overview.log.name} has {len(fit)} topics of pictures;"
-    raise LocfuseError(words, fixes=(fix,), hint=f"choose one with --set {fix}")

@@ -91,8 +91,8 @@ def is_finished(job: Job) -> bool:
     """Return whether a job's results are complete. Raises LocfuseError if its log or settings cannot be read."""
     if job.again or job.tries or job.outputs.export or job.outputs.figures is not None:
         return False  # exports and figures are not checked
-    reports = {cell: report for cell in job.cells if (report := read_report(job.place(cell))) is not None}
-    if len(reports) < len(job.cells):
+    reports = [read_report(job.place(cell)) for cell in job.cells]
+    if None in reports:
         return False
     files = files_of(find_log(job.log))
     content = identity_of(files)
@@ -100,7 +100,7 @@ def is_finished(job: Job) -> bool:
     return all(
         report.get("key") == key(content, given_tables(job.how, cell.sets), job.asked)
         and _is_complete(job, cell, report, changed_ns)
-        for cell, report in reports.items()
+        for cell, report in zip(job.cells, filter(None, reports), strict=True)
     )
 
 
@@ -156,10 +156,10 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
     """
     pattern = _pattern(robot_from, every.how.robots)
     fixed = tuple(file for file in every.how.robots if ROBOT_PLACEHOLDER not in str(file))
-    given_layers(_with_robots(every, fixed).how)
+    given_layers(replace(every.how, robots=fixed))
     of_sweep = tuple(SweepCell(*found) for found in cells(swept(sweeps)).items()) if sweeps else every.cells
     for cell in of_sweep:
-        given_layers(replace(every.how, robots=(), sets=(*every.how.sets, *cell.sets)))
+        given_layers(replace(every.how, robots=()), cell.sets)
     figures = every.outputs.figures
     robots: dict[str, str | None] = {}
     jobs, refused = {}, {}
@@ -167,8 +167,10 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
         robots[name] = robot = None if pattern is None else robot_of(pattern, log)
         try:
             find_log(log)
+            files = tuple(_file_of(file, robot) for file in every.how.robots)
             jobs[name] = replace(
-                _with_robots(every, [_file_of(file, robot) for file in every.how.robots]),
+                every,
+                how=replace(every.how, robots=files),
                 name=name,
                 log=tuple(log),
                 folder=every.folder / name,
@@ -179,10 +181,6 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
         except UsageError as problem:
             refused[name] = JobOutcome(name, "failed", str(problem), misused=True)
     return FleetPlan(robots, jobs, refused)
-
-
-def _with_robots(job: Job, files: Sequence[Path]) -> Job:
-    return replace(job, how=replace(job.how, robots=tuple(files)))
 
 
 def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
@@ -227,11 +225,6 @@ class FleetRows(msgspec.Struct, frozen=True):
     entries: list[Entry] = []
     gates: list[str] = []  # a line per gate that a log fails
     lost: list[str] = []  # a line per loss of a log
-
-    @property
-    def void(self) -> list[str]:
-        """Lines on void figures, one per reason and log."""
-        return [f"{e.name}: {line}" for e in self.entries for line in e.void]
 
 
 def gather(

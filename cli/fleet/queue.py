@@ -51,17 +51,12 @@ class QueueState:
         """Number of jobs without an outcome."""
         return self.total - self.done - self.failed
 
-    @property
-    def seconds_left(self) -> float | None:
-        """Expected time [s] for the remaining jobs at the pace so far; None before the first job is done."""
-        ran = self.done + self.failed - self.resumed
-        return (time.monotonic() - self.began) / ran * self.left if ran else None
-
     def words(self) -> str:
-        """Return the progress in one line."""
+        """Return the progress in one line, with the time for the remaining jobs at the pace so far."""
         line = f"{self.done} done, {self.failed} failed, {self.left} left"
-        seconds = self.seconds_left
-        return line if seconds is None or not self.left else f"{line}, about {duration(seconds)}"
+        ran = self.done + self.failed - self.resumed
+        seconds = (time.monotonic() - self.began) / max(ran, 1) * self.left
+        return f"{line}, about {duration(seconds)}" if ran and self.left else line
 
 
 def duration(seconds: float) -> str:
@@ -182,23 +177,19 @@ def cluster(address: str) -> Iterator[Executor]:
                 "dask scheduler --host 127.0.0.1 --dashboard-address 127.0.0.1:0"
             ) from None
         with client:
-            _check_workers(address, client)
+            try:
+                client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
+            except TimeoutError:
+                words = f"the scheduler has no workers; start some with: dask worker {address}"
+                raise LocfuseError(f"--cluster {address}: {words}") from None
+            for worker, found in client.run(version, "locfuse", on_error="return").items():
+                if found != (ours := own()):
+                    lacks = isinstance(found, Exception)
+                    has = (
+                        f"no locfuse: pip install locfuse=={ours}" if lacks else f"locfuse {found}, this is {ours}"
+                    )
+                    raise LocfuseError(f"--cluster {address}: worker {worker} has {has}")
             yield client.get_executor(retries=MAX_RETRIES, pure=False)
-
-
-def _check_workers(address: str, client: Any) -> None:
-    try:
-        client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
-    except TimeoutError:
-        raise LocfuseError(
-            f"--cluster {address}: the scheduler has no workers; start some with: dask worker {address}"
-        ) from None
-    ours = own()
-    for worker, found in client.run(version, "locfuse", on_error="return").items():
-        if isinstance(found, Exception):
-            raise LocfuseError(f"--cluster {address}: worker {worker} has no locfuse: pip install locfuse=={ours}")
-        if found != ours:
-            raise LocfuseError(f"--cluster {address}: worker {worker} has locfuse {found}, this is {ours}")
 
 
 def _line(problem: Any) -> str:

@@ -30,6 +30,7 @@ from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.examine import BLIND, MIXED, examine, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
+from locfuse.fusion.checks.pictures import of_pictures
 from locfuse.fusion.checks.raw_data import PUBLISHERS
 from locfuse.fusion.checks.start import START
 from locfuse.fusion.checks.truth import FEW, POINT, of_few
@@ -39,6 +40,8 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from .robot_facts import Overview, conflicts, find_robot_facts, possible_truth, unplaced, wheel_size
 from .topics import derived_facts, of_publishers, of_stamps, topic_facts
+
+UNCHECKED = "{files}: no checksums: a corrupted value would go unnoticed"
 
 
 def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> Overview:
@@ -54,15 +57,17 @@ def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> O
     facts += derived_facts(log, robot.order)
     overview = Overview(log, tables, choice, facts, *_placed(log, tables, choice, found))
     overview.robot_facts = find_robot_facts(overview)
+    names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
     overview.findings = [
-        *_of_file_losses(log),
+        *(Finding("file", "lost", line, severe=True) for line in log.losses.lines()),
+        *([Finding("file", "unchecked", UNCHECKED.format(files=names))] if log.unchecked else ()),
         *found,
         *wheel_size(overview),
         *possible_truth(overview),
         *of_stamps(facts, choice, overview.robot),
         *of_publishers(log, choice),
         *_of_messages("lrf", choice.of("lrf"), lambda stream, _: driver(stream), overview),
-        *_of_messages("camera", pictures_of(log, choice), _pictures, overview),
+        *_of_messages("camera", pictures_of(log, choice), of_pictures, overview),
         *_maps(overview),
     ]
     _measure(overview, progress)
@@ -122,15 +127,6 @@ def _placed(
         found.append(Finding("/tf_static", "tf_static", str(e)))
     mounts, turns = mount_tables(transforms, streams), shared_turns(tables, streams)
     return transforms, mounts, make_robot(robot_toml.merge(mounts, turns, tables))
-
-
-def _of_file_losses(log: Log) -> list[Finding]:
-    """Return findings on unreadable bytes, and on files without checksums."""
-    found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
-    if log.unchecked:
-        names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
-        found.append(Finding("file", "unchecked", f"{names}: no checksums: a corrupted value would go unnoticed"))
-    return found
 
 
 def _measure(overview: Overview, progress: Progress) -> None:
@@ -208,9 +204,3 @@ def _of_messages(
         return examine(overview.log.stream(topics[0], robot.order), robot.settings(role))
     except LocfuseError as e:
         return [of_error(e, role, "unusable")]
-
-
-def _pictures(stream: Any, settings: Any) -> list[Finding]:
-    from locfuse.fusion.checks.pictures import of_pictures
-
-    return of_pictures(stream, settings)

@@ -5,7 +5,7 @@ Other motions are an odometry topic, the truth, or scan matching.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -224,27 +224,17 @@ def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
     names = cast("list[tuple[str, ...]]", columns["name"])
     with suppress(LocfuseError):
         return joint_names(names, topic, robot.wheels)
-    way = _ways(names, cast("Ragged", columns["position"]))
-    turning = [j for j, w in way.items() if w > MIN_MOVEMENT]
+    positions, at = cast("Ragged", columns["position"]), dict[str, list[float]]()
+    for i, row in enumerate(names):
+        for joint, value in zip(row, positions[i].tolist(), strict=False):
+            if math.isfinite(value):
+                at.setdefault(joint, []).append(value)
+    turning = [joint for joint, values in at.items() if np.abs(np.diff(values)).sum() > MIN_MOVEMENT]
     fixed = {robot.wheels.left, robot.wheels.right}
     if len(turning) != 2 or (fixed - {None} and not fixed & set(turning)):
         return None
-    return _sorted_sides(turning[0], turning[1])
-
-
-def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
-    """Return the total movement of each joint, in the unit of its positions."""
-    at: dict[str, list[float]] = {}
-    for i, row in enumerate(names):
-        for joint, value in zip(row, positions[i].tolist(), strict=False):
-            at.setdefault(joint, []).append(value)
-    values = {joint: np.array(of) for joint, of in at.items()}
-    return {joint: float(np.abs(np.diff(v[np.isfinite(v)])).sum()) for joint, v in values.items()}
-
-
-def _sorted_sides(a: str, b: str) -> tuple[str, str]:
-    """Return (left, right) of two joints by their names; unchanged if the names do not show it."""
-    words = {j: set(j.lower().replace("-", "_").split("_")) for j in (a, b)}
+    a, b = turning
+    words = {j: set(j.lower().replace("-", "_").split("_")) for j in turning}
     return (b, a) if words[a] & {"r", "right", "rw"} or words[b] & {"l", "left", "lw"} else (a, b)
 
 
@@ -252,12 +242,9 @@ def _described(log: Log) -> WheelGeometry | None:
     """Return the wheel geometry in the log's robot description; None without one."""
     for topic in filled(log, "std_msgs/msg/String"):
         if topic.rpartition("/")[2] == "robot_description":
-            try:
-                texts = log.stream(topic).columns("data")["data"]
-            except LocfuseError:
-                continue
-            for text in cast("list[str]", texts)[:1]:
-                return wheel_geometry(text)
+            with suppress(LocfuseError):
+                for text in cast("list[str]", log.stream(topic).columns("data")["data"])[:1]:
+                    return wheel_geometry(text)
     return None
 
 
@@ -279,7 +266,10 @@ MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 
 
 def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
-    """Return each sensor's mount settings, with their source under "by"."""
+    """Return each sensor's mount settings, with their source under "by".
+
+    That is "settings", "its frame base_link", "/tf_static", "/tf" (constant transforms), or "nobody".
+    """
     found: dict[str, dict[str, Any]] = {}
     for name in overview.choice.topics:
         if name not in REGISTRY:
@@ -289,20 +279,16 @@ def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
         if "mounts" in values and "x" in values:  # "mounts" of several sensors, or x, y ... of a single sensor
             several = len(overview.choice.of(name)) > 1
             values = {k: v for k, v in values.items() if (k == "mounts") == several}
-        if values:
-            found[name] = {**values, "by": _mount_by(overview, name, values)}
+        frames = overview.frames_of(name)
+        if any(key in overview.tables.get(name, {}) for key in values):
+            by = "settings"
+        elif frames and all(map(is_base, frames)):
+            by = f"its frame {frames[0]}"
+        else:
+            known = frames and all(mount_of(overview.transforms, frame) is not None for frame in frames)
+            by = placed_by(overview, frames[0]) if known else "nobody"
+        found |= {name: {**values, "by": by}} if values else {}
     return found
-
-
-def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
-    """Return the source of a sensor's mount: "settings", "its frame ...", "/tf_static", "/tf" or "nobody"."""
-    if any(key in overview.tables.get(name, {}) for key in keys):
-        return "settings"
-    frames = overview.frames_of(name)
-    if frames and all(is_base(frame) for frame in frames):
-        return f"its frame {frames[0]}"
-    known = [frame for frame in frames if mount_of(overview.transforms, frame) is not None]
-    return placed_by(overview, known[0]) if known and len(known) == len(frames) else "nobody"
 
 
 def placed_by(overview: Overview, frame: str) -> str:

@@ -6,6 +6,7 @@ Lines with known values are active; the others have a comment on how to find the
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import msgspec
@@ -109,10 +110,16 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
     given = _given(overview, typed, imported)
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
     robot, shown = "", _fixes(filter(_may_apply, overview.findings))
+
+    def inspected() -> Overview:
+        sets = (*how.sets, *(fix for fix, _ in fixes.values()))
+        return inspect_log(log, replace(how, sets=sets), progress)
+
     if (known_robot := recognise(overview)) is not None:
-        fixes = open_figures(known_robot, overview, {*given, *shown, *found(overview)})
-        robot = f"this robot is a {known_robot.name} ({known_robot.sign})" if fixes else ""
-        overview = _inspected_with(fixes, log, how, progress) if fixes else overview
+        model, sign = known_robot
+        fixes = open_figures(model, overview, {*given, *shown, *found(overview)})
+        robot = f"this robot is a {model} ({sign})" if fixes else ""
+        overview = inspected() if fixes else overview
     of_robot = {*fixes}
     for _ in range(MAX_ROUNDS):
         chosen = (f for f in overview.findings if _may_apply(f, {*fixes} - of_robot))
@@ -122,7 +129,7 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
         if new.items() <= fixes.items():
             break
         fixes |= new
-        overview = _inspected_with(fixes, log, how, progress)
+        overview = inspected()
     known = {**found(overview), **_as_known(fixes), **given}
     suggested = _as_known({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
     facts = Facts(overview, known, suggested)
@@ -132,20 +139,11 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
     return Draft(overview, sections, missing, guesses, robot)
 
 
-def _inspected_with(
-    fixes: Mapping[str, tuple[str, str]], log: Parts, how: LogOptions, progress: Progress
-) -> Overview:
-    return inspect_log(log, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
-
-
 def _given(overview: Overview, how: LogOptions, imported: Mapping[str, Mapping[str, Any]]) -> Known:
     """Return the given settings with their source: attachment, --robot, another program's file, --set."""
-    layers: list[tuple[str, Mapping[str, Any]]] = []
-    if (own := attached(overview.log)) is not None:
-        layers.append(("the log's own robot.toml", own))
+    layers: list[tuple[str, Mapping[str, Any]]] = [("the log's own robot.toml", attached(overview.log) or {})]
     layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robots]
-    layers += imported.items()
-    layers.append(("--set", robot_toml.apply_sets(how.sets)))
+    layers += [*imported.items(), ("--set", robot_toml.apply_sets(how.sets))]
     merged = flat(overview.tables)
     return {key: (merged[key], f"by {who}") for who, tables in layers for key in flat(tables)}
 
@@ -158,7 +156,15 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
     found = list(findings)
     replaced = any(f.code == "geometry" and f.fixes for f in found)
     kept = (f for f in found if not replaced or f.role != "wheels" or f.code == "geometry")
-    return {fix.partition("=")[0]: (fix, _why(f)) for f in kept for fix in f.fixes if _is_valid(fix)}
+    valid: dict[str, tuple[str, str]] = {}
+    for f in kept:
+        why = f"{GUESS if f.code in GUESSED_CODES else 'as this log shows: '}{f.sentence}"
+        why = (f.source or f.message) if f.code == "geometry" else why
+        for fix in f.fixes:
+            with suppress(LocfuseError):  # a placeholder, which is no value
+                make_robot(robot_toml.apply_sets([fix]))
+                valid[fix.partition("=")[0]] = fix, why
+    return valid
 
 
 def _may_apply(f: Finding, known: Collection[str] = ()) -> bool:
@@ -169,21 +175,6 @@ def _may_apply(f: Finding, known: Collection[str] = ()) -> bool:
     """
     again = {*_fixes((f,))} <= {*known}
     return f.code != OPEN_SCALE and (f.severe or again or f.code in {*MEASURED_CODES, "choice"})
-
-
-def _why(f: Finding) -> str:
-    if f.code == "geometry":
-        return f.source or f.message
-    return f"{GUESS}{f.sentence}" if f.code in GUESSED_CODES else f"as this log shows: {f.sentence}"
-
-
-def _is_valid(fix: str) -> bool:
-    """Return whether a fix is a valid setting, without a placeholder."""
-    try:
-        make_robot(robot_toml.apply_sets([fix]))
-    except LocfuseError:
-        return False
-    return True
 
 
 def _as_known(fixes: Mapping[str, tuple[str, str]]) -> Known:

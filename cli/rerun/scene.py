@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,6 @@ from locfuse.fusion.data import (
     Array,
     Column,
     Drive,
-    Estimates,
     LocfuseError,
     Motions,
     Ragged,
@@ -81,7 +81,7 @@ def make_scene(result: Result, images: int | None = None, full: bool = False) ->
         drive=drive,
         estimates=runs,
         evaluations=result.evaluations,
-        sights={s: _look_of(s, settings(s)) for s in drive.measurements},
+        sights={s: look_of(s, settings(s)) for s in drive.measurements},
         track=loaded.robot.wheels.track or VIRTUAL_TRACK,
         table=table_of(result.report),
         raw=_raw_topics(loaded),
@@ -94,10 +94,15 @@ def make_scene(result: Result, images: int | None = None, full: bool = False) ->
     if "lrf" in drive.measurements:
         found["scans"] = _scans(_stream(loaded, "lrf"), settings("lrf"), scene)
     if "camera" in drive.measurements and images != 0:
+        from locfuse.fusion.camera.images import decode, messages
+
         stream = _stream(loaded, "camera")
         every = images or max(1, math.ceil(len(stream.t_ns) / MAX_PICTURES))
         found["pictures"] = _pictures(stream, settings("camera"), scene, every)
-        found["picture_rows"] = _panorama_rows(stream, settings("camera"))
+        pictures = (decode(message) for block in messages(stream) for _, message in block)
+        first = next((picture for picture in pictures if not isinstance(picture, str)), None)
+        if first is not None:  # height of the panoramas [px]
+            found["picture_rows"] = int(detector(settings("camera")).optics(first.shape).rows)
     return replace(scene, **found)
 
 
@@ -122,7 +127,8 @@ def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
     return shades
 
 
-def _look_of(name: str, settings: Any) -> SensorLook:
+def look_of(name: str, settings: Any) -> SensorLook:
+    """Return how a sensor is drawn: its components, the band of consistent NIS, its mount and its landmark."""
     sensor = REGISTRY[name]
     low, high = (chi_square(share, len(sensor.components)) for share in (NIS_LOW, NIS_HIGH))
     mount, landmark = sensor.mount(settings), sensor.landmark(settings)
@@ -144,15 +150,13 @@ def _scans(stream: Stream, settings: Any, scene: RerunScene) -> DrawnScans:
         for i, row in enumerate(rows.tolist()):
             if row not in wanted:
                 continue
-            scan: dict[str, Any] = {
-                name: np.atleast_1d(np.asarray(column[i], np.float64)) for name, column in columns.items()
-            }
+            scan: dict[str, Any] = {k: np.atleast_1d(np.asarray(c[i], np.float64)) for k, c in columns.items()}
             scan["ranges"] = scan["ranges"][None]
             stamp = (stream.t_ns[row] - drive.epoch_ns) * 1e-9 + settings.time_offset
             points, middle = points_in_base(scan, np.array([stamp]), laser, drive.wheels)
             drawn = points[0, evenly(points.shape[1], beams)]
             found.append((float(middle[0]), drawn[np.isfinite(drawn[:, 0])].astype(np.float32)))
-    kept = sorted((f for f in found if drive.t[0] <= f[0] <= drive.t[-1]), key=lambda f: f[0])
+    kept = sorted((scan for scan in found if drive.t[0] <= scan[0] <= drive.t[-1]), key=itemgetter(0))
     counts = np.array([len(points) for _, points in kept], dtype=np.int64)
     xy = np.concatenate([*(points for _, points in kept), np.zeros((0, 2), np.float32)])
     return DrawnScans(np.array([t for t, _ in kept]), counts, xy)
@@ -161,11 +165,10 @@ def _scans(stream: Stream, settings: Any, scene: RerunScene) -> DrawnScans:
 def _raw_topics(loaded: Loaded) -> list[RawTopic]:
     """Return the numeric fields of each used topic, without scans and pictures."""
     found = []
-    for role in loaded.choice.topics:
-        stream = _stream(loaded, role)
+    for stream, role in ((_stream(loaded, role), role) for role in loaded.choice.topics):
         fields = common_fields(role, stream.msgtype)
-        t = seconds(stream.t_ns, loaded.drive.epoch_ns)
-        found.append(RawTopic(stream.topic, t, _curves(stream.columns(*fields) if fields else {})))
+        curves = _curves(stream.columns(*fields) if fields else {})
+        found.append(RawTopic(stream.topic, seconds(stream.t_ns, loaded.drive.epoch_ns), curves))
     return found
 
 
@@ -205,15 +208,6 @@ def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> I
             i = int(np.searchsorted(m.t, t - 1e-9))
             found = np.arange(m.first[i], m.first[i + 1]) if i < len(m.t) and abs(m.t[i] - t) < 1e-6 else NO_ROWS
             yield _picture(t, message, picture, finder.optics(picture.shape), (m.z[found, 0], verdicts[found]))
-
-
-def _panorama_rows(stream: Stream, settings: Any) -> int | None:
-    """Return the height of the panoramas [px]; None if no picture can be read."""
-    from locfuse.fusion.camera.images import decode, messages
-
-    pictures = (decode(message) for block in messages(stream) for _, message in block)
-    first = next((picture for picture in pictures if not isinstance(picture, str)), None)
-    return None if first is None else int(detector(settings).optics(first.shape).rows)
 
 
 def _picture(t: float, message: Any, picture: Any, optics: Any, found: tuple[Array, Any]) -> Picture:
@@ -265,7 +259,13 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
     still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
     t = seconds(first.t_ns, epoch_ns)
     drive = Drive(epoch_ns, t, still, {}, {}, {}, _truth(folder, report, epoch_ns))
-    estimates = [_estimates(track, drive, rows[name]) for name, track in tracks.items()]
+    estimates = []
+    for name, track in tracks.items():
+        row = rows[name]
+        if (found := estimates_in(track, drive, row["configuration"])) is None:
+            raise ValueError(f"{Path(track.topic).name} has fewer than two poses")
+        used = {"sensors": tuple(row["sensors"]), "smoothed": row["smoothed"], "rates": row["rates_hz"]}
+        estimates.append(replace(found, **used))
     return RerunScene(
         str(report["input"]["name"]),
         drive,
@@ -287,16 +287,11 @@ def _trajectory(folder: Path, name: str, by_run: bool) -> MadeStream:
     if not found:
         words = "so there is no trajectory to show; make it again without --write"
         raise LocfuseError(f"{folder} lacks {name}.tum, {words}")
-    if len(found) > 1 and not _same_path(*found):
+    places = [[np.asarray(c) for c in track.columns(*POSE[track.msgtype][:2]).values()] for track in found]
+    stamps = [track.t_ns for track in found]
+    if not (np.array_equal(stamps[0], stamps[-1]) and np.array_equal(places[0], places[-1])):
         raise ValueError(f"{name}.csv and {name}.tum are of different runs")
     return found[0]
-
-
-def _same_path(one: MadeStream, other: MadeStream) -> bool:
-    """Return whether two trajectories have the same stamps and positions."""
-    places = (track.columns(*POSE[track.msgtype][:2]).values() for track in (one, other))
-    mine, others = ([np.asarray(c) for c in columns] for columns in places)
-    return np.array_equal(one.t_ns, other.t_ns) and np.array_equal(mine, others)
 
 
 def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> Truth | None:
@@ -306,11 +301,3 @@ def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> Truth | No
     point = TruthSettings(x=float(settings.get("x", 0.0)), y=float(settings.get("y", 0.0)))
     truth, _ = read_truth(read_file(str(path)), point, epoch_ns)
     return replace(truth, topic=str(report["truth"]["topic"]))
-
-
-def _estimates(track: MadeStream, drive: Drive, figures: Mapping[str, Any]) -> Estimates:
-    found = estimates_in(track, drive, figures["configuration"])
-    if found is None:
-        raise ValueError(f"{Path(track.topic).name} has fewer than two poses")
-    sensors, rates = tuple(figures["sensors"]), figures["rates_hz"]
-    return replace(found, sensors=sensors, smoothed=figures["smoothed"], rates=rates)

@@ -60,27 +60,23 @@ def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: 
 
 def edited(found: FoundRobot, targets: Sequence[str], before: RosFile, node: str | None) -> Made:
     """Return a file with the values of these targets replaced by estimated ones."""
-    now, reasons = before, []
+    now, reasons = before, list[str]()
     for target in targets:
         section = section_of(now, target, node)
         settings = TARGETS[target](found, section.values)
         text, absent = changed(now, section, settings)
-        reasons += [line for s in settings if (line := _reason(s, absent))]
+        for s in settings:
+            if s.value is None:
+                reasons.append(s.note)
+            elif s.replaces:
+                long = isinstance(s.value, list) and len(s.value) > 6
+                what = s.key if long else f"{s.key}: {in_yaml(s.value)}"
+                missing = "not in the file, add it by hand; " if s in absent else ""
+                reasons.append(f"{what}  # {missing}{s.label}{s.words}")
         now = parsed(now.path, text)
     old, new, name = before.text.splitlines(), now.text.splitlines(), str(before.path)
     lines = difflib.unified_diff(old, new, name, name, lineterm="")
     return Made(now.text, tuple(map(visible, lines)), tuple(reasons))
-
-
-def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
-    if setting.value is None:
-        return setting.note
-    if not setting.replaces:
-        return ""
-    long = isinstance(setting.value, list) and len(setting.value) > 6
-    what = setting.key if long else f"{setting.key}: {in_yaml(setting.value)}"
-    missing = "not in the file, add it by hand; " if setting in absent else ""
-    return f"{what}  # {missing}{setting.label}{setting.words}"
 
 
 def refuse_read_only(path: Path) -> None:

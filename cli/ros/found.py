@@ -125,7 +125,11 @@ def gather(
     if known or by_result:
         return FoundRobot(loaded, nominal, None, sources, ())
     work = _Work()
-    calibration = work.by("calibrate", lambda sets: calibrate_logs([_under(loaded, sets, progress)], progress))
+
+    def under(sets: Sequence[str]) -> Loaded:
+        return with_settings(loaded, sets, progress) if sets else loaded
+
+    calibration = work.by("calibrate", lambda sets: calibrate_logs([under(sets)], progress))
     if calibration is not None:
         sources |= _calibrated(calibration)
         nominal = calibration.settings
@@ -136,14 +140,11 @@ def gather(
 
     enough = wheels_only and "wheels.noise" in sources and "calibrate" in sources["wheels.noise"]
     tuning = None if enough else work.by("tune", tuned)
-    if tuning is not None:
-        sources |= _tuned(tuning)
+    if tuning is not None and not tuning.refused:
+        shown = [r for r in tuning.tuned.rows if r.identifiable]  # others are not seen in the log
+        sources |= {r.key: f"{r.key} {r.after:.4g} ± {r.after * r.error:.2g}, locfuse tune" for r in shown}
     sources |= work.sources
-    return FoundRobot(_under(loaded, work.sets, progress), nominal, calibration, sources, tuple(work.notes))
-
-
-def _under(loaded: Loaded, sets: Sequence[str], progress: Progress) -> Loaded:
-    return with_settings(loaded, sets, progress) if sets else loaded
+    return FoundRobot(under(work.sets), nominal, calibration, sources, tuple(work.notes))
 
 
 class _Work:
@@ -185,13 +186,6 @@ def _calibrated(found: Calibration) -> dict[str, str]:
     }
     iron = {} if found.iron is None else dict.fromkeys(("hard_iron", "soft_iron"), "locfuse calibrate")
     return words | {f"compass.{key}": f"{key}, {by}" for key, by in iron.items()}
-
-
-def _tuned(found: Tuning) -> dict[str, str]:
-    """Return the source of each tuned setting in words; settings that the log does not show are left out."""
-    rows = () if found.refused else found.tuned.rows
-    shown = (row for row in rows if row.identifiable)
-    return {r.key: f"{r.key} {r.after:.4g} ± {r.after * r.error:.2g}, locfuse tune" for r in shown}
 
 
 def _by_files(how: LogOptions) -> dict[str, str]:

@@ -215,8 +215,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         Raises:
             LocfuseError: the folder holds something else, or cannot be written.
         """
-        files = self._files(write)
-        files |= fixes_file(self.report)
+        files = self._files(write) | fixes_file(self.report)
         formats = chosen(export, list(EXPORTS), UNKNOWN_EXPORT)
         files |= outputs.exported_files(formats, self.loaded, self._by_file())
         written = self._written(folder, files, overwrite)

@@ -77,14 +77,13 @@ def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Ite
         for f in (f for f in overview.findings if not (f.fixes and keys(f.fixes) <= common)):
             found.setdefault((f.role, f.code), {})[name] = f
     for title, severe in BY_EFFECT:
-        chosen = [of for of in found.values() if any(f.severe for f in of.values()) == severe]
-        yield from _section(title, [line for of in chosen for line in _shared(of, len(overviews))])
-
-
-def _shared(of: Mapping[str, Finding], logs: int) -> list[str]:
-    name, first = next(iter(of.items()))
-    where = f"in all {logs} logs, {name}" if len(of) == logs else f"in {len(of)} of {logs} logs, {name}"
-    return _finding(replace(first, role=f"{first.role} ({where})"), None, None)
+        body = []
+        for of in found.values():
+            (name, first), logs = next(iter(of.items())), len(overviews)
+            where = f"in {'all' if len(of) == logs else f'{len(of)} of'} {logs} logs, {name}"
+            if any(f.severe for f in of.values()) == severe:
+                body += _finding(replace(first, role=f"{first.role} ({where})"), None, None)
+        yield from _section(title, body)
 
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
@@ -92,9 +91,7 @@ def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequen
     return _table([{**found, "topic": name} for name, found in topics.items()], width, TOPIC_COLUMNS[:4])
 
 
-def _table(
-    rows: Sequence[Mapping[str, Any]], width: int | None, columns: Sequence[Column] = TOPIC_COLUMNS
-) -> list[str]:
+def _table(rows: Sequence[Mapping[str, Any]], width: int | None, columns: Sequence[Column]) -> list[str]:
     brief = ({**row, "type": row["type"].replace("/msg/", "/")} for row in rows)
     return [line.rstrip() for line in text_table.lines(of_rows(columns, brief), width)]
 
@@ -110,8 +107,7 @@ def _headline(overview: Overview) -> str:
     span = overview.log.time_span_ns
     seconds = f"{(span[1] - span[0]) * 1e-9:.1f} s" if span else "no messages"
     recorded = [f for f in overview.facts if not f.derived]
-    count = sum(f.count for f in recorded)
-    size = overview.log.identity.size / 1e6
+    count, size = sum(f.count for f in recorded), overview.log.identity.size / 1e6
     files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
     topics = f"{len(recorded)} topic{'' if len(recorded) == 1 else 's'}"
     return f"{overview.log.name}: {seconds}, {count} messages on {topics}, {size:.1f} MB{files}"
@@ -127,7 +123,7 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
     full.sort(key=lambda f: f.topic not in role)
     roles = {f.topic: ", ".join(role.get(f.topic, ())) for f in full}
     rows = [{**f.values(), "topic": f.topic, "clock": clock_word(f), "roles": roles[f.topic]} for f in full]
-    yield from _table(rows, width)
+    yield from _table(rows, width, TOPIC_COLUMNS)
     if rows:
         gap = GAP_NOTE if any(row["longest_gap_s"] is not None for row in rows) else ""
         yield from text_table.wrapped("", f"{TOPICS_NOTE}{gap}", width, "")
@@ -167,34 +163,26 @@ def _place(mount: dict[str, Any], frame: str) -> str:
 
 def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
     """Yield lines on configurations that can run, on those that cannot (and why), and on sensors without topic."""
-    known, why = configurations(overview), absent(overview)
-    base = wheels_missing(overview)
-    ready = [name for name, what in known.items() if what is None]
-    body = text_table.wrapped("  ready    ", ", ".join(ready), width) if ready else []
-    if base is not None:
-        body += text_table.wrapped("  not yet  ", f"all: {_briefly(base, 'wheels', overview)}", width)
     foreign = [name for name in REGISTRY if name in overview.choice.foreign]
-    for name in REGISTRY:
-        if name in why and name not in foreign:
-            body += text_table.wrapped("  not yet  ", f"{name}: {_briefly(why[name], name, overview)}", width)
+    why = [(name, name, words) for name, words in absent(overview).items() if name in {*REGISTRY} - {*foreign}]
+    why.sort(key=lambda row: list(REGISTRY).index(row[0]))
+    if (base := wheels_missing(overview)) is not None:
+        why.insert(0, ("all", "wheels", base))
+    ready = ", ".join(name for name, what in configurations(overview).items() if what is None)
+    body = text_table.wrapped("  ready    ", ready, width) if ready else []
+    for name, role, words in why:
+        below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
+        body += text_table.wrapped("  not yet  ", f"{name}: {'see below' if below else words}", width)
     body += text_table.wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
     yield from _section(CONFIGURATIONS, body)
-
-
-def _briefly(words: str, role: str, overview: Overview) -> str:
-    """Return the reason `words` why a configuration cannot run; "see below" if a finding on `role` gives it."""
-    below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
-    return "see below" if below else words
 
 
 def _finding(f: Finding, width: int | None, helped: Sequence[str] | None) -> list[str]:
     fixes = () if f.code == OPEN_SCALE else f.fixes  # the message names two alternative fixes
     body = text_table.wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
-    if not fixes:
-        return body
-    if helped is None or not f.severe or keys(fixes) & keys(helped):
-        return [*body, *_options("    fix: ", fixes, width)]
-    return [*body, *_options("    as measured, but it does not help (see below): ", fixes, width)]
+    helps = helped is None or not f.severe or keys(fixes) & keys(helped)
+    head = "    fix: " if helps else "    as measured, but it does not help (see below): "
+    return [*body, *_options(head, fixes, width)] if fixes else body
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
@@ -235,9 +223,7 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
             return [shlex.join(("locfuse", "info", *kept, "--set", f"wheels.topic={scans[0]}"))]
         return [RECORD]
     fixes = by_key(fix for f in worst for fix in f.fixes)
-    if fixes and helped is not None:
-        fixes = by_key(helped)
-    if fixes:
+    if fixes := by_key(helped) if fixes and helped is not None else fixes:
         kept = _without(typed, fixes)
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]
         return [shlex.join(("locfuse", "info", *kept, *options))]

@@ -26,23 +26,12 @@ from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
-from . import results
+from . import results, verdicts
 from .configurations import Configuration
 from .load import Loaded
 from .robot_tables import key
 from .settings import Asked, Progress, one_of
-from .verdicts import (
-    ByReference,
-    add_consistency,
-    add_pairs,
-    by_reference,
-    credit_values,
-    judge_values,
-    noise_factors,
-    prediction_values,
-    reference_values,
-    verdicts,
-)
+from .verdicts import ByReference
 
 if TYPE_CHECKING:
     from locfuse.fusion.whole_drive.reference import References
@@ -179,7 +168,9 @@ def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], 
         contradicting = contradictions(compared.scores, alone)
         wholes = compared.smoothed
         solved = {s: (e, wholes[e.name]) for s, (e, _) in plain.items() if e.name in wholes}
-        references = References.of(drive, robot, solved, noise_factors(compared.runs, robot), contradicting)
+        references = References.of(
+            drive, robot, solved, verdicts.noise_factors(compared.runs, robot), contradicting
+        )
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
     aligns = [align] * len(compared.estimates) + [how for _, how in others]
     estimates = [*compared.estimates, *(e for e, _ in others)]
@@ -198,10 +189,7 @@ def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], 
 def _effect(
     references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
 ) -> ByReference | None:
-    """Return the position errors [m] without and with a sensor, against a reference that does not use it.
-
-    None if the reference or one of the two runs is missing.
-    """
+    """Return the errors [m] without and with a sensor, by a reference without it; None if one is missing."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
@@ -288,16 +276,15 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
     report["repeat"] = results.repeat(compared.loaded, asked) if asked else None
     report["changed_settings"] = results.changed_settings(compared.loaded)
-    sets = compared.sets
-    report["verdicts"] = verdicts(compared.credit, compared.scores, sets, base=compared.base)
-    report["credit"] = None if compared.credit is None else credit_values(compared.credit)
-    scores, base = compared.scores, compared.base
-    report["prediction"] = prediction_values(scores, list(sets), base) if scores else None
-    add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
+    sets, scores, base = compared.sets, compared.scores, compared.base
+    report["verdicts"] = verdicts.verdicts(compared.credit, scores, sets, base=base)
+    report["credit"] = None if compared.credit is None else verdicts.credit_values(compared.credit)
+    report["prediction"] = verdicts.prediction_values(scores, list(sets), base) if scores else None
+    verdicts.add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_reference(report, compared)
     slower = {c.name: c.sensors for c in compared.configurations if c.rates}
     errors = {name: values.get("position_rmse_m") for name, values in report["configurations"].items()}
-    add_pairs(report["verdicts"], sets, slower, errors, compared.credit is not None)
+    verdicts.add_pairs(report["verdicts"], sets, slower, errors, compared.credit is not None)
     add_own_scans(report, compared, compared.loaded.drive)
     return json_report.plain(report)
 
@@ -342,19 +329,19 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
         return
     references = found.references
     for name, values in report["configurations"].items():
-        values["reference"] = judge_values(found.judges[name], references.whole, values["sensors"])
-    report["reference"] = reference_values(references.whole, references.contradict, compared.base)
+        values["reference"] = verdicts.judge_values(found.judges[name], references.whole, values["sensors"])
+    report["reference"] = verdicts.reference_values(references.whole, references.contradict, compared.base)
     for sensor in references.present:
         own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
         reference = references.without(sensor)
         contradiction = None if reference is None else references.contradiction(reference, (sensor,))
         if own is not None or effect is not None:
-            report["verdicts"][sensor] = by_reference(own, reference, effect, contradiction)
+            report["verdicts"][sensor] = verdicts.by_reference(own, reference, effect, contradiction)
 
 
 def report_of_run(compared: Compared) -> dict[str, Any]:
     """Return run.json, the report of one configuration, as plain values."""
     report = results.build(compared.loaded, compared.evaluations)
-    add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
+    verdicts.add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_own_scans(report, compared, compared.configurations[0].drive(compared.loaded.drive))
     return json_report.plain(report)

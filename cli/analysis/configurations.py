@@ -54,10 +54,7 @@ class Configuration(msgspec.Struct, frozen=True):
         return has_scipy() and why_not_smoothed(robot, self.sensors) is None
 
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
-        """Run the filter, and with `smooth` the smoother. Returns (filtered,) or (filtered, smoothed).
-
-        Raises UsageError if the filter to be smoothed does not use the optimal gain.
-        """
+        """Run the filter, with `smooth` the smoother (UsageError without optimal gain): (filtered, [smoothed])."""
         found: tuple[Estimates, ...]
         if smooth:
             from locfuse.fusion.whole_drive.smooth import fuse_and_smooth

@@ -84,10 +84,7 @@ class Baseline(msgspec.Struct, frozen=True):
     of_fleet: bool = False
 
     def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
-        """Return a line for each error that grew beyond the tolerance.
-
-        If baseline and `later` have no error in common, one line: the baseline has no `what`.
-        """
+        """Return a line for each error that grew beyond the tolerance, or one if there is no `what`."""
         old, new = self.figures, _error_figures(later["configurations"], self.of_fleet)
         common = [at for at in old if at in new]
         if not common:
@@ -110,9 +107,16 @@ class Gates(msgspec.Struct, frozen=True):
     @classmethod
     def read(cls, typed: GateOptions, of_fleet: bool = False) -> Gates:
         """Return the gates of --fail-if, --baseline and --tolerance. Raises LocfuseError for an invalid gate."""
+        from locfuse.formats.report.structure import ReportedResult
+
         limits = [parse_gate(text) for text in typed.fail_if]
         together = [gate for gate in limits if of_fleet and gate.figure.startswith(OF_FLEET)]
-        each = [known_figure(gate) for gate in limits if gate not in together]
+        each, known = [gate for gate in limits if gate not in together], ReportedResult.__struct_fields__
+        for gate in each:
+            configuration, *keys = gate.figure.removeprefix(OF_REFERENCE).split(".")
+            if not set(keys) & set(known):
+                near = did_you_mean(keys[-1], known) or "see: locfuse schema report"
+                raise UsageError(f"--fail-if {gate.text!r}: no report has {keys[-1]} of {configuration}; {near}")
         earlier = read_baseline(typed.baseline, typed.tolerance, of_fleet) if typed.baseline else None
         return cls(each, earlier, together)
 
@@ -153,18 +157,6 @@ def parse_gate(text: str) -> Gate:
     if found is None or limit is None or "." not in found["figure"]:
         raise UsageError(f'--fail-if {text!r}: write it like "all.position_rmse_m > 0.02" (one of > >= < <=)')
     return Gate(text.strip(), found["figure"], found["op"], limit)
-
-
-def known_figure(gate: Gate) -> Gate:
-    """Return the gate. Raises UsageError if no report can have its figure."""
-    from locfuse.formats.report.structure import ReportedResult
-
-    configuration, *keys = gate.figure.removeprefix(OF_REFERENCE).split(".")
-    known = ReportedResult.__struct_fields__
-    if not set(keys) & set(known):
-        near = did_you_mean(keys[-1], known) or "see: locfuse schema report"
-        raise UsageError(f"--fail-if {gate.text!r}: no report has {keys[-1]} of {configuration}; {near}")
-    return gate
 
 
 def parse_tolerance(text: str) -> Tolerance:

@@ -62,20 +62,15 @@ def _fitting(pattern: Url) -> list[str]:
     """Return the remote objects that match a pattern: ** is any number of folders, * and ? stay in one."""
     from locfuse.formats.container.remote_objects import below
 
+    whole = {"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"}
+    parts = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]*\])", pattern.key)
+    some = {p: fnmatch.translate(p).removeprefix("(?s:")[:-3] for p in parts if p.startswith("[")}  # "[!a-c]"
+    wanted = re.compile("".join((whole | some).get(p) or re.escape(p) for p in parts))
     fixed = re.split(r"[*?\[]", pattern.key)[0].rpartition("/")[0]
-    wanted = re.compile(_regex(pattern.key))
     found = below(pattern.at(f"{fixed}/" if fixed else ""))
     if not (fitting := [str(one) for one in found if wanted.fullmatch(one.key)]):
         raise UsageError(f"{pattern}: nothing fits this pattern")
     return fitting
-
-
-def _regex(pattern: str) -> str:
-    """Return a shell pattern as a regular expression."""
-    whole = {"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"}
-    parts = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]*\])", pattern)
-    some = {p: fnmatch.translate(p).removeprefix("(?s:")[:-3] for p in parts if p.startswith("[")}  # "[!a-c]"
-    return "".join((whole | some).get(p) or re.escape(p) for p in parts)
 
 
 def _objects(folder: Url) -> list[str]:
@@ -163,19 +158,15 @@ def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
     found: dict[str, Sequence[str]] = {}
     numbers: dict[str, int] = {}
     for parts in logs:
-        name = stem = _name(parts)
+        try:
+            name = stem = log_name(find_log(parts))
+        except UsageError:  # raised again when the log is opened
+            name = stem = writable(Path(parts[0]).stem) or "log"
         while name in found:
             numbers[stem] = numbers.get(stem, 1) + 1
             name = f"{stem}_{numbers[stem]}"
         found[name] = parts
     return found
-
-
-def _name(parts: Sequence[str]) -> str:
-    try:
-        return log_name(find_log(parts))
-    except UsageError:  # raised again when the log is opened
-        return writable(Path(parts[0]).stem) or "log"
 
 
 def _once(words: Sequence[str]) -> list[str]:

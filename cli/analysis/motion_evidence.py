@@ -74,10 +74,7 @@ _matched_scans: WeakKeyDictionary[Log, dict[tuple[object, ...], MatchedScans]] =
 
 
 def path_of(log: Log, topic: str, order: str, laser: Laser) -> MatchedScans:
-    """Return the motion by scan matching; scans are matched once per mount and range scale of the laser.
-
-    Raises LocfuseError if they cannot be matched.
-    """
+    """Return the motion by scan matching; scans are matched once per mount and range scale of the laser."""
     from locfuse.fusion.wheels.motion_by_scans import match_scans  # imports SciPy
 
     known, how = _matched_scans.setdefault(log, {}), (topic, order, *laser.mount.tolist(), *laser[1:-1])

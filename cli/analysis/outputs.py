@@ -43,10 +43,9 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
     from locfuse.formats.report import html, markdown, render, tables
     from locfuse.formats.results import trajectory as to
 
-    loaded, drive = compared.loaded, compared.loaded.drive
-    out: dict[str, Content] = {"robot.toml": robot_toml.dump(results.settings_tables(loaded.robot))}
+    drive, out = compared.loaded.drive, dict[str, Content]()
     if "tum" in kinds:
-        out |= exported_files(["tum"], loaded, {e.name: e for e in compared.estimates})
+        out |= exported_files(["tum"], compared.loaded, {e.name: e for e in compared.estimates})
         out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
     made: dict[str, Callable[[], str]] = {
         "html": lambda: html.render(report, sections(scene(compared)), colours()),
@@ -56,26 +55,6 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
         "json": lambda: json_report.encode(report),
     }
     return out | {f"report.{kind}": make() for kind, make in made.items() if kind in kinds}
-
-
-def files_of_run(
-    loaded: Loaded, named: Mapping[str, Estimates], report: Mapping[str, Any], kinds: Collection[str]
-) -> dict[str, Content]:
-    """Return file name -> content for one configuration; `named` has its trajectories by file name."""
-    out: dict[str, Content] = {"robot.toml": robot_toml.dump(results.settings_tables(loaded.robot))}
-    out |= exported_files([kind for kind in kinds if kind != "json"], loaded, named)
-    if "json" in kinds:
-        out["run.json"] = json_report.encode(report)
-    return out
-
-
-def figure_files(compared: Compared) -> dict[str, bytes]:
-    """Return file name -> content for every figure as SVG and PDF."""
-    from locfuse.formats.figures.for_paper import paper_figures
-    from locfuse.formats.figures.palette import traces_of
-    from locfuse.formats.figures.sections import sections
-
-    return paper_figures(sections(scene(compared)), traces_of(compared.estimates), colours())
 
 
 def scene(compared: Compared) -> Scene:

@@ -20,7 +20,7 @@ from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
-    from locfuse.cli.fleet.jobs import FleetPlan, FleetRows, Job, JobOutcome
+    from locfuse.cli.fleet.jobs import FleetRows, Job, JobOutcome
     from locfuse.cli.fleet.queue import Ended, QueueState, Watch
 
 LINE_INTERVAL_S = 60.0  # between lines of progress if stderr is not a terminal
@@ -66,27 +66,36 @@ def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
     from locfuse.cli.analysis.gates import Gates
     from locfuse.cli.analysis.results import default_folder
-    from locfuse.cli.fleet.jobs import gather, plan
+    from locfuse.cli.fleet.jobs import FleetRows, plan
     from locfuse.cli.fleet.queue import NOT_RUN
     from locfuse.cli.session.summary import SUMMARY, summarised, write_summary
-    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer
+    from locfuse.formats.fleet.entry import Entry
+    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer, write_results
 
     how, outputs, fleet = options.how, options.outputs, options.fleet
     folder = outputs.out or default_folder(SUMMARY)
     every = _job_options(options, folder)
     gates = Gates.read(options.gates, of_fleet=True)
     may_write(folder, outputs.overwrite, options.inputs)
-    todo = plan(words, every, fleet.robot_from, fleet.sweep)
+    jobs, found = plan(words, every, fleet.robot_from, fleet.sweep), FleetRows()
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
-        _mark(folder, todo)
-        for outcome in todo.refused.values():
-            _say_failed(outcome)
-        ended = _run(list(todo.jobs.values()), options, fleet.max_failures)
-        found = gather(todo, ended.outcomes, ended.stopped or NOT_RUN, gates, how.strict)
-        _refuse_misuse(found, ended, todo)
+        if not (folder / "summary.json").exists():  # marks the folder as results even if the run is killed
+            write_results(folder, {UNFINISHED: json_report.encode({"logs": list(jobs)})}, overwrite=True)
+        ended = _run(list(jobs.values()), options, fleet.max_failures)
+        outcomes = list(ended.outcomes.values())
+        if outcomes and len(outcomes) == len(jobs) and all(o.misused for o in outcomes):
+            raise UsageError(outcomes[0].reason)
+        for name, job in jobs.items():
+            outcome = ended.outcomes.get(name)
+            if outcome is None:
+                found.entries.append(Entry(name, job.robot, "not run", ended.stopped or NOT_RUN))
+            elif outcome.state == "failed":
+                found.entries.append(Entry(name, job.robot, "failed", outcome.reason))
+            else:
+                found.add(job, gates, how.strict)
         if ended.by is not None and not any(e.state == "done" for e in found.entries):
             raise ended.by
-        robots = _robots(todo, found, options) if ended.by is None else []
+        robots = _robots(jobs, found, options) if ended.by is None else []
         summary = {**summarised(found.entries), "robots": robots}
         keys = tuple(swept(fleet.sweep))
         written = write_summary(folder, summary, found.entries, outputs.write, keys)
@@ -97,7 +106,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
         show.say(f"{folder}: {counts}; the same command goes on with the rest")
         raise ended.by
     _print(summary, written, outputs.as_json)
-    _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
+    _say_some([line for outcome in outcomes for line in outcome.warnings], "warnings")
     if every.recordings is not None and any(every.recordings.glob("*.rrd")):
         show.say(f"all drives in one viewer: {catalog(every.recordings)}")
     if outputs.open:
@@ -128,14 +137,6 @@ def _job_options(options: o.Options, folder: Path) -> Job:
     )
 
 
-def _mark(folder: Path, todo: FleetPlan) -> None:
-    """Write a marker file, so that the folder is recognised as results even if the run is killed."""
-    from locfuse.formats.whole_files import UNFINISHED, write_results
-
-    if not (folder / "summary.json").exists():
-        write_results(folder, {UNFINISHED: json_report.encode({"logs": list(todo.robots)})}, overwrite=True)
-
-
 def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> Ended:
     """Run jobs in processes of this machine, or on a cluster."""
     from locfuse.cli.fleet.queue import executor, run_all
@@ -145,7 +146,7 @@ def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> E
         return run_all(jobs, pool, max_failures, _watch(progress, quiet))
 
 
-def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
+def _robots(todo: Mapping[str, Job], found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
     """Return for each robot the values that its logs share, and settings that help all its logs."""
     from locfuse.cli.fleet.jobs import robots
 
@@ -155,7 +156,7 @@ def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[
             raise ended.by
         return ended.outcomes
 
-    return [] if options.fleet.sweep or not options.asked.advice else robots(found.entries, todo.jobs, run)
+    return [] if options.fleet.sweep or not options.asked.advice else robots(found.entries, todo, run)
 
 
 def _watch(progress: Progress, quiet: bool) -> Watch:
@@ -165,24 +166,13 @@ def _watch(progress: Progress, quiet: bool) -> Watch:
         nonlocal printed
         progress(standing.words())
         if outcome is not None and outcome.state == "failed":
-            _say_failed(outcome)
+            name, reason = outcome.name, outcome.reason
+            show.say(f"failed: {reason if name in reason else f'{name}: {reason}'}")
         if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > LINE_INTERVAL_S:
             printed = time.monotonic()
             show.say(standing.words())
 
     return watch
-
-
-def _say_failed(outcome: JobOutcome) -> None:
-    name = outcome.name
-    show.say(f"failed: {outcome.reason if name in outcome.reason else f'{name}: {outcome.reason}'}")
-
-
-def _refuse_misuse(found: FleetRows, ended: Ended, todo: FleetPlan) -> None:
-    """Raise UsageError if all logs failed because of an invalid option."""
-    outcomes = [*ended.outcomes.values(), *todo.refused.values()]
-    if outcomes and len(outcomes) == len(found.entries) and all(o.misused for o in outcomes):
-        raise UsageError(outcomes[0].reason)
 
 
 def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:

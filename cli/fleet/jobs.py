@@ -65,6 +65,7 @@ class Job(msgspec.Struct, frozen=True):
     recordings: Path | None = None  # folder of the drives' recordings
     again: bool = False  # run it even if its results are complete
     tries: tuple[Fixes, ...] = ()  # settings to fuse the log under, instead of a comparison
+    refused: str = ""  # why it is not run, such as a missing log
 
     def recording_of(self, cell: SweepCell) -> str:
         """Return the name of a cell's Rerun recording."""
@@ -139,18 +140,8 @@ def read_report(folder: Path) -> dict[str, Any] | None:
         return None
 
 
-class FleetPlan(msgspec.Struct, frozen=True):
-    """Jobs to run, and logs that cannot be opened, in the order of the command line."""
-
-    robots: dict[str, str | None]  # of each log
-    jobs: dict[str, Job]
-    refused: dict[str, JobOutcome]
-
-
-def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> FleetPlan:
+def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> dict[str, Job]:
     """Return a job for each log in `words`: the job `every` with the log, its name and its folder.
-
-    Logs that cannot be opened are refused, each with the reason.
 
     Raises UsageError for invalid settings, an invalid pattern or an invalid sweep.
     """
@@ -160,27 +151,24 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
     of_sweep = tuple(SweepCell(*found) for found in cells(swept(sweeps)).items()) if sweeps else every.cells
     for cell in of_sweep:
         given_layers(replace(every.how, robots=()), cell.sets)
-    figures = every.outputs.figures
-    robots: dict[str, str | None] = {}
-    jobs, refused = {}, {}
+    figures, jobs = every.outputs.figures, {}
     for name, log in named(logs_of(words)).items():
-        robots[name] = robot = None if pattern is None else robot_of(pattern, log)
+        jobs[name] = job = replace(
+            every,
+            name=name,
+            log=tuple(log),
+            folder=every.folder / name,
+            outputs=replace(every.outputs, figures=figures and figures / name),
+            robot=None if pattern is None else robot_of(pattern, log),
+            cells=of_sweep,
+        )
         try:
             find_log(log)
-            files = tuple(_file_of(file, robot) for file in every.how.robots)
-            jobs[name] = replace(
-                every,
-                how=replace(every.how, robots=files),
-                name=name,
-                log=tuple(log),
-                folder=every.folder / name,
-                outputs=replace(every.outputs, figures=figures and figures / name),
-                robot=robot,
-                cells=of_sweep,
-            )
+            files = tuple(_file_of(file, job.robot) for file in every.how.robots)
+            jobs[name] = replace(job, how=replace(job.how, robots=files))
         except UsageError as problem:
-            refused[name] = JobOutcome(name, "failed", str(problem), misused=True)
-    return FleetPlan(robots, jobs, refused)
+            jobs[name] = replace(job, refused=str(problem))
+    return jobs
 
 
 def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
@@ -226,39 +214,20 @@ class FleetRows(msgspec.Struct, frozen=True):
     gates: list[str] = []  # a line per gate that a log fails
     lost: list[str] = []  # a line per loss of a log
 
-
-def gather(
-    plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: Gates, strict: bool
-) -> FleetRows:
-    """Return a summary row for each log; `stopped` is the reason for jobs that have not run.
-
-    Results are read from the jobs' folders, also those of skipped jobs.
-    """
-    found = FleetRows()
-    for name, robot in plan.robots.items():
-        outcome = outcomes.get(name) or plan.refused.get(name)
-        if outcome is None:
-            found.entries.append(Entry(name, robot, "not run", stopped))
-        elif outcome.state == "failed":
-            found.entries.append(Entry(name, robot, "failed", outcome.reason))
-        else:
-            found.entries.append(_entry(plan.jobs[name], found, gates, strict))
-    return found
-
-
-def _entry(job: Job, found: FleetRows, gates: Gates, strict: bool) -> Entry:
-    """Return the summary's row of one log, and add its failed gates and losses to `found`."""
-    reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
-    whole = {cell: report for cell, report in reports.items() if report is not None}
-    if len(whole) < len(reports):
-        return Entry(job.name, job.robot, "failed", REPORT_IS_GONE)
-    lost: list[str] = []
-    for cell, report in whole.items():
-        title = f"{job.name} [{cell}]" if cell else job.name
-        found.gates.extend(f"{title}: {line}" for line in gates.failures(report))
-        lost = lost_in(report, strict) or lost
-    found.lost.extend(f"{job.name}: {line}" for line in lost)
-    return Entry(job.name, job.robot, report=slim(whole), cells=tuple(whole))
+    def add(self, job: Job, gates: Gates, strict: bool) -> None:
+        """Add the row of a finished job by the reports in its folder, its failed gates and its losses."""
+        reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
+        whole = {cell: report for cell, report in reports.items() if report is not None}
+        if len(whole) < len(reports):
+            self.entries.append(Entry(job.name, job.robot, "failed", REPORT_IS_GONE))
+            return
+        lost: list[str] = []
+        for cell, report in whole.items():
+            title = f"{job.name} [{cell}]" if cell else job.name
+            self.gates.extend(f"{title}: {line}" for line in gates.failures(report))
+            lost = lost_in(report, strict) or lost
+        self.lost.extend(f"{job.name}: {line}" for line in lost)
+        self.entries.append(Entry(job.name, job.robot, report=slim(whole), cells=tuple(whole)))
 
 
 def robots(

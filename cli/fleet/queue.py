@@ -122,6 +122,8 @@ def _outcomes(
 
 def already(job: Job) -> JobOutcome | None:
     """Return the outcome of a job that need not run (complete results, or an unreadable log), else None."""
+    if job.refused:
+        return JobOutcome(job.name, "failed", job.refused, misused=True)
     try:
         return JobOutcome(job.name, "done", resumed=True) if is_finished(job) else None
     except LocfuseError as problem:

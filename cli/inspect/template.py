@@ -255,7 +255,11 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
     if not table:
         yield from (TomlLine(key, *facts.known[key]) for key in TOP_KEYS if key in facts.known)
         return
-    unsure = _suggested(facts, table)
+    choice = facts.overview.choice
+    unsure = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
+    for fix in choice.fixes.get(table, ()):  # a topic for a sensor with several candidates
+        key, _, value = fix.partition("=")
+        unsure |= {key: (value, choice.absent.get(table, ""))} if key == f"{table}.topic" else {}
     shown = table in {"wheels", "start"} or any(key.startswith(f"{table}.") for key in facts.known)
     defaults = {f.name: f.default for f in msgspec.structs.fields(table_types()[table])}
     for key, default in defaults.items():
@@ -266,7 +270,7 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
             yield from _unknown(table, key, default, missing)
         if path in unsure:
             asked = _instruction(table, key)
-            missing += [path] if facts.overview.choice.unused_wheels and asked and asked.needed else []
+            missing += [path] if choice.unused_wheels and asked and asked.needed else []
             yield TomlLine(key, *unsure[path], holds=False)
 
 
@@ -280,17 +284,6 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
         yield TomlLine(key, None if blank else default, asked.words, holds=False)
         if asked.needed:
             missing.append(f"{table}.{key}")
-
-
-def _suggested(facts: Facts, table: str) -> Known:
-    """Return a table's suggestions for inactive lines: fixes, and a topic for a sensor with several candidates."""
-    here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
-    why = facts.overview.choice.absent.get(table, "")
-    for fix in facts.overview.choice.fixes.get(table, ()):
-        key, _, value = fix.partition("=")
-        if key == f"{table}.topic":
-            here[key] = value, why
-    return here
 
 
 def _has_effect(facts: Facts, table: str, key: str) -> bool:

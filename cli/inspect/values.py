@@ -6,7 +6,6 @@ from typing import Any
 
 from locfuse.cli.analysis.topics import types
 from locfuse.formats.logs.log import Log
-from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, ODOMETRY
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -46,7 +45,11 @@ def values(overview: Overview) -> dict[str, Any]:
         "absent": absent(overview),
         "extrinsics": extrinsics(overview),
         "configurations": configurations(overview),
-        "findings": [_finding(f) for f in overview.findings],
+        "findings": [
+            {"role": f.role, "code": f.code, "message": f.sentence, "fixes": list(f.fixes)}
+            | {"source": f.source or None, "severe": f.severe}
+            for f in overview.findings
+        ],
         "severe": overview.severe,
     }
 
@@ -74,8 +77,3 @@ def wheels_missing(overview: Overview) -> str | None:
         return None
     unready = (f.sentence for f in overview.findings if f.severe and f.role in {"wheels", "log"})
     return next(unready, None) or absent(overview).get("wheels", "the log cannot be measured")
-
-
-def _finding(f: Finding) -> dict[str, Any]:
-    words = {"role": f.role, "code": f.code, "message": f.sentence}
-    return words | {"fixes": list(f.fixes), "source": f.source or None, "severe": f.severe}

@@ -278,10 +278,7 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
 
 
 def _trajectory(folder: Path, name: str, by_run: bool) -> MadeStream:
-    """Return a trajectory: of a run by the .csv, which has covariances, else by the .tum.
-
-    Raises ValueError if both files exist and differ.
-    """
+    """Return a trajectory: of a run by the .csv, which has covariances, else by the .tum."""
     endings = (".csv", ".tum") if by_run else (".tum",)
     found = [read_file(str(path)) for e in endings if (path := folder / f"{name}{e}").is_file()]
     if not found:

@@ -114,10 +114,7 @@ def start(path: Path) -> subprocess.Popen[bytes]:
 
 
 def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
-    """Serve a recording to browsers on this machine until interrupted; `say` prints the URL.
-
-    Raises LocfuseError if the server ends by itself.
-    """
+    """Serve a recording to browsers on this machine until interrupted; `say` prints the URL."""
     port, data = free_port(wanted), free_port(PORT)
     server = start_rerun(["--port", str(data), "--serve-web", "--web-viewer-port", str(port), str(path)])
     try:

@@ -200,10 +200,7 @@ def _by_files(how: LogOptions) -> dict[str, str]:
 
 
 def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogOptions, dict[str, str]]:
-    """Return the log of a folder of results, with options and sources of settings; a log is returned unchanged.
-
-    Raises LocfuseError if the report does not name its log.
-    """
+    """Return the log of a folder of results, with options and sources of settings; a log is returned unchanged."""
     report = result_file(log[0]) if len(log) == 1 else None
     if report is None:
         return log, how, {}

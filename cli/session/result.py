@@ -17,8 +17,9 @@ from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
 from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import notes_of, void_reasons
-from locfuse.formats.robot import landmark_map
+from locfuse.formats.robot import landmark_map, line_map, robot_toml
 from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import Content, write_results, write_text
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, UsageError
@@ -183,10 +184,8 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
         With any loss, the command exits with 3. With `strict`, a single refused reading is a loss.
         """
-        return [*results.loss_lines(self.loaded, self._used(), strict), *void_reasons(self.report)]
-
-    def _used(self) -> list[str]:
-        return sorted({s for e in self.estimates.values() for s in e.sensors})
+        used = sorted({s for e in self.estimates.values() for s in e.sensors})
+        return [*results.loss_lines(self.loaded, used, strict), *void_reasons(self.report)]
 
     def __repr__(self) -> str:
         """Return the kind of result, the log and the names of its results."""
@@ -215,7 +214,8 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         Raises:
             LocfuseError: the folder holds something else, or cannot be written.
         """
-        files = self._files(write) | fixes_file(self.report)
+        robot: dict[str, Content] = {"robot.toml": robot_toml.dump(results.settings_tables(self.robot))}
+        files = robot | self._files(write) | fixes_file(self.report)
         formats = chosen(export, list(EXPORTS), UNKNOWN_EXPORT)
         files |= outputs.exported_files(formats, self.loaded, self._by_file())
         written = self._written(folder, files, overwrite)
@@ -249,13 +249,12 @@ class Run(Result, frozen=True, eq=False):
         return next((e for e in self.estimates.values() if e.smoothed), None)
 
     def _files(self, write: Kinds) -> dict[str, Content]:
-        return outputs.files_of_run(self.loaded, self._by_file(), self.report, chosen(write, OF_RUN))
+        kinds = chosen(write, OF_RUN)
+        files = outputs.exported_files(kinds - {"json"}, self.loaded, self._by_file())
+        return files | ({"run.json": json_report.encode(self.report)} if "json" in kinds else {})
 
     def _by_file(self) -> Mapping[str, Estimates]:
         return {"smoothed" if e.smoothed else "trajectory": e for e in self.estimates.values()}
-
-    def _used(self) -> list[str]:
-        return list(self.filtered.sensors)
 
     @speaks_python
     def write_audit(self, file: PathLike) -> None:
@@ -271,8 +270,6 @@ class Run(Result, frozen=True, eq=False):
         To a .csv, write the landmarks or anchors that the run estimated (`landmarks.map = "grow"`): use it as
         `landmarks.map`.
         """
-        from locfuse.formats.robot import line_map
-
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
                 hint = "--set landmarks.map=grow makes a map of them"
@@ -304,4 +301,10 @@ class Comparison(Result, frozen=True, eq=False):
     @speaks_python
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""
-        return self._written(folder, outputs.figure_files(self.compared), overwrite=True)
+        from locfuse.formats.figures.for_paper import paper_figures
+        from locfuse.formats.figures.palette import traces_of
+        from locfuse.formats.figures.sections import sections
+
+        shown = sections(outputs.scene(self.compared))
+        figures = paper_figures(shown, traces_of(self.compared.estimates), colours())
+        return self._written(folder, figures, overwrite=True)

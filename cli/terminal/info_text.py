@@ -200,10 +200,7 @@ def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
 
 
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:
-    """Return the next command to type: `recover`, `init`, `info` with fixes, or `compare`; or what to record.
-
-    If fixes were tried, `info` is proposed with those that helped.
-    """
+    """Return the next command: `recover`, `init`, `info` with fixes that help, `compare`; or what to record."""
     losses = overview.log.losses
     if losses.recoverable and losses.messages < sum(f.count for f in overview.facts if not f.derived):
         return [shlex.join(("locfuse", "recover", *map(str, overview.log.given), "-o", "recovered.mcap"))]

@@ -137,17 +137,10 @@ class Folder(click.Path):
 
 
 def kinds_of(known: Sequence[str], what: str, default: str | None) -> Callable[..., frozenset[str]]:
-    """Return a callback that parses comma-separated kinds of output. Raises click.UsageError for unknown ones."""
-
-    def chosen(context: click.Context, parameter: click.Parameter, value: str | None) -> frozenset[str]:
-        from locfuse.fusion.data import UsageError
-
-        try:
-            return frozenset(settings.chosen(default if value is None else value, known, what))
-        except UsageError as problem:
-            raise click.UsageError(str(problem)) from None
-
-    return chosen
+    """Return a callback that parses comma-separated kinds of output. Raises UsageError for unknown ones."""
+    return lambda context, parameter, value: frozenset(
+        settings.chosen(default if value is None else value, known, what)
+    )
 
 
 FILE = click.Path(path_type=Path, dir_okay=False)

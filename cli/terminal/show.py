@@ -86,10 +86,7 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
 
 
 def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]:
-    """Print a result and its notes, record it for Rerun if asked, and return losses in words.
-
-    `files` are the written files, in one folder.
-    """
+    """Print a result, its `files` and notes, record it for Rerun if asked, and return losses in words."""
     how, outputs, lost = options.how, options.outputs, found.losses(options.how.strict)
     notes = notes_in_words(found.report)
     absent = found.report["absent"].items()
@@ -209,10 +206,7 @@ def headline(report: Mapping[str, Any]) -> None:
 
 
 def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: bool = True) -> None:
-    """Print findings with the tried fix of each.
-
-    All fixes together are in a file in `folder`; without a folder they are printed.
-    """
+    """Print findings with the tried fix of each, and all fixes: their file in `folder`, or the fixes."""
     lines(sentence(f, brief=not verbose) for f in unwarned(report) if verbose or not _is_note(f))
     text = together(report)
     if text is not None and folder is not None:

@@ -30,10 +30,7 @@ class Strip(msgspec.Struct, frozen=True):
 
 
 def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
-    """Return the lines of a table of at most `width` characters, headings first; None: no limit.
-
-    A column whose cells are all empty is left out.
-    """
+    """Return a table's lines of at most `width` characters (None: any), headings first, no empty column."""
     texts = ([visible(_text(c, row[i])) for row in table.rows] for i, c in enumerate(table.columns))
     strips = [Strip(c, (heading(c, brief=True), *cells)) for c, cells in zip(table.columns, texts, strict=True)]
     strips = [s for s in strips if any(s.cells[1:])]

@@ -59,10 +59,8 @@ class Configuration(msgspec.Struct, frozen=True):
         if smooth:
             from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
-            filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
-            if np.isfinite(whole.pose).all():
-                found = filtered, whole
-            else:
+            found = filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+            if not np.isfinite(whole.pose).all():
                 found = (replace(filtered, notes=(*filtered.notes, NOT_SMOOTHED)),)
         else:
             found = (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
@@ -93,21 +91,18 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
             raise LocfuseError(f"--sensors {name}: {why}", fixes=drive.fixes.get(sensor, ()))
         written[sensor] = name
         if at:
-            rates[sensor] = _rate(name, rate)
+            found = RATE_PATTERN.fullmatch(rate.strip())
+            rates[sensor] = float(found[1]) if found else 0.0
+            if rates[sensor] <= 0.0:
+                raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")
     used = tuple(s for s in REGISTRY if s in written)
-    for sensor in used:
-        _check_needs(sensor, written, words)
+    lacking = [(s, other, why) for s in used for other, why in REGISTRY[s].needs.items() if other not in written]
+    for sensor, other, why in lacking:
+        enough = ",".join((other, *written.values()))
+        raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
     if not rates:
         return plain(used, drive)
     return Configuration("+".join(written[s] for s in used), used, rates)
-
-
-def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
-    """Raise UsageError if a sensor needs another sensor that is not in the set."""
-    for other, why in REGISTRY[sensor].needs.items():
-        if other not in written:
-            enough = ",".join((other, *written.values()))
-            raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
 
 
 def configuration_words(sensors: Sensors | Iterable[Sensors] | None) -> tuple[str, ...]:
@@ -143,18 +138,9 @@ def refuse_beside_others(words: str, names: Sequence[str]) -> None:
     for word, what in meaning.items():
         others = [name for name in names if name != word]
         if word in names and others:
-            raise UsageError(
-                f"--sensors {words}: {word} stands alone, it means {what}; write --sensors {word} or --sensors "
-                f"{','.join(name for name in others if name not in meaning) or others[0]}"
-            )
-
-
-def _rate(name: str, text: str) -> float:
-    """Return the rate [Hz] of a text such as "2Hz". Raises UsageError unless it is a positive number."""
-    found = RATE_PATTERN.fullmatch(text.strip())
-    if found is None or float(found[1]) <= 0.0:
-        raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")
-    return float(found[1])
+            fix = ",".join(name for name in others if name not in meaning) or others[0]
+            alone = f"{word} stands alone, it means {what}"
+            raise UsageError(f"--sensors {words}: {alone}; write --sensors {word} or --sensors {fix}")
 
 
 def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:

@@ -68,35 +68,29 @@ def give_topic(loaded: Loaded) -> Loaded:
 
 
 def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
-    if "lrf" not in loaded.drive.measurements:
-        raise loaded.drive.lacks("lrf")
-    try:
-        lines = walls_of(grid)
-    except LocfuseError as problem:
-        raise LocfuseError(f"{name}: {problem.message}", role="map") from None
-    if not lines:
-        raise LocfuseError(f"{name} has no wall of 0.3 m or more: nothing can be localised in it")
-    found = _with_map(loaded, lines, name)
-    known = found.robot.start_given and found.robot.start.sigma_xy < UNKNOWN_START_M
-    return found if known else _with_start(found, grid, name)
-
-
-def _with_start(loaded: Loaded, grid: Grid, name: str) -> Loaded:
-    """Return the log with the start pose found by matching the first scans with the map."""
+    """Return the log with a grid's walls as its map; an unknown start is found by the first scans."""
     drive, robot = loaded.drive, loaded.robot
-    m = drive.measurements["lrf"]
-    if m.points is None:
+    if (m := drive.measurements.get("lrf")) is None:
+        raise drive.lacks("lrf")
+    known = robot.start_given and robot.start.sigma_xy < UNKNOWN_START_M
+    if m.points is None and not known:
         raise LocfuseError(f"the start in {name} cannot be looked for: set [start] x, y, theta_deg", role="start")
     try:
-        found = find_start(grid, m.t, m.points, drive.wheels)
+        lines = walls_of(grid)
+        if not lines:
+            raise LocfuseError("no wall of 0.3 m or more: nothing can be localised in it")
+        found = find_start(grid, m.t, m.points, drive.wheels) if m.points is not None and not known else None
     except LocfuseError as problem:
         raise LocfuseError(f"{name}: {problem.message}", role="map") from None
+    loaded = _with_map(loaded, lines, name)
+    if found is None:
+        return loaded
     x, y, theta = pose = at_start(found, drive.wheels).tolist()
     words = (
         f"the drive begins in {name} at x {x:.2f} m, y {y:.2f} m, {math.degrees(theta):.0f} deg: looked for in "
         f"all of the map by the scans up to {found.until:.1f} s ({found.share:.0%} of the beams end at walls)"
     )
-    placed = robot.begun_at(pose, FOUND_XY, FOUND_THETA_RAD)
+    placed = loaded.robot.begun_at(pose, FOUND_XY, FOUND_THETA_RAD)
     stale = start_notes(robot, drive)  # notes on the old start
     notes = (*(note for note in drive.notes if note not in stale), words, *start_notes(placed, drive))
     return replace(loaded, robot=placed, drive=replace(drive, notes=notes))

@@ -79,12 +79,9 @@ def scene(compared: Compared) -> Scene:
 
 def _landmarks(compared: Compared) -> list[tuple[float, float]]:
     """Return positions [m, map frame] of landmarks and anchors, given or estimated."""
-    robot, found = compared.loaded.robot, []
-    for sensor in compared.loaded.drive.measurements:
-        settings = robot.settings(sensor)
-        found += [REGISTRY[sensor].landmark(settings)]
-        given = settings.places if sensor in of_points() and not settings.grows else {}
-        found += given.values()
+    settings = {sensor: compared.loaded.robot.settings(sensor) for sensor in compared.loaded.drive.measurements}
+    found = [REGISTRY[sensor].landmark(of) for sensor, of in settings.items()]
+    found += [p for s, of in settings.items() if s in of_points() and not of.grows for p in of.places.values()]
     best = max(compared.estimates, key=lambda e: (len(e.points), len(e.sensors)))
     found += [(x, y) for _, x, y in best.points]
     return list(dict.fromkeys((float(p[0]), float(p[1])) for p in found if p is not None))

@@ -33,8 +33,6 @@ UNREADABLE = (
     f"its settings (attachment {ATTACHMENT}) cannot be read: {{}}; its topics and defaults are used instead. Give "
     "settings with --robot FILE; locfuse init LOG -o FILE writes one"
 )
-Tables = dict[str, type[msgspec.Struct]]
-BASE_TABLES: Tables = {"wheels": WheelSettings, "start": StartSettings, "truth": TruthSettings}
 
 
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -150,26 +148,19 @@ def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]
     for table, key, text in list(files_of(tables)):
         if f"{table}.{key}" in given or log.recorded(text):
             continue
-        folder = log.paths[0].parent
-        if not isinstance(folder, Path) or not _is_below(folder, text):
-            raise LocfuseError(
-                f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only "
-                "files in its own folder, by a path without '..'",
-                hint=f"give {table}.{key} in a file of your own: --robot FILE",
+        path, folder = Path(text), log.paths[0].parent
+        plain = not (path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text)
+        if not (plain and isinstance(folder, Path) and (folder / path).resolve().is_relative_to(folder.resolve())):
+            words = (
+                f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only"
             )
+            hint = f"give {table}.{key} in a file of your own: --robot FILE"
+            raise LocfuseError(f"{words} files in its own folder, by a path without '..'", hint=hint)
         place = str(folder / text)
         before = tables[table][key]
         now = place if isinstance(before, str) else [place if one == text else one for one in before]
         tables = robot_toml.merge(tables, {table: {key: now}})
     return tables
-
-
-def _is_below(folder: Path, text: str) -> bool:
-    """Return whether a path is relative and leads into the folder, also after following links."""
-    path = Path(text)
-    if path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text:
-        return False
-    return (folder / path).resolve().is_relative_to(folder.resolve())
 
 
 def flat(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -208,7 +199,8 @@ def _checked(data: bytes, source: str) -> dict[str, Any]:
 
 def table_types() -> dict[str, type[msgspec.Struct]]:
     """Return the type of each table of robot.toml: wheels, start, truth, then every sensor."""
-    return {**BASE_TABLES, **{name: sensor.Settings for name, sensor in REGISTRY.items()}}
+    sensors = {name: sensor.Settings for name, sensor in REGISTRY.items()}
+    return {"wheels": WheelSettings, "start": StartSettings, "truth": TruthSettings, **sensors}
 
 
 def make_robot(tables: Mapping[str, Any]) -> Robot:

@@ -98,12 +98,9 @@ def _named(log: Log, robot: Robot) -> list[str]:
     if steering := steering_ticks(log, robot, topic):
         return [topic, steering]
     fix = f"wheels.left_topic={topic}"
-    raise LocfuseError(
-        f"{topic} holds one number, which is one wheel.",
-        role="wheels",
-        fixes=(fix,),
-        hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
-    )
+    words = f"{topic} holds one number, which is one wheel."
+    hint = f"Name both with --set {fix} --set wheels.right_topic=<topic>"
+    raise LocfuseError(words, role="wheels", fixes=(fix,), hint=hint)
 
 
 def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
@@ -151,12 +148,8 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
     if len(pairs) > 1:
         listed = "; ".join(f"{left} and {right}" for left, right in pairs)
         fixes = (f"wheels.left_topic={pairs[0][0]}", f"wheels.right_topic={pairs[0][1]}")
-        raise LocfuseError(
-            f"{log.name} has {len(pairs)} pairs of topics that fit: {listed}.",
-            role="wheels",
-            fixes=fixes,
-            hint=f"Choose one with --set {fixes[0]} --set {fixes[1]}",
-        )
+        words, hint = f"{len(pairs)} pairs of topics that fit", f"Choose one with --set {' --set '.join(fixes)}"
+        raise LocfuseError(f"{log.name} has {words}: {listed}.", role="wheels", fixes=fixes, hint=hint)
     if pairs:
         return list(pairs[0]), "the only pair of numbers named left and right"
     return tricycle, of_tricycle if tricycle else ""

@@ -145,7 +145,7 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
 
     Raises UsageError for invalid settings, an invalid pattern or an invalid sweep.
     """
-    pattern = _pattern(robot_from, every.how.robots)
+    robot_of = _robot_by(robot_from, every.how.robots)
     fixed = tuple(file for file in every.how.robots if ROBOT_PLACEHOLDER not in str(file))
     given_layers(replace(every.how, robots=fixed))
     of_sweep = tuple(SweepCell(*found) for found in cells(swept(sweeps)).items()) if sweeps else every.cells
@@ -159,7 +159,7 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
             log=tuple(log),
             folder=every.folder / name,
             outputs=replace(every.outputs, figures=figures and figures / name),
-            robot=None if pattern is None else robot_of(pattern, log),
+            robot=robot_of(log[0]),
             cells=of_sweep,
         )
         try:
@@ -171,12 +171,15 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
     return jobs
 
 
-def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
-    """Return the pattern of --robot-from. Raises UsageError if it is invalid, or missing but needed."""
+def _robot_by(text: str | None, files: Sequence[Path]) -> Callable[[str], str | None]:
+    """Return a function from a log's path to its robot, by --robot-from; None: the pattern does not match.
+
+    Raises UsageError if the pattern is invalid, or missing but needed.
+    """
     if text is None:
         if unnamed := [file for file in files if ROBOT_PLACEHOLDER in str(file)]:
             raise UsageError(f"--robot {unnamed[0]}: say how a log's path names its robot with --robot-from REGEX")
-        return None
+        return lambda path: None
     try:
         pattern = re.compile(text)
     except re.error as problem:
@@ -184,15 +187,12 @@ def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
     if not pattern.groups:
         fix = "put the robot's name in a group, such as 'fleet/(?P<robot>[^/]+)/'"
         raise UsageError(f"--robot-from {text!r}: {fix}")
-    return pattern
 
+    def robot_of(path: str) -> str | None:
+        found = pattern.search(path) or pattern.search(Path(path).resolve().as_posix())
+        return found and found["robot" if "robot" in pattern.groupindex else 1]
 
-def robot_of(pattern: re.Pattern[str], log: Sequence[str]) -> str | None:
-    """Return a log's robot by its path (as typed, then absolute); None if the pattern does not match."""
-    for path in (log[0], Path(log[0]).resolve().as_posix()):
-        if found := pattern.search(path):
-            return found["robot"] if "robot" in pattern.groupindex else found[1]
-    return None
+    return robot_of
 
 
 def _file_of(file: Path, robot: str | None) -> Path:

@@ -332,11 +332,8 @@ def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progr
     one, stream = loaded[0], loaded[0].stream("wheels")
     reference = None if len(loaded) > 1 else _reference(one, progress)
     if reference is None or not isinstance(stream, MergedStream):
-        raise LocfuseError(
-            "a steered tricycle is calibrated by one log with truth, laser or gyro",
-            role="calibrate",
-            hint="(--set truth.topic=/TOPIC names a truth)",
-        )
+        words = "a steered tricycle is calibrated by one log with truth, laser or gyro"
+        raise LocfuseError(words, role="calibrate", hint="(--set truth.topic=/TOPIC names a truth)")
     encoders = read_encoders(stream, settings)
     shift = (encoders.zero_ns - one.drive.epoch_ns) * 1e-9 + settings.time_offset
     found = calibrate_tricycle(encoders, settings, reference, shift)

@@ -107,17 +107,8 @@ def info(
     """Return what is in a log, which sensor reads which topic and why, what is missing, and what looks wrong.
 
     Use it for a log that `load` refuses: an error becomes a finding, with the settings that fix it. Values are as
-    printed by `locfuse info LOG --json`; `locfuse schema info` has their units and meaning.
-
-    Args:
-        log: as in `load`.
-        robot: a robot.toml.
-        sets: single keys of robot.toml.
-        order: as in `load`.
-        progress: called with the name of every step, such as `print`.
-
-    Raises:
-        LocfuseError: no such file, not a log, or a robot.toml that cannot be read.
+    printed by `locfuse info LOG --json`; `locfuse schema info` has their units and meaning. Arguments are those of
+    `load`. Raises LocfuseError for no such file, not a log, or a robot.toml that cannot be read.
     """
     return inspected(words_of(log), log_options(robot, sets, order, None), progress)
 

@@ -22,8 +22,11 @@ from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.log import Log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.report import json_report
+from locfuse.formats.report.changes import judged_by
+from locfuse.formats.report.structure import ReportedResult
 from locfuse.formats.report.summary import OVER_LOGS
 from locfuse.fusion.data import LocfuseError, UsageError
+from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
 from .settings import GateOptions
 
@@ -107,8 +110,6 @@ class Gates(msgspec.Struct, frozen=True):
     @classmethod
     def read(cls, typed: GateOptions, of_fleet: bool = False) -> Gates:
         """Return the gates of --fail-if, --baseline and --tolerance. Raises LocfuseError for an invalid gate."""
-        from locfuse.formats.report.structure import ReportedResult
-
         limits = [parse_gate(text) for text in typed.fail_if]
         together = [gate for gate in limits if of_fleet and gate.figure.startswith(OF_FLEET)]
         each, known = [gate for gate in limits if gate not in together], ReportedResult.__struct_fields__
@@ -209,8 +210,6 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
     """Return why gate and report do not fit: one means errors to truth, the other to a reference; else None."""
-    from locfuse.fusion.judge.evaluate import ERROR_KEYS
-
     asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
     if asked:
         return None if report.get("reference") else "no reference judged this log; it needs a log without truth"
@@ -249,8 +248,6 @@ def _is_number(value: Any) -> bool:
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     """Return a line for each error that grew beyond the tolerance, or one line why errors cannot be compared."""
-    from locfuse.formats.report.changes import judged_by
-
     then, now = judged_by(baseline.values), judged_by(report)
     if then != now and None not in (then, now):
         return [f"--baseline {baseline.path}: its errors are against {then}, these against {now}: no comparison"]
@@ -259,8 +256,6 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
 
 def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tuple[str, ...], float]:
     """Return a report's errors, or with `of_fleet` a summary's. Keys: (path, error name, *reference sensors)."""
-    from locfuse.fusion.judge.evaluate import ERROR_KEYS
-
     found: dict[tuple[str, ...], float] = {}
     for name, values in configurations.items():
         reference = (values.get("reference") or {}).get("sensors") or ()

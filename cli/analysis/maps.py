@@ -13,6 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.caps import MAX_WALLS, names_its_cap
+from locfuse.formats.robot import line_map, map_image
 from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
 from locfuse.fusion.map.given_map import Grid, at_start, find_start, walls_of
 
@@ -32,8 +33,6 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     """
     if loaded.robot.preset == "paper":
         raise UsageError("--map: the paper's filter knows its first scan's walls only; leave --preset paper out")
-    from locfuse.formats.robot import line_map, map_image
-
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
@@ -49,8 +48,6 @@ def give_topic(loaded: Loaded) -> Loaded:
     topic = loaded.robot.settings("lrf").map_topic
     if topic is None or loaded.robot.preset == "paper":
         return loaded
-    from locfuse.formats.robot import map_image
-
     info = loaded.log.find(topic)
     if info is None or info.msgtype != GRID:
         what = "is not there" if info is None else f"is {info.msgtype}"

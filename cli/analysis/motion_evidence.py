@@ -10,16 +10,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse.formats.logs.log import Log
 from locfuse.fusion.checks.examine import too_short
 from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, understood
-from locfuse.fusion.lines.scans import equal_scans
+from locfuse.fusion.lines.scans import Laser, equal_scans
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.level import FIELD, IMU
 from locfuse.fusion.sensors.lrf import Lrf, laser_of
@@ -27,17 +28,13 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.motion import distances_explained, turns_explained
+from locfuse.fusion.wheels.motion_by_scans import MatchedScans, match_scans
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
+from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
 
 from .mounts import mount_tables, transforms_of
 from .topics import Choice, Note, filled, of_sensor, of_type
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
-    from locfuse.fusion.lines.scans import Laser
-    from locfuse.fusion.wheels.motion_by_scans import MatchedScans
-    from locfuse.fusion.wheels.scan_agreement import ScanPairs
 
 MAX_SPEEDS = 2  # topics of commanded or measured speeds that are scored beside scan matching
 MOUNT_KEYS = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
@@ -75,8 +72,6 @@ _matched_scans: WeakKeyDictionary[Log, dict[tuple[object, ...], MatchedScans]] =
 
 def path_of(log: Log, topic: str, order: str, laser: Laser) -> MatchedScans:
     """Return the motion by scan matching; scans are matched once per mount and range scale of the laser."""
-    from locfuse.fusion.wheels.motion_by_scans import match_scans  # imports SciPy
-
     known, how = _matched_scans.setdefault(log, {}), (topic, order, *laser.mount.tolist(), *laser[1:-1])
     if how not in known:
         known[how] = match_scans(log.stream(topic, order), laser)
@@ -174,8 +169,6 @@ class MotionEvidence:
 
     def _judging(self, motions: Sequence[WheelReading]) -> ScanPairs | None:
         """Return the scan pairs, chosen by the first `motions` and then kept; None if they cannot judge."""
-        from locfuse.fusion.wheels.scan_agreement import scan_pairs  # imports SciPy
-
         if self._pairs is None:
             with suppress(LocfuseError):  # scans that cannot be read are reported where they are measured
                 stream = self._log.stream(self._topic, self._robot.order)

@@ -1,22 +1,23 @@
-"""Files of a result by kind, and trajectories in the formats of other tools (--export).
-
-Imports are inside the functions: `--write json` needs no plotting.
-"""
+"""Files of a result by kind, and trajectories in the formats of other tools (--export)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from locfuse.formats.figures.panels import Scene
+from locfuse.formats.figures.sections import sections
 from locfuse.formats.logs.clock import MAX_DELAY_S
-from locfuse.formats.report import json_report
+from locfuse.formats.report import html, json_report, markdown, render, tables
+from locfuse.formats.results import trajectory as to
 from locfuse.formats.robot import robot_toml
+from locfuse.formats.whole_files import Content
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Estimates, Event
+from locfuse.fusion.data import Drive, Estimates, Event
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
@@ -24,25 +25,15 @@ from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
 from .compare import Compared
+from .load import Loaded
 from .robot_tables import files_of
 from .verdicts import credit_values
-
-if TYPE_CHECKING:
-    from locfuse.formats.figures.panels import Scene
-    from locfuse.formats.whole_files import Content
-    from locfuse.fusion.data import Drive
-
-    from .load import Loaded
 
 MCAP = "estimates.mcap"
 
 
 def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
     """Return file name -> content for these kinds of output."""
-    from locfuse.formats.figures.sections import sections
-    from locfuse.formats.report import html, markdown, render, tables
-    from locfuse.formats.results import trajectory as to
-
     drive, out = compared.loaded.drive, dict[str, Content]()
     if "tum" in kinds:
         out |= exported_files(["tum"], compared.loaded, {e.name: e for e in compared.estimates})
@@ -59,8 +50,6 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
 
 def scene(compared: Compared) -> Scene:
     """Return all data that figures show: drive, estimates, evaluations, and NIS with chi-square bounds."""
-    from locfuse.formats.figures.panels import Scene
-
     drive, drawn = compared.loaded.drive, compared.drawn
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
     return Scene(
@@ -97,8 +86,6 @@ def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
 
 def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
     """Return file name -> content in the formats of other tools; `found` has the trajectories by file name."""
-    from locfuse.formats.results import trajectory as to
-
     out: dict[str, Content] = {}
     writers: dict[str, dict[str, Callable[[Drive, Estimates], Iterator[str]]]] = {
         "kitti": {"_kitti.txt": to.kitti_blocks, "_kitti_times.txt": to.kitti_times},

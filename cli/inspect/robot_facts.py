@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
 from locfuse.cli.analysis.topics import Choice, Note, filled
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
+from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
@@ -26,16 +27,13 @@ from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
+from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle, nominal, of_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_motion, by_odometry
 from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY, commanded
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .topics import TopicFacts
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
-    from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration
 
 ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
 MAX_STEERED_MISFIT = 0.02  # largest rms / distance of a good fit
@@ -141,8 +139,6 @@ def _steered(both: Stream, loaded: Loaded) -> tuple[Steered | None, str]:
 def _fitted(both: MergedStream, loaded: Loaded, truth: Truth) -> Steered | None:
     """Return a tricycle calibrated by truth; None if the fit is bad."""
     # imports SciPy
-    from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle, nominal, of_truth
-
     with suppress(LocfuseError):  # reported where the encoders are used
         shift = (int(both.parts[0].t_ns[0]) - loaded.drive.epoch_ns) * 1e-9 + loaded.robot.wheels.time_offset
         known = nominal(both, loaded.robot.wheels, of_truth(truth), shift)

@@ -14,9 +14,10 @@ from msgspec.structs import replace
 from locfuse.cli.analysis import outputs
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.figures import palette
+from locfuse.formats.figures.for_paper import draw
 from locfuse.formats.figures.panels import Curve, Panel, Spots, Strokes
 from locfuse.formats.figures.sections import sections
-from locfuse.formats.report import json_report
+from locfuse.formats.report import json_report, paper_page, render
 from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Array, Colour
 from locfuse.fusion.sensors.registry import colours
@@ -155,9 +156,6 @@ def repeat(progress: Progress, jobs: int) -> Repeated:
 
 def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     """Return file name -> content for table, figures and page."""
-    from locfuse.formats.figures.for_paper import draw
-    from locfuse.formats.report import paper_page, render
-
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
     traces = palette.traces_of(found.compared["ours"].compared.estimates)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack, cast, get_args
 import msgspec
 from msgspec.structs import replace
 
+from locfuse.cli.advice.evaluator import advise, advise_on_run
 from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log, with_others
@@ -42,6 +43,7 @@ from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.whole_drive.reference import may_have_reference, refuse
 
 from .foreign import foreign_estimates, named_sources
 from .jitter import add_jitter, check_runs
@@ -188,8 +190,6 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         compared = run_log(self.loaded, used, asked)
         advised = Advised() if advice else None
         if advice and self._moves():
-            from locfuse.cli.advice.evaluator import advise_on_run  # imports all checks
-
             advised = advise_on_run(compared, self.progress, align)
         return Run(compared, self._reported(report_of_run(compared), compared, asked, advised))
 
@@ -234,8 +234,6 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
         advised = None
         if asked.advice and self._moves():
-            from locfuse.cli.advice.evaluator import advise  # imports all checks
-
             advised = advise(self.loaded, self.progress, asked.align, alone)
         report = self._reported(report, compared, asked, advised, advised is not None)
         return Comparison(compared, report)
@@ -253,8 +251,6 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         short = asked.smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
         if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
-        from locfuse.fusion.whole_drive.reference import may_have_reference, refuse  # imports the graph solver
-
         if wanted:
             refuse(self.drive, self.robot)
         return may_have_reference(self.drive, self.robot)

@@ -174,24 +174,26 @@ def cluster(address: str) -> Iterator[Executor]:
         try:
             client = connect(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as problem:
-            raise LocfuseError(
-                f"--cluster {address}: no scheduler answers there ({_line(problem)}); start one with: "
-                "dask scheduler --host 127.0.0.1 --dashboard-address 127.0.0.1:0"
-            ) from None
+            start = "dask scheduler --host 127.0.0.1 --dashboard-address 127.0.0.1:0"
+            words = f"no scheduler answers there ({_line(problem)}); start one with: {start}"
+            raise LocfuseError(f"--cluster {address}: {words}") from None
         with client:
-            try:
-                client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
-            except TimeoutError:
-                words = f"the scheduler has no workers; start some with: dask worker {address}"
-                raise LocfuseError(f"--cluster {address}: {words}") from None
-            for worker, found in client.run(version, "locfuse", on_error="return").items():
-                if found != (ours := own()):
-                    lacks = isinstance(found, Exception)
-                    has = (
-                        f"no locfuse: pip install locfuse=={ours}" if lacks else f"locfuse {found}, this is {ours}"
-                    )
-                    raise LocfuseError(f"--cluster {address}: worker {worker} has {has}")
+            _check_workers(address, client)
             yield client.get_executor(retries=MAX_RETRIES, pure=False)
+
+
+def _check_workers(address: str, client: Any) -> None:
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
+    except TimeoutError:
+        words = f"the scheduler has no workers; start some with: dask worker {address}"
+        raise LocfuseError(f"--cluster {address}: {words}") from None
+    ours = own()
+    for worker, found in client.run(version, "locfuse", on_error="return").items():
+        if found != ours:
+            other = f"locfuse {found}, this is {ours}"
+            other = f"no locfuse: pip install locfuse=={ours}" if isinstance(found, Exception) else other
+            raise LocfuseError(f"--cluster {address}: worker {worker} has {other}")
 
 
 def _line(problem: Any) -> str:

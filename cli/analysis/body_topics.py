@@ -130,7 +130,8 @@ def _with_notes(body: Body, evidence: MotionEvidence | MotionSensors) -> Body:
 def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | MotionSensors | None) -> Body | None:
     """Return the only motion of a kind that agrees with the other sensors; None if none agrees."""
     if evidence is not None:
-        same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
+        kept = evidence.keep([body.topics for body in same])
+        same = [body for body in same if body.topics in kept]
     topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
     return next((body for body in same if body.topic == topic), None)
 

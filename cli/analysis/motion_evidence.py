@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -58,13 +58,12 @@ Topics = tuple[str, ...]
 Read = dict[Topics, WheelReading]  # motions read during the choice, by their topics
 
 
-def motion_of(log: Log, robot: Robot, topics: Sequence[str], read: Read) -> WheelReading | None:
+def motion_of(log: Log, robot: Robot, topics: Topics, read: Read) -> WheelReading | None:
     """Return the motion of topics; None if they cannot be read (reported where the topics are used)."""
-    if tuple(topics) not in read:
+    if topics not in read:
         with suppress(LocfuseError):
-            streams = [log.stream(topic, robot.order) for topic in topics]
-            read[tuple(topics)] = read_wheels(merged(streams), robot.wheels)
-    return read.get(tuple(topics))
+            read[topics] = read_wheels(merged([log.stream(t, robot.order) for t in topics]), robot.wheels)
+    return read.get(topics)
 
 
 _matched_scans: WeakKeyDictionary[Log, dict[tuple[object, ...], MatchedScans]] = WeakKeyDictionary()
@@ -90,34 +89,29 @@ class MotionEvidence:
         self._shares: dict[Topics, float] = {}
         self._rejected: dict[Topics, str] = {}  # with the reason
 
-    def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
-        """Return for each motion whether it is kept: it agrees with the scans about as well as the best one.
+    def keep(self, candidates: Sequence[Topics]) -> list[Topics]:
+        """Return the motions that agree with the scans about as well as the best one.
 
         Motions that cannot be read or judged are kept.
         """
-        known = {}
-        for topics in map(tuple, candidates):
-            if (motion := motion_of(self._log, self._robot, topics, self._read)) is not None:
-                known[topics] = motion
+        read = {topics: motion_of(self._log, self._robot, topics, self._read) for topics in candidates}
+        known = {topics: motion for topics, motion in read.items() if motion is not None}
         if not known or self._judging([*known.values()]) is None:
-            return [True] * len(candidates)
-        kept = [self._agrees(topics, motion) for topics, motion in known.items()]
-        left = [topics for topics, stays in zip(known, kept, strict=True) if stays]
+            return [*candidates]
+        left = [topics for topics, motion in known.items() if self._agrees(topics, motion)]
         best = max((self._shares[t] for t in left), default=0.0)
         left = [t for t in left if self._shares[t] > best - ALIKE_SHARE]
-        return [tuple(topics) not in known or tuple(topics) in left for topics in candidates]
+        return [topics for topics in candidates if topics not in known or topics in left]
 
     def look_at(self, speeds: Sequence[str]) -> None:
         """Compare topics of speeds with the scans, only for the notes: scan matching is preferred to them."""
         self._by_scans = True
         for topic in speeds[:MAX_SPEEDS]:
-            motion = motion_of(self._log, self._robot, [topic], self._read)
-            if motion is None or motion.wheels.stands:
-                continue
-            if (pairs := self._judging([motion])) is not None:
+            motion = motion_of(self._log, self._robot, (topic,), self._read)
+            if motion and not motion.wheels.stands and (pairs := self._judging([motion])) is not None:
                 self._rejected[topic,] = f"by {topic}, speeds, {pairs.of(motion):.0%}"
 
-    def behind(self, topics: Sequence[str], motion: WheelReading) -> str:
+    def behind(self, topics: Topics, motion: WheelReading) -> str:
         """Return a note if scan matching fits the laser clearly better than the chosen motion, else ""."""
         if (pairs := self._judging([motion])) is None:
             return ""
@@ -131,9 +125,9 @@ class MotionEvidence:
             f"--set wheels.topic={self._topic}, or let `locfuse calibrate` find radius and track"
         )
 
-    def why(self, topics: Sequence[str]) -> str:
+    def why(self, topics: Topics) -> str:
         """Return the share of scan points that agree with a chosen motion, in words; "" if it was not compared."""
-        share = self._shares.get(tuple(topics))
+        share = self._shares.get(topics)
         return "" if share is None else f"{share:.0%} of a scan's points agree with it"
 
     @property
@@ -188,53 +182,43 @@ class MotionEvidence:
         return understood(laser, (scans for columns in first for _, scans in equal_scans(columns)))
 
 
-class MotionSensor(NamedTuple):
-    """A sensor that measures motion, and the share of its measurements that each motion topic explains."""
-
-    name: str  # "the turning of /imu"
-    shares: dict[Topics, float]  # by the topics of a motion
-
-
 class MotionSensors:
     """Judges motion topics by the first sensor whose measurements at least one of the topics explains."""
 
     agrees = "it agrees best with the other sensors"
 
-    def __init__(self, log: Log, robot: Robot, motions: Sequence[Sequence[str]], read: Read) -> None:
+    def __init__(self, log: Log, robot: Robot, motions: Sequence[Topics], read: Read) -> None:
         self._log, self._robot, self._read = log, robot, read
-        self._motions = {tuple(topics): None for topics in motions}
-        self._rejected: dict[Topics, None] = {}  # as an ordered set
+        self._motions = list(dict.fromkeys(motions))
+        self._rejected: dict[Topics, float] = {}  # with the share that each explains
 
-    def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
-        """Return for each motion whether it is kept: it explains the sensor about as well as the best one.
+    def keep(self, candidates: Sequence[Topics]) -> list[Topics]:
+        """Return the motions that explain the sensor about as well as the best one.
 
         All motions are kept if no sensor can judge; motions that cannot be read are always kept.
         """
-        if self._sensor is None:
-            return [True] * len(candidates)
-        shares, best = self._sensor.shares, max(self._sensor.shares.values())
-        kept = [shares.get(tuple(topics), best) for topics in candidates]
-        least = max(best - LESS_EXPLAINED_SHARE, max(kept, default=0.0) - ALIKE_SHARE)
-        self._rejected |= {tuple(t): None for t, share in zip(candidates, kept, strict=True) if share < least}
-        return [share >= least for share in kept]
+        _, shares = self._sensor
+        best = max(shares.values(), default=0.0)
+        known = {topics: shares.get(topics, best) for topics in candidates}
+        least = max(best - LESS_EXPLAINED_SHARE, max(known.values(), default=0.0) - ALIKE_SHARE)
+        self._rejected |= {topics: share for topics, share in known.items() if share < least}
+        return [topics for topics, share in known.items() if share >= least]
 
-    def why(self, topics: Sequence[str]) -> str:
+    def why(self, topics: Topics) -> str:
         """Return the share of the sensor's measurements that a motion explains, in words; "" without a sensor."""
-        share = None if self._sensor is None else self._sensor.shares.get(tuple(topics))
-        return "" if share is None or self._sensor is None else f"it explains {share:.0%} of {self._sensor.name}"
+        name, shares = self._sensor
+        return f"it explains {shares[topics]:.0%} of {name}" if topics in shares else ""
 
     @property
     def note(self) -> str:
         """Return a sentence on the rejected motions: the shares that they explain; "" if none is rejected."""
-        if self._sensor is None or not self._rejected:
-            return ""
-        parts = [f"{' and '.join(topics)} explains {self._sensor.shares[topics]:.0%}" for topics in self._rejected]
-        return f"{'; '.join(parts)} of {self._sensor.name}"
+        parts = [f"{' and '.join(topics)} explains {share:.0%}" for topics, share in self._rejected.items()]
+        return f"{'; '.join(parts)} of {self._sensor[0]}" if parts else ""
 
-    def unjudged(self, topics: Sequence[str]) -> str:
+    def unjudged(self, topics: Topics) -> str:
         """Return a note if another motion disagrees and no sensor can judge the two; else ""."""
-        own = self._readable.get(tuple(topics))
-        if self._sensor is not None or own is None:
+        own = self._readable.get(topics)
+        if self._sensor[0] or own is None:
             return ""
         for other, motion in self._readable.items():
             t = motion.wheels.t + (motion.epoch_ns - own.epoch_ns) * 1e-9
@@ -255,8 +239,11 @@ class MotionSensors:
         return {topics: motion for topics, motion in read.items() if motion is not None}
 
     @cached_property
-    def _sensor(self) -> MotionSensor | None:
-        """The first sensor of which a motion explains at least MIN_EXPLAINED_SHARE; None without one."""
+    def _sensor(self) -> tuple[str, dict[Topics, float]]:
+        """The first sensor of which a motion explains at least MIN_EXPLAINED_SHARE, and what each motion explains.
+
+        Such as ("the turning of /imu", {("/odom",): 0.98}); ("", {}) without such a sensor.
+        """
         for name, kinds in JUDGING_TYPES.items() if len(self._readable) > 1 else ():
             if (topic := of_sensor(self._log, self._robot, name, kinds)) is None:
                 continue
@@ -264,8 +251,8 @@ class MotionSensors:
             shares = {topics: share for topics, share in found.items() if share is not None}
             if max(shares.values(), default=0.0) >= MIN_EXPLAINED_SHARE:
                 what = "the way between the fixes" if name == "gps" else "the turning"
-                return MotionSensor(f"{what} of {topic}", shares)
-        return None
+                return f"{what} of {topic}", shares
+        return "", {}
 
     def _explained(self, name: str, topic: str, motion: WheelReading) -> float | None:
         """Return the share of a sensor's measurements that a motion explains; None if they cannot judge it."""
@@ -323,7 +310,7 @@ def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> I
         kind = log.topics[topic].msgtype
         if topic in choice.of("wheels") or commanded(topic, kind) or looks_like_truth(topic):
             continue
-        other = motion_of(log, robot, [topic], {})
+        other = motion_of(log, robot, (topic,), {})
         moved = 0.0 if other is None else float(np.hypot(*np.diff(other.wheels.pose[:, :2], axis=0).T).sum())
         if moved > MIN_WAY_M:
             words = f"{own} never moves, but {topic} moves {moved:.1f} m"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 import msgspec
@@ -62,11 +62,8 @@ def carried(*declared: Declared) -> Callable[[F], F]:
             own = {n: v for n, v in given.items() if n not in CARRIED_OPTIONS}
             return command(log, options=_options(given), **own)
 
-        decorated: Any = wrapped
-        for option in reversed(declared):
-            decorated = option(decorated)
-        found: F = decorated
-        return found
+        found: Any = functools.reduce(lambda decorated, option: option(decorated), reversed(declared), wrapped)
+        return cast("F", found)
 
     return decorate
 

@@ -62,15 +62,20 @@ def _fitting(pattern: Url) -> list[str]:
     """Return the remote objects that match a pattern: ** is any number of folders, * and ? stay in one."""
     from locfuse.formats.container.remote_objects import below
 
-    whole = {"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"}
-    parts = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]*\])", pattern.key)
-    some = {p: fnmatch.translate(p).removeprefix("(?s:")[:-3] for p in parts if p.startswith("[")}  # "[!a-c]"
-    wanted = re.compile("".join((whole | some).get(p) or re.escape(p) for p in parts))
+    wanted = re.compile(_regex(pattern.key))
     fixed = re.split(r"[*?\[]", pattern.key)[0].rpartition("/")[0]
     found = below(pattern.at(f"{fixed}/" if fixed else ""))
     if not (fitting := [str(one) for one in found if wanted.fullmatch(one.key)]):
         raise UsageError(f"{pattern}: nothing fits this pattern")
     return fitting
+
+
+def _regex(pattern: str) -> str:
+    """Return a shell pattern as a regular expression."""
+    whole = {"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"}
+    parts = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]*\])", pattern)
+    some = {p: fnmatch.translate(p).removeprefix("(?s:")[:-3] for p in parts if p.startswith("[")}  # "[!a-c]"
+    return "".join((whole | some).get(p) or re.escape(p) for p in parts)
 
 
 def _objects(folder: Url) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from locfuse.formats.figures.panels import Scene
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.logs.clock import MAX_DELAY_S
-from locfuse.formats.report import html, json_report, markdown, render, tables
+from locfuse.formats.report import json_report, markdown, render, tables
 from locfuse.formats.results import trajectory as to
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import Content
@@ -35,11 +35,17 @@ MCAP = "estimates.mcap"
 def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
     """Return file name -> content for these kinds of output."""
     drive, out = compared.loaded.drive, dict[str, Content]()
+
+    def page() -> str:
+        from locfuse.formats.report import html  # imports markupsafe
+
+        return html.render(report, sections(scene(compared)), colours())
+
     if "tum" in kinds:
         out |= exported_files(["tum"], compared.loaded, {e.name: e for e in compared.estimates})
         out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
     made: dict[str, Callable[[], str]] = {
-        "html": lambda: html.render(report, sections(scene(compared)), colours()),
+        "html": page,
         "md": lambda: markdown.render(report),
         "csv": lambda: render.csv(tables.everything(report)),
         "tex": lambda: tables.latex(report),

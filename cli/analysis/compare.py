@@ -161,9 +161,8 @@ def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], 
         contradicting = contradictions(compared.scores, alone)
         wholes = compared.smoothed
         solved = {s: (e, wholes[e.name]) for s, (e, _) in plain.items() if e.name in wholes}
-        references = References.of(
-            drive, robot, solved, verdicts.noise_factors(compared.runs, robot), contradicting
-        )
+        factors = verdicts.noise_factors(compared.runs, robot)
+        references = References.of(drive, robot, solved, factors, contradicting)
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
     aligns = [align] * len(compared.estimates) + [how for _, how in others]
     estimates = [*compared.estimates, *(e for e, _ in others)]

@@ -112,9 +112,8 @@ def load(
     """Open a log, choose its topics, and measure `only` these sensors (None: all), without the roles `aside`."""
     places = find_log(log)
     progress("opening")
-    given = robot_tables.given_tables(
-        how
-    )  # first: a file that changes during the run then gets another key next time
+    # the settings first: a file that changes during the run then gets another key next time
+    given = robot_tables.given_tables(how)
     opened = open_log(places)
     tables, sources = robot_tables.merged_tables(opened, how)
     choice = choose(opened, make_robot(tables), robot_tables.named_by_hand(how.sets))

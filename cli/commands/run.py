@@ -50,11 +50,10 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=outputs.recorded)
         configuration = parse(asked.sensors[0], session.drive)
-        saves_lines = outputs.save_map and (
-            outputs.save_map.suffix != ".csv" or of_points().isdisjoint(configuration.sensors)
-        )
+        save, sensors = outputs.save_map, configuration.sensors
+        saves_lines = save is not None and (save.suffix != ".csv" or of_points().isdisjoint(sensors))
         option = "--map" if how.given_map is not None else "--save-map" if saves_lines else None
-        if option and "lrf" not in configuration.sensors:
+        if option and "lrf" not in sensors:
             raise UsageError(f"{option}: only the laser has a map; add lrf to --sensors")
         may_write(outputs.out or default_folder(session.log.name), outputs.overwrite, options.inputs)
         result = session.run(

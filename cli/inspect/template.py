@@ -44,11 +44,9 @@ MOUNT_DECIMALS = 6
 # instructions for settings that no log contains; Sensor.asks has those of the sensors
 HOW_TO_MEASURE = {
     "wheels": {
-        "radius": Ask(
-            "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", needed=True
-        ),
+        "radius": Ask("m: not in this log. Roll a wheel ten turns along a ruler: way / (10 * 2 pi)", needed=True),
         "track": Ask(
-            "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it", needed=True
+            "m: not in this log. From tyre middle to middle; `locfuse calibrate` refines it", needed=True
         ),
         "wheelbase": Ask("m: not in this log. Between the front and the rear axle", needed=True),
         "erpm_per_mps": Ask(

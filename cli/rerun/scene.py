@@ -35,17 +35,7 @@ from locfuse.formats.rerun.scene import (
 )
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import (
-    Array,
-    Column,
-    Drive,
-    LocfuseError,
-    Motions,
-    Ragged,
-    Stream,
-    Truth,
-    evenly,
-)
+from locfuse.fusion.data import Array, Column, Drive, LocfuseError, Motions, Ragged, Stream, Truth, evenly
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import points_in_base

@@ -40,10 +40,9 @@ class Made(msgspec.Struct, frozen=True):
 def fresh(found: FoundRobot, targets: Sequence[str]) -> Made:
     """Return a new parameter file for these nodes."""
     nodes = [(NODES[target].usual, NODES[target].name, TARGETS[target](found, {})) for target in targets]
-    head = (
-        f"made by locfuse export ros from {found.loaded.log.name}\nfound: measured on this log, or by a file that "
-    )
-    return Made(render(f"{head}tune, calibrate or compare wrote; carried over: as it was set", nodes))
+    head = f"made by locfuse export ros from {found.loaded.log.name}\n"
+    words = "found: measured on this log, or by a file that tune, calibrate or compare wrote"
+    return Made(render(f"{head}{words}; carried over: as it was set", nodes))
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:

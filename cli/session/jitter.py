@@ -75,10 +75,8 @@ def add_ranges(report: dict[str, Any], found: Sequence[Jittered]) -> None:
     for sensor, own in report.get("verdicts", {}).items():
         seen = Counter(run.verdicts[sensor] for run in found if sensor in run.verdicts)
         if len({DIRECTIONS.get(word, 0) for word in (own["verdict"], *seen)}) > 1:
-            counted = sorted(seen.items(), key=lambda pair: (-pair[1], pair[0]))
-            words = (
-                f"The verdict is chance: it changes under jitter ({', '.join(f'{w} {n}' for w, n in counted)})."
-            )
+            counted = ", ".join(f"{w} {n}" for w, n in sorted(seen.items(), key=lambda pair: (-pair[1], pair[0])))
+            words = f"The verdict is chance: it changes under jitter ({counted})."
             recorded = "" if own["verdict"] == NO_EFFECT else f" As recorded: {own['verdict']}."
             own.update(verdict=NO_EFFECT, words=f"{words}{recorded} {own['words']}")
 

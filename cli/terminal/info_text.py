@@ -46,6 +46,7 @@ GAP_NOTE = " gap: the longest time without a message."
 CORRECT = "correct the settings that are named above, then: locfuse info LOG"
 SETTING = re.compile(rf"\b({'|'.join(table_types())})\.[a-z_]+")
 RECORD = "no setting helps: record the robot's wheels, odometry or laser scans, then: locfuse info LOG"
+NO_BREAK = "\xa0"  # a space at which textwrap breaks no line
 MAX_UNREADABLE_LISTED = 6  # number of unreadable topics listed with their reasons
 
 
@@ -190,13 +191,8 @@ def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
 
     Lines are wrapped at `width` characters; None: one line.
     """
-    rows, row = [], head
-    for option in (options((fix,)) for fix in fixes):
-        if width is not None and row.strip() and row != head and len(row) + len(option) > width:
-            rows.append(row.rstrip())
-            row = " " * len(head)
-        row += f"{option} "
-    return [*rows, row.rstrip()]
+    unbroken = " ".join(options((fix,)).replace(" ", NO_BREAK) for fix in fixes)
+    return [line.replace(NO_BREAK, " ") for line in text_table.wrapped(head, unbroken, width)]
 
 
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:

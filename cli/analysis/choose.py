@@ -5,8 +5,8 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from locfuse.formats.logs.log import Log
@@ -22,27 +22,42 @@ from .body_topics import by_fixes
 from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
+TF = "/tf"  # a role of `choose_each`: frames that are topics of landmarks
 LEFT_OUT = "none"  # truth.topic: the log's truth is left out
 
 
 def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
-    """Choose topics. Raises LocfuseError if several fit, none gives the motion, or a named one does not fit.
-
-    A robot.toml serves many logs, so the log may lack topics of sensors or truth that robot.toml names, but not
-    topics that --set names. `insisted`: tables with a topic from --set.
-    """
+    """Choose topics. Raises LocfuseError if several fit, none gives the motion, or a named one does not fit."""
     choice = Choice()
-    offer_presented(log)
-    with suppress(LocfuseError):  # a loop of frames in /tf is reported where they are used
-        offer_tags(log, robot)
-    choose_truth(log, robot, "truth" in insisted, choice)
-    choose_wheels(log, robot, choice)
-    for name in REGISTRY:
-        choose_sensor(log, robot, name, name in insisted, choice)
+    for role, problem in choose_each(log, robot, insisted, choice):
+        if role != TF:  # a loop of frames in /tf is reported where they are used
+            raise problem
     for name, why in unmet(choice.topics).items():
         del choice.topics[name]
         choice.absent[name] = why
     return choice
+
+
+def choose_each(
+    log: Log, robot: Robot, insisted: Collection[str], choice: Choice
+) -> Iterator[tuple[str, LocfuseError]]:
+    """Choose the topics of each role, and yield (role, error) for each role whose choice fails.
+
+    A robot.toml serves many logs, so the log may lack topics of sensors or truth that robot.toml names, but not
+    topics that --set names. `insisted`: tables with a topic from --set.
+    """
+    offer_presented(log)
+    steps: dict[str, Callable[[], None]] = {
+        TF: partial(offer_tags, log, robot),
+        "truth": partial(choose_truth, log, robot, "truth" in insisted, choice),
+        "wheels": partial(choose_wheels, log, robot, choice),
+        **{s: partial(choose_sensor, log, robot, s, s in insisted, choice) for s in REGISTRY},
+    }
+    for role, step in steps.items():
+        try:
+            step()
+        except LocfuseError as problem:
+            yield role, problem
 
 
 def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Choice) -> None:

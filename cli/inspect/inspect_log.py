@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
-from locfuse.cli.analysis.choose import choose_sensor, choose_truth
+from locfuse.cli.analysis.choose import TF, choose_each
 from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured, unbroken
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.motion_evidence import STANDS
@@ -22,7 +20,6 @@ from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_o
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
 from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.cli.analysis.topics import Choice, filled, of_type
-from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.report.findings import options
 from locfuse.formats.robot import robot_toml
@@ -83,26 +80,16 @@ def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> O
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
     """Choose the topics of each role; an error for one role becomes a finding."""
     choice = Choice()
-    offer_presented(log)
-    try:
-        offer_tags(log, robot)
-    except LocfuseError as e:  # the frames form a loop
-        topic, _, words = str(e).partition(": ")
-        found.append(Finding(topic, "tf", words))
-    steps: dict[str, Callable[[], None]] = {
-        "truth": partial(choose_truth, log, robot, "truth" in insisted, choice),
-        "wheels": partial(choose_wheels, log, robot, choice),
-        **{s: partial(choose_sensor, log, robot, s, s in insisted, choice) for s in REGISTRY},
-    }
-    for role, step in steps.items():
-        try:
-            step()
-        except LocfuseError as e:
-            finding = of_error(e, role, "choice")  # severe: `run` and `compare` fail too
-            if isinstance(e, NoWheelsError):
-                finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
-            choice.leave(role, finding.sentence, finding.fixes)
-            found.append(finding)
+    for role, e in choose_each(log, robot, insisted, choice):
+        if role == TF:  # the frames form a loop
+            topic, _, words = str(e).partition(": ")
+            found.append(Finding(topic, "tf", words))
+            continue
+        finding = of_error(e, role, "choice")  # severe: `run` and `compare` fail too
+        if isinstance(e, NoWheelsError):
+            finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
+        choice.leave(role, finding.sentence, finding.fixes)
+        found.append(finding)
     found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes if not note.is_fault]
     return choice
 

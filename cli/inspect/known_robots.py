@@ -8,12 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from contextlib import suppress
-from typing import cast
+from typing import Any, cast
 
 from locfuse import robots
 from locfuse.cli.analysis.topics import of_type
 from locfuse.formats.logs.log import Log
-from locfuse.formats.robot.robot_toml import as_set
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import BODY_READS, SCANS
@@ -56,16 +55,16 @@ def recognise(overview: Overview) -> tuple[str, str] | None:
     return None
 
 
-def open_figures(model: str, overview: Overview, given: Collection[str]) -> dict[str, tuple[str, str]]:
-    """Return {key: ("key=value", source in words)}: a known robot's values for settings that the log needs.
+def open_figures(model: str, overview: Overview, given: Collection[str]) -> dict[str, tuple[Any, str]]:
+    """Return {key: (value, source in words)}: a known robot's values for settings that the log needs.
 
     `given` are the keys that have a value already.
     """
-    found: dict[str, tuple[str, str]] = {}
+    found: dict[str, tuple[Any, str]] = {}
     for key, figure in robots.figures(model).items():
         table, _, name = key.partition(".")
         if key not in given and _needed(overview, table, name, figure.value, given):
-            found[key] = as_set(key, figure.value), f"by robots/{model}.toml, {figure.words}"
+            found[key] = figure.value, f"by robots/{model}.toml, {figure.words}"
     return found
 
 

@@ -106,12 +106,12 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
     typed, how = how, replace(how, sets=(*words, *how.sets))
     overview = inspect_log(log, how, progress)
     given = _given(overview, typed, imported)
-    fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
+    fixes: Known = {}
     robot, shown = "", _fixes(filter(_may_apply, overview.findings))
 
     def inspected() -> Overview:
-        sets = (*how.sets, *(fix for fix, _ in fixes.values()))
-        return inspect_log(log, replace(how, sets=sets), progress)
+        sets = (robot_toml.as_set(key, value) for key, (value, _) in fixes.items())
+        return inspect_log(log, replace(how, sets=(*how.sets, *sets)), progress)
 
     if (known_robot := recognise(overview)) is not None:
         model, sign = known_robot
@@ -128,12 +128,13 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
             break
         fixes |= new
         overview = inspected()
-    known = {**found(overview), **_as_known(fixes), **given}
-    suggested = _as_known({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
+    known = {**found(overview), **fixes, **given}
+    suggested = {key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes}
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
     sections = [TomlSection(name, tuple(lines(facts, name, missing))) for name in ("", *table_types())]
-    guesses = [f"{fix} ({why.removeprefix(GUESS)})" for fix, why in fixes.values() if why.startswith(GUESS)]
+    guessed = {key: (value, why) for key, (value, why) in fixes.items() if why.startswith(GUESS)}
+    guesses = [f"{key}={value} ({why.removeprefix(GUESS)})" for key, (value, why) in guessed.items()]
     return Draft(overview, sections, missing, guesses, robot)
 
 
@@ -146,22 +147,23 @@ def _given(overview: Overview, how: LogOptions, imported: Mapping[str, Mapping[s
     return {key: (merged[key], f"by {who}") for who, tables in layers for key in flat(tables)}
 
 
-def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
-    """Return {key: ("key=value", reason)} of the valid fixes.
+def _fixes(findings: Iterable[Finding]) -> Known:
+    """Return {key: (value, reason)} of the valid fixes.
 
     If wheel geometry was found, other fixes for wheels are left out, since they are for an odometry topic.
     """
     found = list(findings)
     replaced = any(f.code == "geometry" and f.fixes for f in found)
     kept = (f for f in found if not replaced or f.role != "wheels" or f.code == "geometry")
-    valid: dict[str, tuple[str, str]] = {}
+    valid: Known = {}
     for f in kept:
         why = f"{GUESS if f.code in GUESSED_CODES else 'as this log shows: '}{f.sentence}"
         why = (f.source or f.message) if f.code == "geometry" else why
         for fix in f.fixes:
             with suppress(LocfuseError):  # a placeholder, which is no value
-                make_robot(robot_toml.apply_sets([fix]))
-                valid[fix.partition("=")[0]] = fix, why
+                tables = robot_toml.apply_sets([fix])
+                make_robot(tables)
+                valid |= {key: (value, why) for key, value in flat(tables).items()}
     return valid
 
 
@@ -173,10 +175,6 @@ def _may_apply(f: Finding, known: Collection[str] = ()) -> bool:
     """
     again = {*_fixes((f,))} <= {*known}
     return f.code != OPEN_SCALE and (f.severe or again or f.code in {*MEASURED_CODES, "choice"})
-
-
-def _as_known(fixes: Mapping[str, tuple[str, str]]) -> Known:
-    return {key: (flat(robot_toml.apply_sets([fix]))[key], why) for key, (fix, why) in fixes.items()}
 
 
 class Facts(NamedTuple):

@@ -186,7 +186,9 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     estimated = [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in of_robot]
     if (body := _only_motion(log, estimated, None)) is not None:
         return body
-    best, others = nearest_to_base(_twists(log, robot, choice, asked=True))
+    commands = _twists(log, robot, choice, asked=True)
+    best = [t for t in commands if _steps_to_base(t) == min(map(_steps_to_base, commands))]
+    others = [t for t in commands if t not in best]
     obeyed = _best_agreeing(log, robot, choice, [[Body(t, NOTHING_ELSE) for t in best]])
     if obeyed is not None:
         topic = obeyed.topic
@@ -204,16 +206,11 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     return None
 
 
-def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split command topics by name: those that the base's driver probably reads, and the others."""
-
-    def rank(topic: str) -> int:
-        name = topic.rpartition("/")[2].lower()
-        return 0 if name in NEAR_BASE else 2 if NAMES_UPSTREAM.search(topic.lower()) else 1
-
-    least = min(map(rank, topics), default=0)
-    best = [t for t in topics if rank(t) == least]
-    return best, [t for t in topics if t not in best]
+def _steps_to_base(topic: str) -> int:
+    """Return how far a topic of commands is from the base's driver, by its name: 0 the driver reads it, 1, 2."""
+    if topic.rpartition("/")[2].lower() in NEAR_BASE:
+        return 0
+    return 2 if NAMES_UPSTREAM.search(topic.lower()) else 1
 
 
 def _free_topics(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:

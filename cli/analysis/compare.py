@@ -319,10 +319,14 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
     report["reference"] = None
     if found is None:
         return
-    references = found.references
+    references, whole = found.references, found.references.whole
     for name, values in report["configurations"].items():
-        values["reference"] = verdicts.judge_values(found.judges[name], references.whole, values["sensors"])
-    report["reference"] = verdicts.reference_values(references.whole, references.contradict, compared.base)
+        judge = found.judges[name]
+        shared = [s for s in judge.sensors if s in values["sensors"]]
+        own_reference = verdicts.reference_values(judge)
+        values["reference"] = {**own_reference, "shared": shared, "agrees": judge.agrees(whole)}
+    words = verdicts.reference_words(whole, references.contradict, compared.base)
+    report["reference"] = {**verdicts.reference_values(whole), "words": words}
     for sensor in references.present:
         own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
         reference = references.without(sensor)

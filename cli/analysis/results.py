@@ -92,15 +92,8 @@ def log_words(log: Log, as_given: bool = False) -> list[str]:
 
 def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     """Return the report of these evaluations as plain values; verdicts are added later."""
-    report = json_report.report(loaded.drive, evaluations, source(loaded), settings_tables(loaded.robot), own())
-    report["made_with"] |= {s: SOURCES[s] for s in loaded.robot.sensors if s in SOURCES}
-    return report
-
-
-def source(loaded: Loaded) -> dict[str, Any]:
-    """Return the report's `input`: name, files, hash, topics by role, message counts, losses."""
     log = loaded.log
-    return {
+    source = {
         "name": log.name,
         "files": [p.name for p in log.paths],
         "size": log.identity.size,
@@ -113,6 +106,9 @@ def source(loaded: Loaded) -> dict[str, Any]:
         "losses": log.losses.by_reason(),
         "refused": _refusals(loaded),
     }
+    report = json_report.report(loaded.drive, evaluations, source, settings_tables(loaded.robot), own())
+    report["made_with"] |= {s: SOURCES[s] for s in loaded.robot.sensors if s in SOURCES}
+    return report
 
 
 def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:

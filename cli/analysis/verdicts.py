@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from msgspec.structs import asdict, replace
@@ -86,27 +86,18 @@ def noise_factors(runs: Sequence[RunInnovations], robot: Robot) -> dict[str, flo
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 
-def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
-    """Return the reference by all sensors as plain values, with a sentence; `base`: name of the motion used."""
+def reference_values(r: Reference) -> dict[str, Any]:
+    """Return a reference as plain values."""
+    return {"sensors": list(r.sensors), "left_out": list(r.left_out), "sigma_m": r.sigma}
+
+
+def reference_words(whole: Reference, contradicting: Sequence[tuple[str, str]], base: str) -> str:
+    """Return a sentence on the reference by all sensors; `base`: name of the motion used."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
     words = REFERENCE.format(base=base, sensors=sensors, sigma=length(whole.sigma))
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
     doubtful = [pair for pair in contradicting if set(pair) <= set(whole.sensors)]
-    words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
-    return {**_of_reference(whole), "words": words}
-
-
-def _of_reference(r: Reference) -> dict[str, Any]:
-    return {"sensors": list(r.sensors), "left_out": list(r.left_out), "sigma_m": r.sigma}
-
-
-def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
-    """Return the reference that judges a result as plain values.
-
-    `shared`: sensors that result and reference both use; `agrees`: whether the reference agrees with `whole`.
-    """
-    shared = [s for s in reference.sensors if s in used]
-    return {**_of_reference(reference), "shared": shared, "agrees": reference.agrees(whole)}
+    return words + "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
 
 
 class ByReference(NamedTuple):
@@ -175,13 +166,9 @@ def credit_values(credit: Credit) -> dict[str, Any]:
 def _effect(effect: Effect | None) -> dict[str, Any] | None:
     if effect is None:
         return None
-    return {
-        "ln": effect.value,
-        "factor": math.exp(effect.value),
-        "low": None if math.isnan(effect.low) else math.exp(effect.low),
-        "high": None if math.isnan(effect.high) else math.exp(effect.high),
-        "expected": None if effect.expected is None else math.exp(effect.expected),
-    }
+    factors = {"factor": effect.value, "low": effect.low, "high": effect.high, "expected": effect.expected}
+    known = {key: None if ln is None or math.isnan(ln) else math.exp(ln) for key, ln in factors.items()}
+    return {"ln": effect.value, **known}
 
 
 def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
@@ -242,10 +229,9 @@ def interval(effect: Effect) -> str:
 
     Two bounds of one direction share the word: "14x to 562x better".
     """
-    if effect.low > 0.0:
-        return f"{short(math.exp(effect.low))}x to {times(effect.high)}"
-    if effect.high < 0.0:
-        return f"{short(math.exp(-effect.high))}x to {times(effect.low)}"
+    near, far = sorted((effect.low, effect.high), key=abs)
+    if near * far > 0.0:
+        return f"{short(math.exp(abs(near)))}x to {times(far)}"
     return f"{times(effect.low)} to {times(effect.high)}"
 
 

@@ -138,7 +138,6 @@ def _steered(both: Stream, loaded: Loaded) -> tuple[Steered | None, str]:
 
 def _fitted(both: MergedStream, loaded: Loaded, truth: Truth) -> Steered | None:
     """Return a tricycle calibrated by truth; None if the fit is bad."""
-    # imports SciPy
     with suppress(LocfuseError):  # reported where the encoders are used
         shift = (int(both.parts[0].t_ns[0]) - loaded.drive.epoch_ns) * 1e-9 + loaded.robot.wheels.time_offset
         known = nominal(both, loaded.robot.wheels, of_truth(truth), shift)

@@ -191,7 +191,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         advised = Advised() if advice else None
         if advice and self._moves():
             advised = advise_on_run(compared, self.progress, align)
-        return Run(compared, self._reported(report_of_run(compared), compared, asked, advised))
+        report = report_of_run(compared)
+        self._complete(report, compared, asked, advised)
+        return Run(compared, report)
 
     @speaks_python
     def compare(
@@ -235,7 +237,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         advised = None
         if asked.advice and self._moves():
             advised = advise(self.loaded, self.progress, asked.align, alone)
-        report = self._reported(report, compared, asked, advised, advised is not None)
+        self._complete(report, compared, asked, advised)
         return Comparison(compared, report)
 
     def _uses_reference(self, asked: Asked) -> bool:
@@ -307,20 +309,12 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         report = self.compare(audits=False, smooth=False).report
         return {key: report[key] for key in ADVICE_KEYS}
 
-    def _reported(
-        self,
-        report: dict[str, Any],
-        compared: Compared,
-        asked: Asked,
-        advised: Advised | None,
-        judged: bool = False,
-    ) -> dict[str, Any]:
-        """Add ranges under jitter, advice, and warnings on the motion to `report`, and return it."""
+    def _complete(self, report: dict[str, Any], compared: Compared, asked: Asked, advised: Advised | None) -> None:
+        """Add ranges under jitter, advice, and warnings on the motion to `report`."""
         add_jitter(report, compared, asked, self.progress)
         complete(report, compared, advised)
-        say_motion(report, self.loaded, judged)
+        say_motion(report, self.loaded, advised is not None and "verdicts" in report)
         self.progress("writing")
-        return report
 
     def _moves(self) -> bool:
         """Return whether the robot moves, and the chosen motion is the robot's."""

@@ -12,7 +12,7 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
-from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, Progress, swept
+from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, swept
 from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, options as o, show
 from locfuse.cli.terminal.screen import put
@@ -21,7 +21,7 @@ from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
     from locfuse.cli.fleet.jobs import FleetRows, Job, JobOutcome
-    from locfuse.cli.fleet.queue import Ended, QueueState, Watch
+    from locfuse.cli.fleet.queue import Ended, QueueState
 
 LINE_INTERVAL_S = 60.0  # between lines of progress if stderr is not a terminal
 MAX_LINES_PRINTED = 20  # of losses or gates on stderr; the tables have all
@@ -141,9 +141,20 @@ def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> E
     """Run jobs in processes of this machine, or on a cluster."""
     from locfuse.cli.fleet.queue import executor, run_all
 
-    quiet = options.how.quiet
+    quiet, printed = options.how.quiet, time.monotonic()
     with show.progress(quiet) as progress, executor(options.fleet) as pool:
-        return run_all(jobs, pool, max_failures, _watch(progress, quiet))
+
+        def watch(standing: QueueState, outcome: JobOutcome | None) -> None:
+            nonlocal printed
+            progress(standing.words())
+            if outcome is not None and outcome.state == "failed":
+                name, reason = outcome.name, outcome.reason
+                show.say(f"failed: {reason if name in reason else f'{name}: {reason}'}")
+            if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > LINE_INTERVAL_S:
+                printed = time.monotonic()
+                show.say(standing.words())
+
+        return run_all(jobs, pool, max_failures, watch)
 
 
 def _robots(todo: Mapping[str, Job], found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
@@ -157,22 +168,6 @@ def _robots(todo: Mapping[str, Job], found: FleetRows, options: o.Options) -> li
         return ended.outcomes
 
     return [] if options.fleet.sweep or not options.asked.advice else robots(found.entries, todo, run)
-
-
-def _watch(progress: Progress, quiet: bool) -> Watch:
-    printed = time.monotonic()
-
-    def watch(standing: QueueState, outcome: JobOutcome | None) -> None:
-        nonlocal printed
-        progress(standing.words())
-        if outcome is not None and outcome.state == "failed":
-            name, reason = outcome.name, outcome.reason
-            show.say(f"failed: {reason if name in reason else f'{name}: {reason}'}")
-        if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > LINE_INTERVAL_S:
-            printed = time.monotonic()
-            show.say(standing.words())
-
-    return watch
 
 
 def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:

@@ -23,16 +23,7 @@ from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.clock import MadeStream
 from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.report import json_report, markdown
-from locfuse.formats.rerun.scene import (
-    GROUP_OF,
-    DrawnScans,
-    Floats,
-    Picture,
-    RawTopic,
-    RerunScene,
-    Rgb,
-    SensorLook,
-)
+from locfuse.formats.rerun.scene import GROUP_OF, DrawnScans, Picture, RawTopic, RerunScene, Rgb, SensorLook
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Column, Drive, LocfuseError, Motions, Ragged, Stream, Truth, evenly
@@ -135,7 +126,7 @@ def _scans(stream: Stream, settings: Any, scene: RerunScene) -> DrawnScans:
     measured = drive.measurements["lrf"].points
     laser = measured.laser if isinstance(measured, ScanPoints) else laser_of(settings)
     wanted = set(evenly(len(stream.t_ns), scene.max_scans).tolist())
-    found: list[tuple[float, Floats]] = []
+    found: list[tuple[float, Any]] = []  # (time [s], points (n, 2))
     for rows, columns in stream.blocks(*SCAN_FIELDS, rows=128):
         for i, row in enumerate(rows.tolist()):
             if row not in wanted:

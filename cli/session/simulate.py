@@ -64,18 +64,17 @@ def simulate(
     seed = chosen.seed if seed is None else seed
     if seed < 0:
         raise UsageError(f"seed = {seed}: it must be 0 or more")
-    progress("driving")
-    if out is not None:
-        path = path_of(out)
-        may_replace(path, overwrite)
-        drive(chosen, seed, path)
-        return load(path, progress=progress)
-    with ExitStack() as until:
-        folder = until.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix()))
-        path = Path(folder) / f"{Path(scenario).stem}.mcap"
+    with ExitStack() as until:  # keeps a temporary file while the log is in use
+        if out is None:
+            folder = until.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix()))
+            path = Path(folder) / f"{Path(scenario).stem}.mcap"
+        else:
+            path = path_of(out)
+            may_replace(path, overwrite)
+        progress("driving")
         drive(chosen, seed, path)
         session = load(path, progress=progress)
-        weakref.finalize(session.log, until.pop_all().close)  # keeps the file while the log is in use
+        weakref.finalize(session.log, until.pop_all().close)
     return session
 
 
@@ -84,20 +83,6 @@ def drive(scenario: Scenario, seed: int, out: Path) -> Outcome:
     from locfuse.sample_logs.record import write_log
 
     return write_log(scenario, seed, localise(scenario.control.estimator), out)
-
-
-def facts(outcome: Outcome) -> dict[str, Any]:
-    """Return figures of a simulated drive: duration [s], path length [m], missed ticks, speed stability."""
-    from locfuse.sample_logs.simulate import speed_stability
-
-    stability = speed_stability(outcome)
-    return {
-        "duration_s": round(outcome.duration, 3),
-        "way_m": round(outcome.way, 3),
-        "missed_encoder_transitions": outcome.missed,
-        "speed_worst_percent": round(100 * stability.worst, 2),
-        "speed_within_5_percent": round(stability.within_5_percent, 4),
-    }
 
 
 def localise(word: str) -> Localise:

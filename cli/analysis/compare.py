@@ -116,9 +116,7 @@ def compare_log(
     if asked.smooth:  # raise early: smoothing needs the optimal gain
         for c in configurations:
             check_smoothing(robot, c.sensors)
-    solves: set[frozenset[str]] = set()
-    if asked.reference:
-        solves = {frozenset(sensors) for sensors in sets(drive)}
+    solves = {frozenset(sensors) for sensors in sets(drive)} if asked.reference else set()
     filtered, smoothed, runs = list[JudgedRun](), list[JudgedRun](), list[RunInnovations]()
     wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of the filtered ones
     drawn = Drawn()

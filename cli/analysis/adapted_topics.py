@@ -64,10 +64,7 @@ def not_read(log: Log, role: str) -> str:
 
 
 def offer_presented(log: Log) -> None:
-    """Add converted topics for roles without a topic of the usual type: "/points:scan" from the cloud /points.
-
-    All Foxglove and multi-echo scans are added, but only the likeliest of several point clouds.
-    """
+    """Add converted topics, such as "/points:scan", for roles without a usual one; of clouds the likeliest."""
     found: list[str] = []
     if not filled(log, adapters.SCAN):
         found += filled(log, *adapters.FOXGLOVE) or filled(log, adapters.ECHOES) or _clouds(log)[:1]
@@ -120,10 +117,7 @@ def offer_tags(log: Log, robot: Robot) -> None:
 
 
 def _is_camera_on_robot(log: Log, frame: str) -> bool:
-    """Return whether a frame is on the robot, and has a name like a camera or is the frame of pictures.
-
-    On the robot are frames below a base frame in /tf, and those not below map, world or odom.
-    """
+    """Return whether a frame is on the robot (not in map, world, odom), and has a camera's name or pictures."""
     above = [parent for parent, _ in ancestors(log.all_mounts(), frame)]
     if any(map(is_fixed, above)) and not any(map(is_base, above)):
         return False

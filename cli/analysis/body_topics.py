@@ -84,10 +84,7 @@ class Body(NamedTuple):
 
 
 def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
-    """Return the topic of the body's motion; None if there is none. Raises LocfuseError if several fit.
-
-    `scans` allows scan matching as the motion; `stand_in` allows estimated poses and commands.
-    """
+    """Return the body's motion, or None. `scans`: by scan matching too; `stand_in`: by estimates and commands."""
     laser = of_sensor(log, robot, "lrf", (SCANS,)) if scans else None
     if laser is None:
         body = _best_agreeing(log, robot, choice, [*_measured(log, robot, choice, speeds=True)])
@@ -137,10 +134,7 @@ def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | Moti
 
 
 def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
-    """Yield the measured motions, one list for each kind, best kind first; twists only if `speeds` is set.
-
-    An odometry in a map frame is an estimate of another program, so it comes last.
-    """
+    """Yield the measured motions by kind, best first, estimates in a map frame last; twists only if `speeds`."""
     odometry = _free_topics(log, robot, choice, (ODOMETRY,))
     estimated = [t for t in odometry if is_room(log.stream(t).frame_id)]
     rolled = [t for t in odometry if t not in estimated]
@@ -214,10 +208,7 @@ def _steps_to_base(topic: str) -> int:
 
 
 def _free_topics(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
-    """Return topics of these message types that have messages and that no other role reads.
-
-    A topic configured for a sensor (`[pose] topic`) is left out if there are others.
-    """
+    """Return filled topics of these types that no other role reads, and no sensor's settings if others remain."""
     taken = {topic for role in choice.topics for topic in choice.of(role)}
     free = [t for t in filled(log, *kinds) if t not in taken and not looks_like_truth(t)]
     found = [t for t in free if ":" not in t or t.endswith(ADAPTED_SUFFIX)]  # no frames of /tf, no single fields
@@ -236,10 +227,7 @@ def _odometry_rank(topic: str) -> int:
 
 
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
-    """Return topics with forward speeds: commanded ones if `asked`, else measured ones.
-
-    Left out: speeds in a frame that does not turn with the robot (odom, map), and those of a GPS receiver.
-    """
+    """Return topics of speeds, commanded (`asked`) or measured; none in a fixed frame, none of a GPS receiver."""
     steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
     kinds = (*TWISTS, *STEERED) if steers else TWISTS
     found = [t for t in _free_topics(log, robot, choice, kinds) if commanded(t, log.topics[t].msgtype) == asked]
@@ -287,10 +275,7 @@ def nothing_moves(log: Log) -> NoWheelsError:
 
 
 def steering_of(log: Log, robot: Robot) -> str | None:
-    """Return the topic of a car's steering; None without one.
-
-    Order: the configured topic, a servo if `servo_gain` is set, an Ackermann command, any servo.
-    """
+    """Return a car's steering: as configured, a servo with `servo_gain`, an AckermannDrive, any servo, or None."""
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, (*STEERED, SERVO))

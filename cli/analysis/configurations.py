@@ -146,10 +146,7 @@ def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
 
 
 def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> list[Configuration]:
-    """Return the configurations to compare; named ones replace the default ones.
-
-    Default: odometry, each sensor alone (or with the sensor that it needs), and all. `every`: also all subsets.
-    """
+    """Return named configurations, else odometry, each sensor alone, and all; with `every` also all subsets."""
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     named = [parse(w, drive) for w in words]
     if every:

@@ -71,10 +71,7 @@ def last_word(frame: str) -> str:
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return the sensors' mounts, by the frames of their streams, as tables of robot.toml.
-
-    A table has only keys that the sensor's settings have.
-    """
+    """Return the sensors' mounts, by the frames of their streams, as tables with the keys of their settings."""
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
@@ -115,10 +112,7 @@ def on_moving_parts(
 
 
 def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return focal length fx and image centre cx [px] by CameraInfo for sensors that have these settings.
-
-    The CameraInfo in the sensor's frame is used, else the only one.
-    """
+    """Return fx and cx [px] for sensors with these settings, by the CameraInfo in their frame or the only one."""
     infos = filled(log, CAMERA_INFO)
     found: dict[str, Any] = {}
     for sensor, parts in streams.items():
@@ -145,10 +139,7 @@ def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
 
 
 def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return roll and pitch of sensors without these settings, from a sensor with the same topic or frame.
-
-    An IMU is both compass and gyro, and has one mount.
-    """
+    """Return roll and pitch of sensors without these, from a sensor with the same topic or frame (one IMU)."""
     found: dict[str, Any] = {}
     turned = [s for s in streams if {*TILT_KEYS} <= set(REGISTRY[s].Settings.__struct_fields__)]
     for given, other in permutations(turned, 2):
@@ -200,10 +191,7 @@ def _table(mount: FrameMount) -> dict[str, Any]:
 def level_compass(
     log: Log, streams: Mapping[str, Any], robot: Robot, transforms: StaticTransforms
 ) -> dict[str, Any]:
-    """Return the streams, with the robot's tilt added to the magnetometer's stream if an IMU measured it.
-
-    This IMU is the one in the magnetometer's frame, else the only one.
-    """
+    """Return the streams, the magnetometer's with the tilt by the IMU in its frame, else by the only IMU."""
     field = streams.get("compass")
     if field is None or field.msgtype != FIELD or not robot.settings("compass").level:
         return dict(streams)

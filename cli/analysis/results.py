@@ -47,10 +47,7 @@ def settings_tables(robot: Robot) -> dict[str, Any]:
 
 
 def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
-    """Return the settings that differ from their defaults, by key ("lrf.x"): value, unit, and source.
-
-    Sensors that the log lacks are left out. The source "found in the log" is /tf_static or a CameraInfo.
-    """
+    """Return settings that differ from their defaults by key ("lrf.x"): value, unit, source; of used sensors."""
     plain = flat(settings_tables(make_robot({})))
     found: dict[str, dict[str, Any]] = {}
     for path, value in flat(settings_tables(loaded.robot)).items():

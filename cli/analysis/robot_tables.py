@@ -88,10 +88,7 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
 
 
 def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the merged settings as tables, and the source of each key: "lrf.x" -> "--robot".
-
-    For each key the last of these wins: preset, attachment of the log, --robot, --set.
-    """
+    """Return the settings as tables (preset < log < --robot < --set), and the source of each key, as "--set"."""
     layers = given_layers(how)
     if (own_tables := attached(log, quiet=bool(how.robots))) is not None:
         layers = {"robot.toml in the log": _of_log(log, own_tables, layers), **layers}
@@ -102,10 +99,7 @@ def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, 
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return the user's settings as {"--robot": tables, "--set": tables}; `more`: additional words of --set.
-
-    --set overrides --robot. Raises LocfuseError for invalid settings.
-    """
+    """Return the user's settings as {"--robot": tables, "--set": tables}; `more`: additional words of --set."""
     files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robots]
     sets = set_tables((*how.sets, *more))
     sets |= {key: word for key, word in (("order", how.order), ("preset", how.preset)) if word}
@@ -113,10 +107,7 @@ def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[st
 
 
 def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the settings and time window from the user, on which a result's key depends; none from the log.
-
-    The hashes of all files named in the settings are included.
-    """
+    """Return the user's settings, time window and hashes of named files, on which a result's key depends."""
     window = {name: bound for name, bound in (("from", how.begin), ("to", how.end)) if bound is not None}
     return with_files(robot_toml.layered(*given_layers(how, more).values(), window))
 

@@ -240,10 +240,7 @@ def swept(words: Sequence[str]) -> dict[str, list[str]]:
 
 
 def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return the words of --set for every combination of swept values, by the combination's name.
-
-    Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
-    """
+    """Return the words of --set for each combination of swept values, by its name, which can name a folder."""
     for word in (word for words in sets.values() for word in words):
         if UNFIT_FOR_FOLDER.search(word):
             raise _misuse(f"--sweep {word!r}: a value with blanks or slashes cannot name a folder")

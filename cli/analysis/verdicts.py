@@ -225,10 +225,7 @@ def times(ln: float) -> str:
 
 
 def interval(effect: Effect) -> str:
-    """Return the 95 % interval of an effect in words: "1.6x worse to 12x better".
-
-    Two bounds of one direction share the word: "14x to 562x better".
-    """
+    """Return the 95 % interval of an effect in words: "1.6x worse to 12x better", "14x to 562x better"."""
     near, far = sorted((effect.low, effect.high), key=abs)
     if near * far > 0.0:
         return f"{short(math.exp(abs(near)))}x to {times(far)}"

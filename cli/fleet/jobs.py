@@ -141,10 +141,7 @@ def read_report(folder: Path) -> dict[str, Any] | None:
 
 
 def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> dict[str, Job]:
-    """Return a job for each log in `words`: the job `every` with the log, its name and its folder.
-
-    Raises UsageError for invalid settings, an invalid pattern or an invalid sweep.
-    """
+    """Return a job for each log in `words`: the job `every` with the log, its name, its folder, or its refusal."""
     robot_of = _robot_by(robot_from, every.how.robots)
     fixed = tuple(file for file in every.how.robots if ROBOT_PLACEHOLDER not in str(file))
     given_layers(replace(every.how, robots=fixed))

@@ -56,10 +56,7 @@ def recognise(overview: Overview) -> tuple[str, str] | None:
 
 
 def open_figures(model: str, overview: Overview, given: Collection[str]) -> dict[str, tuple[Any, str]]:
-    """Return {key: (value, source in words)}: a known robot's values for settings that the log needs.
-
-    `given` are the keys that have a value already.
-    """
+    """Return {key: (value, source in words)} of a known robot for needed settings that are not `given`."""
     found: dict[str, tuple[Any, str]] = {}
     for key, figure in robots.figures(model).items():
         table, _, name = key.partition(".")

@@ -98,10 +98,7 @@ class Draft(NamedTuple):
 
 
 def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str, Mapping[str, Any]]) -> Draft:
-    """Inspect a log, apply the fixes found, repeat until nothing changes, and return the draft.
-
-    `imported` are tables converted from another program's configuration, by file name.
-    """
+    """Inspect a log, apply its fixes until nothing changes, return the draft; `imported`: tables by file name."""
     words = [word for tables in imported.values() for word in set_words(tables)]
     typed, how = how, replace(how, sets=(*words, *how.sets))
     overview = inspect_log(log, how, progress)

@@ -96,10 +96,7 @@ def table_of(report: Mapping[str, Any]) -> str:
 
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
-    """Return the colours of results by name, as on the report's dark page.
-
-    A smoothed result is dashed in the report. The viewer has no dashes, so its colour is darker.
-    """
+    """Return the colours of results by name, as on the dark page; smoothed ones darker, as Rerun has no dashes."""
     found, shades = colours(traces, sensor_colours()), dict[str, Rgb]()
     for name, trace in traces.items():
         light = SMOOTHED_LIGHT_SHARE if trace.smoothed else 1.0
@@ -228,10 +225,7 @@ def scene_of(report_file: Path) -> RerunScene:
 
 
 def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
-    """Return the scene of a results' folder.
-
-    `by_run`: the trajectories are in trajectory.tum or .csv and smoothed.tum or .csv, else in one .tum per result.
-    """
+    """Return the scene of a results' folder; `by_run`: trajectory and smoothed .tum or .csv, else a .tum each."""
     rows = report["configurations"]
     file_of = {n: ("smoothed" if row["smoothed"] else "trajectory") if by_run else n for n, row in rows.items()}
     tracks = {name: _trajectory(folder, file, by_run) for name, file in file_of.items()}

@@ -46,10 +46,7 @@ def fresh(found: FoundRobot, targets: Sequence[str]) -> Made:
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
-    """Return the targets (nodes) to write into a file; with `any_of` only those in the file, if it has any.
-
-    Raises LocfuseError for a target without section, with several sections, or with a section of another node.
-    """
+    """Return the targets to write into a file; with `any_of` only those in the file, if it has any."""
     if any_of:
         targets = [target for target in targets if sections_of(file, target)] or targets
     for target in targets:

@@ -156,10 +156,7 @@ class _Work:
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
-        """Run a command with the settings found so far, and store its result; None, with a note, if it fails.
-
-        If the error names fixes, they are set and the command runs again.
-        """
+        """Run a command with the settings so far, again after fixes that its error names; None if it fails."""
         for _ in range(MAX_FIRST + 1):
             try:
                 found = find(self.sets)

@@ -324,11 +324,7 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool
 
 
 def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> Calibration:
-    """Calibrate the traction and steering encoders of a tricycle from one log.
-
-    The reference path is the truth, else the laser's, else the gyro's. Raises LocfuseError for several logs or
-    without a reference.
-    """
+    """Calibrate a tricycle's traction and steering encoders by one log: its truth, else laser, else gyro."""
     one, stream = loaded[0], loaded[0].stream("wheels")
     reference = None if len(loaded) > 1 else _reference(one, progress)
     if reference is None or not isinstance(stream, MergedStream):

@@ -127,10 +127,7 @@ class Repeated(msgspec.Struct, frozen=True):
         }
 
     def panels(self, which: str) -> dict[str, list[Panel]]:
-        """Return the panels of figures 12 (trajectories) and 13 (deviations in x and y) of one filter.
-
-        `which` is "ours" for locfuse's filter, or "print" for the equations as printed in the paper.
-        """
+        """Return figures 12 (trajectories) and 13 (deviations) of a filter: "ours", or "print" (as printed)."""
         found = {p.name: p for s in sections(outputs.scene(self.compared[which].compared)) for p in s.panels}
         tail = "" if which == "ours" else "_print"
         map_ = found["trajectories"]

@@ -110,10 +110,7 @@ def _value(text: str) -> str:
 
 
 def _keyword(found: re.Match[str]) -> str:
-    """Return a matched command-line option as a keyword argument.
-
-    If the option lacks its value, or if a colon follows at once, only the keyword's name is returned.
-    """
+    """Return a matched option as a keyword argument; only its name if it lacks its value or a colon follows."""
     option, value, colon = found.groups()
     keyword = OPTIONS[option]
     if "{}" in keyword and value is not None:

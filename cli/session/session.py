@@ -86,10 +86,7 @@ def load(
 
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
-    """Open and measure a log given as command-line words, and return its session.
-
-    The log's columns stay in memory only with `read_again`. A map file in `how` is used for localisation.
-    """
+    """Open a log given as command-line words, with the map in `how`; its columns stay only with `read_again`."""
     loaded = load_log(log, how, progress)
     if not read_again:
         loaded.log.forget()

@@ -144,10 +144,7 @@ class Localiser:
         return x, y, theta
 
     def _add_rolled(self, message: RawMessage) -> None:
-        """Append the distances [m] rolled by the left and right wheel, radius x joint angle, of one joint message.
-
-        A message that is not later than the last one is ignored.
-        """
+        """Append the distances [m] rolled by both wheels, radius x joint angle, of a later joint message."""
         if not self._wheel_t:
             self._epoch_ns = message.stamp_ns
         t = (message.stamp_ns - self._epoch_ns) * 1e-9

@@ -261,11 +261,7 @@ def _ties(summary: Mapping[str, Any], entries: Sequence[Entry]) -> dict[str, Any
 
 
 def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
-    """Return each sensor's mean effect on the error over several logs, and the kind of replicate.
-
-    The kind is "robots" if the intervals are over robots, or "drives" if they are over single logs. None for fewer
-    than two logs with effects.
-    """
+    """Return each sensor's mean effect over logs, and the replicates, "robots" or "drives"; None: too few logs."""
     judged = [e for e in entries if e.state == "done" and e.report.get("credit")]
     if len(judged) < 2:
         return None

@@ -138,10 +138,7 @@ def _tables(tuned: Tuned) -> dict[str, dict[str, float]]:
 
 
 def sensor_names(words: str) -> tuple[str, ...]:
-    """Return the sensor names in the value of `--sensors`, comma-separated or "all".
-
-    Raises UsageError for an unknown name.
-    """
+    """Return the sensors of `--sensors`, comma-separated or "all". Raises UsageError for an unknown name."""
     if words.strip() == "all":
         return tuple(REGISTRY)
     names = tuple(dict.fromkeys(w.strip() for w in words.split(",") if w.strip()))

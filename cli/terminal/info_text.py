@@ -53,10 +53,7 @@ MAX_UNREADABLE_LISTED = 6  # number of unreadable topics listed with their reaso
 def lines(
     overview: Overview, typed: Sequence[str], width: int | None, helped: Sequence[str] | None = None
 ) -> Iterator[str]:
-    """Yield the lines on one log; `typed`: the words after `info`, `width`: characters per line, None: no limit.
-
-    `helped` are the tried fixes that help; None: no fix was tried.
-    """
+    """Yield the lines on a log; `typed`: words after `info`; `helped`: fixes that help, None: none was tried."""
     yield _headline(overview)
     yield ""
     yield from _topics(overview, width)

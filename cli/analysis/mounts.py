@@ -178,14 +178,8 @@ def _bases_in(transforms: StaticTransforms) -> list[str]:
 
 
 def _table(mount: FrameMount) -> dict[str, Any]:
-    return {
-        "x": mount.x,
-        "y": mount.y,
-        "roll_deg": math.degrees(mount.roll),
-        "pitch_deg": math.degrees(mount.pitch),
-        "yaw_deg": math.degrees(mount.yaw),
-        "flipped": mount.flipped,
-    }
+    degrees = {f"{angle}_deg": math.degrees(getattr(mount, angle)) for angle in ("roll", "pitch", "yaw")}
+    return {"x": mount.x, "y": mount.y, **degrees, "flipped": mount.flipped}
 
 
 def level_compass(

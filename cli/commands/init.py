@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,8 +52,11 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
+    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect.template import draft
     from locfuse.cli.terminal import show
+    from locfuse.formats.logs.log import open_log
+    from locfuse.formats.robot import robot_localization
     from locfuse.formats.robot.commented_toml import printable, render
     from locfuse.formats.whole_files import may_replace, write_text
 
@@ -66,7 +68,10 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     may_replace(out, options.outputs.overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:
-        foreign, notes = ({}, ()) if ekf is None else _translated(log, ekf)
+        foreign, notes = dict[str, dict[str, Any]](), tuple[str, ...]()
+        if ekf is not None:
+            imported = robot_localization.read(ekf, list(open_log(find_log(log)).topics))
+            foreign, notes = {ekf.name: imported.tables}, imported.notes
         made = draft(log, how, progress, foreign)
     if place is not None and made.missing and not how.quiet and (typed := _asked(made)):
         with show.progress(how.quiet) as progress:
@@ -86,16 +91,6 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     for line in () if how.quiet else _notes(made, words, name):
         show.say(line)
     return code
-
-
-def _translated(log: Sequence[str], ekf: Path) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
-    """Return the settings of an ekf.yaml as tables (by file name), and notes on parameters without counterpart."""
-    from locfuse.cli.analysis.load import find_log
-    from locfuse.formats.logs.log import open_log
-    from locfuse.formats.robot import robot_localization
-
-    found = robot_localization.read(ekf, list(open_log(find_log(log)).topics))
-    return {ekf.name: found.tables}, found.notes
 
 
 def _asked(made: Draft) -> tuple[str, ...]:

@@ -100,8 +100,12 @@ def run_all(jobs: Sequence[Job], pool: Executor, max_failures: int | None, watch
         raise
     except BaseException as stopped:  # Ctrl-C, SIGTERM: outcomes so far are kept
         return Ended(found, "interrupted", stopped)
-    finally:
-        _cancel(running)
+    finally:  # cancels jobs that have not started, and ends those that run
+        for future in running:
+            future.cancel()
+        while not all(future.done() for future in running):
+            process.stop()
+            time.sleep(STOP_S)
     return Ended(found)
 
 
@@ -138,15 +142,6 @@ def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
         kind, words = type(problem).__name__, _line(problem)
         why = REASONS_LOST.get(kind, f"the cluster failed it: {kind}: {{problem}}")
         return JobOutcome(job.name, "failed", why.format(problem=words))
-
-
-def _cancel(running: Mapping[Future[JobOutcome], Job]) -> None:
-    """Cancel jobs that have not started, and end those that run."""
-    for future in running:
-        future.cancel()
-    while not all(future.done() for future in running):
-        process.stop()
-        time.sleep(STOP_S)
 
 
 # --- A Dask cluster as executor: its workers run each job in a new process. All machines share the disk with logs,

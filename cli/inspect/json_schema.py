@@ -37,7 +37,11 @@ def robot_schema() -> Schema:
         asks = REGISTRY[name].asks if name in REGISTRY else {}
         words = {**{key: ask.words for key, ask in asks.items()}, **field_words(kind)}
         _describe(definitions[kind.__name__], words)
-        _leave_out_null(definitions[kind.__name__])
+        for schema in definitions[kind.__name__]["properties"].values():  # without null, since TOML has none
+            kinds = [part for part in schema.pop("anyOf", []) if part != {"type": "null"}]
+            schema.update(kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {})
+            if schema.get("default", 0) is None:
+                del schema["default"]
     top = {
         "order": {"enum": list(ORDERS), "default": "auto", "description": OF_ORDER},
         "preset": {"enum": list(PRESETS), "default": "default", "description": OF_PRESET},
@@ -66,18 +70,6 @@ def _describe(definition: Schema, words: Mapping[str, str]) -> None:
     for key, schema in definition.get("properties", {}).items():
         if key in words:
             schema["description"] = words[key]
-
-
-def _leave_out_null(definition: Schema) -> None:
-    """Remove null from the types of a table's keys, since TOML has no null."""
-    for schema in definition["properties"].values():
-        kinds = [kind for kind in schema.pop("anyOf", []) if kind != {"type": "null"}]
-        if len(kinds) == 1:
-            schema.update(kinds[0])
-        elif kinds:
-            schema["anyOf"] = kinds
-        if schema.get("default", 0) is None:
-            del schema["default"]
 
 
 def _in_draft_7(schema: Any) -> Any:

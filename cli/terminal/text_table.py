@@ -68,16 +68,10 @@ def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:
         if widest.width <= MIN_CELL_WIDTH or widest.column.kind == "number":
             break
         to = max(MIN_CELL_WIDTH, widest.width - over)
-        kept[i] = replace(widest, cells=tuple(_cut(cell, to) for cell in widest.cells))
+        head = (to - 1) // 2
+        cut = (f"{c[:head]}…{c[len(c) - (to - 1 - head) :]}" if len(c) > to else c for c in widest.cells)
+        kept[i] = replace(widest, cells=tuple(cut))  # the middle of long texts is left out
     return kept
-
-
-def _cut(cell: str, width: int) -> str:
-    """Return a text with its middle replaced by "…", at most `width` characters long."""
-    if len(cell) <= width:
-        return cell
-    head = (width - 1) // 2
-    return f"{cell[:head]}…{cell[len(cell) - (width - 1 - head) :]}"
 
 
 def wrapped(head: str, words: str, width: int | None, indent: str | None = None) -> list[str]:

@@ -56,8 +56,8 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
     logs = logs_of(expanded(log))
     if len(logs) > 1:
         return _several(named(logs), options, check, preview)
-    from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
+    from locfuse.cli.inspect.robot_facts import values
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report
     from locfuse.formats.report.findings import void_reasons
@@ -71,7 +71,7 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
 
             tried = tried_by_fusing(log, how, progress)
     if as_json:
-        put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
+        put(json_report.encode({**values(overview), **({"tried": tried} if check else {})}))
     else:
         helped = tried["fixes"] if tried else None
         text = info_text.lines(overview, (*log, *how.words), show.width(), helped)
@@ -90,8 +90,8 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
     """Print the values that several logs of one robot share, and their findings, each once."""
     from locfuse.cli.advice.together import ask, in_this_process, numbers_of
     from locfuse.cli.analysis.load import load
-    from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
+    from locfuse.cli.inspect.robot_facts import values
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report, summary
     from locfuse.fusion.data import UsageError
@@ -106,7 +106,7 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
         look = in_this_process(trying, asked.align, progress) if trying else lambda names, sets: {}
         together = {"robot": None, **ask(shown, look)}
     if options.outputs.as_json:
-        each = {name: values.values(overview) for name, overview in overviews.items()}
+        each = {name: values(overview) for name, overview in overviews.items()}
         put(json_report.encode({"logs": each, "together": together}))
     else:
         show.lines(info_text.together(overviews, together), (*info_text.TITLES, info_text.TOGETHER))
@@ -117,16 +117,16 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
     """Print the topics of a log from its index; nothing else of a remote log is read."""
     from locfuse.cli.analysis.load import find_log
-    from locfuse.cli.inspect import values
+    from locfuse.cli.inspect.robot_facts import listed
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.logs.log import open_log
     from locfuse.formats.report import json_report
 
     log = open_log(find_log(words))
     if as_json:
-        put(json_report.encode({"topics": values.listed(log)}))
+        put(json_report.encode({"topics": listed(log)}))
     else:
-        show.lines(info_text.listed(values.listed(log), show.width()))
+        show.lines(info_text.listed(listed(log), show.width()))
     show.transfer(log.transfer, quiet)
     return EXIT_LOSS if log.losses else 0
 

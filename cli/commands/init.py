@@ -161,7 +161,7 @@ def _foot(made: Draft) -> str:
 def _notes(made: Draft, words: str, name: str) -> list[str]:
     """Return notes on guessed values and on the next command."""
     from locfuse.cli.analysis.motion_evidence import unjudged
-    from locfuse.cli.inspect.values import wheels_missing
+    from locfuse.cli.inspect.robot_facts import wheels_missing
     from locfuse.formats.report.findings import options
     from locfuse.fusion.checks.laser import OPEN_SCALE
 

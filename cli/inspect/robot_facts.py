@@ -16,13 +16,13 @@ from msgspec import field
 from locfuse.cli.analysis.body_topics import of_camera
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
-from locfuse.cli.analysis.topics import Choice, Note, filled
+from locfuse.cli.analysis.topics import Choice, Note, filled, types
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.data import BY_SCANS, LocfuseError, Ragged, Stream, Truth
+from locfuse.fusion.data import BY_SCANS, ODOMETRY as WHEELS, LocfuseError, Ragged, Stream, Truth
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
@@ -323,3 +323,73 @@ def conflicts(overview: Overview) -> list[Finding]:
         words = f"{len(others)} frames have two different transforms ({listed}); no used sensor depends on them"
         found.append(Finding("/tf_static", "tf_static", words))
     return found
+
+
+# --- the overview as plain values, for `locfuse info --json` (keys: docs/bags.md)
+
+
+def listed(log: Log) -> dict[str, dict[str, Any]]:
+    """Return type, message count and mean rate [Hz] of each topic, without reading messages."""
+    span = log.time_span_ns
+    seconds = (span[1] - span[0]) * 1e-9 if span else 0.0
+    return {
+        name: {
+            "type": topic.msgtype,
+            "messages": topic.count,
+            "rate_hz": (topic.count - 1) / seconds if topic.count > 1 and seconds > 0.0 else None,
+        }
+        for name, topic in log.topics.items()
+    }
+
+
+def values(overview: Overview) -> dict[str, Any]:
+    """Return the result of an inspection as plain values."""
+    span = overview.log.time_span_ns
+    return {
+        "name": overview.log.name,
+        "files": [p.name for p in overview.log.paths],
+        "bytes": overview.log.identity.size,
+        "duration_s": (span[1] - span[0]) * 1e-9 if span else None,
+        "start_ns": span[0] if span else None,
+        "messages": sum(f.count for f in overview.facts if not f.derived),
+        "checksums": not overview.log.unchecked,
+        "topics": {f.topic: f.values() for f in overview.facts},
+        "roles": {
+            role: {"topics": list(overview.choice.of(role)), "why": overview.choice.why.get(role)}
+            for role in overview.choice.topics
+        },
+        "absent": absent(overview),
+        "extrinsics": extrinsics(overview),
+        "configurations": configurations(overview),
+        "findings": [
+            {"role": f.role, "code": f.code, "message": f.sentence, "fixes": list(f.fixes)}
+            | {"source": f.source or None, "severe": f.severe}
+            for f in overview.findings
+        ],
+        "severe": overview.severe,
+    }
+
+
+def absent(overview: Overview) -> dict[str, str]:
+    """Return by role or sensor why it has no topic or cannot be used."""
+    foreign = {name: f"no topic of type {types(REGISTRY[name].reads)}" for name in sorted(overview.choice.foreign)}
+    measured = overview.loaded.drive.absent if overview.loaded is not None else {}
+    return {**foreign, **overview.choice.absent, **measured}
+
+
+def configurations(overview: Overview) -> dict[str, str | None]:
+    """Return the reason why a configuration cannot run (None if it can), for odometry, each sensor and "all"."""
+    missing, base = absent(overview), wheels_missing(overview)
+    known = [name for name in REGISTRY if name in missing or name in overview.choice.topics]
+    ready = {name: missing.get(name) or base for name in known}
+    together = None if any(why is None for why in ready.values()) else base or "no sensor beside the wheels"
+    by_scans = overview.loaded is not None and overview.loaded.drive.wheels.matched is not None
+    return {BY_SCANS if by_scans else WHEELS: base, **ready, "all": together}
+
+
+def wheels_missing(overview: Overview) -> str | None:
+    """Return why the robot's motion cannot be estimated from this log; None if it can be estimated."""
+    if overview.loaded is not None:
+        return None
+    unready = (f.sentence for f in overview.findings if f.severe and f.role in {"wheels", "log"})
+    return next(unready, None) or absent(overview).get("wheels", "the log cannot be measured")

@@ -114,10 +114,10 @@ def info(
 
 def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
     """Return the result of `info` for a log given as command-line words."""
-    from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
+    from locfuse.cli.inspect.robot_facts import values
 
-    return values.values(inspect_log(log, how, progress))
+    return values(inspect_log(log, how, progress))
 
 
 def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:

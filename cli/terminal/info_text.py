@@ -10,9 +10,8 @@ from typing import Any
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.robot_tables import table_types
-from locfuse.cli.inspect.robot_facts import Overview, extrinsics
+from locfuse.cli.inspect.robot_facts import Overview, absent, configurations, extrinsics, wheels_missing
 from locfuse.cli.inspect.topics import clock_word
-from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.formats.report.findings import options
 from locfuse.formats.report.table import Column, of_rows
 from locfuse.fusion.checks.finding import Finding
@@ -85,7 +84,7 @@ def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Ite
 
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
-    """Return a table of `topics` (from `values.listed`) as lines of at most `width` characters; None: no limit."""
+    """Return a table of the `topics` of a log as lines of at most `width` characters; None: no limit."""
     return _table([{**found, "topic": name} for name, found in topics.items()], width, TOPIC_COLUMNS[:4])
 
 

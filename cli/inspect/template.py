@@ -281,22 +281,17 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
 
 def _has_effect(facts: Facts, table: str, key: str) -> bool:
     """Return whether a key has an effect with the message type of the chosen topic."""
-    overview = facts.overview
-    if table == "wheels":
-        return _has_effect_on_wheels(overview, key)
-    if table not in REGISTRY:
-        return True
-    if key in MOUNT_KEYS:
+    overview, choice = facts.overview, facts.overview.choice
+    topics = (choice.unused_wheels if table == "wheels" else ()) or choice.of(table)
+    kind, *others = [overview.log.topics[topic].msgtype for topic in topics] or [""]
+    if table in REGISTRY and key in MOUNT_KEYS:
         return not any(f"{table}.{k}" in facts.known for k in (*MOUNT_KEYS, "mounts"))
-    topics = overview.choice.of(table)
-    return REGISTRY[table].concerns(key, overview.log.topics[topics[0]].msgtype if topics else "")
-
-
-def _has_effect_on_wheels(overview: Overview, key: str) -> bool:
-    wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
-    if steers(wheels):
+    if table in REGISTRY:
+        return REGISTRY[table].concerns(key, kind)
+    if table != "wheels":
+        return True
+    if steers(topics):
         return key in STEERED_KEYS
-    kind, *others = (overview.log.topics[topic].msgtype for topic in wheels) if wheels else ("",)
     counts = bool(kind) and kind not in (*BODY_READS, *MOTOR)  # an odometry needs no wheel size
     applies = {
         **dict.fromkeys(("radius", "track", "mirrored"), counts),

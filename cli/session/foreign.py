@@ -28,10 +28,8 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
 
     Raises UsageError if a source is missing, or if a name is invalid, reserved for a configuration, or used twice.
     """
-    given = list(words.items()) if isinstance(words, Mapping) else None
-    pairs = [tuple(word.partition("=")[::2]) for word in words] if given is None else given
     found: dict[str, str] = {}
-    for name, source in pairs:
+    for name, source in words.items() if isinstance(words, Mapping) else (w.partition("=")[::2] for w in words):
         if not ESTIMATE_NAME.fullmatch(name) or not source:
             raise UsageError(f"--estimate {name}={source}: it reads NAME=/topic or NAME=file.tum")
         if name == "truth" or name.removesuffix("-smoothed") in {*REGISTRY, *BASES, "all"}:

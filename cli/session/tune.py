@@ -29,6 +29,7 @@ from locfuse.fusion.tune.tune import NoiseChange as TunedRow, Tuned, TuneLog, tu
 
 from .found import Found, Row, refuse_doubtful
 
+RMSE = "position_rmse_m"
 HELD_OUT_SHARE = 0.2  # the end of every log that is not used for tuning, if no log is held out
 
 
@@ -64,8 +65,8 @@ class Tuning(Found, frozen=True, kw_only=True):
         noise: dict[str, Any] = {}
         for row in self.tuned.rows:
             low, high = _interval(row) or (None, None)
-            noise[row.key] = {"before": row.before, "after": row.after, "low": low, "high": high}
-            noise[row.key]["identifiable"] = row.identifiable
+            bounds = {"low": low, "high": high, "identifiable": row.identifiable}
+            noise[row.key] = {"before": row.before, "after": row.after, **bounds}
         likelihood = {}
         pairs = (self.tuned.train, self.tuned.held_out)
         for part, pair, n in zip(("training", "held_out"), pairs, self.tuned.numbers, strict=True):
@@ -75,7 +76,7 @@ class Tuning(Found, frozen=True, kw_only=True):
             found: dict[str, Any] = {"name": j.name}
             for when, e in (("before", j.before), ("after", j.after)):
                 nis = {s: figures.nis for s, figures in e.sensors.items()}
-                found[when] = {"position_rmse_m": e.figures.get("position_rmse_m"), "nis": nis}
+                found[when] = {RMSE: e.figures.get(RMSE), "nis": nis}
             logs.append(found)
         return {
             "noise": noise,
@@ -118,11 +119,9 @@ class Tuning(Found, frozen=True, kw_only=True):
             for s in j.after.sensors:
                 before, after = ("" if (nis := e.sensors[s].nis) is None else f"{nis:.2f}" for e in both)
                 rows.append((f"mean NIS of {s}, {j.name}", before, after))
-            errors = [e.figures.get("position_rmse_m") for e in both]
-            if errors[1] is not None:
-                shape = "" if j.after.align == "none" else " of the path's shape"
-                before, after = ("" if error is None else f"{error:.4f} m" for error in errors)
-                rows.append((f"position error{shape}, {j.name}", before, after))
+            before, after = ("" if (m := e.figures.get(RMSE)) is None else f"{m:.4f} m" for e in both)
+            shape = "" if j.after.align == "none" else " of the path's shape"
+            rows += [(f"position error{shape}, {j.name}", before, after)] if after else []
         return rows
 
 
@@ -218,7 +217,7 @@ def _less_likely(before: float, after: float) -> str:
 
 def got_worse(j: BothNoises) -> str | None:
     """Return a note if a log gets worse with the tuned noise (which is then not written), else None."""
-    before, after = (Marks(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
+    before, after = (Marks(e.figures.get(RMSE), lost=e.lost_share) for e in (j.before, j.after))
     if not worsens(before, after):
         return None
     if after.lost > before.lost:

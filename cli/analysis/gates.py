@@ -123,10 +123,8 @@ class Gates(msgspec.Struct, frozen=True):
 
     def failures(self, report: Mapping[str, Any]) -> list[str]:
         """Return one line per gate on one log that fails or whose figure is missing."""
-        lines, absent = (
-            [],
-            f"the figure does not exist {'without truth' if report.get('truth') is None else 'here'}",
-        )
+        lines, where = [], "without truth" if report.get("truth") is None else "here"
+        absent = f"the figure does not exist {where}"
         for gate in self.limits:
             path, mixed = gate.figure.removeprefix(OF_REFERENCE), _mixed(report, gate)
             value, missing = (None, mixed) if mixed else _reported(report["configurations"], path, absent)
@@ -138,10 +136,9 @@ class Gates(msgspec.Struct, frozen=True):
         """Return one line per gate on the whole fleet that fails or whose figure is missing."""
         figures = {name: c["figures"] for name, c in summary["configurations"].items()}
         failed = float(sum(log["state"] != "done" for log in summary["logs"].values()))
-        lines = []
+        lines, absent = [], f"name a statistic: {', '.join(OVER_LOGS)}"
         for gate in self.together:
             path = gate.figure.removeprefix(OF_FLEET)
-            absent = f"name a statistic: {', '.join(OVER_LOGS)}"
             value, missing = (failed, "") if path == "failed" else _reported(figures, path, absent)
             lines.append(gate.line(value, missing))
         found = [line for line in lines if line]

@@ -160,9 +160,8 @@ def _place(mount: dict[str, Any], frame: str) -> str:
 
 def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
     """Yield lines on configurations that can run, on those that cannot (and why), and on sensors without topic."""
-    foreign = [name for name in REGISTRY if name in overview.choice.foreign]
-    why = [(name, name, words) for name, words in absent(overview).items() if name in {*REGISTRY} - {*foreign}]
-    why.sort(key=lambda row: list(REGISTRY).index(row[0]))
+    foreign, reasons = [name for name in REGISTRY if name in overview.choice.foreign], absent(overview)
+    why = [(name, name, reasons[name]) for name in REGISTRY if name in reasons and name not in foreign]
     if (base := wheels_missing(overview)) is not None:
         why.insert(0, ("all", "wheels", base))
     ready = ", ".join(name for name, what in configurations(overview).items() if what is None)

@@ -63,6 +63,7 @@ IN_CAMERA = (
     "{topic} holds poses in the frame {frame}: of something that a camera sees. Nothing in this log says how the "
     "robot moved"
 )
+UNSTEERED = "{motor} says how fast the motor turns, and no topic says how the car was steered"
 CAMERA_FRAMES = re.compile("camera|optical|marker|aruco|tag")  # a pose in such a frame is not the robot's
 
 
@@ -291,12 +292,9 @@ def with_steering(log: Log, robot: Robot, motor: str) -> list[str]:
     """Return the topics of a car's motor and of its steering. Raises LocfuseError without steering."""
     steering = steering_of(log, robot)
     if steering is None:
-        raise LocfuseError(
-            f"{motor} says how fast the motor turns, and no topic says how the car was steered "
-            "(an AckermannDrive, or a servo's position).",
-            role="wheels",
-            hint="Name it with --set wheels.steering_topic=<topic>, or the odometry that was made of both",
-        )
+        words = f"{UNSTEERED.format(motor=motor)} (an AckermannDrive, or a servo's position)."
+        hint = "Name it with --set wheels.steering_topic=<topic>, or the odometry that was made of both"
+        raise LocfuseError(words, role="wheels", hint=hint)
     return [motor, steering]
 
 
@@ -313,7 +311,7 @@ def motor_words(log: Log, robot: Robot) -> str:
     if not found or motor_of(log, robot):
         return ""
     if steering_of(log, robot) is None:
-        return f"{found[0]} says how fast the motor turns, and no topic says how the car was steered"
+        return UNSTEERED.format(motor=found[0])
     return (
         f"{found[0]} holds what its motor did: --set wheels.topic={found[0]} --set wheels.erpm_per_mps=<erpm> "
         f"({GAIN_HINT}) --set wheels.wheelbase=<metres> uses it"

@@ -199,10 +199,8 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
         return
     name, other = log.name, then.get("name")
     which = f"{other}, and this is {name}" if other != name else f"another log that is also called {name}"
-    raise LocfuseError(
-        f"--baseline {baseline.path} is of {which}: the error figures of two drives cannot be compared. Make a "
-        f"baseline of this log: locfuse compare {name} -o DIR"
-    )
+    words = f"--baseline {baseline.path} is of {which}: the error figures of two drives cannot be compared"
+    raise LocfuseError(f"{words}. Make a baseline of this log: locfuse compare {name} -o DIR")
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:

@@ -125,13 +125,12 @@ def _with_notes(body: Body, evidence: MotionEvidence | MotionSensors) -> Body:
     return body._replace(why=evidence.agrees, note=words, fixes=(f"wheels.topic={body.topic}",))
 
 
-def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | MotionSensors | None) -> Body | None:
+def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | MotionSensors) -> Body | None:
     """Return the only motion of a kind that agrees with the other sensors; None if none agrees."""
-    if evidence is not None:
-        kept = evidence.keep([body.topics for body in same])
-        same = [body for body in same if body.topics in kept]
-    topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
-    return next((body for body in same if body.topic == topic), None)
+    kept = evidence.keep([body.topics for body in same])
+    agreeing = {body.topic: body for body in same if body.topics in kept}
+    topic = one(log, "wheels", None, [*agreeing], WHEEL_READS)
+    return None if topic is None else agreeing[topic]
 
 
 def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
@@ -176,11 +175,9 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     """Return a substitute if no motion was measured: estimated poses, commands, a steering angle, other poses."""
     poses = _free_topics(log, robot, choice, POSES)
     of_robot = [t for t in poses if not (of_camera(log, t) or commanded(t, log.topics[t].msgtype))]
-    if not of_robot:
-        of_robot = moving_frames(log, is_fixed)
-    estimated = [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in of_robot]
-    if (body := _only_motion(log, estimated, None)) is not None:
-        return body
+    frames = of_robot or moving_frames(log, is_fixed)
+    if (estimated := one(log, "wheels", None, frames, WHEEL_READS)) is not None:
+        return Body(estimated, NOTHING_ELSE, ESTIMATED.format(topic=estimated))
     commands = _twists(log, robot, choice, asked=True)
     best = [t for t in commands if _steps_to_base(t) == min(map(_steps_to_base, commands))]
     others = [t for t in commands if t not in best]

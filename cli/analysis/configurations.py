@@ -65,10 +65,7 @@ class Configuration(msgspec.Struct, frozen=True):
 
 
 def parse(sensors: Sensors, drive: Drive) -> Configuration:
-    """Return the configuration of one --sensors: "all", "odometry", "compass,lrf", or a list of sensors.
-
-    Raises UsageError for an unknown word, LocfuseError for a sensor that this log lacks.
-    """
+    """Return the configuration of one --sensors: "all", "odometry", "compass,lrf", or a list of sensors."""
     words = sensors if isinstance(sensors, str) else ",".join(sensors)
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     names = list(dict.fromkeys(w.strip() for w in words.replace("+", ",").split(",") if w.strip()))

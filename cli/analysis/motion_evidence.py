@@ -90,10 +90,7 @@ class MotionEvidence:
         self._rejected: dict[Topics, str] = {}  # with the reason
 
     def keep(self, candidates: Sequence[Topics]) -> list[Topics]:
-        """Return the motions that agree with the scans about as well as the best one.
-
-        Motions that cannot be read or judged are kept.
-        """
+        """Return the motions that agree with the scans about as well as the best, or that cannot be judged."""
         read = {topics: motion_of(self._log, self._robot, topics, self._read) for topics in candidates}
         known = {topics: motion for topics, motion in read.items() if motion is not None}
         if not known or self._judging([*known.values()]) is None:
@@ -193,10 +190,7 @@ class MotionSensors:
         self._rejected: dict[Topics, float] = {}  # with the share that each explains
 
     def keep(self, candidates: Sequence[Topics]) -> list[Topics]:
-        """Return the motions that explain the sensor about as well as the best one.
-
-        All motions are kept if no sensor can judge; motions that cannot be read are always kept.
-        """
+        """Return the motions that explain the sensor about as well as the best, or that cannot be judged."""
         _, shares = self._sensor
         best = max(shares.values(), default=0.0)
         known = {topics: shares.get(topics, best) for topics in candidates}

@@ -169,10 +169,7 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
 
 
 def _robot_by(text: str | None, files: Sequence[Path]) -> Callable[[str], str | None]:
-    """Return a function from a log's path to its robot, by --robot-from; None: the pattern does not match.
-
-    Raises UsageError if the pattern is invalid, or missing but needed.
-    """
+    """Return a function from a log's path to its robot or None, by --robot-from, which must be valid."""
     if text is None:
         if unnamed := [file for file in files if ROBOT_PLACEHOLDER in str(file)]:
             raise UsageError(f"--robot {unnamed[0]}: say how a log's path names its robot with --robot-from REGEX")

@@ -182,10 +182,7 @@ def _finding(f: Finding, width: int | None, helped: Sequence[str] | None) -> lis
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
-    """Return lines with `fixes` as --set options; the first line begins with the text `head`.
-
-    Lines are wrapped at `width` characters; None: one line.
-    """
+    """Return `fixes` as --set options after the text `head`, wrapped at `width` characters; None: one line."""
     unbroken = " ".join(options((fix,)).replace(" ", NO_BREAK) for fix in fixes)
     return [line.replace(NO_BREAK, " ") for line in text_table.wrapped(head, unbroken, width)]
 

@@ -39,7 +39,6 @@ from .python_words import in_python, speaks_python
 
 V = TypeVar("V")
 Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: the default ones
-UNKNOWN_EXPORT = "--export: unknown format"
 
 
 class UnknownNameError(UsageError, KeyError):
@@ -213,7 +212,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         """
         robot: dict[str, Content] = {"robot.toml": robot_toml.dump(results.settings_tables(self.robot))}
         files = robot | self._files(write) | fixes_file(self.report)
-        formats = chosen(export, list(EXPORTS), UNKNOWN_EXPORT)
+        formats = chosen(export, list(EXPORTS), "--export: unknown format")
         files |= outputs.exported_files(formats, self.loaded, self._by_file())
         written = self._written(folder, files, overwrite)
         forget_fixes(written)

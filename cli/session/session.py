@@ -128,9 +128,6 @@ def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> 
         return {}  # `info` reports the reason
 
 
-ADVICE_KEYS = ("headline", "validity", "findings", "fixes")  # of a report
-
-
 class Session(msgspec.Struct, frozen=True, eq=False):
     """A measured log with its settings."""
 
@@ -304,7 +301,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         Keys: "headline", "validity", "findings", "fixes".
         """
         report = self.compare(audits=False, smooth=False).report
-        return {key: report[key] for key in ADVICE_KEYS}
+        return {key: report[key] for key in ("headline", "validity", "findings", "fixes")}
 
     def _complete(self, report: dict[str, Any], compared: Compared, asked: Asked, advised: Advised | None) -> None:
         """Add ranges under jitter, advice, and warnings on the motion to `report`."""

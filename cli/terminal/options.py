@@ -193,16 +193,17 @@ READING = (
     ),
     QUIET,
 )
-PRESET = option(
-    "--preset",
-    "The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
-    type=click.Choice(settings.PRESETS),
-)
-WINDOW = (
+FUSING = (  # of a command that runs the filter on a log
+    *READING,
+    option(
+        "--preset",
+        "The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
+        type=click.Choice(settings.PRESETS),
+    ),
     option("--from begin", f"Use only the drive after this time: {SECONDS}.", type=float, metavar="S"),
     option("--to end", f"Use only the drive before this time: {SECONDS}.", type=float, metavar="S"),
 )
-FUSING = (*READING, PRESET, *WINDOW)  # of a command that runs the filter on a log
+
 GIVEN_MAP = option(
     "--map given_map",
     "Localise in this map: a .json of --save-map, or a .yaml of map_server, in which the start is searched. "

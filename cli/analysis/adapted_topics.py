@@ -7,7 +7,7 @@ import re
 from locfuse.formats.logs import adapters
 from locfuse.formats.logs.log import Log
 from locfuse.formats.logs.transform_stream import OF_CAMERA, named_as_tag, tags_of
-from locfuse.formats.robot.transforms import StaticTransforms, ancestors
+from locfuse.formats.robot.transforms import ancestors
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.landmarks import POSES
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -64,10 +64,7 @@ def not_read(log: Log, role: str) -> str:
 
 
 def offer_presented(log: Log) -> None:
-    """Add converted topics for roles without a topic of the usual type: "/points:scan" from the cloud /points.
-
-    All Foxglove and multi-echo scans are added, but only the likeliest of several point clouds.
-    """
+    """Add converted topics, such as "/points:scan", for roles without a usual one; of clouds the likeliest."""
     found: list[str] = []
     if not filled(log, adapters.SCAN):
         found += filled(log, *adapters.FOXGLOVE) or filled(log, adapters.ECHOES) or _clouds(log)[:1]
@@ -112,30 +109,18 @@ def offer_tags(log: Log, robot: Robot) -> None:
     if settings.topic or settings.file or filled(log, *POSES):
         return
     for topic in log.transform_topics:
-        for camera in _cameras(log, topic):
-            log.find(f"{topic}:{camera}:{OF_CAMERA}")
+        edges = log.frames(topic)
+        for frame in sorted({parent for parent, child in edges if named_as_tag(child)}):
+            tags = sum(named_as_tag(edge.child) for edge in tags_of(edges, frame))
+            if tags >= MIN_TAGS and _is_camera_on_robot(log, frame):
+                log.find(f"{topic}:{frame}:{OF_CAMERA}")
 
 
-def _cameras(log: Log, topic: str) -> list[str]:
-    """Return the frames of cameras on the robot that have several tags in /tf, sorted by name."""
-    edges = log.frames(topic)
-    parents = sorted({parent for parent, child in edges if named_as_tag(child)})
-    several = [p for p in parents if sum(named_as_tag(edge.child) for edge in tags_of(edges, p)) >= MIN_TAGS]
-    if not several:
-        return []
-    transforms = log.all_mounts()
-    return [frame for frame in several if _on_robot(frame, transforms) and _is_camera(log, frame)]
-
-
-def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
-    """Return whether a frame may be on the robot: in /tf below a base frame, or not below map, world or odom."""
-    above = [parent for parent, _ in ancestors(transforms, frame)]
-    return any(map(is_base, above)) or not any(map(is_fixed, above))
-
-
-def _is_camera(log: Log, frame: str) -> bool:
-    """Return whether a frame has a name like a camera, or is the frame of a topic with pictures."""
-    if CAMERA_NAME.search(frame.lower()):
-        return True
+def _is_camera_on_robot(log: Log, frame: str) -> bool:
+    """Return whether a frame is on the robot (not in map, world, odom), and has a camera's name or pictures."""
+    above = [parent for parent, _ in ancestors(log.all_mounts(), frame)]
+    if any(map(is_fixed, above)) and not any(map(is_base, above)):
+        return False
     pictures = filled(log, *REGISTRY["camera"].reads, CAMERA_INFO)
-    return any(log.stream(t).frame_id.lstrip("/") == frame for t in pictures)
+    named = CAMERA_NAME.search(frame.lower()) is not None
+    return named or any(log.stream(t).frame_id.lstrip("/") == frame for t in pictures)

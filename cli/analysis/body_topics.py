@@ -63,6 +63,7 @@ IN_CAMERA = (
     "{topic} holds poses in the frame {frame}: of something that a camera sees. Nothing in this log says how the "
     "robot moved"
 )
+UNSTEERED = "{motor} says how fast the motor turns, and no topic says how the car was steered"
 CAMERA_FRAMES = re.compile("camera|optical|marker|aruco|tag")  # a pose in such a frame is not the robot's
 
 
@@ -84,10 +85,7 @@ class Body(NamedTuple):
 
 
 def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
-    """Return the topic of the body's motion; None if there is none. Raises LocfuseError if several fit.
-
-    `scans` allows scan matching as the motion; `stand_in` allows estimated poses and commands.
-    """
+    """Return the body's motion, or None. `scans`: by scan matching too; `stand_in`: by estimates and commands."""
     laser = of_sensor(log, robot, "lrf", (SCANS,)) if scans else None
     if laser is None:
         body = _best_agreeing(log, robot, choice, [*_measured(log, robot, choice, speeds=True)])
@@ -127,19 +125,16 @@ def _with_notes(body: Body, evidence: MotionEvidence | MotionSensors) -> Body:
     return body._replace(why=evidence.agrees, note=words, fixes=(f"wheels.topic={body.topic}",))
 
 
-def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | MotionSensors | None) -> Body | None:
+def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | MotionSensors) -> Body | None:
     """Return the only motion of a kind that agrees with the other sensors; None if none agrees."""
-    if evidence is not None:
-        same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
-    topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
-    return next((body for body in same if body.topic == topic), None)
+    kept = evidence.keep([body.topics for body in same])
+    agreeing = {body.topic: body for body in same if body.topics in kept}
+    topic = one(log, "wheels", None, [*agreeing], WHEEL_READS)
+    return None if topic is None else agreeing[topic]
 
 
 def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
-    """Yield the measured motions, one list for each kind, best kind first; twists only if `speeds` is set.
-
-    An odometry in a map frame is an estimate of another program, so it comes last.
-    """
+    """Yield the measured motions by kind, best first, estimates in a map frame last; twists only if `speeds`."""
     odometry = _free_topics(log, robot, choice, (ODOMETRY,))
     estimated = [t for t in odometry if is_room(log.stream(t).frame_id)]
     rolled = [t for t in odometry if t not in estimated]
@@ -164,7 +159,9 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
 def _odometry_body(topic: str, why: str, others: Sequence[str]) -> Body:
     """Return an odometry as the motion, with a note on unused odometries or on an IMU or GPS fused in it."""
     if not others:
-        return Body(topic, why, HOLDS_MORE.format(topic=topic) if _holds_more(topic) else "")
+        name = topic.lower()
+        holds_more = _odometry_rank(topic) > 1 and (NAMES_FILTER.search(name) or NAMES_GPS.search(name))
+        return Body(topic, why, HOLDS_MORE.format(topic=topic) if holds_more else "")
     looks = "looks" if len(others) == 1 else "look"
     words = f"{topic} is used: {' and '.join(others)} {looks} made of more than the wheels"
     return Body(topic, why, words, (f"wheels.topic={topic}",))
@@ -178,12 +175,12 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     """Return a substitute if no motion was measured: estimated poses, commands, a steering angle, other poses."""
     poses = _free_topics(log, robot, choice, POSES)
     of_robot = [t for t in poses if not (of_camera(log, t) or commanded(t, log.topics[t].msgtype))]
-    if not of_robot:
-        of_robot = moving_frames(log, is_fixed)
-    estimated = [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in of_robot]
-    if (body := _only_motion(log, estimated, None)) is not None:
-        return body
-    best, others = nearest_to_base(_twists(log, robot, choice, asked=True))
+    frames = of_robot or moving_frames(log, is_fixed)
+    if (estimated := one(log, "wheels", None, frames, WHEEL_READS)) is not None:
+        return Body(estimated, NOTHING_ELSE, ESTIMATED.format(topic=estimated))
+    commands = _twists(log, robot, choice, asked=True)
+    best = [t for t in commands if _steps_to_base(t) == min(map(_steps_to_base, commands))]
+    others = [t for t in commands if t not in best]
     obeyed = _best_agreeing(log, robot, choice, [[Body(t, NOTHING_ELSE) for t in best]])
     if obeyed is not None:
         topic = obeyed.topic
@@ -201,39 +198,20 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     return None
 
 
-def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split command topics by name: those that the base's driver probably reads, and the others."""
-
-    def rank(topic: str) -> int:
-        name = topic.rpartition("/")[2].lower()
-        return 0 if name in NEAR_BASE else 2 if NAMES_UPSTREAM.search(topic.lower()) else 1
-
-    least = min(map(rank, topics), default=0)
-    best = [t for t in topics if rank(t) == least]
-    return best, [t for t in topics if t not in best]
+def _steps_to_base(topic: str) -> int:
+    """Return how far a topic of commands is from the base's driver, by its name: 0 the driver reads it, 1, 2."""
+    if topic.rpartition("/")[2].lower() in NEAR_BASE:
+        return 0
+    return 2 if NAMES_UPSTREAM.search(topic.lower()) else 1
 
 
 def _free_topics(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
-    """Return topics of these message types that have messages and that no other role reads.
-
-    A topic configured for a sensor (`[pose] topic`) is left out if there are others.
-    """
+    """Return filled topics of these types that no other role reads, and no sensor's settings if others remain."""
     taken = {topic for role in choice.topics for topic in choice.of(role)}
-    found = [
-        t
-        for t in filled(log, *kinds)
-        if t not in taken
-        and (":" not in t or t.endswith(ADAPTED_SUFFIX))  # left out: frames of /tf, and single fields of a message
-        and not looks_like_truth(t)
-    ]
+    free = [t for t in filled(log, *kinds) if t not in taken and not looks_like_truth(t)]
+    found = [t for t in free if ":" not in t or t.endswith(ADAPTED_SUFFIX)]  # no frames of /tf, no single fields
     asked = {robot.settings(name).topic for name, sensor in REGISTRY.items() if sensor.asked_only}
     return [t for t in found if t not in asked] or found
-
-
-def _holds_more(topic: str) -> bool:
-    """Return whether an odometry's name shows that an IMU or GPS is fused in it."""
-    name = topic.lower()
-    return _odometry_rank(topic) > 1 and bool(NAMES_FILTER.search(name) or NAMES_GPS.search(name))
 
 
 def _odometry_rank(topic: str) -> int:
@@ -247,10 +225,7 @@ def _odometry_rank(topic: str) -> int:
 
 
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
-    """Return topics with forward speeds: commanded ones if `asked`, else measured ones.
-
-    Left out: speeds in a frame that does not turn with the robot (odom, map), and those of a GPS receiver.
-    """
+    """Return topics of speeds, commanded (`asked`) or measured; none in a fixed frame, none of a GPS receiver."""
     steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
     kinds = (*TWISTS, *STEERED) if steers else TWISTS
     found = [t for t in _free_topics(log, robot, choice, kinds) if commanded(t, log.topics[t].msgtype) == asked]
@@ -269,13 +244,10 @@ def of_camera(log: Log, topic: str) -> bool:
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
     """Return /tf pairs (fixed frame, moving frame) as topics; if base frames move, only pairs with these."""
-    found: dict[str, bool] = {}
-    for topic in log.transform_topics:
-        for (parent, child), edge in log.frames(topic).items():
-            if edge.moves and fixed(parent) and not is_fixed(child):
-                found[f"{topic}:{parent}:{child}"] = is_base(child)
-    based = [name for name, base in found.items() if base]
-    names = based or list(found)
+    pairs = ((topic, edge) for topic in log.transform_topics for edge in log.frames(topic).values())
+    found = [(topic, e) for topic, e in pairs if e.moves and fixed(e.parent) and not is_fixed(e.child)]
+    based = [(topic, e) for topic, e in found if is_base(e.child)]
+    names = (f"{topic}:{e.parent}:{e.child}" for topic, e in based or found)
     return [name for name in names if log.find(name) is not None]
 
 
@@ -301,10 +273,7 @@ def nothing_moves(log: Log) -> NoWheelsError:
 
 
 def steering_of(log: Log, robot: Robot) -> str | None:
-    """Return the topic of a car's steering; None without one.
-
-    Order: the configured topic, a servo if `servo_gain` is set, an Ackermann command, any servo.
-    """
+    """Return a car's steering: as configured, a servo with `servo_gain`, an AckermannDrive, any servo, or None."""
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, (*STEERED, SERVO))
@@ -320,12 +289,9 @@ def with_steering(log: Log, robot: Robot, motor: str) -> list[str]:
     """Return the topics of a car's motor and of its steering. Raises LocfuseError without steering."""
     steering = steering_of(log, robot)
     if steering is None:
-        raise LocfuseError(
-            f"{motor} says how fast the motor turns, and no topic says how the car was steered "
-            "(an AckermannDrive, or a servo's position).",
-            role="wheels",
-            hint="Name it with --set wheels.steering_topic=<topic>, or the odometry that was made of both",
-        )
+        words = f"{UNSTEERED.format(motor=motor)} (an AckermannDrive, or a servo's position)."
+        hint = "Name it with --set wheels.steering_topic=<topic>, or the odometry that was made of both"
+        raise LocfuseError(words, role="wheels", hint=hint)
     return [motor, steering]
 
 
@@ -342,7 +308,7 @@ def motor_words(log: Log, robot: Robot) -> str:
     if not found or motor_of(log, robot):
         return ""
     if steering_of(log, robot) is None:
-        return f"{found[0]} says how fast the motor turns, and no topic says how the car was steered"
+        return UNSTEERED.format(motor=found[0])
     return (
         f"{found[0]} holds what its motor did: --set wheels.topic={found[0]} --set wheels.erpm_per_mps=<erpm> "
         f"({GAIN_HINT}) --set wheels.wheelbase=<metres> uses it"

@@ -5,8 +5,8 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from locfuse.formats.logs.log import Log
@@ -22,27 +22,42 @@ from .body_topics import by_fixes
 from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
+TF = "/tf"  # a role of `choose_each`: frames that are topics of landmarks
 LEFT_OUT = "none"  # truth.topic: the log's truth is left out
 
 
 def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
-    """Choose topics. Raises LocfuseError if several fit, none gives the motion, or a named one does not fit.
-
-    A robot.toml serves many logs, so the log may lack topics of sensors or truth that robot.toml names, but not
-    topics that --set names. `insisted`: tables with a topic from --set.
-    """
+    """Choose topics. Raises LocfuseError if several fit, none gives the motion, or a named one does not fit."""
     choice = Choice()
-    offer_presented(log)
-    with suppress(LocfuseError):  # a loop of frames in /tf is reported where they are used
-        offer_tags(log, robot)
-    choose_truth(log, robot, "truth" in insisted, choice)
-    choose_wheels(log, robot, choice)
-    for name in REGISTRY:
-        choose_sensor(log, robot, name, name in insisted, choice)
+    for role, problem in choose_each(log, robot, insisted, choice):
+        if role != TF:  # a loop of frames in /tf is reported where they are used
+            raise problem
     for name, why in unmet(choice.topics).items():
         del choice.topics[name]
         choice.absent[name] = why
     return choice
+
+
+def choose_each(
+    log: Log, robot: Robot, insisted: Collection[str], choice: Choice
+) -> Iterator[tuple[str, LocfuseError]]:
+    """Choose the topics of each role, and yield (role, error) for each role whose choice fails.
+
+    A robot.toml serves many logs, so the log may lack topics of sensors or truth that robot.toml names, but not
+    topics that --set names. `insisted`: tables with a topic from --set.
+    """
+    offer_presented(log)
+    steps: dict[str, Callable[[], None]] = {
+        TF: partial(offer_tags, log, robot),
+        "truth": partial(choose_truth, log, robot, "truth" in insisted, choice),
+        "wheels": partial(choose_wheels, log, robot, choice),
+        **{s: partial(choose_sensor, log, robot, s, s in insisted, choice) for s in REGISTRY},
+    }
+    for role, step in steps.items():
+        try:
+            step()
+        except LocfuseError as problem:
+            yield role, problem
 
 
 def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Choice) -> None:
@@ -143,13 +158,16 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     if the sensor may have several; the likeliest, if the sensor has a list of unlikely names. Otherwise an extra
     sensor gets no topic, and LocfuseError is raised for any other sensor.
     """
-    sensor = REGISTRY[name]
+    sensor, kinds = REGISTRY[name], {log.topics[t].msgtype for t in candidates}
+    several = sensor.several
+    if sensor.several_frames and len(candidates) > 1 and len(kinds) == 1:  # equal sensors, mounted apart
+        several = several or len({log.stream(t).frame_id for t in candidates} - {""}) == len(candidates)
     if len(candidates) == 1:
         same = filled(log, log.topics[candidates[0]].msgtype)
         choice.take(name, candidates, WHY_ONLY if len(same) < 2 else "the only one of its type that fits")
     elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
         choice.take(name, shared[:1], "another sensor reads it too")
-    elif sensor.several or (sensor.several_frames and _differ_in_frame(log, candidates)):
+    elif several:
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
     elif sensor.unlikely is not None:
         best = likeliest(candidates, sensor.unlikely, choice.topics.get("wheels", ""))
@@ -161,12 +179,6 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     else:  # an extra sensor: no guess, and no error that would stop the other sensors
         why = several_fit(log, name, candidates)
         choice.leave(name, why.sentence, why.fixes)
-
-
-def _differ_in_frame(log: Log, topics: Sequence[str]) -> bool:
-    """Return whether topics have equal types and different frames: several sensors, mounted apart."""
-    frames = {log.stream(t).frame_id for t in topics}
-    return len({log.topics[t].msgtype for t in topics}) == 1 and len(frames - {""}) == len(topics)
 
 
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import Any, cast, get_args
 
 import msgspec
 import numpy as np
@@ -25,27 +25,15 @@ from locfuse.fusion.judge.predictive import Score, contradictions, listeners, me
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
+from locfuse.fusion.whole_drive.reference import References, sets
+from locfuse.fusion.whole_drive.smooth import check_smoothing
 
-from . import results
+from . import results, verdicts
 from .configurations import Configuration
 from .load import Loaded
 from .robot_tables import key
 from .settings import Asked, Progress, one_of
-from .verdicts import (
-    ByReference,
-    add_consistency,
-    add_pairs,
-    by_reference,
-    credit_values,
-    judge_values,
-    noise_factors,
-    prediction_values,
-    reference_values,
-    verdicts,
-)
-
-if TYPE_CHECKING:
-    from locfuse.fusion.whole_drive.reference import References
+from .verdicts import ByReference
 
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # difference of first poses from which on frames differ
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
@@ -126,15 +114,9 @@ def compare_log(
     one_of(asked.align, get_args(Align), "align")
     drive, robot = loaded.drive, loaded.robot
     if asked.smooth:  # raise early: smoothing needs the optimal gain
-        from locfuse.fusion.whole_drive.smooth import check_smoothing
-
         for c in configurations:
             check_smoothing(robot, c.sensors)
-    solves: set[frozenset[str]] = set()
-    if asked.reference:
-        from locfuse.fusion.whole_drive.reference import sets
-
-        solves = {frozenset(sensors) for sensors in sets(drive)}
+    solves = {frozenset(sensors) for sensors in sets(drive)} if asked.reference else set()
     filtered, smoothed, runs = list[JudgedRun](), list[JudgedRun](), list[RunInnovations]()
     wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of the filtered ones
     drawn = Drawn()
@@ -172,14 +154,13 @@ def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], 
     drive, robot, plain = compared.loaded.drive, compared.loaded.robot, compared.plain
     references, align = None, cast("Align", asked.align)
     if asked.reference:
-        from locfuse.fusion.whole_drive.reference import References
-
         progress("solving the whole drive")
         alone = {sensors[0]: name for name, sensors in compared.sets.items() if len(sensors) == 1}
         contradicting = contradictions(compared.scores, alone)
         wholes = compared.smoothed
         solved = {s: (e, wholes[e.name]) for s, (e, _) in plain.items() if e.name in wholes}
-        references = References.of(drive, robot, solved, noise_factors(compared.runs, robot), contradicting)
+        factors = verdicts.noise_factors(compared.runs, robot)
+        references = References.of(drive, robot, solved, factors, contradicting)
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
     aligns = [align] * len(compared.estimates) + [how for _, how in others]
     estimates = [*compared.estimates, *(e for e, _ in others)]
@@ -198,10 +179,7 @@ def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], 
 def _effect(
     references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
 ) -> ByReference | None:
-    """Return the position errors [m] without and with a sensor, against a reference that does not use it.
-
-    None if the reference or one of the two runs is missing.
-    """
+    """Return the errors [m] without and with a sensor, by a reference without it; None if one is missing."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
@@ -237,24 +215,6 @@ def _judged(
     return judged, runs
 
 
-def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
-    """Return the distance [m] between a foreign estimate and the truth at the first common time.
-
-    None if both are near in position and heading, or without truth.
-    """
-    if drive.truth is None or estimates.truth_pose is None:
-        return None
-    rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
-    if not len(rows):
-        return None
-    first, pose = rows[0], estimates.truth_pose[rows[0]]
-    point = se2.transform(pose[None], np.array([drive.truth.point]))[0]
-    away = float(np.hypot(*(point - drive.truth.xy[first])))
-    theta = drive.truth.theta
-    turned = 0.0 if theta is None else abs(float(se2.wrap_all(np.array([pose[2] - theta[first]]))[0]))
-    return away if away > OTHER_FRAME_M or turned > OTHER_FRAME_RAD else None
-
-
 def _in_frame_of(
     e: Estimates, drive: Drive, references: References | None, align: Align
 ) -> tuple[Estimates, Align]:
@@ -264,8 +224,14 @@ def _in_frame_of(
     """
     whole = None if references is None else references.whole
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
-    away = _other_frame(seen, judge) if align == "none" else None
-    if away is None:
+    truth, poses = judge.truth, seen.truth_pose
+    if align != "none" or truth is None or poses is None:
+        return e, align
+    common = np.flatnonzero(np.isfinite(poses[:, 0]))[:1]  # the first time of both
+    points = se2.transform(poses[common], np.array([truth.point]))
+    away = float(np.hypot(*(points - truth.xy[common]).T).sum())
+    turns = np.zeros(1) if truth.theta is None else se2.wrap_all(poses[common, 2] - truth.theta[common])
+    if away <= OTHER_FRAME_M and abs(turns.sum()) <= OTHER_FRAME_RAD:
         return e, align
     words = f"{e.name}: begins {away:.2f} m from the {what}, so it is of another frame: aligned at its first pose"
     return replace(e, notes=(*e.notes, words)), "origin"
@@ -300,16 +266,15 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
     report["repeat"] = results.repeat(compared.loaded, asked) if asked else None
     report["changed_settings"] = results.changed_settings(compared.loaded)
-    sets = compared.sets
-    report["verdicts"] = verdicts(compared.credit, compared.scores, sets, base=compared.base)
-    report["credit"] = None if compared.credit is None else credit_values(compared.credit)
-    scores, base = compared.scores, compared.base
-    report["prediction"] = prediction_values(scores, list(sets), base) if scores else None
-    add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
+    sets, scores, base = compared.sets, compared.scores, compared.base
+    report["verdicts"] = verdicts.verdicts(compared.credit, scores, sets, base=base)
+    report["credit"] = None if compared.credit is None else verdicts.credit_values(compared.credit)
+    report["prediction"] = verdicts.prediction_values(scores, list(sets), base) if scores else None
+    verdicts.add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_reference(report, compared)
     slower = {c.name: c.sensors for c in compared.configurations if c.rates}
     errors = {name: values.get("position_rmse_m") for name, values in report["configurations"].items()}
-    add_pairs(report["verdicts"], sets, slower, errors, compared.credit is not None)
+    verdicts.add_pairs(report["verdicts"], sets, slower, errors, compared.credit is not None)
     add_own_scans(report, compared, compared.loaded.drive)
     return json_report.plain(report)
 
@@ -352,21 +317,25 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
     report["reference"] = None
     if found is None:
         return
-    references = found.references
+    references, whole = found.references, found.references.whole
     for name, values in report["configurations"].items():
-        values["reference"] = judge_values(found.judges[name], references.whole, values["sensors"])
-    report["reference"] = reference_values(references.whole, references.contradict, compared.base)
+        judge = found.judges[name]
+        shared = [s for s in judge.sensors if s in values["sensors"]]
+        own_reference = verdicts.reference_values(judge)
+        values["reference"] = {**own_reference, "shared": shared, "agrees": judge.agrees(whole)}
+    words = verdicts.reference_words(whole, references.contradict, compared.base)
+    report["reference"] = {**verdicts.reference_values(whole), "words": words}
     for sensor in references.present:
         own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
         reference = references.without(sensor)
         contradiction = None if reference is None else references.contradiction(reference, (sensor,))
         if own is not None or effect is not None:
-            report["verdicts"][sensor] = by_reference(own, reference, effect, contradiction)
+            report["verdicts"][sensor] = verdicts.by_reference(own, reference, effect, contradiction)
 
 
 def report_of_run(compared: Compared) -> dict[str, Any]:
     """Return run.json, the report of one configuration, as plain values."""
     report = results.build(compared.loaded, compared.evaluations)
-    add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
+    verdicts.add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_own_scans(report, compared, compared.configurations[0].drive(compared.loaded.drive))
     return json_report.plain(report)

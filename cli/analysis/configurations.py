@@ -17,6 +17,7 @@ from locfuse.fusion.measure import thinned
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth, why_not_smoothed
 
 from .errors import has_scipy
 from .settings import Asked
@@ -49,23 +50,14 @@ class Configuration(msgspec.Struct, frozen=True):
             return asked.smooth and bool(self.sensors)
         if asked.jitter or self.rates or LASER not in self.sensors:
             return False
-        from locfuse.fusion.whole_drive.smooth import why_not_smoothed
-
         return has_scipy() and why_not_smoothed(robot, self.sensors) is None
 
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
-        """Run the filter, and with `smooth` the smoother. Returns (filtered,) or (filtered, smoothed).
-
-        Raises UsageError if the filter to be smoothed does not use the optimal gain.
-        """
+        """Run the filter, with `smooth` the smoother (UsageError without optimal gain): (filtered, [smoothed])."""
         found: tuple[Estimates, ...]
         if smooth:
-            from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
-
-            filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
-            if np.isfinite(whole.pose).all():
-                found = filtered, whole
-            else:
+            found = filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+            if not np.isfinite(whole.pose).all():
                 found = (replace(filtered, notes=(*filtered.notes, NOT_SMOOTHED)),)
         else:
             found = (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
@@ -73,10 +65,7 @@ class Configuration(msgspec.Struct, frozen=True):
 
 
 def parse(sensors: Sensors, drive: Drive) -> Configuration:
-    """Return the configuration of one --sensors: "all", "odometry", "compass,lrf", or a list of sensors.
-
-    Raises UsageError for an unknown word, LocfuseError for a sensor that this log lacks.
-    """
+    """Return the configuration of one --sensors: "all", "odometry", "compass,lrf", or a list of sensors."""
     words = sensors if isinstance(sensors, str) else ",".join(sensors)
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     names = list(dict.fromkeys(w.strip() for w in words.replace("+", ",").split(",") if w.strip()))
@@ -96,21 +85,18 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
             raise LocfuseError(f"--sensors {name}: {why}", fixes=drive.fixes.get(sensor, ()))
         written[sensor] = name
         if at:
-            rates[sensor] = _rate(name, rate)
+            found = RATE_PATTERN.fullmatch(rate.strip())
+            rates[sensor] = float(found[1]) if found else 0.0
+            if rates[sensor] <= 0.0:
+                raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")
     used = tuple(s for s in REGISTRY if s in written)
-    for sensor in used:
-        _check_needs(sensor, written, words)
+    lacking = [(s, other, why) for s in used for other, why in REGISTRY[s].needs.items() if other not in written]
+    for sensor, other, why in lacking:
+        enough = ",".join((other, *written.values()))
+        raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
     if not rates:
         return plain(used, drive)
     return Configuration("+".join(written[s] for s in used), used, rates)
-
-
-def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
-    """Raise UsageError if a sensor needs another sensor that is not in the set."""
-    for other, why in REGISTRY[sensor].needs.items():
-        if other not in written:
-            enough = ",".join((other, *written.values()))
-            raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
 
 
 def configuration_words(sensors: Sensors | Iterable[Sensors] | None) -> tuple[str, ...]:
@@ -146,18 +132,9 @@ def refuse_beside_others(words: str, names: Sequence[str]) -> None:
     for word, what in meaning.items():
         others = [name for name in names if name != word]
         if word in names and others:
-            raise UsageError(
-                f"--sensors {words}: {word} stands alone, it means {what}; write --sensors {word} or --sensors "
-                f"{','.join(name for name in others if name not in meaning) or others[0]}"
-            )
-
-
-def _rate(name: str, text: str) -> float:
-    """Return the rate [Hz] of a text such as "2Hz". Raises UsageError unless it is a positive number."""
-    found = RATE_PATTERN.fullmatch(text.strip())
-    if found is None or float(found[1]) <= 0.0:
-        raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")
-    return float(found[1])
+            fix = ",".join(name for name in others if name not in meaning) or others[0]
+            alone = f"{word} stands alone, it means {what}"
+            raise UsageError(f"--sensors {words}: {alone}; write --sensors {word} or --sensors {fix}")
 
 
 def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
@@ -166,10 +143,7 @@ def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
 
 
 def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> list[Configuration]:
-    """Return the configurations to compare; named ones replace the default ones.
-
-    Default: odometry, each sensor alone (or with the sensor that it needs), and all. `every`: also all subsets.
-    """
+    """Return named configurations, else odometry, each sensor alone, and all; with `every` also all subsets."""
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     named = [parse(w, drive) for w in words]
     if every:

@@ -41,17 +41,13 @@ def expected(e: Exception) -> tuple[str, int] | None:
         return f"{what}{where}{hint}", 1
     if isinstance(e, ImportError) and any(words in str(e) for words in OUT_OF_MEMORY_WORDS):
         return f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1
-    if isinstance(e, ModuleNotFoundError) and (package := _package_of(e)) is not None:
+    module = (e.name or "").partition(".")[0] if isinstance(e, ModuleNotFoundError) else ""
+    if module not in {"", "locfuse"}:  # a missing module of locfuse is a bug
+        package = PACKAGES.get(module, module)
         return f"this needs {package}, which is not installed: python -m pip install {package}", 1
     if isinstance(e, RuntimeError) and "can't start new thread" in str(e):
         return "out of memory: a thread could not be started", 1
     return None
-
-
-def _package_of(e: ModuleNotFoundError) -> str | None:
-    """Return the package to install for a missing module; None for a module of locfuse (a bug)."""
-    module = (e.name or "").partition(".")[0]
-    return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
 
 
 def silence_overflows() -> None:

@@ -22,16 +22,19 @@ from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.log import Log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.report import json_report
+from locfuse.formats.report.changes import judged_by
+from locfuse.formats.report.structure import ReportedResult
 from locfuse.formats.report.summary import OVER_LOGS
 from locfuse.fusion.data import LocfuseError, UsageError
+from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
 from .settings import GateOptions
 
 EXIT_GATE_FAILED = 4
 OF_REFERENCE = "reference."  # prefix of errors against a reference, in a log without truth
 OF_FLEET = "fleet."  # prefix of figures over all logs
-Operator = Callable[[float, float], bool]
-OPERATORS: dict[str, Operator] = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+OPERATORS: dict[str, Callable[[float, float], bool]]
+OPERATORS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 TOLERANCE_UNITS = {
     "": ("share", 1.0),
     "%": ("share", 0.01),
@@ -84,10 +87,7 @@ class Baseline(msgspec.Struct, frozen=True):
     of_fleet: bool = False
 
     def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
-        """Return a line for each error that grew beyond the tolerance.
-
-        If baseline and `later` have no error in common, one line: the baseline has no `what`.
-        """
+        """Return a line for each error that grew beyond the tolerance, or one if there is no `what`."""
         old, new = self.figures, _error_figures(later["configurations"], self.of_fleet)
         common = [at for at in old if at in new]
         if not common:
@@ -112,28 +112,40 @@ class Gates(msgspec.Struct, frozen=True):
         """Return the gates of --fail-if, --baseline and --tolerance. Raises LocfuseError for an invalid gate."""
         limits = [parse_gate(text) for text in typed.fail_if]
         together = [gate for gate in limits if of_fleet and gate.figure.startswith(OF_FLEET)]
-        each = [known_figure(gate) for gate in limits if gate not in together]
+        each, known = [gate for gate in limits if gate not in together], ReportedResult.__struct_fields__
+        for gate in each:
+            configuration, *keys = gate.figure.removeprefix(OF_REFERENCE).split(".")
+            if not set(keys) & set(known):
+                near = did_you_mean(keys[-1], known) or "see: locfuse schema report"
+                raise UsageError(f"--fail-if {gate.text!r}: no report has {keys[-1]} of {configuration}; {near}")
         earlier = read_baseline(typed.baseline, typed.tolerance, of_fleet) if typed.baseline else None
         return cls(each, earlier, together)
 
     def failures(self, report: Mapping[str, Any]) -> list[str]:
         """Return one line per gate on one log that fails or whose figure is missing."""
-        lines = []
+        lines, where = [], "without truth" if report.get("truth") is None else "here"
+        absent = f"the figure does not exist {where}"
         for gate in self.limits:
-            path = gate.figure.removeprefix(OF_REFERENCE)
-            name, value = figure(report["configurations"], path)
-            mixed = _mixed(report, gate)
-            lines.append(gate.line(None if mixed else value, mixed or _missing(report, path, name)))
+            path, mixed = gate.figure.removeprefix(OF_REFERENCE), _mixed(report, gate)
+            value, missing = (None, mixed) if mixed else _reported(report["configurations"], path, absent)
+            lines.append(gate.line(value, missing))
         worse = _worse(report, self.baseline) if self.baseline and not self.baseline.of_fleet else []
         return [line for line in lines if line] + worse
 
     def failures_together(self, summary: Mapping[str, Any]) -> list[str]:
         """Return one line per gate on the whole fleet that fails or whose figure is missing."""
-        lines = [line for gate in self.together if (line := _violated_together(summary, gate))]
+        figures = {name: c["figures"] for name, c in summary["configurations"].items()}
+        failed = float(sum(log["state"] != "done" for log in summary["logs"].values()))
+        lines, absent = [], f"name a statistic: {', '.join(OVER_LOGS)}"
+        for gate in self.together:
+            path = gate.figure.removeprefix(OF_FLEET)
+            value, missing = (failed, "") if path == "failed" else _reported(figures, path, absent)
+            lines.append(gate.line(value, missing))
+        found = [line for line in lines if line]
         if self.baseline is None:
-            return lines
+            return found
         other = _other_logs(summary, self.baseline)
-        return [*lines, *([other] if other else self.baseline.grown(summary, "figure in common with these logs"))]
+        return [*found, *([other] if other else self.baseline.grown(summary, "figure in common with these logs"))]
 
 
 def parse_gate(text: str) -> Gate:
@@ -143,18 +155,6 @@ def parse_gate(text: str) -> Gate:
     if found is None or limit is None or "." not in found["figure"]:
         raise UsageError(f'--fail-if {text!r}: write it like "all.position_rmse_m > 0.02" (one of > >= < <=)')
     return Gate(text.strip(), found["figure"], found["op"], limit)
-
-
-def known_figure(gate: Gate) -> Gate:
-    """Return the gate. Raises UsageError if no report can have its figure."""
-    from locfuse.formats.report.structure import ReportedResult
-
-    configuration, *keys = gate.figure.removeprefix(OF_REFERENCE).split(".")
-    known = ReportedResult.__struct_fields__
-    if not set(keys) & set(known):
-        near = did_you_mean(keys[-1], known) or "see: locfuse schema report"
-        raise UsageError(f"--fail-if {gate.text!r}: no report has {keys[-1]} of {configuration}; {near}")
-    return gate
 
 
 def parse_tolerance(text: str) -> Tolerance:
@@ -199,16 +199,12 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
         return
     name, other = log.name, then.get("name")
     which = f"{other}, and this is {name}" if other != name else f"another log that is also called {name}"
-    raise LocfuseError(
-        f"--baseline {baseline.path} is of {which}: the error figures of two drives cannot be compared. Make a "
-        f"baseline of this log: locfuse compare {name} -o DIR"
-    )
+    words = f"--baseline {baseline.path} is of {which}: the error figures of two drives cannot be compared"
+    raise LocfuseError(f"{words}. Make a baseline of this log: locfuse compare {name} -o DIR")
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
     """Return why gate and report do not fit: one means errors to truth, the other to a reference; else None."""
-    from locfuse.fusion.judge.evaluate import ERROR_KEYS
-
     asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
     if asked:
         return None if report.get("reference") else "no reference judged this log; it needs a log without truth"
@@ -229,15 +225,16 @@ def figure(configurations: Mapping[str, Any], path: str) -> tuple[str | None, fl
     return name, float(value) if _is_number(value) and math.isfinite(value) else None
 
 
-def _missing(report: Mapping[str, Any], path: str, name: str | None) -> str:
-    configurations = report["configurations"]
+def _reported(configurations: Mapping[str, Any], path: str, absent: str) -> tuple[float | None, str]:
+    """Return a figure by its path, and the reason if it is missing: `absent` for a known name without a number."""
+    name, value = figure(configurations, path)
     if name is None:
-        return f"no such configuration in this report ({', '.join(configurations)})"
-    if path[len(name) + 1 :] in configurations[name]:
-        why = "without truth" if report.get("truth") is None else "here"
-        return f"the figure does not exist {why}"
-    known = (key for key, value in configurations[name].items() if value is None or _is_number(value))
-    return f"no such figure; there are {', '.join(known)}"
+        return None, f"no such configuration; there are {', '.join(configurations)}"
+    of, rest = configurations[name], path[len(name) + 1 :]
+    if rest in of or rest.rpartition(".")[0] in of:
+        return value, absent
+    numbers = [key for key, value in of.items() if value is None or _is_number(value)]
+    return value, f"no such figure; there are {', '.join(numbers or of) or 'none: no log has a truth'}"
 
 
 def _is_number(value: Any) -> bool:
@@ -246,8 +243,6 @@ def _is_number(value: Any) -> bool:
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     """Return a line for each error that grew beyond the tolerance, or one line why errors cannot be compared."""
-    from locfuse.formats.report.changes import judged_by
-
     then, now = judged_by(baseline.values), judged_by(report)
     if then != now and None not in (then, now):
         return [f"--baseline {baseline.path}: its errors are against {then}, these against {now}: no comparison"]
@@ -256,8 +251,6 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
 
 def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tuple[str, ...], float]:
     """Return a report's errors, or with `of_fleet` a summary's. Keys: (path, error name, *reference sensors)."""
-    from locfuse.fusion.judge.evaluate import ERROR_KEYS
-
     found: dict[tuple[str, ...], float] = {}
     for name, values in configurations.items():
         reference = (values.get("reference") or {}).get("sensors") or ()
@@ -272,35 +265,17 @@ def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tu
     return found
 
 
-def _violated_together(summary: Mapping[str, Any], gate: Gate) -> str | None:
-    path = gate.figure.removeprefix(OF_FLEET)
-    if path == "failed":
-        return gate.line(float(sum(log["state"] != "done" for log in summary["logs"].values())), "")
-    configurations = {name: c["figures"] for name, c in summary["configurations"].items()}
-    name, value = figure(configurations, path)
-    if name is None:
-        return gate.line(None, f"no such configuration in these logs ({', '.join(configurations)})")
-    key = path[len(name) + 1 :].partition(".")[0]
-    if key in configurations[name]:
-        return gate.line(value, f"name a statistic: {OF_FLEET}{name}.{key}.{'|'.join(OVER_LOGS)}")
-    known = ", ".join(configurations[name]) or "none: no log has a truth"
-    return gate.line(value, f"no such figure; there are {known}")
-
-
 def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
     """Return a line if the summary and the baseline are of different logs, else None."""
-    before, now = _contents(baseline.values), _contents(summary)
+    before, now = (  # names of the logs with a result, by the hash of the log's content
+        {str(v.get("identity")): n for n, v in of["logs"].items() if v.get("state", "done") == "done"}
+        for of in (baseline.values, summary)
+    )
     missing = [name for content, name in before.items() if content not in now]
     new = [name for content, name in now.items() if content not in before]
     parts = [f"{len(missing)} of its logs have no result now ({missing[0]})"] if missing else []
     parts += [f"{len(new)} logs are not in it ({new[0]})"] if new else []
     return f"--baseline {baseline.path}: it is over other logs: {'; '.join(parts)}" if parts else None
-
-
-def _contents(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Return the names of the logs with a result, by the hash of the log's content."""
-    logs = summary["logs"].items()
-    return {str(v.get("identity")): n for n, v in logs if v.get("state", "done") == "done"}
 
 
 def _number(text: str) -> float | None:

@@ -38,7 +38,7 @@ def expanded(words: Sequence[str], each: Sequence[str] = ()) -> list[str]:
     """
     found = [path for word in words for path in _expanded(word)]
     for folder in each:
-        below = list(_objects(Url(folder)) if is_url(folder) else _below(Path(folder)))
+        below = _objects(Url(folder)) if is_url(folder) else list(_below(Path(folder)))
         if not below:
             raise UsageError(f"--each {folder}: no log below it ({', '.join(ENDINGS)})")
         found += below
@@ -62,8 +62,8 @@ def _fitting(pattern: Url) -> list[str]:
     """Return the remote objects that match a pattern: ** is any number of folders, * and ? stay in one."""
     from locfuse.formats.container.remote_objects import below
 
-    fixed = re.split(r"[*?\[]", pattern.key)[0].rpartition("/")[0]
     wanted = re.compile(_regex(pattern.key))
+    fixed = re.split(r"[*?\[]", pattern.key)[0].rpartition("/")[0]
     found = below(pattern.at(f"{fixed}/" if fixed else ""))
     if not (fitting := [str(one) for one in found if wanted.fullmatch(one.key)]):
         raise UsageError(f"{pattern}: nothing fits this pattern")
@@ -78,13 +78,16 @@ def _regex(pattern: str) -> str:
     return "".join((whole | some).get(p) or re.escape(p) for p in parts)
 
 
-def _objects(folder: Url) -> Iterator[str]:
-    """Yield every log file below a remote folder, sorted by key; each part of a recording by itself."""
+def _objects(folder: Url) -> list[str]:
+    """Return every log file below a remote folder, sorted by key; each part of a recording by itself."""
     from locfuse.formats.container.remote_objects import below
 
-    for found in below(folder):
-        if any(Path(found.name).match(ending) for ending in ENDINGS):
-            yield str(found)
+    return [str(found) for found in below(folder) if is_log(found.name)]
+
+
+def is_log(name: str) -> bool:
+    """Return whether a file is a log, by the ending of its name."""
+    return any(Path(name).match(ending) for ending in ENDINGS)
 
 
 def _lines(file: Path) -> list[str]:
@@ -105,16 +108,12 @@ def _below(folder: Path) -> Iterator[str]:
     """Yield every log below a folder, sorted by path; folders with results of locfuse are skipped."""
     for here, folders, names in os.walk(folder):
         folders.sort()
-        if set(RESULTS) & set(names):  # a folder of results: its logs are exports
+        results = bool(set(RESULTS) & set(names))  # a folder of results: its logs are exports
+        if results or METADATA_FILE in names:
             folders.clear()
+            yield from [] if results else [here]
             continue
-        if METADATA_FILE in names:
-            yield here
-            folders.clear()
-            continue
-        for name in sorted(names):
-            if any(Path(name).match(ending) for ending in ENDINGS):
-                yield str(Path(here) / name)
+        yield from (str(Path(here) / name) for name in sorted(names) if is_log(name))
 
 
 def result_file(word: str) -> Path | None:
@@ -128,10 +127,7 @@ def result_file(word: str) -> Path | None:
 
 
 def results_of(words: Sequence[str]) -> list[Path] | None:
-    """Return the reports if every path is a finished result, else None.
-
-    None for a single path: one result cannot be compared. Raises UsageError for a mix of logs and results.
-    """
+    """Return the reports if several paths are all finished results, else None. UsageError: logs among them."""
     found = [result_file(word) for word in words]
     reports = [file for file in found if file is not None]
     if len(words) < 2 or not reports:
@@ -164,19 +160,15 @@ def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
     found: dict[str, Sequence[str]] = {}
     numbers: dict[str, int] = {}
     for parts in logs:
-        name = stem = _name(parts)
+        try:
+            name = stem = log_name(find_log(parts))
+        except UsageError:  # raised again when the log is opened
+            name = stem = writable(Path(parts[0]).stem) or "log"
         while name in found:
             numbers[stem] = numbers.get(stem, 1) + 1
             name = f"{stem}_{numbers[stem]}"
         found[name] = parts
     return found
-
-
-def _name(parts: Sequence[str]) -> str:
-    try:
-        return log_name(find_log(parts))
-    except UsageError:  # raised again when the log is opened
-        return writable(Path(parts[0]).stem) or "log"
 
 
 def _once(words: Sequence[str]) -> list[str]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from functools import cached_property
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -31,25 +31,16 @@ from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import merged, outside, parts_of
+from locfuse.fusion.streams import merged, outside, parts_of, seconds
 from locfuse.fusion.truth import NO_TRUTH, TRUTH_READS
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WHEEL_READS, WheelReading, read_wheels
 
+from . import robot_tables
 from .choose import choose
 from .motion_evidence import STANDS, find_motion_faults, path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
-from .robot_tables import (
-    flat,
-    given_tables,
-    make_robot,
-    merged_tables,
-    named_by_hand,
-    set_tables,
-    table_types,
-    with_files,
-    with_point_maps,
-)
+from .robot_tables import flat, make_robot
 from .settings import LogOptions, Progress, silent
 from .topics import Choice, Note
 
@@ -104,16 +95,11 @@ def _find(word: str) -> Place:
     samples = sample_logs.names()
     if word in samples:
         return sample_logs.path(word)
-    near = did_you_mean(word, [*samples, *_beside(path)])
+    known = list(samples)
+    with suppress(OSError):
+        known += map(str, itertools.islice(path.parent.iterdir(), MAX_LISTED))
+    near = did_you_mean(word, known)
     raise UsageError(f"no such log: {word}{f'; {near}' if near else '.'} Sample logs: {', '.join(samples)}")
-
-
-def _beside(path: Path) -> list[str]:
-    """Return the paths of the files and folders next to a missing path, for suggestions."""
-    try:
-        return [str(path.parent / entry.name) for entry in itertools.islice(path.parent.iterdir(), MAX_LISTED)]
-    except OSError:
-        return []
 
 
 def load(
@@ -123,16 +109,14 @@ def load(
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
 ) -> Loaded:
-    """Open a log, choose its topics, and measure `only` these sensors (None: all), without the roles `aside`.
-
-    Raises LocfuseError if a step fails.
-    """
+    """Open a log, choose its topics, and measure `only` these sensors (None: all), without the roles `aside`."""
     places = find_log(log)
     progress("opening")
-    given = given_tables(how)  # first: a file that changes during the run then gets another key next time
+    # the settings first: a file that changes during the run then gets another key next time
+    given = robot_tables.given_tables(how)
     opened = open_log(places)
-    tables, sources = merged_tables(opened, how)
-    choice = choose(opened, make_robot(tables), named_by_hand(how.sets))
+    tables, sources = robot_tables.merged_tables(opened, how)
+    choice = choose(opened, make_robot(tables), robot_tables.named_by_hand(how.sets))
     found = measured(opened, tables, choice, progress, only, aside)
     return _in_window(replace(found, sources=sources, given=given, how=how))
 
@@ -147,8 +131,7 @@ def _in_window(loaded: Loaded) -> Loaded:
 
 def unbroken(loaded: Loaded) -> tuple[Loaded, list[Finding]]:
     """Return the log cut to its longest part without a hole, and a finding on holes; [] if it has no hole."""
-    found = holes(loaded.drive)
-    if not found:
+    if not (found := holes(loaded.drive)):
         return loaded, []
     begin, end = longest_part(loaded.drive, found)
     how, ours = loaded.how, loaded.window == (None, None)
@@ -191,7 +174,8 @@ def measured(
     transforms = transforms_of(log, frames)
     placed = EXACT_LASER if by_scans else {}
     mounts = robot_toml.merge(placed, mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
-    robot = with_point_maps(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
+    settings = robot_toml.merge(mounts, shared_turns(tables, sensed), tables)
+    robot = robot_tables.with_point_maps(make_robot(settings))
     moving = on_moving_parts(transforms, sensed, tables)
     if by_scans and "lrf" in moving:
         raise LocfuseError(moving["lrf"], role="lrf")
@@ -262,11 +246,8 @@ def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) ->
 
 
 def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
-    """Return the log under other settings; only sensors whose settings changed are measured again.
-
-    Raises UsageError for settings that need a new `load`: topics, order, preset.
-    """
-    sets = set_tables(words)
+    """Return the log under other settings; measures again what changed. Topics, order, preset: UsageError."""
+    sets = robot_tables.set_tables(words)
     reading = [key for key in flat(sets) if key in {"order", "preset"} or key.endswith((".topic", ".topics"))]
     if reading:
         raise UsageError(f"{reading[0]} decides what is read of the log: give it when the log is loaded (--set)")
@@ -282,7 +263,7 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
         unchanged = {s: m for s, m in unchanged.items() if "shared" not in m.extra}
     if "gyro" in tables and "gyro" not in same:
         unchanged.pop("compass", None)  # the IMU's mount levels the magnetic field
-    given = None if loaded.given is None else with_files(robot_toml.layered(loaded.given, sets))
+    given = None if loaded.given is None else robot_tables.with_files(robot_toml.layered(loaded.given, sets))
     choice = deepcopy(loaded.choice)
     before = loaded if wheels else replace(loaded, reading=None)
     found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
@@ -296,7 +277,7 @@ def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
     keys = tables.get(table, {})
     if not isinstance(keys, Mapping):
         return keys
-    only_fused = getattr(table_types().get(table), "only_fused", ())
+    only_fused = getattr(robot_tables.table_types().get(table), "only_fused", ())
     return {key: value for key, value in keys.items() if key not in only_fused}
 
 
@@ -379,14 +360,11 @@ def fault_labels(log: Log, drive: Drive, order: str) -> list[Event]:
     info = log.topics.get(FAULTS)
     if info is None or info.msgtype != FAULTS_TYPE:
         return []
-    stream = log.stream(FAULTS, order=order)
-    texts = stream.columns("data")["data"]
-    assert isinstance(texts, list)
-    end = float(drive.t[-1])
-    t = ((stream.t_ns - drive.epoch_ns) * 1e-9).tolist()
+    stream, end = log.stream(FAULTS, order=order), float(drive.t[-1])
+    times, texts = seconds(stream.t_ns, drive.epoch_ns).tolist(), cast("list[str]", stream.columns("data")["data"])
     begun: dict[str, float] = {}
     found: list[Event] = []
-    for at, text in zip(t, texts, strict=True):
+    for at, text in zip(times, texts, strict=True):
         event, words = _parse_label(str(text))
         if event == "begin":
             begun[words] = at

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.caps import MAX_WALLS, names_its_cap
+from locfuse.formats.robot import line_map, map_image
 from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
 from locfuse.fusion.map.given_map import Grid, at_start, find_start, walls_of
 
@@ -25,15 +26,9 @@ ORIGIN = tuple(f"info.origin.{part}" for part in ("position.x", "position.y", "o
 
 
 def give(loaded: Loaded, file: Path) -> Loaded:
-    """Return the log with a map file for localisation: lines as JSON, or the .yaml of an occupancy grid.
-
-    Raises LocfuseError for a bad file and a map of another building, UsageError for the paper's filter, whose map
-    is the first scan.
-    """
+    """Return the log with a map file for localisation: lines as JSON, or the .yaml of an occupancy grid."""
     if loaded.robot.preset == "paper":
         raise UsageError("--map: the paper's filter knows its first scan's walls only; leave --preset paper out")
-    from locfuse.formats.robot import line_map, map_image
-
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
@@ -42,15 +37,10 @@ def give(loaded: Loaded, file: Path) -> Loaded:
 
 
 def give_topic(loaded: Loaded) -> Loaded:
-    """Return the log with the map of the topic `[lrf] map_topic`; unchanged without that setting.
-
-    Raises LocfuseError if the topic is missing, or has no map, or the map of another building.
-    """
+    """Return the log with the map of the topic `[lrf] map_topic`; unchanged without that setting."""
     topic = loaded.robot.settings("lrf").map_topic
     if topic is None or loaded.robot.preset == "paper":
         return loaded
-    from locfuse.formats.robot import map_image
-
     info = loaded.log.find(topic)
     if info is None or info.msgtype != GRID:
         what = "is not there" if info is None else f"is {info.msgtype}"
@@ -68,35 +58,29 @@ def give_topic(loaded: Loaded) -> Loaded:
 
 
 def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
-    if "lrf" not in loaded.drive.measurements:
-        raise loaded.drive.lacks("lrf")
-    try:
-        lines = walls_of(grid)
-    except LocfuseError as problem:
-        raise LocfuseError(f"{name}: {problem.message}", role="map") from None
-    if not lines:
-        raise LocfuseError(f"{name} has no wall of 0.3 m or more: nothing can be localised in it")
-    found = _with_map(loaded, lines, name)
-    known = found.robot.start_given and found.robot.start.sigma_xy < UNKNOWN_START_M
-    return found if known else _with_start(found, grid, name)
-
-
-def _with_start(loaded: Loaded, grid: Grid, name: str) -> Loaded:
-    """Return the log with the start pose found by matching the first scans with the map."""
+    """Return the log with a grid's walls as its map; an unknown start is found by the first scans."""
     drive, robot = loaded.drive, loaded.robot
-    m = drive.measurements["lrf"]
-    if m.points is None:
+    if (m := drive.measurements.get("lrf")) is None:
+        raise drive.lacks("lrf")
+    known = robot.start_given and robot.start.sigma_xy < UNKNOWN_START_M
+    if m.points is None and not known:
         raise LocfuseError(f"the start in {name} cannot be looked for: set [start] x, y, theta_deg", role="start")
     try:
-        found = find_start(grid, m.t, m.points, drive.wheels)
+        lines = walls_of(grid)
+        if not lines:
+            raise LocfuseError("no wall of 0.3 m or more: nothing can be localised in it")
+        found = find_start(grid, m.t, m.points, drive.wheels) if m.points is not None and not known else None
     except LocfuseError as problem:
         raise LocfuseError(f"{name}: {problem.message}", role="map") from None
+    loaded = _with_map(loaded, lines, name)
+    if found is None:
+        return loaded
     x, y, theta = pose = at_start(found, drive.wheels).tolist()
     words = (
         f"the drive begins in {name} at x {x:.2f} m, y {y:.2f} m, {math.degrees(theta):.0f} deg: looked for in "
         f"all of the map by the scans up to {found.until:.1f} s ({found.share:.0%} of the beams end at walls)"
     )
-    placed = robot.begun_at(pose, FOUND_XY, FOUND_THETA_RAD)
+    placed = loaded.robot.begun_at(pose, FOUND_XY, FOUND_THETA_RAD)
     stale = start_notes(robot, drive)  # notes on the old start
     notes = (*(note for note in drive.notes if note not in stale), words, *start_notes(placed, drive))
     return replace(loaded, robot=placed, drive=replace(drive, notes=notes))

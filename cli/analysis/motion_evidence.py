@@ -6,20 +6,21 @@ With a laser a measured motion is kept if about as many scan points agree as by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse.formats.logs.log import Log
 from locfuse.fusion.checks.examine import too_short
 from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, understood
-from locfuse.fusion.lines.scans import equal_scans
+from locfuse.fusion.lines.scans import Laser, equal_scans
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.level import FIELD, IMU
 from locfuse.fusion.sensors.lrf import Lrf, laser_of
@@ -27,17 +28,13 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.motion import distances_explained, turns_explained
+from locfuse.fusion.wheels.motion_by_scans import MatchedScans, match_scans
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
+from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
 
 from .mounts import mount_tables, transforms_of
 from .topics import Choice, Note, filled, of_sensor, of_type
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
-    from locfuse.fusion.lines.scans import Laser
-    from locfuse.fusion.wheels.motion_by_scans import MatchedScans
-    from locfuse.fusion.wheels.scan_agreement import ScanPairs
 
 MAX_SPEEDS = 2  # topics of commanded or measured speeds that are scored beside scan matching
 MOUNT_KEYS = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
@@ -52,7 +49,7 @@ TELLING_SHARE = 0.03  # least gain of scan matching over standing still; with le
 ALIKE_SHARE = 0.10  # least difference between two motions of one kind; with less none is preferred
 
 # --- without a laser
-HEADING_TYPES = {"gyro": (IMU,), "compass": (IMU, FIELD)}
+JUDGING_TYPES = {"gyro": (IMU,), "compass": (IMU, FIELD), "gps": (FIX,)}  # sensor -> message types that judge
 MIN_EXPLAINED_SHARE = 0.5  # least share that the best topic explains of a sensor; with less the sensor is not used
 LESS_EXPLAINED_SHARE = 0.3  # largest loss of a motion against the best one
 MIN_OTHER_WAY_M = 1.0  # least distance travelled by another motion, to be compared
@@ -61,25 +58,19 @@ Topics = tuple[str, ...]
 Read = dict[Topics, WheelReading]  # motions read during the choice, by their topics
 
 
-def motion_of(log: Log, robot: Robot, topics: Sequence[str], read: Read) -> WheelReading | None:
+def motion_of(log: Log, robot: Robot, topics: Topics, read: Read) -> WheelReading | None:
     """Return the motion of topics; None if they cannot be read (reported where the topics are used)."""
-    if tuple(topics) not in read:
+    if topics not in read:
         with suppress(LocfuseError):
-            streams = [log.stream(topic, robot.order) for topic in topics]
-            read[tuple(topics)] = read_wheels(merged(streams), robot.wheels)
-    return read.get(tuple(topics))
+            read[topics] = read_wheels(merged([log.stream(t, robot.order) for t in topics]), robot.wheels)
+    return read.get(topics)
 
 
 _matched_scans: WeakKeyDictionary[Log, dict[tuple[object, ...], MatchedScans]] = WeakKeyDictionary()
 
 
 def path_of(log: Log, topic: str, order: str, laser: Laser) -> MatchedScans:
-    """Return the motion by scan matching; scans are matched once per mount and range scale of the laser.
-
-    Raises LocfuseError if they cannot be matched.
-    """
-    from locfuse.fusion.wheels.motion_by_scans import match_scans  # imports SciPy
-
+    """Return the motion by scan matching; scans are matched once per mount and range scale of the laser."""
     known, how = _matched_scans.setdefault(log, {}), (topic, order, *laser.mount.tolist(), *laser[1:-1])
     if how not in known:
         known[how] = match_scans(log.stream(topic, order), laser)
@@ -98,34 +89,26 @@ class MotionEvidence:
         self._shares: dict[Topics, float] = {}
         self._rejected: dict[Topics, str] = {}  # with the reason
 
-    def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
-        """Return for each motion whether it is kept: it agrees with the scans about as well as the best one.
-
-        Motions that cannot be read or judged are kept.
-        """
-        known = {}
-        for topics in map(tuple, candidates):
-            if (motion := motion_of(self._log, self._robot, topics, self._read)) is not None:
-                known[topics] = motion
+    def keep(self, candidates: Sequence[Topics]) -> list[Topics]:
+        """Return the motions that agree with the scans about as well as the best, or that cannot be judged."""
+        read = {topics: motion_of(self._log, self._robot, topics, self._read) for topics in candidates}
+        known = {topics: motion for topics, motion in read.items() if motion is not None}
         if not known or self._judging([*known.values()]) is None:
-            return [True] * len(candidates)
-        kept = [self._agrees(topics, motion) for topics, motion in known.items()]
-        left = [topics for topics, stays in zip(known, kept, strict=True) if stays]
+            return [*candidates]
+        left = [topics for topics, motion in known.items() if self._agrees(topics, motion)]
         best = max((self._shares[t] for t in left), default=0.0)
         left = [t for t in left if self._shares[t] > best - ALIKE_SHARE]
-        return [tuple(topics) not in known or tuple(topics) in left for topics in candidates]
+        return [topics for topics in candidates if topics not in known or topics in left]
 
     def look_at(self, speeds: Sequence[str]) -> None:
         """Compare topics of speeds with the scans, only for the notes: scan matching is preferred to them."""
         self._by_scans = True
         for topic in speeds[:MAX_SPEEDS]:
-            motion = motion_of(self._log, self._robot, [topic], self._read)
-            if motion is None or motion.wheels.stands:
-                continue
-            if (pairs := self._judging([motion])) is not None:
+            motion = motion_of(self._log, self._robot, (topic,), self._read)
+            if motion and not motion.wheels.stands and (pairs := self._judging([motion])) is not None:
                 self._rejected[topic,] = f"by {topic}, speeds, {pairs.of(motion):.0%}"
 
-    def behind(self, topics: Sequence[str], motion: WheelReading) -> str:
+    def behind(self, topics: Topics, motion: WheelReading) -> str:
         """Return a note if scan matching fits the laser clearly better than the chosen motion, else ""."""
         if (pairs := self._judging([motion])) is None:
             return ""
@@ -139,9 +122,9 @@ class MotionEvidence:
             f"--set wheels.topic={self._topic}, or let `locfuse calibrate` find radius and track"
         )
 
-    def why(self, topics: Sequence[str]) -> str:
+    def why(self, topics: Topics) -> str:
         """Return the share of scan points that agree with a chosen motion, in words; "" if it was not compared."""
-        share = self._shares.get(tuple(topics))
+        share = self._shares.get(topics)
         return "" if share is None else f"{share:.0%} of a scan's points agree with it"
 
     @property
@@ -177,8 +160,6 @@ class MotionEvidence:
 
     def _judging(self, motions: Sequence[WheelReading]) -> ScanPairs | None:
         """Return the scan pairs, chosen by the first `motions` and then kept; None if they cannot judge."""
-        from locfuse.fusion.wheels.scan_agreement import scan_pairs  # imports SciPy
-
         if self._pairs is None:
             with suppress(LocfuseError):  # scans that cannot be read are reported where they are measured
                 stream = self._log.stream(self._topic, self._robot.order)
@@ -198,53 +179,40 @@ class MotionEvidence:
         return understood(laser, (scans for columns in first for _, scans in equal_scans(columns)))
 
 
-class MotionSensor(NamedTuple):
-    """A sensor that measures motion, and the share of its measurements that each motion topic explains."""
-
-    name: str  # "the turning of /imu"
-    shares: dict[Topics, float]  # by the topics of a motion
-
-
 class MotionSensors:
     """Judges motion topics by the first sensor whose measurements at least one of the topics explains."""
 
     agrees = "it agrees best with the other sensors"
 
-    def __init__(self, log: Log, robot: Robot, motions: Sequence[Sequence[str]], read: Read) -> None:
+    def __init__(self, log: Log, robot: Robot, motions: Sequence[Topics], read: Read) -> None:
         self._log, self._robot, self._read = log, robot, read
-        self._motions = {tuple(topics): None for topics in motions}
-        self._rejected: dict[Topics, None] = {}  # as an ordered set
+        self._motions = list(dict.fromkeys(motions))
+        self._rejected: dict[Topics, float] = {}  # with the share that each explains
 
-    def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
-        """Return for each motion whether it is kept: it explains the sensor about as well as the best one.
+    def keep(self, candidates: Sequence[Topics]) -> list[Topics]:
+        """Return the motions that explain the sensor about as well as the best, or that cannot be judged."""
+        _, shares = self._sensor
+        best = max(shares.values(), default=0.0)
+        known = {topics: shares.get(topics, best) for topics in candidates}
+        least = max(best - LESS_EXPLAINED_SHARE, max(known.values(), default=0.0) - ALIKE_SHARE)
+        self._rejected |= {topics: share for topics, share in known.items() if share < least}
+        return [topics for topics, share in known.items() if share >= least]
 
-        All motions are kept if no sensor can judge; motions that cannot be read are always kept.
-        """
-        if self._sensor is None:
-            return [True] * len(candidates)
-        shares, best = self._sensor.shares, max(self._sensor.shares.values())
-        kept = [shares.get(tuple(topics), best) for topics in candidates]
-        least = max(best - LESS_EXPLAINED_SHARE, max(kept, default=0.0) - ALIKE_SHARE)
-        self._rejected |= {tuple(t): None for t, share in zip(candidates, kept, strict=True) if share < least}
-        return [share >= least for share in kept]
-
-    def why(self, topics: Sequence[str]) -> str:
+    def why(self, topics: Topics) -> str:
         """Return the share of the sensor's measurements that a motion explains, in words; "" without a sensor."""
-        share = None if self._sensor is None else self._sensor.shares.get(tuple(topics))
-        return "" if share is None or self._sensor is None else f"it explains {share:.0%} of {self._sensor.name}"
+        name, shares = self._sensor
+        return f"it explains {shares[topics]:.0%} of {name}" if topics in shares else ""
 
     @property
     def note(self) -> str:
         """Return a sentence on the rejected motions: the shares that they explain; "" if none is rejected."""
-        if self._sensor is None or not self._rejected:
-            return ""
-        parts = [f"{' and '.join(topics)} explains {self._sensor.shares[topics]:.0%}" for topics in self._rejected]
-        return f"{'; '.join(parts)} of {self._sensor.name}"
+        parts = [f"{' and '.join(topics)} explains {share:.0%}" for topics, share in self._rejected.items()]
+        return f"{'; '.join(parts)} of {self._sensor[0]}" if parts else ""
 
-    def unjudged(self, topics: Sequence[str]) -> str:
+    def unjudged(self, topics: Topics) -> str:
         """Return a note if another motion disagrees and no sensor can judge the two; else ""."""
-        own = self._readable.get(tuple(topics))
-        if self._sensor is not None or own is None:
+        own = self._readable.get(topics)
+        if self._sensor[0] or own is None:
             return ""
         for other, motion in self._readable.items():
             t = motion.wheels.t + (motion.epoch_ns - own.epoch_ns) * 1e-9
@@ -265,31 +233,30 @@ class MotionSensors:
         return {topics: motion for topics, motion in read.items() if motion is not None}
 
     @cached_property
-    def _sensor(self) -> MotionSensor | None:
-        """The first sensor of which a motion explains at least MIN_EXPLAINED_SHARE; None without one."""
-        for name, explained in self._sensors() if len(self._readable) > 1 else ():
-            found = {topics: explained(motion) for topics, motion in self._readable.items()}
+    def _sensor(self) -> tuple[str, dict[Topics, float]]:
+        """The first sensor of which a motion explains at least MIN_EXPLAINED_SHARE, and what each motion explains.
+
+        Such as ("the turning of /imu", {("/odom",): 0.98}); ("", {}) without such a sensor.
+        """
+        for name, kinds in JUDGING_TYPES.items() if len(self._readable) > 1 else ():
+            if (topic := of_sensor(self._log, self._robot, name, kinds)) is None:
+                continue
+            found = {topics: self._explained(name, topic, motion) for topics, motion in self._readable.items()}
             shares = {topics: share for topics, share in found.items() if share is not None}
             if max(shares.values(), default=0.0) >= MIN_EXPLAINED_SHARE:
-                return MotionSensor(name, shares)
-        return None
+                what = "the way between the fixes" if name == "gps" else "the turning"
+                return f"{what} of {topic}", shares
+        return "", {}
 
-    def _sensors(self) -> Iterator[tuple[str, Callable[[WheelReading], float | None]]]:
-        """Yield each sensor that can judge motions: name in words, function motion -> explained share."""
-        for name, kinds in HEADING_TYPES.items():
-            if (topic := of_sensor(self._log, self._robot, name, kinds)) is not None:
-                yield f"the turning of {topic}", partial(self._turning_explained, name, topic)
-        if (topic := of_sensor(self._log, self._robot, "gps", (FIX,))) is not None:
-            yield f"the way between the fixes of {topic}", partial(self._way_explained, topic)
-
-    def _turning_explained(self, name: str, topic: str, motion: WheelReading) -> float | None:
+    def _explained(self, name: str, topic: str, motion: WheelReading) -> float | None:
+        """Return the share of a sensor's measurements that a motion explains; None if they cannot judge it."""
         m = seen(self._log, self._robot, name, topic, motion)
-        found = REGISTRY[name].heading(m) if m is not None and len(m.t) > 1 else None
+        if m is None or len(m.t) < 2:
+            return None
+        if name == "gps":
+            return distances_explained(motion.wheels, m.t, m.z)
+        found = REGISTRY[name].heading(m)
         return None if found is None else turns_explained(motion.wheels, *found)
-
-    def _way_explained(self, topic: str, motion: WheelReading) -> float | None:
-        m = seen(self._log, self._robot, "gps", topic, motion)
-        return distances_explained(motion.wheels, m.t, m.z) if m is not None and len(m.t) > 1 else None
 
 
 def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) -> Measurements | None:
@@ -337,25 +304,16 @@ def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> I
         kind = log.topics[topic].msgtype
         if topic in choice.of("wheels") or commanded(topic, kind) or looks_like_truth(topic):
             continue
-        if (moved := _moved(log, robot, topic)) > MIN_WAY_M:
+        other = motion_of(log, robot, (topic,), {})
+        moved = 0.0 if other is None else float(np.hypot(*np.diff(other.wheels.pose[:, :2], axis=0).T).sum())
+        if moved > MIN_WAY_M:
             words = f"{own} never moves, but {topic} moves {moved:.1f} m"
             yield Note("wheels", words, (f"wheels.topic={topic}",), is_fault=True)
             return
     for topic in of_type(log, (FIX,)):
-        if (spread := _spread(seen(log, robot, "gps", topic, motion))) > MIN_FIX_SPREAD_M:
+        fixes = seen(log, robot, "gps", topic, motion)
+        between = (0.0, 0.0) if fixes is None else np.percentile(fixes.z, (5.0, 95.0), axis=0)
+        if (spread := float(np.max(np.ptp(between, axis=0)))) > MIN_FIX_SPREAD_M:
             words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart"
             yield Note("wheels", words, is_fault=True)
             return
-
-
-def _moved(log: Log, robot: Robot, topic: str) -> float:
-    """Return the path length [m] by a topic; 0 if it cannot be read."""
-    motion = motion_of(log, robot, [topic], {})
-    return 0.0 if motion is None else float(np.hypot(*np.diff(motion.wheels.pose[:, :2], axis=0).T).sum())
-
-
-def _spread(fixes: Measurements | None) -> float:
-    """Return the larger extent [m] of the fixes, east or north, between their 5 % and 95 % quantiles."""
-    if fixes is None:
-        return 0.0
-    return float(np.ptp(np.percentile(fixes.z, (5.0, 95.0), axis=0), axis=0).max())

@@ -38,14 +38,10 @@ def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
     static = log.static_transforms()
     if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
         return static
-    return replace(log.all_mounts(), bases=tuple(_bodies(log)), moving=tuple(log.moving_transforms()))
-
-
-def _bodies(log: Log) -> list[str]:
-    """Return the frames of /tf that move in an odometry frame; without one, those that move in a map frame."""
     edges = [edge for topic in log.transform_topics for edge in log.frames(topic).values() if edge.moves]
     bodies = [e for e in edges if not is_fixed(e.child)]
-    return [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
+    bases = [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
+    return replace(log.all_mounts(), bases=tuple(bases), moving=tuple(log.moving_transforms()))
 
 
 def is_base(frame: str) -> bool:
@@ -75,28 +71,19 @@ def last_word(frame: str) -> str:
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return the sensors' mounts, by the frames of their streams, as tables of robot.toml.
-
-    A table has only keys that the sensor's settings have.
-    """
+    """Return the sensors' mounts, by the frames of their streams, as tables with the keys of their settings."""
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
         mounts = {part.topic: m for part in parts if (m := mount_of(transforms, part.frame_id)) is not None}
+        views = {topic: _view(m) if "fx" in keys else {} for topic, m in mounts.items()}
+        placed = {topic: _table(m) | views[topic] for topic, m in mounts.items()}
         if "mounts" in keys and (len(parts) > 1 or "x" not in keys):
-            looks = {t: _view(m) if "fx" in keys else {} for t, m in mounts.items()}
-            tables[sensor] = {"mounts": {t: _placed(m, looks[t]) for t, m in mounts.items()}}
+            shown = {topic: ("x", "y", *(view or ("yaw_deg",))) for topic, view in views.items()}
+            tables[sensor] = {"mounts": {t: [placed[t][key] for key in of] for t, of in shown.items()}}
         elif parts[0].topic in mounts:
-            mount = mounts[parts[0].topic]
-            looks = _view(mount) if "fx" in keys else {}
-            tables[sensor] = {k: v for k, v in (_table(mount) | looks).items() if k in keys}
+            tables[sensor] = {k: v for k, v in placed[parts[0].topic].items() if k in keys}
     return tables
-
-
-def _placed(mount: FrameMount, looks: Mapping[str, Any]) -> list[float]:
-    if not looks:
-        return [mount.x, mount.y, math.degrees(mount.yaw)]
-    return [mount.x, mount.y, looks["yaw_deg"], looks["pitch_deg"]]
 
 
 def _view(mount: FrameMount) -> dict[str, Any]:
@@ -125,10 +112,7 @@ def on_moving_parts(
 
 
 def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return focal length fx and image centre cx [px] by CameraInfo for sensors that have these settings.
-
-    The CameraInfo in the sensor's frame is used, else the only one.
-    """
+    """Return fx and cx [px] for sensors with these settings, by the CameraInfo in their frame or the only one."""
     infos = filled(log, CAMERA_INFO)
     found: dict[str, Any] = {}
     for sensor, parts in streams.items():
@@ -155,10 +139,7 @@ def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
 
 
 def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return roll and pitch of sensors without these settings, from a sensor with the same topic or frame.
-
-    An IMU is both compass and gyro, and has one mount.
-    """
+    """Return roll and pitch of sensors without these, from a sensor with the same topic or frame (one IMU)."""
     found: dict[str, Any] = {}
     turned = [s for s in streams if {*TILT_KEYS} <= set(REGISTRY[s].Settings.__struct_fields__)]
     for given, other in permutations(turned, 2):
@@ -197,23 +178,14 @@ def _bases_in(transforms: StaticTransforms) -> list[str]:
 
 
 def _table(mount: FrameMount) -> dict[str, Any]:
-    return {
-        "x": mount.x,
-        "y": mount.y,
-        "roll_deg": math.degrees(mount.roll),
-        "pitch_deg": math.degrees(mount.pitch),
-        "yaw_deg": math.degrees(mount.yaw),
-        "flipped": mount.flipped,
-    }
+    degrees = {f"{angle}_deg": math.degrees(getattr(mount, angle)) for angle in ("roll", "pitch", "yaw")}
+    return {"x": mount.x, "y": mount.y, **degrees, "flipped": mount.flipped}
 
 
 def level_compass(
     log: Log, streams: Mapping[str, Any], robot: Robot, transforms: StaticTransforms
 ) -> dict[str, Any]:
-    """Return the streams, with the robot's tilt added to the magnetometer's stream if an IMU measured it.
-
-    This IMU is the one in the magnetometer's frame, else the only one.
-    """
+    """Return the streams, the magnetometer's with the tilt by the IMU in its frame, else by the only IMU."""
     field = streams.get("compass")
     if field is None or field.msgtype != FIELD or not robot.settings("compass").level:
         return dict(streams)

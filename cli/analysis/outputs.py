@@ -1,22 +1,23 @@
-"""Files of a result by kind, and trajectories in the formats of other tools (--export).
-
-Imports are inside the functions: `--write json` needs no plotting.
-"""
+"""Files of a result by kind, and trajectories in the formats of other tools (--export)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from locfuse.formats.figures.panels import Scene
+from locfuse.formats.figures.sections import sections
 from locfuse.formats.logs.clock import MAX_DELAY_S
-from locfuse.formats.report import json_report
+from locfuse.formats.report import json_report, markdown, render, tables
+from locfuse.formats.results import trajectory as to
 from locfuse.formats.robot import robot_toml
+from locfuse.formats.whole_files import Content
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Estimates, Event
+from locfuse.fusion.data import Drive, Estimates, Event
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
@@ -24,31 +25,27 @@ from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
 from .compare import Compared
+from .load import Loaded
 from .robot_tables import files_of
 from .verdicts import credit_values
-
-if TYPE_CHECKING:
-    from locfuse.formats.figures.panels import Scene
-    from locfuse.formats.whole_files import Content
-    from locfuse.fusion.data import Array, Drive
-
-    from .load import Loaded
 
 MCAP = "estimates.mcap"
 
 
 def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
     """Return file name -> content for these kinds of output."""
-    from locfuse.formats.report import markdown, render, tables
-    from locfuse.formats.results import trajectory as to
+    drive, out = compared.loaded.drive, dict[str, Content]()
 
-    loaded, drive = compared.loaded, compared.loaded.drive
-    out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
+    def page() -> str:
+        from locfuse.formats.report import html  # imports markupsafe
+
+        return html.render(report, sections(scene(compared)), colours())
+
     if "tum" in kinds:
-        out |= exported_files(["tum"], loaded, {e.name: e for e in compared.estimates})
+        out |= exported_files(["tum"], compared.loaded, {e.name: e for e in compared.estimates})
         out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
     made: dict[str, Callable[[], str]] = {
-        "html": lambda: page(compared, report),
+        "html": page,
         "md": lambda: markdown.render(report),
         "csv": lambda: render.csv(tables.everything(report)),
         "tex": lambda: tables.latex(report),
@@ -57,38 +54,8 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
     return out | {f"report.{kind}": make() for kind, make in made.items() if kind in kinds}
 
 
-def files_of_run(
-    loaded: Loaded, named: Mapping[str, Estimates], report: Mapping[str, Any], kinds: Collection[str]
-) -> dict[str, Content]:
-    """Return file name -> content for one configuration; `named` has its trajectories by file name."""
-    out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
-    out |= exported_files([kind for kind in kinds if kind != "json"], loaded, named)
-    if "json" in kinds:
-        out["run.json"] = json_report.encode(report)
-    return out
-
-
-def page(compared: Compared, report: Mapping[str, Any]) -> str:
-    """Return report.html."""
-    from locfuse.formats.figures.sections import sections
-    from locfuse.formats.report import html
-
-    return html.render(report, sections(scene(compared)), colours())
-
-
-def figure_files(compared: Compared) -> dict[str, bytes]:
-    """Return file name -> content for every figure as SVG and PDF."""
-    from locfuse.formats.figures.for_paper import paper_figures
-    from locfuse.formats.figures.palette import traces_of
-    from locfuse.formats.figures.sections import sections
-
-    return paper_figures(sections(scene(compared)), traces_of(compared.estimates), colours())
-
-
 def scene(compared: Compared) -> Scene:
     """Return all data that figures show: drive, estimates, evaluations, and NIS with chi-square bounds."""
-    from locfuse.formats.figures.panels import Scene
-
     drive, drawn = compared.loaded.drive, compared.drawn
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
     return Scene(
@@ -130,8 +97,6 @@ def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
 
 def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
     """Return file name -> content in the formats of other tools; `found` has the trajectories by file name."""
-    from locfuse.formats.results import trajectory as to
-
     out: dict[str, Content] = {}
     writers: dict[str, dict[str, Callable[[Drive, Estimates], Iterator[str]]]] = {
         "kitti": {"_kitti.txt": to.kitti_blocks, "_kitti_times.txt": to.kitti_times},
@@ -156,18 +121,14 @@ def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dic
             tables[table].pop(key, None)
     drive = loaded.drive
     delay_s = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
+    dt = np.diff(drive.t, prepend=drive.t[0])
     export = Export(
         drive=drive,
         estimates=tuple(found.values()),
-        twist=_twist(drive),
+        # mean body twist (n, 3) [m/s, m/s, rad/s] by the wheels over the interval that ends at each t
+        twist=se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None],
         robot_toml=robot_toml.dump(tables).encode(),
         clock_ns=round(delay_s * 1e9) if abs(delay_s) > MAX_DELAY_S else 0,
         log=loaded.log if with_log else None,
     )
     return {MCAP: export.write, **layouts(export.topics)}
-
-
-def _twist(drive: Drive) -> Array:
-    """Return the mean body twist (n, 3) [m/s, m/s, rad/s] by the wheels over the interval that ends at each t."""
-    dt = np.diff(drive.t, prepend=drive.t[0])
-    return se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]

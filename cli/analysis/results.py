@@ -14,7 +14,7 @@ from locfuse import sample_logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import counts, options
-from locfuse.formats.robot import robot_toml, units
+from locfuse.formats.robot import units
 from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
@@ -46,16 +46,8 @@ def settings_tables(robot: Robot) -> dict[str, Any]:
     return tables
 
 
-def robot_file(robot: Robot) -> str:
-    """Return the effective settings as robot.toml."""
-    return robot_toml.dump(settings_tables(robot))
-
-
 def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
-    """Return the settings that differ from their defaults, by key ("lrf.x"): value, unit, and source.
-
-    Sensors that the log lacks are left out. The source "found in the log" is /tf_static or a CameraInfo.
-    """
+    """Return settings that differ from their defaults by key ("lrf.x"): value, unit, source; of used sensors."""
     plain = flat(settings_tables(make_robot({})))
     found: dict[str, dict[str, Any]] = {}
     for path, value in flat(settings_tables(loaded.robot)).items():
@@ -97,15 +89,8 @@ def log_words(log: Log, as_given: bool = False) -> list[str]:
 
 def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     """Return the report of these evaluations as plain values; verdicts are added later."""
-    report = json_report.report(loaded.drive, evaluations, source(loaded), settings_tables(loaded.robot), own())
-    report["made_with"] |= {s: SOURCES[s] for s in loaded.robot.sensors if s in SOURCES}
-    return report
-
-
-def source(loaded: Loaded) -> dict[str, Any]:
-    """Return the report's `input`: name, files, hash, topics by role, message counts, losses."""
     log = loaded.log
-    return {
+    source = {
         "name": log.name,
         "files": [p.name for p in log.paths],
         "size": log.identity.size,
@@ -118,18 +103,19 @@ def source(loaded: Loaded) -> dict[str, Any]:
         "losses": log.losses.by_reason(),
         "refused": _refusals(loaded),
     }
+    report = json_report.report(loaded.drive, evaluations, source, settings_tables(loaded.robot), own())
+    report["made_with"] |= {s: SOURCES[s] for s in loaded.robot.sensors if s in SOURCES}
+    return report
 
 
 def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
     """Return {stream: {"readings": number refused, "of": number of all}} for streams with refused readings."""
-    found = {
-        stream: {
-            "readings": sum(_losses(reasons).values()),
-            "of": sum(loaded.log.topics[t].count for t in loaded.choice.of(stream)),
-        }
-        for stream, reasons in loaded.drive.dropped.items()
-    }
-    return {stream: counts for stream, counts in found.items() if counts["readings"]}
+    found = {}
+    for stream, reasons in loaded.drive.dropped.items():
+        if refused := sum(_losses(reasons).values()):
+            promised = sum(loaded.log.topics[t].count for t in loaded.choice.of(stream))
+            found[stream] = {"readings": refused, "of": promised}
+    return found
 
 
 def _date(epoch_ns: int) -> str | None:
@@ -147,7 +133,8 @@ def default_folder(name: str) -> Path:
 
 def loss_lines(loaded: Loaded, used: Sequence[str], strict: bool) -> list[str]:
     """Return losses in words: bytes of the file, and used streams with too many refused readings."""
-    return [*loaded.log.losses.lines(), *_refused_lines(_refusals(loaded), loaded.drive.dropped, used, strict)]
+    source = {"refused": _refusals(loaded), "dropped": loaded.drive.dropped}
+    return [*loaded.log.losses.lines(), *_refused_lines(source, used, strict)]
 
 
 def lost_in(report: Mapping[str, Any], strict: bool) -> list[str]:
@@ -155,20 +142,16 @@ def lost_in(report: Mapping[str, Any], strict: bool) -> list[str]:
     source = report["input"]
     bytes_lost = [f"{reason} ({lost['bytes']} bytes)" for reason, lost in source.get("losses", {}).items()]
     used = sorted({s for values in report["configurations"].values() for s in values["sensors"]})
-    return [*bytes_lost, *_refused_lines(source.get("refused", {}), source.get("dropped", {}), used, strict)]
+    return [*bytes_lost, *_refused_lines(source, used, strict)]
 
 
-def _refused_lines(
-    refused: Mapping[str, Mapping[str, int]],
-    dropped: Mapping[str, Mapping[str, int]],
-    used: Sequence[str],
-    strict: bool,
-) -> list[str]:
-    lines = []
+def _refused_lines(source: Mapping[str, Any], used: Sequence[str], strict: bool) -> list[str]:
+    lines, refused = [], source.get("refused", {})
     for stream in (s for s in ("wheels", *used) if s in refused):
         count, total = refused[stream]["readings"], refused[stream]["of"]
         if count > (0 if strict else REFUSED_SHARE * total):
-            lines.append(f"{stream}: {count} of {total} readings refused ({counts(_losses(dropped[stream]))})")
+            why = counts(_losses(source["dropped"][stream]))
+            lines.append(f"{stream}: {count} of {total} readings refused ({why})")
     return lines
 
 
@@ -185,7 +168,8 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool) -> None:
     All figures become void (not valid) if the motion is not the robot's. With `judged`, wheel counters are also
     compared with scan matching.
     """
-    _void_all(report, loaded.motion_faults)
+    if loaded.motion_faults:
+        _void_all(report, loaded.motion_faults)
     if judged and (words := _behind_scans(loaded)):
         report["notes"].append(f"wheels: {words}")
     first = [note.words for note in loaded.choice.notes if note.first]
@@ -238,9 +222,7 @@ def withdraw_verdicts(report: dict[str, Any], words: str) -> None:
 
 
 def _void_all(report: dict[str, Any], faults: Sequence[Note]) -> None:
-    """Set all figures and verdicts of a report to void if its motion is not the robot's."""
-    if not faults:
-        return
+    """Set all figures and verdicts of a report to void, since its motion is not the robot's."""
     message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in faults)
     for values in report["configurations"].values():
         void_figures(values, message)

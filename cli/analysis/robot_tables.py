@@ -33,8 +33,6 @@ UNREADABLE = (
     f"its settings (attachment {ATTACHMENT}) cannot be read: {{}}; its topics and defaults are used instead. Give "
     "settings with --robot FILE; locfuse init LOG -o FILE writes one"
 )
-Tables = dict[str, type[msgspec.Struct]]
-BASE_TABLES: Tables = {"wheels": WheelSettings, "start": StartSettings, "truth": TruthSettings}
 
 
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -90,10 +88,7 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
 
 
 def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the merged settings as tables, and the source of each key: "lrf.x" -> "--robot".
-
-    For each key the last of these wins: preset, attachment of the log, --robot, --set.
-    """
+    """Return the settings as tables (preset < log < --robot < --set), and the source of each key, as "--set"."""
     layers = given_layers(how)
     if (own_tables := attached(log, quiet=bool(how.robots))) is not None:
         layers = {"robot.toml in the log": _of_log(log, own_tables, layers), **layers}
@@ -104,10 +99,7 @@ def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, 
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return the user's settings as {"--robot": tables, "--set": tables}; `more`: additional words of --set.
-
-    --set overrides --robot. Raises LocfuseError for invalid settings.
-    """
+    """Return the user's settings as {"--robot": tables, "--set": tables}; `more`: additional words of --set."""
     files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robots]
     sets = set_tables((*how.sets, *more))
     sets |= {key: word for key, word in (("order", how.order), ("preset", how.preset)) if word}
@@ -115,10 +107,7 @@ def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[st
 
 
 def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the settings and time window from the user, on which a result's key depends; none from the log.
-
-    The hashes of all files named in the settings are included.
-    """
+    """Return the user's settings, time window and hashes of named files, on which a result's key depends."""
     window = {name: bound for name, bound in (("from", how.begin), ("to", how.end)) if bound is not None}
     return with_files(robot_toml.layered(*given_layers(how, more).values(), window))
 
@@ -150,26 +139,19 @@ def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]
     for table, key, text in list(files_of(tables)):
         if f"{table}.{key}" in given or log.recorded(text):
             continue
-        folder = log.paths[0].parent
-        if not isinstance(folder, Path) or not _is_below(folder, text):
-            raise LocfuseError(
-                f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only "
-                "files in its own folder, by a path without '..'",
-                hint=f"give {table}.{key} in a file of your own: --robot FILE",
+        path, folder = Path(text), log.paths[0].parent
+        plain = not (path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text)
+        if not (plain and isinstance(folder, Path) and (folder / path).resolve().is_relative_to(folder.resolve())):
+            words = (
+                f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only"
             )
+            hint = f"give {table}.{key} in a file of your own: --robot FILE"
+            raise LocfuseError(f"{words} files in its own folder, by a path without '..'", hint=hint)
         place = str(folder / text)
         before = tables[table][key]
         now = place if isinstance(before, str) else [place if one == text else one for one in before]
         tables = robot_toml.merge(tables, {table: {key: now}})
     return tables
-
-
-def _is_below(folder: Path, text: str) -> bool:
-    """Return whether a path is relative and leads into the folder, also after following links."""
-    path = Path(text)
-    if path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text:
-        return False
-    return (folder / path).resolve().is_relative_to(folder.resolve())
 
 
 def flat(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -208,7 +190,8 @@ def _checked(data: bytes, source: str) -> dict[str, Any]:
 
 def table_types() -> dict[str, type[msgspec.Struct]]:
     """Return the type of each table of robot.toml: wheels, start, truth, then every sensor."""
-    return {**BASE_TABLES, **{name: sensor.Settings for name, sensor in REGISTRY.items()}}
+    sensors = {name: sensor.Settings for name, sensor in REGISTRY.items()}
+    return {"wheels": WheelSettings, "start": StartSettings, "truth": TruthSettings, **sensors}
 
 
 def make_robot(tables: Mapping[str, Any]) -> Robot:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from msgspec.structs import asdict, replace
@@ -86,27 +86,18 @@ def noise_factors(runs: Sequence[RunInnovations], robot: Robot) -> dict[str, flo
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 
-def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
-    """Return the reference by all sensors as plain values, with a sentence; `base`: name of the motion used."""
+def reference_values(r: Reference) -> dict[str, Any]:
+    """Return a reference as plain values."""
+    return {"sensors": list(r.sensors), "left_out": list(r.left_out), "sigma_m": r.sigma}
+
+
+def reference_words(whole: Reference, contradicting: Sequence[tuple[str, str]], base: str) -> str:
+    """Return a sentence on the reference by all sensors; `base`: name of the motion used."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
     words = REFERENCE.format(base=base, sensors=sensors, sigma=length(whole.sigma))
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
     doubtful = [pair for pair in contradicting if set(pair) <= set(whole.sensors)]
-    words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
-    return {**_of_reference(whole), "words": words}
-
-
-def _of_reference(r: Reference) -> dict[str, Any]:
-    return {"sensors": list(r.sensors), "left_out": list(r.left_out), "sigma_m": r.sigma}
-
-
-def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
-    """Return the reference that judges a result as plain values.
-
-    `shared`: sensors that result and reference both use; `agrees`: whether the reference agrees with `whole`.
-    """
-    shared = [s for s in reference.sensors if s in used]
-    return {**_of_reference(reference), "shared": shared, "agrees": reference.agrees(whole)}
+    return words + "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
 
 
 class ByReference(NamedTuple):
@@ -133,7 +124,15 @@ def verdicts(
     if credit is not None:
         of = credit.sensors.items()
         return {s: {"verdict": c.verdict, "words": _credit_words(c, credit, over, base)} for s, c in of}
-    return _predicted_verdicts(found, sets, base)
+    alone = {sensors[0]: name for name, sensors in sets.items() if len(sensors) == 1}
+    contradicting = contradictions(found, alone)
+    out = {}
+    for sensor, name in alone.items():
+        mine = [s for s in found if s.configuration == name]
+        others = [s for s in mine if not s.stretches]
+        against = [a if b == sensor else b for a, b in contradicting if sensor in {a, b}]
+        out[sensor] = _predicted(others or mine, against, len(alone), base)
+    return out
 
 
 def credit_values(credit: Credit) -> dict[str, Any]:
@@ -149,32 +148,27 @@ def credit_values(credit: Credit) -> dict[str, Any]:
             "block_s": credit.block_s,
             "logs": credit.logs,
         },
-        "sensors": {s: _sensor_values(c) for s, c in credit.sensors.items()},
-    }
-
-
-def _sensor_values(c: SensorCredit) -> dict[str, Any]:
-    return {
-        "credit": _effect(c.credit),
-        "alone": _effect(c.alone),
-        "leave_one_out": _effect(c.last),
-        "share": c.share,
-        "anees_without": None if c.anees is None else c.anees[0],
-        "anees_with": None if c.anees is None else c.anees[1],
-        "beside": list(c.beside),
+        "sensors": {
+            s: {
+                "credit": _effect(c.credit),
+                "alone": _effect(c.alone),
+                "leave_one_out": _effect(c.last),
+                "share": c.share,
+                "anees_without": c.anees and c.anees[0],
+                "anees_with": c.anees and c.anees[1],
+                "beside": list(c.beside),
+            }
+            for s, c in credit.sensors.items()
+        },
     }
 
 
 def _effect(effect: Effect | None) -> dict[str, Any] | None:
     if effect is None:
         return None
-    return {
-        "ln": effect.value,
-        "factor": math.exp(effect.value),
-        "low": None if math.isnan(effect.low) else math.exp(effect.low),
-        "high": None if math.isnan(effect.high) else math.exp(effect.high),
-        "expected": None if effect.expected is None else math.exp(effect.expected),
-    }
+    factors = {"factor": effect.value, "low": effect.low, "high": effect.high, "expected": effect.expected}
+    known = {key: None if ln is None or math.isnan(ln) else math.exp(ln) for key, ln in factors.items()}
+    return {"ln": effect.value, **known}
 
 
 def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
@@ -231,14 +225,10 @@ def times(ln: float) -> str:
 
 
 def interval(effect: Effect) -> str:
-    """Return the 95 % interval of an effect in words: "1.6x worse to 12x better".
-
-    Two bounds of one direction share the word: "14x to 562x better".
-    """
-    if effect.low > 0.0:
-        return f"{short(math.exp(effect.low))}x to {times(effect.high)}"
-    if effect.high < 0.0:
-        return f"{short(math.exp(-effect.high))}x to {times(effect.low)}"
+    """Return the 95 % interval of an effect in words: "1.6x worse to 12x better", "14x to 562x better"."""
+    near, far = sorted((effect.low, effect.high), key=abs)
+    if near * far > 0.0:
+        return f"{short(math.exp(abs(near)))}x to {times(far)}"
     return f"{times(effect.low)} to {times(effect.high)}"
 
 
@@ -305,20 +295,6 @@ def add_pairs(
         found["words"] = " ".join((found["words"], *words)).strip()
 
 
-def _predicted_verdicts(
-    found: Sequence[Score], sets: Mapping[str, Sequence[str]], base: str
-) -> dict[str, dict[str, Any]]:
-    alone = {sensors[0]: name for name, sensors in sets.items() if len(sensors) == 1}
-    contradicting = contradictions(found, alone)
-    out = {}
-    for sensor, name in alone.items():
-        others = [s for s in found if s.configuration == name and not s.stretches]
-        own = [s for s in found if s.configuration == name and s.stretches]
-        against = [a if b == sensor else b for a, b in contradicting if sensor in {a, b}]
-        out[sensor] = _predicted(others or own, against, len(alone), base)
-    return out
-
-
 def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int, base: str) -> dict[str, Any]:
     if against:
         lone = sensors > 2 and len(against) == sensors - 1
@@ -329,9 +305,9 @@ def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int, base
         return {"verdict": "hurts" if lone else "no verdict", "words": words}
     if not mine:
         return {"verdict": "no verdict", "words": "No other sensor in this log can check it."}
-    gain = sum(s.gain for s in mine) / len(mine)
     if mine[0].stretches:
         return _by_itself(mine[0], base)
+    gain = sum(s.gain for s in mine) / len(mine)
     on = " and ".join(s.sensor for s in mine)
     better = f"{abs(gain):.2f} nats per number {'better' if gain >= 0 else 'worse'} than by {base}"
     return {"verdict": _grade(mine, gain), "words": f"With it, {on} can be predicted {better}."}
@@ -375,18 +351,11 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 def _by_itself(score: Score, base: str) -> dict[str, Any]:
     """Return the verdict on a log's only sensor by its own readings: they show faults, but not correctness."""
-    notable = abs(score.gain) > MIN_GAIN_NATS
+    notable, size = abs(score.gain) > MIN_GAIN_NATS, f"than {base} ({score.gain:+.2f}; 0.1 is much)"
     if notable and score.high < 0.0:
-        words = (
-            f"Self-check failed: it predicts its readings worse than {base} ({score.gain:+.2f}; 0.1 is much). "
-            "Check its clock, mount and settings."
-        )
+        words = f"Self-check failed: it predicts its readings worse {size}. Check its clock, mount and settings."
         return {"verdict": "hurts", "words": words}
+    words = f"Self-check: it predicts its readings no better than {base}."
     if notable and score.low > 0.0:
-        words = (
-            f"Self-check passed: it predicts its readings better than {base} ({score.gain:+.2f}; 0.1 is much). "
-            "A bias would not show."
-        )
-    else:
-        words = f"Self-check: it predicts its readings no better than {base}."
+        words = f"Self-check passed: it predicts its readings better {size}. A bias would not show."
     return {"verdict": "no verdict", "words": words}

@@ -26,12 +26,8 @@ COMMAND_NAME = re.compile("cmd|command|speed|vel|power|pwm|current|effort|target
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     """Choose the wheels' topic or topics. Raises LocfuseError if none or several fit."""
-    settings = robot.wheels
-    if settings.left_topic is not None or settings.right_topic is not None:
-        choice.take("wheels", _named_pair(log, robot), WHY_NAMED)
-        return
-    if settings.topic is not None:
-        choice.take("wheels", _named(log, robot, settings.topic), WHY_NAMED)
+    if named := _named(log, robot):
+        choice.take("wheels", named, WHY_NAMED)
         return
     counters, kind = counters_of(log, robot)
     missing = [key.replace("_", " ") for key in missing_of(log, robot, counters)]
@@ -40,7 +36,8 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         choice.take("wheels", counters, kind)
         return
     wheeled = bool(counters) and are_wheels(log, counters[0], robot)
-    asked = wheeled and _size_can_be_found(log, robot)
+    described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
+    asked = wheeled and (described or robot.wheels.radius is not None or robot.wheels.track is not None)
     body = choose_body(log, robot, choice, scans=not asked, stand_in=not wheeled)
     if body is None:
         if not counters:
@@ -80,9 +77,18 @@ def _of_wheels(counters: Sequence[str], lacks: str) -> str:
     return f"wheel angles are in {' and '.join(counters)} but {lacks} {verb} unknown"
 
 
-def _named(log: Log, robot: Robot, name: str) -> list[str]:
-    """Return the configured wheel topic, and that of the steering if it needs one."""
-    topic = checked(log, "wheels", name, WHEEL_READS)
+def _named(log: Log, robot: Robot) -> list[str]:
+    """Return the configured topics: of left and right wheel, or of the motion (and its steering); else []."""
+    sides = {side: getattr(robot.wheels, f"{side}_topic") for side in ("left", "right")}
+    lacking = [side for side, topic in sides.items() if topic is None]
+    if len(lacking) == 1:
+        hint = f"name the other with --set wheels.{lacking[0]}_topic=<topic>"
+        raise LocfuseError("one wheel has its topic;", role="wheels", hint=hint)
+    if not lacking:
+        return [checked(log, "wheels", topic, NUMBERS) for topic in sides.values()]
+    if robot.wheels.topic is None:
+        return []
+    topic = checked(log, "wheels", robot.wheels.topic, WHEEL_READS)
     kind = log.topics[topic].msgtype
     if kind in MOTOR:
         return with_steering(log, robot, topic)
@@ -91,12 +97,9 @@ def _named(log: Log, robot: Robot, name: str) -> list[str]:
     if steering := steering_ticks(log, robot, topic):
         return [topic, steering]
     fix = f"wheels.left_topic={topic}"
-    raise LocfuseError(
-        f"{topic} holds one number, which is one wheel.",
-        role="wheels",
-        fixes=(fix,),
-        hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
-    )
+    words = f"{topic} holds one number, which is one wheel."
+    hint = f"Name both with --set {fix} --set wheels.right_topic=<topic>"
+    raise LocfuseError(words, role="wheels", fixes=(fix,), hint=hint)
 
 
 def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
@@ -108,38 +111,12 @@ def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
     return found[0] if len(found) == 1 and found[0] != traction else None
 
 
-def _tricycle(log: Log, robot: Robot) -> list[str]:
-    """Return a tricycle's topics of traction ticks and steering ticks, by their names; [] without both."""
-    numbers = [t for t in filled(log, *NUMBERS) if _counts_by_name(t)]
-    rolls = [t for t in numbers if any(word in t.lower() for word in ("traction", "drive"))]
-    steering = steering_ticks(log, robot, rolls[0]) if len(rolls) == 1 else None
-    return [] if steering is None else [rolls[0], steering]
-
-
-def _size_can_be_found(log: Log, robot: Robot) -> bool:
-    """Return whether radius or track is configured, or the log has a robot description."""
-    described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
-    return described or robot.wheels.radius is not None or robot.wheels.track is not None
-
-
 def missing_of(log: Log, robot: Robot, counters: Sequence[str]) -> list[str]:
     """Return the keys of [wheels] that are missing to convert these counters to metres."""
     needed = ["radius", *(("servo_gain", "wheelbase") if steers(counters) else ("track",))]
     if counters and counts_ticks(log.topics[counters[0]].msgtype):
         needed.append("ticks_per_revolution")
     return [key for key in needed if getattr(robot.wheels, key) is None]
-
-
-def _named_pair(log: Log, robot: Robot) -> list[str]:
-    """Return the configured topics of left and right wheel."""
-    pair = []
-    for side in ("left", "right"):
-        topic = getattr(robot.wheels, f"{side}_topic")
-        if topic is None:
-            hint = f"name the other with --set wheels.{side}_topic=<topic>"
-            raise LocfuseError("one wheel has its topic;", role="wheels", hint=hint)
-        pair.append(checked(log, "wheels", topic, NUMBERS))
-    return pair
 
 
 def steers(counters: Sequence[str]) -> bool:
@@ -149,12 +126,17 @@ def steers(counters: Sequence[str]) -> bool:
 
 def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
     """Return the topics with wheel counters, best kind first, and the reason; [] without any."""
-    tricycle, of_tricycle = _tricycle(log, robot), "the ticks of a steered wheel and of its steering"
+    single = filled(log, *NUMBERS)
+    numbers = [t for t in single if _counts_by_name(t)]
+    rolls = [t for t in numbers if any(word in t.lower() for word in ("traction", "drive"))]
+    steering = steering_ticks(log, robot, rolls[0]) if len(rolls) == 1 else None
+    tricycle = [] if steering is None else [rolls[0], steering]
+    of_tricycle = "the ticks of a steered wheel and of its steering"
     if tricycle and not missing_of(log, robot, tricycle):
         return tricycle, of_tricycle
     joints, ticks, speeds = (filled(log, *kinds) for kinds in ((JOINTS,), TICKS, SPEEDS))
     arrays = [t for t in filled(log, *ARRAYS) if _counts_by_name(t)]
-    pairs = pair_topics(log)
+    pairs = [(left, right) for left in numbers if (right := other_side(left)) in single]
     if len(joints) + len(ticks) + len(speeds) + len(pairs) > 1:
         joints = [t for t in joints if are_wheels(log, t, robot)]
     for found in (joints, ticks, [] if pairs or arrays else speeds, [] if pairs else arrays):
@@ -165,12 +147,8 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
     if len(pairs) > 1:
         listed = "; ".join(f"{left} and {right}" for left, right in pairs)
         fixes = (f"wheels.left_topic={pairs[0][0]}", f"wheels.right_topic={pairs[0][1]}")
-        raise LocfuseError(
-            f"{log.name} has {len(pairs)} pairs of topics that fit: {listed}.",
-            role="wheels",
-            fixes=fixes,
-            hint=f"Choose one with --set {fixes[0]} --set {fixes[1]}",
-        )
+        words, hint = f"{len(pairs)} pairs of topics that fit", f"Choose one with --set {' --set '.join(fixes)}"
+        raise LocfuseError(f"{log.name} has {words}: {listed}.", role="wheels", fixes=fixes, hint=hint)
     if pairs:
         return list(pairs[0]), "the only pair of numbers named left and right"
     return tricycle, of_tricycle if tricycle else ""
@@ -191,17 +169,10 @@ def _counts_by_name(topic: str) -> bool:
     return bool(COUNTER_NAME.search(topic.lower())) and not COMMAND_NAME.search(topic.lower())
 
 
-def pair_topics(log: Log) -> list[tuple[str, str]]:
-    """Return (left, right) topics of one number each, by names such as /left_ticks and /right_ticks."""
-    numbers = filled(log, *NUMBERS)
-    named = ((t, other_side(t)) for t in numbers if _counts_by_name(t))
-    return [(left, right) for left, right in named if right in numbers]
-
-
-def other_side(topic: str) -> str | None:
-    """Return the right wheel's topic of a left one: /left_ticks -> /right_ticks, /lwheel -> /rwheel; else None."""
+def other_side(topic: str) -> str:
+    """Return the right wheel's topic of a left one: /left_ticks -> /right_ticks, /lwheel -> /rwheel; else ""."""
     words = re.split(r"([/_])", topic)
     for i, word in enumerate(words):
         if word.lower() in OTHER_SIDE:
             return "".join([*words[:i], OTHER_SIDE[word.lower()], *words[i + 1 :]])
-    return None
+    return ""

@@ -12,7 +12,7 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
-from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, Progress, swept
+from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, swept
 from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, options as o, show
 from locfuse.cli.terminal.screen import put
@@ -20,8 +20,8 @@ from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
-    from locfuse.cli.fleet.jobs import FleetPlan, FleetRows, Job, JobOutcome
-    from locfuse.cli.fleet.queue import Ended, QueueState, Watch
+    from locfuse.cli.fleet.jobs import FleetRows, Job, JobOutcome
+    from locfuse.cli.fleet.queue import Ended, QueueState
 
 LINE_INTERVAL_S = 60.0  # between lines of progress if stderr is not a terminal
 MAX_LINES_PRINTED = 20  # of losses or gates on stderr; the tables have all
@@ -66,36 +66,47 @@ def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
     from locfuse.cli.analysis.gates import Gates
     from locfuse.cli.analysis.results import default_folder
-    from locfuse.cli.fleet.jobs import gather, plan
+    from locfuse.cli.fleet.jobs import FleetRows, plan
     from locfuse.cli.fleet.queue import NOT_RUN
     from locfuse.cli.session.summary import SUMMARY, summarised, write_summary
-    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer
+    from locfuse.formats.fleet.entry import Entry
+    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer, write_results
 
     how, outputs, fleet = options.how, options.outputs, options.fleet
     folder = outputs.out or default_folder(SUMMARY)
     every = _job_options(options, folder)
     gates = Gates.read(options.gates, of_fleet=True)
     may_write(folder, outputs.overwrite, options.inputs)
-    todo = plan(words, every, fleet.robot_from, fleet.sweep)
+    jobs, found = plan(words, every, fleet.robot_from, fleet.sweep), FleetRows()
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
-        _mark(folder, todo)
-        for outcome in todo.refused.values():
-            _say_failed(outcome)
-        ended = _run(list(todo.jobs.values()), options, fleet.max_failures)
-        found = gather(todo, ended.outcomes, ended.stopped or NOT_RUN, gates, how.strict)
-        _refuse_misuse(found, ended, todo)
+        if not (folder / "summary.json").exists():  # marks the folder as results even if the run is killed
+            write_results(folder, {UNFINISHED: json_report.encode({"logs": list(jobs)})}, overwrite=True)
+        ended = _run(list(jobs.values()), options, fleet.max_failures)
+        outcomes = list(ended.outcomes.values())
+        if outcomes and len(outcomes) == len(jobs) and all(o.misused for o in outcomes):
+            raise UsageError(outcomes[0].reason)
+        for name, job in jobs.items():
+            outcome = ended.outcomes.get(name)
+            if outcome is None:
+                found.entries.append(Entry(name, job.robot, "not run", ended.stopped or NOT_RUN))
+            elif outcome.state == "failed":
+                found.entries.append(Entry(name, job.robot, "failed", outcome.reason))
+            else:
+                found.add(job, gates, how.strict)
         if ended.by is not None and not any(e.state == "done" for e in found.entries):
             raise ended.by
-        robots = _robots(todo, found, options) if ended.by is None else []
+        robots = _robots(jobs, found, options) if ended.by is None else []
         summary = {**summarised(found.entries), "robots": robots}
         keys = tuple(swept(fleet.sweep))
         written = write_summary(folder, summary, found.entries, outputs.write, keys)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
-        show.say(f"{folder}: {_counts(found)}; the same command goes on with the rest")
+        states = [e.state for e in found.entries]
+        counts = ", ".join(f"{states.count(s)} {s}" for s in ("done", "failed", "not run") if s in states)
+        show.say(f"{folder}: {counts}; the same command goes on with the rest")
         raise ended.by
     _print(summary, written, outputs.as_json)
-    _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
+    _say_some([line for outcome in outcomes for line in outcome.warnings], "warnings")
     if every.recordings is not None and any(every.recordings.glob("*.rrd")):
         show.say(f"all drives in one viewer: {catalog(every.recordings)}")
     if outputs.open:
@@ -126,24 +137,27 @@ def _job_options(options: o.Options, folder: Path) -> Job:
     )
 
 
-def _mark(folder: Path, todo: FleetPlan) -> None:
-    """Write a marker file, so that the folder is recognised as results even if the run is killed."""
-    from locfuse.formats.whole_files import UNFINISHED, write_results
-
-    if not (folder / "summary.json").exists():
-        write_results(folder, {UNFINISHED: json_report.encode({"logs": list(todo.robots)})}, overwrite=True)
-
-
 def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> Ended:
     """Run jobs in processes of this machine, or on a cluster."""
     from locfuse.cli.fleet.queue import executor, run_all
 
-    quiet = options.how.quiet
+    quiet, printed = options.how.quiet, time.monotonic()
     with show.progress(quiet) as progress, executor(options.fleet) as pool:
-        return run_all(jobs, pool, max_failures, _watch(progress, quiet))
+
+        def watch(standing: QueueState, outcome: JobOutcome | None) -> None:
+            nonlocal printed
+            progress(standing.words())
+            if outcome is not None and outcome.state == "failed":
+                name, reason = outcome.name, outcome.reason
+                show.say(f"failed: {reason if name in reason else f'{name}: {reason}'}")
+            if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > LINE_INTERVAL_S:
+                printed = time.monotonic()
+                show.say(standing.words())
+
+        return run_all(jobs, pool, max_failures, watch)
 
 
-def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
+def _robots(todo: Mapping[str, Job], found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
     """Return for each robot the values that its logs share, and settings that help all its logs."""
     from locfuse.cli.fleet.jobs import robots
 
@@ -153,39 +167,7 @@ def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[
             raise ended.by
         return ended.outcomes
 
-    return [] if options.fleet.sweep or not options.asked.advice else robots(found.entries, todo.jobs, run)
-
-
-def _watch(progress: Progress, quiet: bool) -> Watch:
-    printed = time.monotonic()
-
-    def watch(standing: QueueState, outcome: JobOutcome | None) -> None:
-        nonlocal printed
-        progress(standing.words())
-        if outcome is not None and outcome.state == "failed":
-            _say_failed(outcome)
-        if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > LINE_INTERVAL_S:
-            printed = time.monotonic()
-            show.say(standing.words())
-
-    return watch
-
-
-def _say_failed(outcome: JobOutcome) -> None:
-    name = outcome.name
-    show.say(f"failed: {outcome.reason if name in outcome.reason else f'{name}: {outcome.reason}'}")
-
-
-def _refuse_misuse(found: FleetRows, ended: Ended, todo: FleetPlan) -> None:
-    """Raise UsageError if all logs failed because of an invalid option."""
-    outcomes = [*ended.outcomes.values(), *todo.refused.values()]
-    if outcomes and len(outcomes) == len(found.entries) and all(o.misused for o in outcomes):
-        raise UsageError(outcomes[0].reason)
-
-
-def _counts(found: FleetRows) -> str:
-    states = [e.state for e in found.entries]
-    return ", ".join(f"{states.count(s)} {s}" for s in ("done", "failed", "not run") if s in states)
+    return [] if options.fleet.sweep or not options.asked.advice else robots(found.entries, todo, run)
 
 
 def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:
@@ -207,8 +189,9 @@ def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED
 
     gates = [*found.gates, *failed_gates]
+    void = [f"void: {e.name}: {line}" for e in found.entries for line in e.void]
     # also with --quiet, since they explain exit code 3
-    _say_some([f"void: {line}" for line in found.void], "void figures")
+    _say_some(void, "void figures")
     _say_some([f"doubtful: {e.name}: {line}" for e in found.entries for line in e.doubtful], "doubtful figures")
     _say_some([f"lost: {line}" for line in found.lost], "losses")
     _say_some([f"gate: {line}" for line in gates], "gates")
@@ -219,7 +202,7 @@ def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
         return EXIT_GATE_FAILED
     if "done" not in states:
         raise LocfuseError(f"none of {len(found.entries)} logs could be compared; the reasons stand above")
-    return EXIT_LOSS if found.void or found.lost or states != {"done"} else 0
+    return EXIT_LOSS if void or found.lost or states != {"done"} else 0
 
 
 def _say_some(lines: Sequence[str], what: str) -> None:

@@ -56,8 +56,8 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
     logs = logs_of(expanded(log))
     if len(logs) > 1:
         return _several(named(logs), options, check, preview)
-    from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
+    from locfuse.cli.inspect.robot_facts import values
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report
     from locfuse.formats.report.findings import void_reasons
@@ -71,7 +71,7 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
 
             tried = tried_by_fusing(log, how, progress)
     if as_json:
-        put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
+        put(json_report.encode({**values(overview), **({"tried": tried} if check else {})}))
     else:
         text = info_text.lines(overview, (*log, *how.words), show.width(), tried or None)
         show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
@@ -89,8 +89,8 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
     """Print the values that several logs of one robot share, and their findings, each once."""
     from locfuse.cli.advice.together import ask, in_this_process, numbers_of
     from locfuse.cli.analysis.load import load
-    from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
+    from locfuse.cli.inspect.robot_facts import values
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report, summary
     from locfuse.fusion.data import UsageError
@@ -105,7 +105,7 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
         look = in_this_process(trying, asked.align, progress) if trying else lambda names, sets: {}
         together = {"robot": None, **ask(shown, look)}
     if options.outputs.as_json:
-        each = {name: values.values(overview) for name, overview in overviews.items()}
+        each = {name: values(overview) for name, overview in overviews.items()}
         put(json_report.encode({"logs": each, "together": together}))
     else:
         show.lines(info_text.together(overviews, together), (*info_text.TITLES, info_text.TOGETHER))
@@ -116,27 +116,37 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
     """Print the topics of a log from its index; nothing else of a remote log is read."""
     from locfuse.cli.analysis.load import find_log
-    from locfuse.cli.inspect import values
+    from locfuse.cli.inspect.robot_facts import listed
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.logs.log import open_log
     from locfuse.formats.report import json_report
 
     log = open_log(find_log(words))
     if as_json:
-        put(json_report.encode({"topics": values.listed(log)}))
+        put(json_report.encode({"topics": listed(log)}))
     else:
-        show.lines(info_text.listed(values.listed(log), show.width()))
+        show.lines(info_text.listed(listed(log), show.width()))
     show.transfer(log.transfer, quiet)
     return EXIT_LOSS if log.losses else 0
 
 
 def _preview(overview: Overview, folder: Path) -> list[str]:
     """Write preview pictures, and return the lines to print about them."""
+    from locfuse.cli.inspect.inspect_log import pictures_of
     from locfuse.formats.whole_files import write_results
-    from locfuse.fusion.checks.preview import preview as pictures_of
+    from locfuse.fusion.checks import preview
+    from locfuse.fusion.data import LocfuseError
 
-    topic = _topic_of_pictures(overview)
-    shown = pictures_of(overview.log.stream(topic, overview.robot.order), overview.robot.settings("camera"))
+    log, settings = overview.log, overview.robot.settings("camera")
+    fit = pictures_of(log, overview.choice)
+    if not fit:
+        raise LocfuseError(f"--preview: no topic of {log.name} holds pictures")
+    if settings.topic not in fit and len(fit) > 1:
+        fix = f"camera.topic={fit[0]}"
+        words = f"--preview: {log.name} has {len(fit)} topics of pictures;"
+        raise LocfuseError(words, fixes=(fix,), hint=f"choose one with --set {fix}")
+    topic = settings.topic if settings.topic in fit else fit[0]
+    shown = preview.preview(log.stream(topic, overview.robot.order), settings)
     lines = ["", PICTURES]
     write_results(folder, {name: file for one in shown for name, file in one.named().items()}, overwrite=True)
     for one in shown:
@@ -144,19 +154,3 @@ def _preview(overview: Overview, folder: Path) -> list[str]:
         what = f"something red at {found} deg" if found else "nothing red and upright"
         lines.append(f"  {folder}/{one.row:06d}-*.png: {what}")
     return lines
-
-
-def _topic_of_pictures(overview: Overview) -> str:
-    """Return the topic to preview: the configured one, or the only one with pictures."""
-    from locfuse.cli.inspect.inspect_log import pictures_of
-    from locfuse.fusion.data import LocfuseError
-
-    fit = pictures_of(overview.log, overview.choice)
-    named = overview.robot.settings("camera").topic
-    if named in fit or len(fit) == 1:
-        return named if named in fit else fit[0]
-    if not fit:
-        raise LocfuseError(f"--preview: no topic of {overview.log.name} holds pictures")
-    fix = f"camera.topic={fit[0]}"
-    words = f"--preview: {overview.log.name} has {len(fit)} topics of pictures;"
-    raise LocfuseError(words, fixes=(fix,), hint=f"choose one with --set {fix}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,8 +52,11 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
+    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect.template import draft
     from locfuse.cli.terminal import show
+    from locfuse.formats.logs.log import open_log
+    from locfuse.formats.robot import robot_localization
     from locfuse.formats.robot.commented_toml import printable, render
     from locfuse.formats.whole_files import may_replace, write_text
 
@@ -66,7 +68,10 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     may_replace(out, options.outputs.overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:
-        foreign, notes = ({}, ()) if ekf is None else _translated(log, ekf)
+        foreign, notes = dict[str, dict[str, Any]](), tuple[str, ...]()
+        if ekf is not None:
+            imported = robot_localization.read(ekf, list(open_log(find_log(log)).topics))
+            foreign, notes = {ekf.name: imported.tables}, imported.notes
         made = draft(log, how, progress, foreign)
     if place is not None and made.missing and not how.quiet and (typed := _asked(made)):
         with show.progress(how.quiet) as progress:
@@ -88,47 +93,33 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     return code
 
 
-def _translated(log: Sequence[str], ekf: Path) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
-    """Return the settings of an ekf.yaml as tables (by file name), and notes on parameters without counterpart."""
-    from locfuse.cli.analysis.load import find_log
-    from locfuse.formats.logs.log import open_log
-    from locfuse.formats.robot import robot_localization
-
-    found = robot_localization.read(ekf, list(open_log(find_log(log)).topics))
-    return {ekf.name: found.tables}, found.notes
-
-
 def _asked(made: Draft) -> tuple[str, ...]:
-    """Ask the user for missing values at the terminal; return the answers as "table.key=value".
+    """Ask the user for missing values until each is valid or empty; return "table.key=value" of each.
 
     () if stdin or stderr is a file or a pipe, as in scripts and CI.
     """
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return ()
-    words = {f"{section.name}.{line.key}": line.words for section in made.sections for line in section.lines}
-    say("No log can tell these values. Enter leaves one blank.", err=True)
-    answers = ((key, _answer(key, words.get(key, ""))) for key in made.missing)
-    return tuple(f"{key}={answer}" for key, answer in answers if answer)
-
-
-def _answer(key: str, words: str) -> str:
-    """Ask for a key's value until it is valid or empty; `words` are "unit: how to find the value"."""
     from locfuse.cli.analysis.robot_tables import make_robot
     from locfuse.formats.robot import robot_toml
     from locfuse.fusion.data import LocfuseError
 
-    unit, _, how = words.partition(": ")
-    named = how and len(unit) <= LONGEST_UNIT
-    say(f"{key} [{unit}]: {how}" if named else f"{key}: {words}", err=True)
-    while True:
-        answer = str(click.prompt("  value", default="", show_default=False, err=True)).strip()
-        try:
-            if answer:
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return ()
+    words = {f"{section.name}.{line.key}": line.words for section in made.sections for line in section.lines}
+    say("No log can tell these values. Enter leaves one blank.", err=True)
+    answers = []
+    for key in made.missing:
+        unit, _, how = words.get(key, "").partition(": ")
+        named = how and len(unit) <= LONGEST_UNIT
+        say(f"{key} [{unit}]: {how}" if named else f"{key}: {words.get(key, '')}", err=True)
+        while answer := str(click.prompt("  value", default="", show_default=False, err=True)).strip():
+            try:
                 make_robot(robot_toml.apply_sets([f"{key}={answer}"]))
-        except LocfuseError as problem:
-            say(f"  {problem}", err=True)
-        else:
-            return answer
+            except LocfuseError as problem:
+                say(f"  {problem}", err=True)
+            else:
+                answers.append(f"{key}={answer}")
+                break
+    return tuple(answers)
 
 
 def _updated(made: Draft, file: Path) -> str:
@@ -139,23 +130,23 @@ def _updated(made: Draft, file: Path) -> str:
     there = robot_toml.parse(text, str(file))
     changes: dict[str, Any] = {}
     for section in (s for s in made.sections if s.name):
-        values = {line.key: line.value for line in section.lines if line.holds and line.value is not None}
-        new = {key: value for key, value in values.items() if key not in there.get(section.name, {})}
+        known = there.get(section.name, {})
+        shown = [line for line in section.lines if line.holds and line.value is not None]
+        new = {line.key: line.value for line in shown if line.key not in known}
         changes |= {section.name: new} if new else {}
     return commented_toml.updated(text, changes, "locfuse init --update")
 
 
 def _head(made: Draft, words: str, name: str) -> str:
     tuned = " --robot tuned.toml" if _tunes(made) else ""
-    return (
-        f"robot.toml of {made.overview.log.name}, a starting point by locfuse init. "
-        f"Lines starting with # are inactive.\n"
-        f"\n"
-        f"  locfuse info {words} --check --robot {name}\n"
-        + (f"  locfuse tune {words} --robot {name} -o tuned.toml\n" if tuned else "")
-        + f"  locfuse compare {words} --robot {name}{tuned}\n"
-        f"  locfuse schema robot > {SCHEMA}   (then an editor completes and checks this file)"
-    )
+    commands = [
+        f"info {words} --check --robot {name}",
+        *([f"tune {words} --robot {name} -o tuned.toml"] if tuned else []),
+        f"compare {words} --robot {name}{tuned}",
+        f"schema robot > {SCHEMA}   (then an editor completes and checks this file)",
+    ]
+    what = f"robot.toml of {made.overview.log.name}, a starting point by locfuse init."
+    return "\n  locfuse ".join([f"{what} Lines starting with # are inactive.\n", *commands])
 
 
 def _foot(made: Draft) -> str:
@@ -170,7 +161,7 @@ def _foot(made: Draft) -> str:
 def _notes(made: Draft, words: str, name: str) -> list[str]:
     """Return notes on guessed values and on the next command."""
     from locfuse.cli.analysis.motion_evidence import unjudged
-    from locfuse.cli.inspect.values import wheels_missing
+    from locfuse.cli.inspect.robot_facts import wheels_missing
     from locfuse.formats.report.findings import options
     from locfuse.fusion.checks.laser import OPEN_SCALE
 

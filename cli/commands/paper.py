@@ -52,7 +52,8 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
     else:
         show.table(paper_page.table(values))
         show.lines([paper_page.conclusion(values)])
-        show.lines(job.lines(values))
+        drives = values["figure_14"]
+        show.lines(f"fig. {d['figure']}, {d['steered']}: {d['rms']:.3f} m rms from the path" for d in drives)
         show.end([out / name for name in files])
     if shown:
         show.open_page([out / name for name in files])

@@ -41,6 +41,8 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace, may_write
+    from locfuse.fusion.data import UsageError
+    from locfuse.fusion.sensors.registry import of_points
 
     how, asked, outputs = options.how, options.asked, options.outputs
     for file in (outputs.audit, outputs.save_map, outputs.rerun_save):
@@ -48,7 +50,11 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=outputs.recorded)
         configuration = parse(asked.sensors[0], session.drive)
-        _refuse_maps_without_laser(options, configuration.sensors)
+        save, sensors = outputs.save_map, configuration.sensors
+        saves_lines = save is not None and (save.suffix != ".csv" or of_points().isdisjoint(sensors))
+        option = "--map" if how.given_map is not None else "--save-map" if saves_lines else None
+        if option and "lrf" not in sensors:
+            raise UsageError(f"{option}: only the laser has a map; add lrf to --sensors")
         may_write(outputs.out or default_folder(session.log.name), outputs.overwrite, options.inputs)
         result = session.run(
             configuration, align=asked.align, smooth=asked.smooth, advice=asked.advice, jitter=asked.jitter
@@ -59,15 +65,3 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
         if outputs.audit is not None:
             result.write_audit(outputs.audit)
     return EXIT_LOSS if show.outcome(result, files, options) else 0
-
-
-def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> None:
-    """Raise UsageError for --map or --save-map if the laser is not among the sensors."""
-    from locfuse.fusion.data import UsageError
-    from locfuse.fusion.sensors.registry import of_points
-
-    save = options.outputs.save_map
-    saves_lines = save is not None and (save.suffix != ".csv" or of_points().isdisjoint(sensors))
-    option = "--map" if options.how.given_map is not None else "--save-map" if saves_lines else None
-    if option and "lrf" not in sensors:
-        raise UsageError(f"{option}: only the laser has a map; add lrf to --sensors")

@@ -48,6 +48,7 @@ def simulate(
     from locfuse.formats.whole_files import may_replace
     from locfuse.fusion.data import UsageError
     from locfuse.sample_logs import load
+    from locfuse.sample_logs.simulate import speed_stability
 
     if listing:
         for name in load.names():
@@ -63,7 +64,17 @@ def simulate(
         raise UsageError("where to? Name the log with -o LOG.mcap")
     may_replace(out, overwrite)
     seed = chosen.seed if seed is None else seed
-    facts = {"log": str(out), "seed": seed, **job.facts(job.drive(chosen, seed, out))}
+    outcome = job.drive(chosen, seed, out)
+    stability = speed_stability(outcome)
+    facts = {
+        "log": str(out),
+        "seed": seed,
+        "duration_s": round(outcome.duration, 3),
+        "way_m": round(outcome.way, 3),
+        "missed_encoder_transitions": outcome.missed,
+        "speed_worst_percent": round(100 * stability.worst, 2),
+        "speed_within_5_percent": round(stability.within_5_percent, 4),
+    }
     if as_json:
         put(json.dumps(facts, indent=2) + "\n")
     else:

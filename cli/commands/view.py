@@ -6,17 +6,12 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from locfuse.cli.rerun.record import RECORDING
 from locfuse.cli.terminal import completion, options as o
 from locfuse.cli.terminal.screen import say
-
-if TYPE_CHECKING:
-    from locfuse.cli.analysis.settings import Progress
-    from locfuse.formats.rerun.scene import RerunScene
 
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
 
@@ -30,12 +25,7 @@ TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw to
 )
 @o.option("--save", "Write the recording to this file; open no viewer.", type=o.FILE, metavar="FILE.rrd")
 @o.OVERWRITE
-@o.option(
-    "--connect",
-    "Send the recording to the viewer at this address.",
-    callback=lambda context, parameter, value: _address(value),
-    metavar="URL",
-)
+@o.option("--connect", "Send the recording to the viewer at this address.", metavar="URL")
 @o.flag("--web", "Show the recording in a browser on this machine (127.0.0.1 only).")
 @o.option("--web-port", "", type=click.IntRange(1, 65535), default=9090, show_default=True)
 @o.option("--tab", "The tab of plots that is shown first.", type=click.Choice(TABS, case_sensitive=False))
@@ -68,25 +58,33 @@ def view(
     locfuse view locfuse-out/bag
     locfuse view rounded_rectangle --save drive.rrd
     """
+    from locfuse.cli.analysis.grouping import result_file
     from locfuse.cli.rerun import viewer
+    from locfuse.cli.rerun.scene import make_scene, scene_of
+    from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
     from locfuse.formats.rerun.recording import save_recording
     from locfuse.formats.whole_files import may_replace, scratch_prefix, whole_file
     from locfuse.fusion.data import UsageError
 
     may_replace(save, options.outputs.overwrite, log)
-    for word in log:
-        if word.endswith(".rrd") and not Path(word).is_file():
-            raise UsageError(f"{word}: there is no such recording; make one with: locfuse view LOG --save {word}")
+    path = ready(log)
+    if connect is not None and viewer.ADDRESS.fullmatch(connect) is None:
+        raise UsageError(f"--connect {connect!r}: no viewer's address; try {viewer.LOCAL_VIEWER}")
     if save is None and connect is None and not web:
         viewer.require()
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         with show.progress(options.how.quiet) as progress:
-            path = ready(log)
             if path is None:
-                path = save or Path(scratch) / RECORDING
-                progress("recording")
-                save_recording(path, _scene(log, options, images, full, progress), tab)
+                path, report = save or Path(scratch) / RECORDING, result_file(log[0]) if len(log) == 1 else None
+                if report is not None:
+                    scene = scene_of(report)
+                else:
+                    session = opened(log, options.how, progress, read_again=True)
+                    result = session.compare(options.asked.sensors or None, reference=False)
+                    progress("recording")
+                    scene = make_scene(result, images, full)
+                save_recording(path, scene, tab)
             elif save is not None:
                 with whole_file(save) as temporary:
                     shutil.copyfile(path, temporary)
@@ -110,23 +108,18 @@ def _every(value: str | None) -> int | None:
     return int(word)
 
 
-def _address(value: str | None) -> str | None:
-    """Return a viewer's address. Raises click.BadParameter for an invalid one."""
-    from locfuse.cli.rerun.viewer import ADDRESS, LOCAL_VIEWER
-
-    if value is not None and ADDRESS.fullmatch(value) is None:
-        raise click.BadParameter(f"{value!r} is no viewer's address; try {LOCAL_VIEWER}")
-    return value
-
-
 def ready(what: Sequence[str]) -> Path | None:
     """Return an existing recording: the named .rrd, or an up-to-date one of a result; None without one.
 
-    Raises LocfuseError for an incomplete recording.
+    Raises LocfuseError for an incomplete recording, UsageError for a missing one.
     """
     from locfuse.cli.analysis.grouping import result_file
     from locfuse.formats.rerun.recording import check
+    from locfuse.fusion.data import UsageError
 
+    for word in what:
+        if word.endswith(".rrd") and not Path(word).is_file():
+            raise UsageError(f"{word}: there is no such recording; make one with: locfuse view LOG --save {word}")
     path = Path(what[0])
     if len(what) == 1 and path.is_file() and path.suffix == ".rrd":
         check(path)
@@ -139,19 +132,3 @@ def ready(what: Sequence[str]) -> Path | None:
         return None  # a recording older than the report may be of other settings
     check(recording)
     return recording
-
-
-def _scene(
-    what: Sequence[str], options: o.Options, images: int | None, full: bool, progress: Progress
-) -> RerunScene:
-    """Return the content of the recording, of finished results or of a log that is fused now."""
-    from locfuse.cli.analysis.grouping import result_file
-    from locfuse.cli.rerun.scene import make_scene, scene_of
-    from locfuse.cli.session.session import opened
-
-    if len(what) == 1 and (report := result_file(what[0])) is not None:
-        return scene_of(report)
-    session = opened(what, options.how, progress, read_again=True)
-    result = session.compare(options.asked.sensors or None, reference=False)
-    progress("recording")
-    return make_scene(result, images, full)

@@ -65,6 +65,7 @@ class Job(msgspec.Struct, frozen=True):
     recordings: Path | None = None  # folder of the drives' recordings
     again: bool = False  # run it even if its results are complete
     tries: tuple[Fixes, ...] = ()  # settings to fuse the log under, instead of a comparison
+    refused: str = ""  # why it is not run, such as a missing log
 
     def recording_of(self, cell: SweepCell) -> str:
         """Return the name of a cell's Rerun recording."""
@@ -91,8 +92,8 @@ def is_finished(job: Job) -> bool:
     """Return whether a job's results are complete. Raises LocfuseError if its log or settings cannot be read."""
     if job.again or job.tries or job.outputs.export or job.outputs.figures is not None:
         return False  # exports and figures are not checked
-    reports = {cell: report for cell in job.cells if (report := read_report(job.place(cell))) is not None}
-    if len(reports) < len(job.cells):
+    reports = [read_report(job.place(cell)) for cell in job.cells]
+    if None in reports:
         return False
     files = files_of(find_log(job.log))
     content = identity_of(files)
@@ -100,7 +101,7 @@ def is_finished(job: Job) -> bool:
     return all(
         report.get("key") == key(content, given_tables(job.how, cell.sets), job.asked)
         and _is_complete(job, cell, report, changed_ns)
-        for cell, report in reports.items()
+        for cell, report in zip(job.cells, filter(None, reports), strict=True)
     )
 
 
@@ -139,58 +140,40 @@ def read_report(folder: Path) -> dict[str, Any] | None:
         return None
 
 
-class FleetPlan(msgspec.Struct, frozen=True):
-    """Jobs to run, and logs that cannot be opened, in the order of the command line."""
-
-    robots: dict[str, str | None]  # of each log
-    jobs: dict[str, Job]
-    refused: dict[str, JobOutcome]
-
-
-def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> FleetPlan:
-    """Return a job for each log in `words`: the job `every` with the log, its name and its folder.
-
-    Logs that cannot be opened are refused, each with the reason.
-
-    Raises UsageError for invalid settings, an invalid pattern or an invalid sweep.
-    """
-    pattern = _pattern(robot_from, every.how.robots)
+def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> dict[str, Job]:
+    """Return a job for each log in `words`: the job `every` with the log, its name, its folder, or its refusal."""
+    robot_of = _robot_by(robot_from, every.how.robots)
     fixed = tuple(file for file in every.how.robots if ROBOT_PLACEHOLDER not in str(file))
-    given_layers(_with_robots(every, fixed).how)
+    given_layers(replace(every.how, robots=fixed))
     of_sweep = tuple(SweepCell(*found) for found in cells(swept(sweeps)).items()) if sweeps else every.cells
     for cell in of_sweep:
-        given_layers(replace(every.how, robots=(), sets=(*every.how.sets, *cell.sets)))
-    figures = every.outputs.figures
-    robots: dict[str, str | None] = {}
-    jobs, refused = {}, {}
+        given_layers(replace(every.how, robots=()), cell.sets)
+    figures, jobs = every.outputs.figures, {}
     for name, log in named(logs_of(words)).items():
-        robots[name] = robot = None if pattern is None else robot_of(pattern, log)
+        jobs[name] = job = replace(
+            every,
+            name=name,
+            log=tuple(log),
+            folder=every.folder / name,
+            outputs=replace(every.outputs, figures=figures and figures / name),
+            robot=robot_of(log[0]),
+            cells=of_sweep,
+        )
         try:
             find_log(log)
-            jobs[name] = replace(
-                _with_robots(every, [_file_of(file, robot) for file in every.how.robots]),
-                name=name,
-                log=tuple(log),
-                folder=every.folder / name,
-                outputs=replace(every.outputs, figures=figures and figures / name),
-                robot=robot,
-                cells=of_sweep,
-            )
+            files = tuple(_file_of(file, job.robot) for file in every.how.robots)
+            jobs[name] = replace(job, how=replace(job.how, robots=files))
         except UsageError as problem:
-            refused[name] = JobOutcome(name, "failed", str(problem), misused=True)
-    return FleetPlan(robots, jobs, refused)
+            jobs[name] = replace(job, refused=str(problem))
+    return jobs
 
 
-def _with_robots(job: Job, files: Sequence[Path]) -> Job:
-    return replace(job, how=replace(job.how, robots=tuple(files)))
-
-
-def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
-    """Return the pattern of --robot-from. Raises UsageError if it is invalid, or missing but needed."""
+def _robot_by(text: str | None, files: Sequence[Path]) -> Callable[[str], str | None]:
+    """Return a function from a log's path to its robot or None, by --robot-from, which must be valid."""
     if text is None:
         if unnamed := [file for file in files if ROBOT_PLACEHOLDER in str(file)]:
             raise UsageError(f"--robot {unnamed[0]}: say how a log's path names its robot with --robot-from REGEX")
-        return None
+        return lambda path: None
     try:
         pattern = re.compile(text)
     except re.error as problem:
@@ -198,15 +181,12 @@ def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
     if not pattern.groups:
         fix = "put the robot's name in a group, such as 'fleet/(?P<robot>[^/]+)/'"
         raise UsageError(f"--robot-from {text!r}: {fix}")
-    return pattern
 
+    def robot_of(path: str) -> str | None:
+        found = pattern.search(path) or pattern.search(Path(path).resolve().as_posix())
+        return found and found["robot" if "robot" in pattern.groupindex else 1]
 
-def robot_of(pattern: re.Pattern[str], log: Sequence[str]) -> str | None:
-    """Return a log's robot by its path (as typed, then absolute); None if the pattern does not match."""
-    for path in (log[0], Path(log[0]).resolve().as_posix()):
-        if found := pattern.search(path):
-            return found["robot"] if "robot" in pattern.groupindex else found[1]
-    return None
+    return robot_of
 
 
 def _file_of(file: Path, robot: str | None) -> Path:
@@ -228,44 +208,20 @@ class FleetRows(msgspec.Struct, frozen=True):
     gates: list[str] = []  # a line per gate that a log fails
     lost: list[str] = []  # a line per loss of a log
 
-    @property
-    def void(self) -> list[str]:
-        """Lines on void figures, one per reason and log."""
-        return [f"{e.name}: {line}" for e in self.entries for line in e.void]
-
-
-def gather(
-    plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: Gates, strict: bool
-) -> FleetRows:
-    """Return a summary row for each log; `stopped` is the reason for jobs that have not run.
-
-    Results are read from the jobs' folders, also those of skipped jobs.
-    """
-    found = FleetRows()
-    for name, robot in plan.robots.items():
-        outcome = outcomes.get(name) or plan.refused.get(name)
-        if outcome is None:
-            found.entries.append(Entry(name, robot, "not run", stopped))
-        elif outcome.state == "failed":
-            found.entries.append(Entry(name, robot, "failed", outcome.reason))
-        else:
-            found.entries.append(_entry(plan.jobs[name], found, gates, strict))
-    return found
-
-
-def _entry(job: Job, found: FleetRows, gates: Gates, strict: bool) -> Entry:
-    """Return the summary's row of one log, and add its failed gates and losses to `found`."""
-    reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
-    whole = {cell: report for cell, report in reports.items() if report is not None}
-    if len(whole) < len(reports):
-        return Entry(job.name, job.robot, "failed", REPORT_IS_GONE)
-    lost: list[str] = []
-    for cell, report in whole.items():
-        title = f"{job.name} [{cell}]" if cell else job.name
-        found.gates.extend(f"{title}: {line}" for line in gates.failures(report))
-        lost = lost_in(report, strict) or lost
-    found.lost.extend(f"{job.name}: {line}" for line in lost)
-    return Entry(job.name, job.robot, report=slim(whole), cells=tuple(whole))
+    def add(self, job: Job, gates: Gates, strict: bool) -> None:
+        """Add the row of a finished job by the reports in its folder, its failed gates and its losses."""
+        reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
+        whole = {cell: report for cell, report in reports.items() if report is not None}
+        if len(whole) < len(reports):
+            self.entries.append(Entry(job.name, job.robot, "failed", REPORT_IS_GONE))
+            return
+        lost: list[str] = []
+        for cell, report in whole.items():
+            title = f"{job.name} [{cell}]" if cell else job.name
+            self.gates.extend(f"{title}: {line}" for line in gates.failures(report))
+            lost = lost_in(report, strict) or lost
+        self.lost.extend(f"{job.name}: {line}" for line in lost)
+        self.entries.append(Entry(job.name, job.robot, report=slim(whole), cells=tuple(whole)))
 
 
 def robots(

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 from contextlib import suppress
+from pathlib import Path
 
 from locfuse.cli.advice.together import looks, numbers_of
 from locfuse.cli.analysis import maps
@@ -33,17 +34,14 @@ RUNNING: set[subprocess.Popen[bytes]] = set()
 
 
 def run(job: Job, folder: str, version: str) -> JobOutcome:
-    """Run a job in a new process.
-
-    The job fails unless this machine sees the command's `folder` and has its locfuse `version`.
-    """
-    machine = socket.gethostname()
+    """Run a job in a new process, if this machine sees the command's `folder` and has its `version`."""
+    worker, why = f"worker on {socket.gethostname()}", ""
     if (ours := own()) != version:
-        return JobOutcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {version}")
-    if not os.path.isdir(folder):  # noqa: PTH112 - a path of another machine
-        return JobOutcome(job.name, "failed", f"worker on {machine}: it does not see the folder {folder}")
+        why = f"{worker}: it has locfuse {ours}, wanted was {version}"
+    elif not Path(folder).is_dir():  # a path of another machine
+        why = f"{worker}: it does not see the folder {folder}"
     try:
-        return _in_a_process(job, folder)
+        return JobOutcome(job.name, "failed", why) if why else _in_a_process(job, folder)
     except OSError as problem:
         return JobOutcome(job.name, "failed", f"no process could be started for it: {problem.strerror or problem}")
 
@@ -101,13 +99,13 @@ def main() -> None:
     with os.fdopen(os.dup(1), "wb") as answer:
         os.dup2(2, 1)  # output of libraries goes to stderr
         job: Job = pickle.load(sys.stdin.buffer)
-        threading.Thread(target=_end_with_parent, daemon=True).start()
+
+        def end_with_parent() -> None:
+            os.read(0, 1)  # not sys.stdin, whose lock would block the interpreter's exit
+            os._exit(EXIT_ORPHANED)
+
+        threading.Thread(target=end_with_parent, daemon=True).start()
         answer.write(pickle.dumps(outcome(job)))
-
-
-def _end_with_parent() -> None:
-    os.read(0, 1)  # not sys.stdin, whose lock would block the interpreter's exit
-    os._exit(EXIT_ORPHANED)
 
 
 def outcome(job: Job) -> JobOutcome:

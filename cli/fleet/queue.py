@@ -51,17 +51,12 @@ class QueueState:
         """Number of jobs without an outcome."""
         return self.total - self.done - self.failed
 
-    @property
-    def seconds_left(self) -> float | None:
-        """Expected time [s] for the remaining jobs at the pace so far; None before the first job is done."""
-        ran = self.done + self.failed - self.resumed
-        return (time.monotonic() - self.began) / ran * self.left if ran else None
-
     def words(self) -> str:
-        """Return the progress in one line."""
+        """Return the progress in one line, with the time for the remaining jobs at the pace so far."""
         line = f"{self.done} done, {self.failed} failed, {self.left} left"
-        seconds = self.seconds_left
-        return line if seconds is None or not self.left else f"{line}, about {duration(seconds)}"
+        ran = self.done + self.failed - self.resumed
+        seconds = (time.monotonic() - self.began) / max(ran, 1) * self.left
+        return f"{line}, about {duration(seconds)}" if ran and self.left else line
 
 
 def duration(seconds: float) -> str:
@@ -105,8 +100,12 @@ def run_all(jobs: Sequence[Job], pool: Executor, max_failures: int | None, watch
         raise
     except BaseException as stopped:  # Ctrl-C, SIGTERM: outcomes so far are kept
         return Ended(found, "interrupted", stopped)
-    finally:
-        _cancel(running)
+    finally:  # cancels jobs that have not started, and ends those that run
+        for future in running:
+            future.cancel()
+        while not all(future.done() for future in running):
+            process.stop()
+            time.sleep(STOP_S)
     return Ended(found)
 
 
@@ -127,6 +126,8 @@ def _outcomes(
 
 def already(job: Job) -> JobOutcome | None:
     """Return the outcome of a job that need not run (complete results, or an unreadable log), else None."""
+    if job.refused:
+        return JobOutcome(job.name, "failed", job.refused, misused=True)
     try:
         return JobOutcome(job.name, "done", resumed=True) if is_finished(job) else None
     except LocfuseError as problem:
@@ -143,15 +144,6 @@ def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
         return JobOutcome(job.name, "failed", why.format(problem=words))
 
 
-def _cancel(running: Mapping[Future[JobOutcome], Job]) -> None:
-    """Cancel jobs that have not started, and end those that run."""
-    for future in running:
-        future.cancel()
-    while not all(future.done() for future in running):
-        process.stop()
-        time.sleep(STOP_S)
-
-
 # --- A Dask cluster as executor: its workers run each job in a new process. All machines share the disk with logs,
 # settings and results; logs may also be remote.
 
@@ -162,10 +154,7 @@ MAX_RETRIES = 2  # of a job whose worker failed
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """Connect to a Dask scheduler, such as "tcp://127.0.0.1:8786", and yield its executor.
-
-    Raises LocfuseError if none answers, it has no workers, or a worker has another version of locfuse.
-    """
+    """Connect to a Dask scheduler, such as "tcp://127.0.0.1:8786", and yield its executor."""
     try:
         import distributed
     except ImportError:
@@ -177,10 +166,9 @@ def cluster(address: str) -> Iterator[Executor]:
         try:
             client = connect(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as problem:
-            raise LocfuseError(
-                f"--cluster {address}: no scheduler answers there ({_line(problem)}); start one with: "
-                "dask scheduler --host 127.0.0.1 --dashboard-address 127.0.0.1:0"
-            ) from None
+            start = "dask scheduler --host 127.0.0.1 --dashboard-address 127.0.0.1:0"
+            words = f"no scheduler answers there ({_line(problem)}); start one with: {start}"
+            raise LocfuseError(f"--cluster {address}: {words}") from None
         with client:
             _check_workers(address, client)
             yield client.get_executor(retries=MAX_RETRIES, pure=False)
@@ -190,15 +178,14 @@ def _check_workers(address: str, client: Any) -> None:
     try:
         client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
     except TimeoutError:
-        raise LocfuseError(
-            f"--cluster {address}: the scheduler has no workers; start some with: dask worker {address}"
-        ) from None
+        words = f"the scheduler has no workers; start some with: dask worker {address}"
+        raise LocfuseError(f"--cluster {address}: {words}") from None
     ours = own()
     for worker, found in client.run(version, "locfuse", on_error="return").items():
-        if isinstance(found, Exception):
-            raise LocfuseError(f"--cluster {address}: worker {worker} has no locfuse: pip install locfuse=={ours}")
         if found != ours:
-            raise LocfuseError(f"--cluster {address}: worker {worker} has locfuse {found}, this is {ours}")
+            other = f"locfuse {found}, this is {ours}"
+            other = f"no locfuse: pip install locfuse=={ours}" if isinstance(found, Exception) else other
+            raise LocfuseError(f"--cluster {address}: worker {worker} has {other}")
 
 
 def _line(problem: Any) -> str:

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
-from locfuse.cli.analysis.choose import choose_sensor, choose_truth
+from locfuse.cli.analysis.choose import TF, choose_each
 from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured, unbroken
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.motion_evidence import STANDS
@@ -22,7 +20,6 @@ from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_o
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
 from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.cli.analysis.topics import Choice, filled, of_type
-from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.report.findings import options
 from locfuse.formats.robot import robot_toml
@@ -30,6 +27,7 @@ from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.examine import BLIND, MIXED, examine, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
+from locfuse.fusion.checks.pictures import of_pictures
 from locfuse.fusion.checks.raw_data import PUBLISHERS
 from locfuse.fusion.checks.start import START
 from locfuse.fusion.checks.tracked_point import POINT
@@ -40,6 +38,8 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from .robot_facts import Overview, conflicts, find_robot_facts, possible_truth, unplaced, wheel_size
 from .topics import derived_facts, of_publishers, of_stamps, topic_facts
+
+UNCHECKED = "{files}: no checksums: a corrupted value would go unnoticed"
 
 
 def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> Overview:
@@ -55,15 +55,17 @@ def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> O
     facts += derived_facts(log, robot.order)
     overview = Overview(log, tables, choice, facts, *_placed(log, tables, choice, found))
     overview.robot_facts = find_robot_facts(overview)
+    names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
     overview.findings = [
-        *_of_file_losses(log),
+        *(Finding("file", "lost", line, severe=True) for line in log.losses.lines()),
+        *([Finding("file", "unchecked", UNCHECKED.format(files=names))] if log.unchecked else ()),
         *found,
         *wheel_size(overview),
         *possible_truth(overview),
         *of_stamps(facts, choice, overview.robot),
         *of_publishers(log, choice),
         *_of_messages("lrf", choice.of("lrf"), lambda stream, _: driver(stream), overview),
-        *_of_messages("camera", pictures_of(log, choice), _pictures, overview),
+        *_of_messages("camera", pictures_of(log, choice), of_pictures, overview),
         *_maps(overview),
     ]
     _measure(overview, progress)
@@ -79,26 +81,16 @@ def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> O
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
     """Choose the topics of each role; an error for one role becomes a finding."""
     choice = Choice()
-    offer_presented(log)
-    try:
-        offer_tags(log, robot)
-    except LocfuseError as e:  # the frames form a loop
-        topic, _, words = str(e).partition(": ")
-        found.append(Finding(topic, "tf", words))
-    steps: dict[str, Callable[[], None]] = {
-        "truth": partial(choose_truth, log, robot, "truth" in insisted, choice),
-        "wheels": partial(choose_wheels, log, robot, choice),
-        **{s: partial(choose_sensor, log, robot, s, s in insisted, choice) for s in REGISTRY},
-    }
-    for role, step in steps.items():
-        try:
-            step()
-        except LocfuseError as e:
-            finding = of_error(e, role, "choice")  # severe: `run` and `compare` fail too
-            if isinstance(e, NoWheelsError):
-                finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
-            choice.leave(role, finding.sentence, finding.fixes)
-            found.append(finding)
+    for role, e in choose_each(log, robot, insisted, choice):
+        if role == TF:  # the frames form a loop
+            topic, _, words = str(e).partition(": ")
+            found.append(Finding(topic, "tf", words))
+            continue
+        finding = of_error(e, role, "choice")  # severe: `run` and `compare` fail too
+        if isinstance(e, NoWheelsError):
+            finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
+        choice.leave(role, finding.sentence, finding.fixes)
+        found.append(finding)
     found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes if not note.is_fault]
     return choice
 
@@ -106,10 +98,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
 def _placed(
     log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
 ) -> tuple[StaticTransforms, dict[str, Any], Robot]:
-    """Return the log's static transforms, the sensor mounts that they give, and the robot with these mounts.
-
-    Settings in `tables` override the mounts.
-    """
+    """Return the log's transforms, the mounts that they give, and the robot with these and `tables` above."""
     streams: dict[str, list[Stream]] = {}
     for name in REGISTRY:
         for topic in choice.of(name):
@@ -123,15 +112,6 @@ def _placed(
         found.append(Finding("/tf_static", "tf_static", str(e)))
     mounts, turns = mount_tables(transforms, streams), shared_turns(tables, streams)
     return transforms, mounts, make_robot(robot_toml.merge(mounts, turns, tables))
-
-
-def _of_file_losses(log: Log) -> list[Finding]:
-    """Return findings on unreadable bytes, and on files without checksums."""
-    found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
-    if log.unchecked:
-        names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
-        found.append(Finding("file", "unchecked", f"{names}: no checksums: a corrupted value would go unnoticed"))
-    return found
 
 
 def _measure(overview: Overview, progress: Progress) -> None:
@@ -209,9 +189,3 @@ def _of_messages(
         return examine(overview.log.stream(topics[0], robot.order), robot.settings(role))
     except LocfuseError as e:
         return [of_error(e, role, "unusable")]
-
-
-def _pictures(stream: Any, settings: Any) -> list[Finding]:
-    from locfuse.fusion.checks.pictures import of_pictures
-
-    return of_pictures(stream, settings)

@@ -12,7 +12,7 @@ import tokenize
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from io import StringIO
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 
@@ -37,7 +37,11 @@ def robot_schema() -> Schema:
         asks = REGISTRY[name].asks if name in REGISTRY else {}
         words = {**{key: ask.words for key, ask in asks.items()}, **field_words(kind)}
         _describe(definitions[kind.__name__], words)
-        _leave_out_null(definitions[kind.__name__])
+        for schema in definitions[kind.__name__]["properties"].values():  # without null, since TOML has none
+            kinds = [part for part in schema.pop("anyOf", []) if part != {"type": "null"}]
+            schema.update(kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {})
+            if schema.get("default", 0) is None:
+                del schema["default"]
     top = {
         "order": {"enum": list(ORDERS), "default": "auto", "description": OF_ORDER},
         "preset": {"enum": list(PRESETS), "default": "default", "description": OF_PRESET},
@@ -54,13 +58,10 @@ def robot_schema() -> Schema:
 
 
 def output_schema(title: str, *kinds: type[msgspec.Struct]) -> Schema:
-    """Return the JSON schema of a command's output, which has one of the types `kinds`.
-
-    Unknown keys are valid, since more keys may be added later.
-    """
+    """Return the JSON schema of an output of one of these types; unknown keys are valid, for later ones."""
     refs, definitions = msgspec.json.schema_components(kinds, ref_template=REF_TEMPLATE)
-    for kind in dict.fromkeys(inner for outer in kinds for inner in _structs(outer)):
-        _describe(definitions[kind.__name__], field_words(kind))
+    for name, definition in definitions.items():
+        _describe(definition, field_words(getattr(structure, name)))
     top = refs[0] if len(refs) == 1 else {"anyOf": list(refs)}
     return {"$schema": DRAFT_7, "title": title, **top, "$defs": _in_draft_7(definitions)}
 
@@ -69,18 +70,6 @@ def _describe(definition: Schema, words: Mapping[str, str]) -> None:
     for key, schema in definition.get("properties", {}).items():
         if key in words:
             schema["description"] = words[key]
-
-
-def _leave_out_null(definition: Schema) -> None:
-    """Remove null from the types of a table's keys, since TOML has no null."""
-    for schema in definition["properties"].values():
-        kinds = [kind for kind in schema.pop("anyOf", []) if kind != {"type": "null"}]
-        if len(kinds) == 1:
-            schema.update(kinds[0])
-        elif kinds:
-            schema["anyOf"] = kinds
-        if schema.get("default", 0) is None:
-            del schema["default"]
 
 
 def _in_draft_7(schema: Any) -> Any:
@@ -96,23 +85,8 @@ def _in_draft_7(schema: Any) -> Any:
     return parts
 
 
-def _structs(kind: Any) -> Iterator[type[msgspec.Struct]]:
-    """Yield a struct type and all struct types among its fields, each once."""
-    waiting, seen = [kind], set[Any]()
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, type) and issubclass(one, msgspec.Struct) and one not in seen:
-            seen.add(one)
-            yield one
-            waiting += [field.type for field in msgspec.structs.fields(one)]
-        waiting += get_args(one)
-
-
 def field_words(kind: type[Any]) -> dict[str, str]:
-    """Return the comment of each field of a class (meaning and unit) by field name.
-
-    Base classes are included; {} for a class without source code.
-    """
+    """Return the comment of each field of a class and its bases (meaning, unit); {} without source code."""
     words: dict[str, str] = {}
     for part in reversed(kind.__mro__):
         if part.__module__.startswith("locfuse."):

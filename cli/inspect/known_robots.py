@@ -8,12 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from contextlib import suppress
-from typing import NamedTuple, cast
+from typing import Any, cast
 
 from locfuse import robots
 from locfuse.cli.analysis.topics import of_type
 from locfuse.formats.logs.log import Log
-from locfuse.formats.robot.robot_toml import as_set
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import BODY_READS, SCANS
@@ -39,15 +38,8 @@ UNSURE_NOTES = {"turtlebot3_msgs": "; if it is a Waffle: wheels.track=0.287 and 
 COUNTER_KEYS = ("radius", "track", "ticks_per_revolution")  # an odometry needs none of them
 
 
-class Recognised(NamedTuple):
-    """A known robot model, recognised in a log."""
-
-    name: str
-    sign: str  # how it was recognised, in words
-
-
-def recognise(overview: Overview) -> Recognised | None:
-    """Return the first known robot model whose message types, topic names or frames are in the log."""
+def recognise(overview: Overview) -> tuple[str, str] | None:
+    """Return the first known robot model with message types, topic names or frames in the log, and this sign."""
     packages = {topic.msgtype.partition("/")[0] for topic in overview.log.topics.values()}
     words = {word for topic in overview.log.topics for word in re.split(r"[/_]", topic.lower())}
     frames = {edge.child for edge in overview.transforms.edges}
@@ -55,24 +47,21 @@ def recognise(overview: Overview) -> Recognised | None:
         for sign in signs:
             if isinstance(sign, frozenset):
                 if sign <= frames:
-                    return Recognised(name, f"frames {' and '.join(sorted(sign))}")
+                    return name, f"frames {' and '.join(sorted(sign))}"
             elif sign in packages:
-                return Recognised(name, f"messages of {sign}{UNSURE_NOTES.get(sign, '')}")
+                return name, f"messages of {sign}{UNSURE_NOTES.get(sign, '')}"
             elif sign in words:
-                return Recognised(name, f"topics named {sign}")
+                return name, f"topics named {sign}"
     return None
 
 
-def open_figures(known: Recognised, overview: Overview, given: Collection[str]) -> dict[str, tuple[str, str]]:
-    """Return {key: ("key=value", source in words)}: a known robot's values for settings that the log needs.
-
-    `given` are the keys that have a value already.
-    """
-    found: dict[str, tuple[str, str]] = {}
-    for key, figure in robots.figures(known.name).items():
+def open_figures(model: str, overview: Overview, given: Collection[str]) -> dict[str, tuple[Any, str]]:
+    """Return {key: (value, source in words)} of a known robot for needed settings that are not `given`."""
+    found: dict[str, tuple[Any, str]] = {}
+    for key, figure in robots.figures(model).items():
         table, _, name = key.partition(".")
         if key not in given and _needed(overview, table, name, figure.value, given):
-            found[key] = as_set(key, figure.value), f"by robots/{known.name}.toml, {figure.words}"
+            found[key] = figure.value, f"by robots/{model}.toml, {figure.words}"
     return found
 
 
@@ -81,7 +70,7 @@ def _needed(overview: Overview, table: str, name: str, value: object, given: Col
         return bool(overview.choice.of(table)) and f"{table}.x" not in given
     kind = _wheels_kind(overview)
     if name in {"left", "right"}:
-        return kind == JOINTS and value in _joints(overview.log)
+        return kind == JOINTS and _has_joint(overview.log, value)
     if name == "ticks_per_revolution":
         return counts_ticks(kind) if kind else False
     return bool(kind) or name not in COUNTER_KEYS
@@ -97,11 +86,10 @@ def _wheels_kind(overview: Overview) -> str:
     return next(kinds, "")
 
 
-def _joints(log: Log) -> set[str]:
-    """Return the names of all joints in the log."""
-    names: set[str] = set()
+def _has_joint(log: Log, name: object) -> bool:
     for topic in of_type(log, (JOINTS,)):
         with suppress(LocfuseError):  # an unreadable topic has its own finding
             rows = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
-            names |= {joint for row in set(rows) for joint in row}
-    return names
+            if any(name in row for row in set(rows)):
+                return True
+    return False

@@ -5,9 +5,9 @@ Other motions are an odometry topic, the truth, or scan matching.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -16,26 +16,24 @@ from msgspec import field
 from locfuse.cli.analysis.body_topics import of_camera
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
-from locfuse.cli.analysis.topics import Choice, Note, filled
+from locfuse.cli.analysis.topics import Choice, Note, filled, types
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
+from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.data import BY_SCANS, LocfuseError, Ragged, Stream, Truth
+from locfuse.fusion.data import BY_SCANS, ODOMETRY as WHEELS, LocfuseError, Ragged, Stream, Truth
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
+from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle, nominal, of_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_motion, by_odometry
 from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY, commanded
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .topics import TopicFacts
-
-if TYPE_CHECKING:
-    from locfuse.formats.logs.log import Log
-    from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration
 
 ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
 MAX_STEERED_MISFIT = 0.02  # largest rms / distance of a good fit
@@ -140,9 +138,6 @@ def _steered(both: Stream, loaded: Loaded) -> tuple[Steered | None, str]:
 
 def _fitted(both: MergedStream, loaded: Loaded, truth: Truth) -> Steered | None:
     """Return a tricycle calibrated by truth; None if the fit is bad."""
-    # imports SciPy
-    from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle, nominal, of_truth
-
     with suppress(LocfuseError):  # reported where the encoders are used
         shift = (int(both.parts[0].t_ns[0]) - loaded.drive.epoch_ns) * 1e-9 + loaded.robot.wheels.time_offset
         known = nominal(both, loaded.robot.wheels, of_truth(truth), shift)
@@ -224,27 +219,17 @@ def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
     names = cast("list[tuple[str, ...]]", columns["name"])
     with suppress(LocfuseError):
         return joint_names(names, topic, robot.wheels)
-    way = _ways(names, cast("Ragged", columns["position"]))
-    turning = [j for j, w in way.items() if w > MIN_MOVEMENT]
+    positions, at = cast("Ragged", columns["position"]), dict[str, list[float]]()
+    for i, row in enumerate(names):
+        for joint, value in zip(row, positions[i].tolist(), strict=False):
+            if math.isfinite(value):
+                at.setdefault(joint, []).append(value)
+    turning = [joint for joint, values in at.items() if np.abs(np.diff(values)).sum() > MIN_MOVEMENT]
     fixed = {robot.wheels.left, robot.wheels.right}
     if len(turning) != 2 or (fixed - {None} and not fixed & set(turning)):
         return None
-    return _sorted_sides(turning[0], turning[1])
-
-
-def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
-    """Return the total movement of each joint, in the unit of its positions."""
-    at: dict[str, list[float]] = {}
-    for i, row in enumerate(names):
-        for joint, value in zip(row, positions[i].tolist(), strict=False):
-            at.setdefault(joint, []).append(value)
-    values = {joint: np.array(of) for joint, of in at.items()}
-    return {joint: float(np.abs(np.diff(v[np.isfinite(v)])).sum()) for joint, v in values.items()}
-
-
-def _sorted_sides(a: str, b: str) -> tuple[str, str]:
-    """Return (left, right) of two joints by their names; unchanged if the names do not show it."""
-    words = {j: set(j.lower().replace("-", "_").split("_")) for j in (a, b)}
+    a, b = turning
+    words = {j: set(j.lower().replace("-", "_").split("_")) for j in turning}
     return (b, a) if words[a] & {"r", "right", "rw"} or words[b] & {"l", "left", "lw"} else (a, b)
 
 
@@ -252,12 +237,9 @@ def _described(log: Log) -> WheelGeometry | None:
     """Return the wheel geometry in the log's robot description; None without one."""
     for topic in filled(log, "std_msgs/msg/String"):
         if topic.rpartition("/")[2] == "robot_description":
-            try:
-                texts = log.stream(topic).columns("data")["data"]
-            except LocfuseError:
-                continue
-            for text in cast("list[str]", texts)[:1]:
-                return wheel_geometry(text)
+            with suppress(LocfuseError):
+                for text in cast("list[str]", log.stream(topic).columns("data")["data"])[:1]:
+                    return wheel_geometry(text)
     return None
 
 
@@ -279,7 +261,10 @@ MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 
 
 def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
-    """Return each sensor's mount settings, with their source under "by"."""
+    """Return each sensor's mount settings, with their source under "by".
+
+    That is "settings", "its frame base_link", "/tf_static", "/tf" (constant transforms), or "nobody".
+    """
     found: dict[str, dict[str, Any]] = {}
     for name in overview.choice.topics:
         if name not in REGISTRY:
@@ -289,20 +274,16 @@ def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
         if "mounts" in values and "x" in values:  # "mounts" of several sensors, or x, y ... of a single sensor
             several = len(overview.choice.of(name)) > 1
             values = {k: v for k, v in values.items() if (k == "mounts") == several}
-        if values:
-            found[name] = {**values, "by": _mount_by(overview, name, values)}
+        frames = overview.frames_of(name)
+        if any(key in overview.tables.get(name, {}) for key in values):
+            by = "settings"
+        elif frames and all(map(is_base, frames)):
+            by = f"its frame {frames[0]}"
+        else:
+            known = frames and all(mount_of(overview.transforms, frame) is not None for frame in frames)
+            by = placed_by(overview, frames[0]) if known else "nobody"
+        found |= {name: {**values, "by": by}} if values else {}
     return found
-
-
-def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
-    """Return the source of a sensor's mount: "settings", "its frame ...", "/tf_static", "/tf" or "nobody"."""
-    if any(key in overview.tables.get(name, {}) for key in keys):
-        return "settings"
-    frames = overview.frames_of(name)
-    if frames and all(is_base(frame) for frame in frames):
-        return f"its frame {frames[0]}"
-    known = [frame for frame in frames if mount_of(overview.transforms, frame) is not None]
-    return placed_by(overview, known[0]) if known and len(known) == len(frames) else "nobody"
 
 
 def placed_by(overview: Overview, frame: str) -> str:
@@ -342,3 +323,73 @@ def conflicts(overview: Overview) -> list[Finding]:
         words = f"{len(others)} frames have two different transforms ({listed}); no used sensor depends on them"
         found.append(Finding("/tf_static", "tf_static", words))
     return found
+
+
+# --- the overview as plain values, for `locfuse info --json` (keys: docs/bags.md)
+
+
+def listed(log: Log) -> dict[str, dict[str, Any]]:
+    """Return type, message count and mean rate [Hz] of each topic, without reading messages."""
+    span = log.time_span_ns
+    seconds = (span[1] - span[0]) * 1e-9 if span else 0.0
+    return {
+        name: {
+            "type": topic.msgtype,
+            "messages": topic.count,
+            "rate_hz": (topic.count - 1) / seconds if topic.count > 1 and seconds > 0.0 else None,
+        }
+        for name, topic in log.topics.items()
+    }
+
+
+def values(overview: Overview) -> dict[str, Any]:
+    """Return the result of an inspection as plain values."""
+    span = overview.log.time_span_ns
+    return {
+        "name": overview.log.name,
+        "files": [p.name for p in overview.log.paths],
+        "bytes": overview.log.identity.size,
+        "duration_s": (span[1] - span[0]) * 1e-9 if span else None,
+        "start_ns": span[0] if span else None,
+        "messages": sum(f.count for f in overview.facts if not f.derived),
+        "checksums": not overview.log.unchecked,
+        "topics": {f.topic: f.values() for f in overview.facts},
+        "roles": {
+            role: {"topics": list(overview.choice.of(role)), "why": overview.choice.why.get(role)}
+            for role in overview.choice.topics
+        },
+        "absent": absent(overview),
+        "extrinsics": extrinsics(overview),
+        "configurations": configurations(overview),
+        "findings": [
+            {"role": f.role, "code": f.code, "message": f.sentence, "fixes": list(f.fixes)}
+            | {"source": f.source or None, "severe": f.severe}
+            for f in overview.findings
+        ],
+        "severe": overview.severe,
+    }
+
+
+def absent(overview: Overview) -> dict[str, str]:
+    """Return by role or sensor why it has no topic or cannot be used."""
+    foreign = {name: f"no topic of type {types(REGISTRY[name].reads)}" for name in sorted(overview.choice.foreign)}
+    measured = overview.loaded.drive.absent if overview.loaded is not None else {}
+    return {**foreign, **overview.choice.absent, **measured}
+
+
+def configurations(overview: Overview) -> dict[str, str | None]:
+    """Return the reason why a configuration cannot run (None if it can), for odometry, each sensor and "all"."""
+    missing, base = absent(overview), wheels_missing(overview)
+    known = [name for name in REGISTRY if name in missing or name in overview.choice.topics]
+    ready = {name: missing.get(name) or base for name in known}
+    together = None if any(why is None for why in ready.values()) else base or "no sensor beside the wheels"
+    by_scans = overview.loaded is not None and overview.loaded.drive.wheels.matched is not None
+    return {BY_SCANS if by_scans else WHEELS: base, **ready, "all": together}
+
+
+def wheels_missing(overview: Overview) -> str | None:
+    """Return why the robot's motion cannot be estimated from this log; None if it can be estimated."""
+    if overview.loaded is not None:
+        return None
+    unready = (f.sentence for f in overview.findings if f.severe and f.role in {"wheels", "log"})
+    return next(unready, None) or absent(overview).get("wheels", "the log cannot be measured")

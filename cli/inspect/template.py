@@ -6,6 +6,7 @@ Lines with known values are active; the others have a comment on how to find the
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import msgspec
@@ -43,11 +44,9 @@ MOUNT_DECIMALS = 6
 # instructions for settings that no log contains; Sensor.asks has those of the sensors
 HOW_TO_MEASURE = {
     "wheels": {
-        "radius": Ask(
-            "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", needed=True
-        ),
+        "radius": Ask("m: not in this log. Roll a wheel ten turns along a ruler: way / (10 * 2 pi)", needed=True),
         "track": Ask(
-            "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it", needed=True
+            "m: not in this log. From tyre middle to middle; `locfuse calibrate` refines it", needed=True
         ),
         "wheelbase": Ask("m: not in this log. Between the front and the rear axle", needed=True),
         "erpm_per_mps": Ask(
@@ -99,20 +98,23 @@ class Draft(NamedTuple):
 
 
 def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str, Mapping[str, Any]]) -> Draft:
-    """Inspect a log, apply the fixes found, repeat until nothing changes, and return the draft.
-
-    `imported` are tables converted from another program's configuration, by file name.
-    """
+    """Inspect a log, apply its fixes until nothing changes, return the draft; `imported`: tables by file name."""
     words = [word for tables in imported.values() for word in set_words(tables)]
     typed, how = how, replace(how, sets=(*words, *how.sets))
     overview = inspect_log(log, how, progress)
     given = _given(overview, typed, imported)
-    fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
+    fixes: Known = {}
     robot, shown = "", _fixes(filter(_may_apply, overview.findings))
+
+    def inspected() -> Overview:
+        sets = (robot_toml.as_set(key, value) for key, (value, _) in fixes.items())
+        return inspect_log(log, replace(how, sets=(*how.sets, *sets)), progress)
+
     if (known_robot := recognise(overview)) is not None:
-        fixes = open_figures(known_robot, overview, {*given, *shown, *found(overview)})
-        robot = f"this robot is a {known_robot.name} ({known_robot.sign})" if fixes else ""
-        overview = _inspected_with(fixes, log, how, progress) if fixes else overview
+        model, sign = known_robot
+        fixes = open_figures(model, overview, {*given, *shown, *found(overview)})
+        robot = f"this robot is a {model} ({sign})" if fixes else ""
+        overview = inspected() if fixes else overview
     of_robot = {*fixes}
     for _ in range(MAX_ROUNDS):
         chosen = (f for f in overview.findings if _may_apply(f, {*fixes} - of_robot))
@@ -122,43 +124,44 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
         if new.items() <= fixes.items():
             break
         fixes |= new
-        overview = _inspected_with(fixes, log, how, progress)
-    known = {**found(overview), **_as_known(fixes), **given}
-    suggested = _as_known({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
+        overview = inspected()
+    known = {**found(overview), **fixes, **given}
+    suggested = {key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes}
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
     sections = [TomlSection(name, tuple(lines(facts, name, missing))) for name in ("", *table_types())]
-    guesses = [f"{fix} ({why.removeprefix(GUESS)})" for fix, why in fixes.values() if why.startswith(GUESS)]
+    guessed = {key: (value, why) for key, (value, why) in fixes.items() if why.startswith(GUESS)}
+    guesses = [f"{key}={value} ({why.removeprefix(GUESS)})" for key, (value, why) in guessed.items()]
     return Draft(overview, sections, missing, guesses, robot)
-
-
-def _inspected_with(
-    fixes: Mapping[str, tuple[str, str]], log: Parts, how: LogOptions, progress: Progress
-) -> Overview:
-    return inspect_log(log, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
 
 
 def _given(overview: Overview, how: LogOptions, imported: Mapping[str, Mapping[str, Any]]) -> Known:
     """Return the given settings with their source: attachment, --robot, another program's file, --set."""
-    layers: list[tuple[str, Mapping[str, Any]]] = []
-    if (own := attached(overview.log)) is not None:
-        layers.append(("the log's own robot.toml", own))
+    layers: list[tuple[str, Mapping[str, Any]]] = [("the log's own robot.toml", attached(overview.log) or {})]
     layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robots]
-    layers += imported.items()
-    layers.append(("--set", robot_toml.apply_sets(how.sets)))
+    layers += [*imported.items(), ("--set", robot_toml.apply_sets(how.sets))]
     merged = flat(overview.tables)
     return {key: (merged[key], f"by {who}") for who, tables in layers for key in flat(tables)}
 
 
-def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
-    """Return {key: ("key=value", reason)} of the valid fixes.
+def _fixes(findings: Iterable[Finding]) -> Known:
+    """Return {key: (value, reason)} of the valid fixes.
 
     If wheel geometry was found, other fixes for wheels are left out, since they are for an odometry topic.
     """
     found = list(findings)
     replaced = any(f.code == "geometry" and f.fixes for f in found)
     kept = (f for f in found if not replaced or f.role != "wheels" or f.code == "geometry")
-    return {fix.partition("=")[0]: (fix, _why(f)) for f in kept for fix in f.fixes if _is_valid(fix)}
+    valid: Known = {}
+    for f in kept:
+        why = f"{GUESS if f.code in GUESSED_CODES else 'as this log shows: '}{f.sentence}"
+        why = (f.source or f.message) if f.code == "geometry" else why
+        for fix in f.fixes:
+            with suppress(LocfuseError):  # a placeholder, which is no value
+                tables = robot_toml.apply_sets([fix])
+                make_robot(tables)
+                valid |= {key: (value, why) for key, value in flat(tables).items()}
+    return valid
 
 
 def _may_apply(f: Finding, known: Collection[str] = ()) -> bool:
@@ -169,25 +172,6 @@ def _may_apply(f: Finding, known: Collection[str] = ()) -> bool:
     """
     again = {*_fixes((f,))} <= {*known}
     return f.code != OPEN_SCALE and (f.severe or again or f.code in {*MEASURED_CODES, "choice"})
-
-
-def _why(f: Finding) -> str:
-    if f.code == "geometry":
-        return f.source or f.message
-    return f"{GUESS}{f.sentence}" if f.code in GUESSED_CODES else f"as this log shows: {f.sentence}"
-
-
-def _is_valid(fix: str) -> bool:
-    """Return whether a fix is a valid setting, without a placeholder."""
-    try:
-        make_robot(robot_toml.apply_sets([fix]))
-    except LocfuseError:
-        return False
-    return True
-
-
-def _as_known(fixes: Mapping[str, tuple[str, str]]) -> Known:
-    return {key: (flat(robot_toml.apply_sets([fix]))[key], why) for key, (fix, why) in fixes.items()}
 
 
 class Facts(NamedTuple):
@@ -264,7 +248,11 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
     if not table:
         yield from (TomlLine(key, *facts.known[key]) for key in TOP_KEYS if key in facts.known)
         return
-    unsure = _suggested(facts, table)
+    choice = facts.overview.choice
+    unsure = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
+    for fix in choice.fixes.get(table, ()):  # a topic for a sensor with several candidates
+        key, _, value = fix.partition("=")
+        unsure |= {key: (value, choice.absent.get(table, ""))} if key == f"{table}.topic" else {}
     shown = table in {"wheels", "start"} or any(key.startswith(f"{table}.") for key in facts.known)
     defaults = {f.name: f.default for f in msgspec.structs.fields(table_types()[table])}
     for key, default in defaults.items():
@@ -275,7 +263,7 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
             yield from _unknown(table, key, default, missing)
         if path in unsure:
             asked = _instruction(table, key)
-            missing += [path] if facts.overview.choice.unused_wheels and asked and asked.needed else []
+            missing += [path] if choice.unused_wheels and asked and asked.needed else []
             yield TomlLine(key, *unsure[path], holds=False)
 
 
@@ -291,35 +279,19 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
             missing.append(f"{table}.{key}")
 
 
-def _suggested(facts: Facts, table: str) -> Known:
-    """Return a table's suggestions for inactive lines: fixes, and a topic for a sensor with several candidates."""
-    here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
-    why = facts.overview.choice.absent.get(table, "")
-    for fix in facts.overview.choice.fixes.get(table, ()):
-        key, _, value = fix.partition("=")
-        if key == f"{table}.topic":
-            here[key] = value, why
-    return here
-
-
 def _has_effect(facts: Facts, table: str, key: str) -> bool:
     """Return whether a key has an effect with the message type of the chosen topic."""
-    overview = facts.overview
-    if table == "wheels":
-        return _has_effect_on_wheels(overview, key)
-    if table not in REGISTRY:
-        return True
-    if key in MOUNT_KEYS:
+    overview, choice = facts.overview, facts.overview.choice
+    topics = (choice.unused_wheels if table == "wheels" else ()) or choice.of(table)
+    kind, *others = [overview.log.topics[topic].msgtype for topic in topics] or [""]
+    if table in REGISTRY and key in MOUNT_KEYS:
         return not any(f"{table}.{k}" in facts.known for k in (*MOUNT_KEYS, "mounts"))
-    topics = overview.choice.of(table)
-    return REGISTRY[table].concerns(key, overview.log.topics[topics[0]].msgtype if topics else "")
-
-
-def _has_effect_on_wheels(overview: Overview, key: str) -> bool:
-    wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
-    if steers(wheels):
+    if table in REGISTRY:
+        return REGISTRY[table].concerns(key, kind)
+    if table != "wheels":
+        return True
+    if steers(topics):
         return key in STEERED_KEYS
-    kind, *others = (overview.log.topics[topic].msgtype for topic in wheels) if wheels else ("",)
     counts = bool(kind) and kind not in (*BODY_READS, *MOTOR)  # an odometry needs no wheel size
     applies = {
         **dict.fromkeys(("radius", "track", "mirrored"), counts),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,6 @@ from locfuse.formats.report import json_report, markdown
 from locfuse.formats.rerun.scene import (
     GROUP_OF,
     DrawnScans,
-    Floats,
     Picture,
     RawTopic,
     RerunScene,
@@ -32,18 +32,7 @@ from locfuse.formats.rerun.scene import (
     SensorLook,
 )
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import (
-    Array,
-    Column,
-    Drive,
-    Estimates,
-    LocfuseError,
-    Motions,
-    Ragged,
-    Stream,
-    Truth,
-    evenly,
-)
+from locfuse.fusion.data import Array, Column, Drive, LocfuseError, Motions, Ragged, Stream, Truth, evenly
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import points_in_base
@@ -79,7 +68,7 @@ def make_scene(result: Result, images: int | None = None, full: bool = False) ->
         drive=drive,
         estimates=runs,
         evaluations=result.evaluations,
-        sights={s: _look_of(s, settings(s)) for s in drive.measurements},
+        sights={s: look_of(s, settings(s)) for s in drive.measurements},
         track=loaded.robot.wheels.track or VIRTUAL_TRACK,
         table=markdown.render(result.report),
         raw=_raw_topics(loaded),
@@ -92,18 +81,20 @@ def make_scene(result: Result, images: int | None = None, full: bool = False) ->
     if "lrf" in drive.measurements:
         found["scans"] = _scans(_stream(loaded, "lrf"), settings("lrf"), scene)
     if "camera" in drive.measurements and images != 0:
+        from locfuse.fusion.camera.images import decode, messages
+
         stream = _stream(loaded, "camera")
         every = images or max(1, math.ceil(len(stream.t_ns) / MAX_PICTURES))
         found["pictures"] = _pictures(stream, settings("camera"), scene, every)
-        found["picture_rows"] = _panorama_rows(stream, settings("camera"))
+        pictures = (decode(message) for block in messages(stream) for _, message in block)
+        first = next((picture for picture in pictures if not isinstance(picture, str)), None)
+        if first is not None:  # height of the panoramas [px]
+            found["picture_rows"] = int(detector(settings("camera")).optics(first.shape).rows)
     return replace(scene, **found)
 
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
-    """Return the colours of results by name, as on the report's dark page.
-
-    A smoothed result is dashed in the report. The viewer has no dashes, so its colour is darker.
-    """
+    """Return the colours of results by name, as on the dark page; smoothed ones darker, as Rerun has no dashes."""
     found, shades = colours(traces, sensor_colours()), dict[str, Rgb]()
     for name, trace in traces.items():
         light = SMOOTHED_LIGHT_SHARE if trace.smoothed else 1.0
@@ -112,7 +103,8 @@ def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
     return shades
 
 
-def _look_of(name: str, settings: Any) -> SensorLook:
+def look_of(name: str, settings: Any) -> SensorLook:
+    """Return how a sensor is drawn: its components, the band of consistent NIS, its mount and its landmark."""
     sensor = REGISTRY[name]
     low, high = (chi_square(share, len(sensor.components)) for share in (NIS_LOW, NIS_HIGH))
     mount, landmark = sensor.mount(settings), sensor.landmark(settings)
@@ -129,20 +121,18 @@ def _scans(stream: Stream, settings: Any, scene: RerunScene) -> DrawnScans:
     measured = drive.measurements["lrf"].points
     laser = measured.laser if isinstance(measured, ScanPoints) else laser_of(settings)
     wanted = set(evenly(len(stream.t_ns), scene.max_scans).tolist())
-    found: list[tuple[float, Floats]] = []
+    found: list[tuple[float, Any]] = []  # (time [s], points (n, 2))
     for rows, columns in stream.blocks(*SCAN_FIELDS, rows=128):
         for i, row in enumerate(rows.tolist()):
             if row not in wanted:
                 continue
-            scan: dict[str, Any] = {
-                name: np.atleast_1d(np.asarray(column[i], np.float64)) for name, column in columns.items()
-            }
+            scan: dict[str, Any] = {k: np.atleast_1d(np.asarray(c[i], np.float64)) for k, c in columns.items()}
             scan["ranges"] = scan["ranges"][None]
             stamp = (stream.t_ns[row] - drive.epoch_ns) * 1e-9 + settings.time_offset
             points, middle = points_in_base(scan, np.array([stamp]), laser, drive.wheels)
             drawn = points[0, evenly(points.shape[1], beams)]
             found.append((float(middle[0]), drawn[np.isfinite(drawn[:, 0])].astype(np.float32)))
-    kept = sorted((f for f in found if drive.t[0] <= f[0] <= drive.t[-1]), key=lambda f: f[0])
+    kept = sorted((scan for scan in found if drive.t[0] <= scan[0] <= drive.t[-1]), key=itemgetter(0))
     counts = np.array([len(points) for _, points in kept], dtype=np.int64)
     xy = np.concatenate([*(points for _, points in kept), np.zeros((0, 2), np.float32)])
     return DrawnScans(np.array([t for t, _ in kept]), counts, xy)
@@ -151,11 +141,10 @@ def _scans(stream: Stream, settings: Any, scene: RerunScene) -> DrawnScans:
 def _raw_topics(loaded: Loaded) -> list[RawTopic]:
     """Return the numeric fields of each used topic, without scans and pictures."""
     found = []
-    for role in loaded.choice.topics:
-        stream = _stream(loaded, role)
+    for stream, role in ((_stream(loaded, role), role) for role in loaded.choice.topics):
         fields = common_fields(role, stream.msgtype)
-        t = seconds(stream.t_ns, loaded.drive.epoch_ns)
-        found.append(RawTopic(stream.topic, t, _curves(stream.columns(*fields) if fields else {})))
+        curves = _curves(stream.columns(*fields) if fields else {})
+        found.append(RawTopic(stream.topic, seconds(stream.t_ns, loaded.drive.epoch_ns), curves))
     return found
 
 
@@ -197,15 +186,6 @@ def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> I
             yield _picture(t, message, picture, finder.optics(picture.shape), (m.z[found, 0], verdicts[found]))
 
 
-def _panorama_rows(stream: Stream, settings: Any) -> int | None:
-    """Return the height of the panoramas [px]; None if no picture can be read."""
-    from locfuse.fusion.camera.images import decode, messages
-
-    pictures = (decode(message) for block in messages(stream) for _, message in block)
-    first = next((picture for picture in pictures if not isinstance(picture, str)), None)
-    return None if first is None else int(detector(settings).optics(first.shape).rows)
-
-
 def _picture(t: float, message: Any, picture: Any, optics: Any, found: tuple[Array, Any]) -> Picture:
     """Return a picture with its panorama and detections; `found`: bearings and verdicts (k,)."""
     from locfuse.fusion.camera.optics import angle_of_bearing, column
@@ -243,10 +223,7 @@ def scene_of(report_file: Path) -> RerunScene:
 
 
 def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
-    """Return the scene of a results' folder.
-
-    `by_run`: the trajectories are in trajectory.tum or .csv and smoothed.tum or .csv, else in one .tum per result.
-    """
+    """Return the scene of a results' folder; `by_run`: trajectory and smoothed .tum or .csv, else a .tum each."""
     rows = report["configurations"]
     file_of = {n: ("smoothed" if row["smoothed"] else "trajectory") if by_run else n for n, row in rows.items()}
     tracks = {name: _trajectory(folder, file, by_run) for name, file in file_of.items()}
@@ -255,7 +232,13 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
     still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
     t = seconds(first.t_ns, epoch_ns)
     drive = Drive(epoch_ns, t, still, {}, {}, {}, _truth(folder, report, epoch_ns))
-    estimates = [_estimates(track, drive, rows[name]) for name, track in tracks.items()]
+    estimates = []
+    for name, track in tracks.items():
+        row = rows[name]
+        if (found := estimates_in(track, drive, row["configuration"])) is None:
+            raise ValueError(f"{Path(track.topic).name} has fewer than two poses")
+        used = {"sensors": tuple(row["sensors"]), "smoothed": row["smoothed"], "rates": row["rates_hz"]}
+        estimates.append(replace(found, **used))
     return RerunScene(
         str(report["input"]["name"]),
         drive,
@@ -268,25 +251,17 @@ def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
 
 
 def _trajectory(folder: Path, name: str, by_run: bool) -> MadeStream:
-    """Return a trajectory: of a run by the .csv, which has covariances, else by the .tum.
-
-    Raises ValueError if both files exist and differ.
-    """
+    """Return a trajectory: of a run by the .csv, which has covariances, else by the .tum."""
     endings = (".csv", ".tum") if by_run else (".tum",)
     found = [read_file(str(path)) for e in endings if (path := folder / f"{name}{e}").is_file()]
     if not found:
         words = "so there is no trajectory to show; make it again without --write"
         raise LocfuseError(f"{folder} lacks {name}.tum, {words}")
-    if len(found) > 1 and not _same_path(*found):
+    places = [[np.asarray(c) for c in track.columns(*POSE[track.msgtype][:2]).values()] for track in found]
+    stamps = [track.t_ns for track in found]
+    if not (np.array_equal(stamps[0], stamps[-1]) and np.array_equal(places[0], places[-1])):
         raise ValueError(f"{name}.csv and {name}.tum are of different runs")
     return found[0]
-
-
-def _same_path(one: MadeStream, other: MadeStream) -> bool:
-    """Return whether two trajectories have the same stamps and positions."""
-    places = (track.columns(*POSE[track.msgtype][:2]).values() for track in (one, other))
-    mine, others = ([np.asarray(c) for c in columns] for columns in places)
-    return np.array_equal(one.t_ns, other.t_ns) and np.array_equal(mine, others)
 
 
 def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> Truth | None:
@@ -296,11 +271,3 @@ def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> Truth | No
     point = TruthSettings(x=float(settings.get("x", 0.0)), y=float(settings.get("y", 0.0)))
     truth, _ = read_truth(read_file(str(path)), point, epoch_ns)
     return replace(truth, topic=str(report["truth"]["topic"]))
-
-
-def _estimates(track: MadeStream, drive: Drive, figures: Mapping[str, Any]) -> Estimates:
-    found = estimates_in(track, drive, figures["configuration"])
-    if found is None:
-        raise ValueError(f"{Path(track.topic).name} has fewer than two poses")
-    sensors, rates = tuple(figures["sensors"]), figures["rates_hz"]
-    return replace(found, sensors=sensors, smoothed=figures["smoothed"], rates=rates)

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
@@ -34,14 +35,17 @@ def show(path: Path) -> subprocess.Popen[bytes] | None:
     if listening(HOST, PORT):
         try:
             send(path, LOCAL_VIEWER)
+            return None
         except LocfuseError:
             if not has_display():
                 raise
-        else:
-            return None
     if not has_display():
         raise LocfuseError(f"there is no display, and no viewer runs at {HOST}:{PORT}")
-    return start(path)
+    viewer = start_rerun(["--port", str(free_port(PORT)), str(path)])
+    with suppress(subprocess.TimeoutExpired):  # it runs
+        if (code := viewer.wait(START_TIMEOUT_S)) != 0:
+            raise LocfuseError(f"the viewer ended at once with code {code}")
+    return viewer
 
 
 def has_display() -> bool:
@@ -81,10 +85,8 @@ def send(path: Path, url: str) -> None:
 def require() -> None:
     """Raise LocfuseError if there is neither a display nor a running viewer."""
     if not has_display() and not listening(HOST, PORT):
-        raise LocfuseError(
-            f"there is no display, and no viewer runs at {HOST}:{PORT}. Save the recording with --save FILE.rrd, "
-            "or look at it in a browser with --web"
-        )
+        words = f"there is no display, and no viewer runs at {HOST}:{PORT}"
+        raise LocfuseError(f"{words}. Save the recording with --save FILE.rrd, or show it in a browser with --web")
 
 
 def show_and_wait(path: Path) -> None:
@@ -101,23 +103,8 @@ def show_and_wait(path: Path) -> None:
         raise LocfuseError(f"the viewer ended with code {code}; in a browser it may work: --web")
 
 
-def start(path: Path) -> subprocess.Popen[bytes]:
-    """Start a viewer on the loopback interface and return its process. Raises LocfuseError if it ends at once."""
-    viewer = start_rerun(["--port", str(free_port(PORT)), str(path)])
-    try:
-        code = viewer.wait(START_TIMEOUT_S)
-    except subprocess.TimeoutExpired:
-        return viewer
-    if code != 0:
-        raise LocfuseError(f"the viewer ended at once with code {code}")
-    return viewer
-
-
 def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
-    """Serve a recording to browsers on this machine until interrupted; `say` prints the URL.
-
-    Raises LocfuseError if the server ends by itself.
-    """
+    """Serve a recording to browsers on this machine until interrupted; `say` prints the URL."""
     port, data = free_port(wanted), free_port(PORT)
     server = start_rerun(["--port", str(data), "--serve-web", "--web-viewer-port", str(port), str(path)])
     try:

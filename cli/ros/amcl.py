@@ -26,7 +26,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import limits
-from locfuse.fusion.map.beam_model import BeamModel, fit_beams
+from locfuse.fusion.map.beam_model import fit_beams
 from locfuse.fusion.mount import found_mount
 
 from .found import FoundRobot, positive
@@ -49,7 +49,11 @@ def _motion(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
     yield Setting("robot_model_type", "nav2_amcl::DifferentialMotionModel", "two wheels", KEPT)
     yield Setting("update_min_d", d, f"m: {words}", KEPT)
     yield Setting("update_min_a", a, f"rad: {words}", KEPT)
-    k, track = _noise(found)
+    wheels = found.loaded.drive.wheels
+    k, track = wheels.noise, wheels.track
+    if wheels.matched is not None:  # noise of wheels with the turning variance of scan matching over the drive
+        way = float(np.abs(wheels.rolled).sum())
+        k = float(wheels.matched[:, 2, 2].sum()) * track**2 / max(way, 1e-9)
     alphas = {
         "alpha1": (k / (track * a), f"turn by turn, steps of {a:g} rad"),
         "alpha2": (k / (track**2 * d), f"turn by way, steps of {d:g} m"),
@@ -58,18 +62,6 @@ def _motion(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
     }
     for key, (value, what) in alphas.items():
         yield found.setting(key, value, what, "wheels.noise")
-
-
-def _noise(found: FoundRobot) -> tuple[float, float]:
-    """Return wheel noise [variance per m] and track [m].
-
-    With scan matching, this is the noise of wheels with the same turning variance over the drive.
-    """
-    wheels = found.loaded.drive.wheels
-    if wheels.matched is None:
-        return wheels.noise, wheels.track
-    way = float(np.abs(wheels.rolled).sum())
-    return float(wheels.matched[:, 2, 2].sum()) * wheels.track**2 / max(way, 1e-9), wheels.track
 
 
 def _laser(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
@@ -84,10 +76,7 @@ def _laser(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
     if model is None:
         yield Setting("sigma_hit, z_hit, z_rand", None, "the map has no walls, or the scans have too few beams")
         return
-    yield from _beams(model, str(there.get("laser_model_type", FIELD)), found)
-
-
-def _beams(model: BeamModel, kind: str, found: FoundRobot) -> Iterator[Setting]:
+    kind = there.get("laser_model_type", FIELD)
     given = "the given map" if found.robot.lines else "the map of this drive"
     of = f"{model.beams} beams beside {given}"
     sigma = math.hypot(model.sigma, CELL_M / math.sqrt(6.0))

@@ -29,10 +29,7 @@ SEPARATION, *RADII = MULTIPLIERS = (
 
 
 def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the controller's parameters; `there`: parameters that the file has now, {} for a new file.
-
-    Raises LocfuseError unless the log shows two driven wheels.
-    """
+    """Return the controller's parameters; `there`: parameters that the file has now, {} for a new file."""
     wheels = found.loaded.drive.wheels
     if wheels.matched is not None or found.robot.wheels.wheelbase is not None:
         words = "this log shows no two driven wheels (scan matching, or a steered wheel)"
@@ -77,13 +74,11 @@ def _of_odometry(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     changes = ((track, sigmas[2]), (mean - 0.5 * difference, sigmas[0]), (mean + 0.5 * difference, sigmas[0]))
     made = []
     for (key, before), (change, sigma) in zip(old.items(), changes, strict=True):
-        if not math.isfinite(sigma):
-            made.append(Setting(key, before, "this drive does not show it", KEPT))
-            continue
-        words = (
-            f"{1.0 + change:.4f} ± {sigma:.2g} times {before:g}, which made the log's odometry; locfuse calibrate"
+        words = f"{1.0 + change:.4f} ± {sigma:.2g} times {before:g} of the log's odometry; locfuse calibrate"
+        found_now = Setting(key, before * (1.0 + change), words, FOUND)
+        made.append(
+            found_now if math.isfinite(sigma) else Setting(key, before, "this drive does not show it", KEPT)
         )
-        made.append(Setting(key, before * (1.0 + change), words, FOUND))
     return made
 
 

@@ -80,17 +80,15 @@ def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
     ]
     count = Counter[str]()
     for source in sources:
-        name = _input_name(source, there)
+        name = _input_name(source, there) if there else f"{source.kind}{count[source.kind]}"
+        count[source.kind] += 1
         if name is None:
-            if there:
-                made.append(Setting(source.topic, None, "no input of the file reads it"))
-                continue
-            name = f"{source.kind}{count[source.kind]}"
-            count[source.kind] += 1
-        made += _input(name, source, there)
+            made.append(Setting(source.topic, None, "no input of the file reads it"))
+        else:
+            made += _input(name, source, there)
     topics = {source.topic for source in sources}
     mapped = {sensor for sensor in found.loaded.drive.measurements if found.topic(sensor)[0] in topics}
-    return [*made, *_process_noise(found, there), *found.unmapped("robot_localization", mapped, REASONS)]
+    return [*made, _process_noise(found, there), *found.unmapped("robot_localization", mapped, REASONS)]
 
 
 def _input_name(source: FilterInput, there: Mapping[str, Any]) -> str | None:
@@ -130,8 +128,15 @@ def _input(name: str, source: FilterInput, there: Mapping[str, Any]) -> Iterator
 def _sources(found: FoundRobot) -> Iterator[FilterInput]:
     yield _wheels(found)
     yield from _imu(found)
-    if found.has("pose"):
-        yield from _pose(found)
+    topic, kind = found.topic("pose")
+    if found.has("pose") and kind in {ODOMETRY, POSE}:
+        pose = found.robot.settings("pose")
+        drifts = pose.frame == "drift" or (pose.frame is None and kind == ODOMETRY)
+        on = POSES if pose.heading else (X, Y)
+        of = f"pose x, y {pose.sigma**2:.4g} m^2, yaw {math.radians(pose.sigma_theta_deg) ** 2:.4g} rad^2"
+        needed = (of,) if pose.covariance == "sigma" else ()
+        gates, options = {"pose": _gate(found, "pose")}, {"differential": drifts}
+        yield FilterInput(KINDS[kind], topic, on, f"{topic} in the log", gates, options, needed)
     topic, kind = found.topic("twist")
     if found.has("twist") and kind in {ODOMETRY, TWIST}:
         words, gates = f"{topic} in the log", {"twist": _gate(found, "twist")}
@@ -186,19 +191,6 @@ def _heading_options(found: FoundRobot) -> dict[str, bool]:
     return {"differential": bool(abs(offsets[-1, 0]) > SURE_SIGMAS * sigmas[-1, 0])}
 
 
-def _pose(found: FoundRobot) -> Iterator[FilterInput]:
-    topic, kind = found.topic("pose")
-    pose = found.robot.settings("pose")
-    if kind not in {ODOMETRY, POSE}:
-        return
-    drifts = pose.frame == "drift" or (pose.frame is None and kind == ODOMETRY)
-    on = POSES if pose.heading else (X, Y)
-    of = f"pose x, y {pose.sigma**2:.4g} m^2, yaw {math.radians(pose.sigma_theta_deg) ** 2:.4g} rad^2"
-    covariances = (of,) if pose.covariance == "sigma" else ()
-    gates = {"pose": _gate(found, "pose")}
-    yield FilterInput(KINDS[kind], topic, on, f"{topic} in the log", gates, {"differential": drifts}, covariances)
-
-
 def _gate(found: FoundRobot, sensor: str) -> tuple[float, str]:
     return found.robot.settings(sensor).gate, found.why(f"{sensor}.gate")
 
@@ -231,8 +223,8 @@ def _turn_walk(found: FoundRobot) -> float:
     return random_walk(rate[np.isfinite(rate)], white, 1.0 / gyro_rate_hz(found))
 
 
-def _process_noise(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Setting]:
-    """Yield the process noise Q per second as (15, 15) row by row; only its diagonal if the file has 15 values."""
+def _process_noise(found: FoundRobot, there: Mapping[str, Any]) -> Setting:
+    """Return the process noise Q per second, (15, 15) row by row; only its diagonal if the file has 15 values."""
     velocity = found.velocity
     diagonal = [TINY_VARIANCE] * SWITCH_COUNT
     along, turn = velocity.pose.tolist()
@@ -252,17 +244,10 @@ def _process_noise(found: FoundRobot, there: Mapping[str, Any]) -> Iterator[Sett
         for key, config in there.items()
         if re.fullmatch(r"imu\d+_config", key)
     )
-    named = [*reasons, *([] if fuses else [ACCELERATION])]  # an unmeasured acceleration gets almost no noise
-    old = there.get("process_noise_covariance")
-    if isinstance(old, list) and len(old) == SWITCH_COUNT:
-        value, places = diagonal, tuple(named)
-    else:
-        value, places = np.diag(diagonal).ravel().tolist(), tuple(place * (SWITCH_COUNT + 1) for place in named)
-    yield Setting(
-        "process_noise_covariance",
-        value,
-        "; ".join(f"{STATES[place]} {reasons[place]}" for place in (X, SPEED, TURN)),
-        places=places,
-        row=SWITCH_COUNT,
-        row_words=rows,
-    )
+    places = [*reasons, *([] if fuses else [ACCELERATION])]  # an unmeasured acceleration gets almost no noise
+    old, value = there.get("process_noise_covariance"), diagonal
+    if not (isinstance(old, list) and len(old) == SWITCH_COUNT):
+        value, places = np.diag(diagonal).ravel().tolist(), [place * (SWITCH_COUNT + 1) for place in places]
+    words = "; ".join(f"{STATES[place]} {reasons[place]}" for place in (X, SPEED, TURN))
+    key = "process_noise_covariance"
+    return Setting(key, value, words, places=tuple(places), row=SWITCH_COUNT, row_words=rows)

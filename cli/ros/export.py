@@ -40,17 +40,13 @@ class Made(msgspec.Struct, frozen=True):
 def fresh(found: FoundRobot, targets: Sequence[str]) -> Made:
     """Return a new parameter file for these nodes."""
     nodes = [(NODES[target].usual, NODES[target].name, TARGETS[target](found, {})) for target in targets]
-    head = (
-        f"made by locfuse export ros from {found.loaded.log.name}\nfound: measured on this log, or by a file that "
-    )
-    return Made(render(f"{head}tune, calibrate or compare wrote; carried over: as it was set", nodes))
+    head = f"made by locfuse export ros from {found.loaded.log.name}\n"
+    words = "found: measured on this log, or by a file that tune, calibrate or compare wrote"
+    return Made(render(f"{head}{words}; carried over: as it was set", nodes))
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
-    """Return the targets (nodes) to write into a file; with `any_of` only those in the file, if it has any.
-
-    Raises LocfuseError for a target without section, with several sections, or with a section of another node.
-    """
+    """Return the targets to write into a file; with `any_of` only those in the file, if it has any."""
     if any_of:
         targets = [target for target in targets if sections_of(file, target)] or targets
     for target in targets:
@@ -60,27 +56,23 @@ def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: 
 
 def edited(found: FoundRobot, targets: Sequence[str], before: RosFile, node: str | None) -> Made:
     """Return a file with the values of these targets replaced by estimated ones."""
-    now, reasons = before, []
+    now, reasons = before, list[str]()
     for target in targets:
         section = section_of(now, target, node)
         settings = TARGETS[target](found, section.values)
         text, absent = changed(now, section, settings)
-        reasons += [line for s in settings if (line := _reason(s, absent))]
+        for s in settings:
+            if s.value is None:
+                reasons.append(s.note)
+            elif s.replaces:
+                long = isinstance(s.value, list) and len(s.value) > 6
+                what = s.key if long else f"{s.key}: {in_yaml(s.value)}"
+                missing = "not in the file, add it by hand; " if s in absent else ""
+                reasons.append(f"{what}  # {missing}{s.label}{s.words}")
         now = parsed(now.path, text)
     old, new, name = before.text.splitlines(), now.text.splitlines(), str(before.path)
     lines = difflib.unified_diff(old, new, name, name, lineterm="")
     return Made(now.text, tuple(map(visible, lines)), tuple(reasons))
-
-
-def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
-    if setting.value is None:
-        return setting.note
-    if not setting.replaces:
-        return ""
-    long = isinstance(setting.value, list) and len(setting.value) > 6
-    what = setting.key if long else f"{setting.key}: {in_yaml(setting.value)}"
-    missing = "not in the file, add it by hand; " if setting in absent else ""
-    return f"{what}  # {missing}{setting.label}{setting.words}"
 
 
 def refuse_read_only(path: Path) -> None:

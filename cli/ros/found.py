@@ -125,7 +125,11 @@ def gather(
     if known or by_result:
         return FoundRobot(loaded, nominal, None, sources, ())
     work = _Work()
-    calibration = work.by("calibrate", lambda sets: calibrate_logs([_under(loaded, sets, progress)], progress))
+
+    def under(sets: Sequence[str]) -> Loaded:
+        return with_settings(loaded, sets, progress) if sets else loaded
+
+    calibration = work.by("calibrate", lambda sets: calibrate_logs([under(sets)], progress))
     if calibration is not None:
         sources |= _calibrated(calibration)
         nominal = calibration.settings
@@ -136,14 +140,11 @@ def gather(
 
     enough = wheels_only and "wheels.noise" in sources and "calibrate" in sources["wheels.noise"]
     tuning = None if enough else work.by("tune", tuned)
-    if tuning is not None:
-        sources |= _tuned(tuning)
+    if tuning is not None and not tuning.refused:
+        shown = [r for r in tuning.tuned.rows if r.identifiable]  # others are not seen in the log
+        sources |= {r.key: f"{r.key} {r.after:.4g} ± {r.after * r.error:.2g}, locfuse tune" for r in shown}
     sources |= work.sources
-    return FoundRobot(_under(loaded, work.sets, progress), nominal, calibration, sources, tuple(work.notes))
-
-
-def _under(loaded: Loaded, sets: Sequence[str], progress: Progress) -> Loaded:
-    return with_settings(loaded, sets, progress) if sets else loaded
+    return FoundRobot(under(work.sets), nominal, calibration, sources, tuple(work.notes))
 
 
 class _Work:
@@ -155,10 +156,7 @@ class _Work:
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
-        """Run a command with the settings found so far, and store its result; None, with a note, if it fails.
-
-        If the error names fixes, they are set and the command runs again.
-        """
+        """Run a command with the settings so far, again after fixes that its error names; None if it fails."""
         for _ in range(MAX_FIRST + 1):
             try:
                 found = find(self.sets)
@@ -187,13 +185,6 @@ def _calibrated(found: Calibration) -> dict[str, str]:
     return words | {f"compass.{key}": f"{key}, {by}" for key, by in iron.items()}
 
 
-def _tuned(found: Tuning) -> dict[str, str]:
-    """Return the source of each tuned setting in words; settings that the log does not show are left out."""
-    rows = () if found.refused else found.tuned.rows
-    shown = (row for row in rows if row.identifiable)
-    return {r.key: f"{r.key} {r.after:.4g} ± {r.after * r.error:.2g}, locfuse tune" for r in shown}
-
-
 def _by_files(how: LogOptions) -> dict[str, str]:
     """Return the source of each setting in robot.toml files in words, with the command that wrote it."""
     words: dict[str, str] = {}
@@ -206,10 +197,7 @@ def _by_files(how: LogOptions) -> dict[str, str]:
 
 
 def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogOptions, dict[str, str]]:
-    """Return the log of a folder of results, with options and sources of settings; a log is returned unchanged.
-
-    Raises LocfuseError if the report does not name its log.
-    """
+    """Return the log of a folder of results, with options and sources of settings; a log is returned unchanged."""
     report = result_file(log[0]) if len(log) == 1 else None
     if report is None:
         return log, how, {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
@@ -43,7 +44,8 @@ FIXED_CODES = ("wheel scale", "radius", RATIO, "track", "iron", "yaw")  # codes 
 GEOMETRY = ("radius", "ratio", "track")
 MIN_LN_RATIO = 3.0  # smallest ln of a likelihood ratio that is reported: 20 to 1
 IRON_COLUMNS = {f"{kind}_iron{of}": f"{kind}{of}" for kind in ("hard", "soft") for of in ("", "_sigma")}
-MOUNT_UNITS = {"x": " [m]", "y": " [m]", "yaw_deg": " [deg]", "time_offset": " [s]"}
+MOUNT = ("x", "y", "yaw_deg", "time_offset")
+UNITS = {**dict.fromkeys(("radius", "track", "x", "y"), " [m]"), "yaw_deg": " [deg]", "time_offset": " [s]"}
 LACKING_BY_TRUTH = {"radius": "straight runs", "ratio": "a truth with heading", "track": "turns on the spot"}
 LACKING_BY_LASER = {
     "scale": ("wheels: radius", "way"),
@@ -112,7 +114,7 @@ class Calibration(Found, frozen=True, kw_only=True):
             return {}
         unit = np.array([1.0, 1.0, math.degrees(1.0), 1.0])
         offset = np.array([0.0, 0.0, 0.0, self._lrf().time_offset])
-        return _figures(MOUNT_UNITS, self.laser.parameters[3:] * unit + offset, self.laser.sigmas[3:] * unit)
+        return _figures(MOUNT, self.laser.parameters[3:] * unit + offset, self.laser.sigmas[3:] * unit)
 
     def _lrf(self) -> Any:
         return next(one for one in self.loaded if has_both(one)).robot.settings("lrf")
@@ -122,10 +124,12 @@ class Calibration(Found, frozen=True, kw_only=True):
         rows: list[Fitted] = []
         if (noise := self.wheels or self.gyro) is not None:
             rows.append(Fitted("wheels.noise", noise.k, self.settings.noise, " [m]"))
-        units = {"radius": " [m]", "track": " [m]"}
-        rows += _with_old("wheels", self.geometry(), self.settings, units)
-        if self.laser is not None:
-            rows += _with_old("lrf", self.mount(), self._lrf(), MOUNT_UNITS)
+        configured = {"wheels": self.settings, "lrf": self.laser and self._lrf()}
+        for table, figures in (("wheels", self.geometry()), ("lrf", self.mount())):
+            for key, figure in figures.items():
+                was = getattr(configured[table], key)
+                stays = figure.low <= was <= figure.high
+                rows.append(Fitted(f"{table}.{key}", figure, was, UNITS.get(key, ""), stays))
         if (tricycle := self.tricycle) is not None:
             rows += [Fitted(f"wheels.{k}", f, getattr(self.settings, k)) for k, f in tricycle.wheels.items()]
             rows += [Fitted(f"{tricycle.by}.{k}", f) for k, f in tricycle.mount.items()]
@@ -203,15 +207,10 @@ class Calibration(Found, frozen=True, kw_only=True):
         ]
 
 
-def _figures(keys: Mapping[str, str] | Sequence[str], values: Array, sigmas: Array) -> dict[str, Figure]:
+def _figures(keys: Sequence[str], values: Array, sigmas: Array) -> dict[str, Figure]:
     """Return key -> value with its 95 % interval; keys whose sigma is infinite or NaN are left out."""
     found = zip(keys, values.tolist(), (SIGMAS_95 * sigmas).tolist(), strict=True)
     return {key: Figure(value, value - half, value + half) for key, value, half in found if math.isfinite(half)}
-
-
-def _with_old(table: str, figures: Mapping[str, Figure], was: Any, units: Mapping[str, str]) -> list[Fitted]:
-    old = ((key, f, getattr(was, key)) for key, f in figures.items())
-    return [Fitted(f"{table}.{key}", f, v, units.get(key, ""), f.low <= v <= f.high) for key, f, v in old]
 
 
 def _short(value: float) -> float:
@@ -231,10 +230,7 @@ def calibrated(logs: Sequence[Parts], how: LogOptions, progress: Progress) -> Ca
 
 
 def calibrate_logs(loaded: Sequence[Loaded], progress: Progress) -> Calibration:
-    """Estimate wheel settings, laser mount and compass iron from the logs of one robot, if they are observable.
-
-    Raises LocfuseError if nothing can be estimated, a log has a severe fault, or the wheel settings differ.
-    """
+    """Estimate wheel settings, laser mount and compass iron from the logs of one robot, if they are observable."""
     settings = _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):
         return _tricycle(loaded, settings, progress)
@@ -250,15 +246,15 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress) -> Calibration:
             return None
 
     wheels = attempt(lambda: _wheels(loaded))
-    laser = None if wheels is not None else attempt(lambda: _by_laser(loaded, progress))
-    gyro = None if laser is not None else attempt(lambda: _gyro(loaded, settings))
+    laser = None if wheels else attempt(lambda: _by_laser(loaded, progress))
+    gyro = None if laser else attempt(lambda: _gyro(loaded, settings))
     iron = attempt(lambda: fit_iron(_fields(loaded)))
-    if wheels is None and laser is None and gyro is None and iron is None:
+    if not (wheels or laser or gyro or iron):
         raise LocfuseError("; ".join(notes))
-    notes += [] if wheels is None else _wheel_notes(wheels, settings, by_gyro=gyro is not None)
-    notes += [] if gyro is None else _gyro_notes(gyro, settings)
-    notes += [] if laser is None else _laser_notes(laser, settings)
-    if iron is not None:
+    notes += _wheel_notes(wheels, settings, by_gyro=gyro is not None) if wheels else []
+    notes += _gyro_notes(gyro, settings) if gyro else []
+    notes += _laser_notes(laser, settings) if laser else []
+    if iron:
         notes.append(
             f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
             f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
@@ -288,16 +284,11 @@ def _one_robot(loaded: Sequence[Loaded]) -> WheelSettings:
     first = loaded[0].robot.wheels
     if any(one.log.topics[one.choice.topics["wheels"]].msgtype == ODOMETRY for one in loaded):
         return replace(first, radius=None)  # a robot with an odometry topic has no wheel radius to correct
-    for one in loaded[1:]:
-        for key in GEOMETRY:
-            a, b = getattr(first, key), getattr(one.robot.wheels, key)
-            if a != b:
-                raise LocfuseError(
-                    f"wheels.{key} is {a} in {loaded[0].log.name} and {b} in {one.log.name}: these are different "
-                    "robots;",
-                    role="calibrate",
-                    hint=f"give one with --set wheels.{key}=",
-                )
+    for one, key in product(loaded[1:], GEOMETRY):
+        a, b = getattr(first, key), getattr(one.robot.wheels, key)
+        if a != b:
+            words = f"wheels.{key} is {a} in {loaded[0].log.name} and {b} in {one.log.name}: different robots;"
+            raise LocfuseError(words, role="calibrate", hint=f"give one with --set wheels.{key}=")
     return first
 
 
@@ -318,14 +309,10 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool
     if found.outliers:
         words = "pieces do not fit the others (slip, or a jump of the truth): not used"
         notes.append(f"wheels: {found.outliers} {words}")
-    if settings.radius is not None:
-        known = dict(zip(GEOMETRY, np.isfinite(found.sigmas).tolist(), strict=True))
-        known |= {"ratio": True, "track": True} if by_gyro else {}
-        notes += [
-            f"wheels: {name} cannot be estimated without {lacking}; it is taken as given"
-            for name, lacking in LACKING_BY_TRUTH.items()
-            if not known[name]
-        ]
+    for (name, lacking), sigma in zip(LACKING_BY_TRUTH.items(), found.sigmas.tolist(), strict=True):
+        known = math.isfinite(sigma) or (by_gyro and name != "radius")
+        if settings.radius is not None and not known:
+            notes.append(f"wheels: {name} cannot be estimated without {lacking}; it is taken as given")
     if abs(found.prefers_k) > MIN_LN_RATIO:
         better, worse = ("noise per metre", "the paper's delta")[:: 1 if found.prefers_k > 0 else -1]
         ratio = f"ln of the likelihoods' ratio: {abs(found.prefers_k):.1f}"
@@ -334,19 +321,12 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool
 
 
 def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> Calibration:
-    """Calibrate the traction and steering encoders of a tricycle from one log.
-
-    The reference path is the truth, else the laser's, else the gyro's. Raises LocfuseError for several logs or
-    without a reference.
-    """
+    """Calibrate a tricycle's traction and steering encoders by one log: its truth, else laser, else gyro."""
     one, stream = loaded[0], loaded[0].stream("wheels")
     reference = None if len(loaded) > 1 else _reference(one, progress)
     if reference is None or not isinstance(stream, MergedStream):
-        raise LocfuseError(
-            "a steered tricycle is calibrated by one log with truth, laser or gyro",
-            role="calibrate",
-            hint="(--set truth.topic=/TOPIC names a truth)",
-        )
+        words = "a steered tricycle is calibrated by one log with truth, laser or gyro"
+        raise LocfuseError(words, role="calibrate", hint="(--set truth.topic=/TOPIC names a truth)")
     encoders = read_encoders(stream, settings)
     shift = (encoders.zero_ns - one.drive.epoch_ns) * 1e-9 + settings.time_offset
     found = calibrate_tricycle(encoders, settings, reference, shift)
@@ -373,10 +353,10 @@ def _reference(one: Loaded, progress: Progress) -> ReferenceMotion | None:
         progress("matching scans")
         motion = motion_of_both(one)
         return ReferenceMotion("lrf", motion.laser.t + motion.delay, motion.laser.pose)
-    turned = _turned_by_gyro(one)
-    return turned and ReferenceMotion(
-        "gyro", turned[0], np.column_stack((np.zeros((len(turned[0]), 2)), turned[1]))
-    )
+    if (turned := _turned_by_gyro(one)) is None:
+        return None
+    t, heading = turned
+    return ReferenceMotion("gyro", t, np.column_stack((np.zeros((len(t), 2)), heading)))
 
 
 def _turned_by_gyro(one: Loaded) -> tuple[Array, Array] | None:
@@ -397,17 +377,15 @@ def _gyro(loaded: Sequence[Loaded], settings: WheelSettings) -> GyroCalibration:
 def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
     by_window = ", ".join(f"{k:.2g} m over {length:g} s" for length, k in found.noise.items())
     track = (settings.track or 0.0) + 2.0 * found.slides
-    skids = (
+    notes = [
         f"wheels: the robot turns as if its wheels were {track:.2f} m apart: they slide by {found.slides:.2f} m "
         "per radian of turn. A gyro does not see what both sides slide in the same direction: wheels.noise "
-        "assumes from zero to twice that"
-    )
-    return [
-        *([skids] if found.slides else []),
+        "assumes from zero to twice that",
         f"gyro: {found.windows} windows, {math.degrees(found.turned_rad):.0f} degrees, its clock shifted by "
         f"{found.delay:+.2f} s; it knows no lengths: the radius is left as it was set",
         f"wheels: noise by the length of the window: {by_window}; that of the longest is written",
     ]
+    return notes if found.slides else notes[1:]
 
 
 def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
@@ -429,14 +407,11 @@ def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
     ]
     if fit.outliers:
         notes.append(f"laser: {fit.outliers} pieces do not fit the others (slip, or a wrong match): not used")
-    undetermined = set(fit.undetermined())
     odometry = settings.radius is None or settings.track is None
-    undetermined -= {"scale", "difference", "track"} if odometry else set()
-    notes += [
-        f"{what} cannot be estimated without {needs}; it is left as it is"
-        for name, (what, needs) in LACKING_BY_LASER.items()
-        if name in undetermined
-    ]
+    undetermined = set(fit.undetermined()) - ({"scale", "difference", "track"} if odometry else set())
+    for name, (what, needs) in LACKING_BY_LASER.items():
+        if name in undetermined:
+            notes.append(f"{what} cannot be estimated without {needs}; it is left as it is")
     if odometry:
         scale, _, track = (1.0 + fit.parameters[:3]).tolist()
         of_scale, _, of_track = (f"{s:.3f}" if math.isfinite(s) else "unknown" for s in fit.sigmas[:3].tolist())

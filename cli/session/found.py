@@ -105,11 +105,9 @@ def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
     streams = {role: one.stream(role) for role in one.choice.topics}
     for finding in of_holes(one.drive, holes(one.drive)) or examine(one.drive, one.robot, streams):
         unfixed = UNFIXED.get(finding.code, "Leave this log out" if finding.role == "truth" else "")
-        if finding.severe and finding.code not in {"start", *own} and (finding.fixes or unfixed):
-            said = finding.brief.partition(". ")[0] if finding.code in UNFIXED else finding.brief
-            raise LocfuseError(
-                f"{one.log.name}: {finding.role}: {said}; {what} would cover that up.",
-                role=finding.role,
-                fixes=finding.fixes,
-                hint=f"Set it first: {options(finding.fixes)}" if finding.fixes else unfixed,
-            )
+        role, fixes = finding.role, finding.fixes
+        if finding.severe and finding.code not in {"start", *own} and (fixes or unfixed):
+            words = finding.brief.partition(". ")[0] if finding.code in UNFIXED else finding.brief
+            message = f"{one.log.name}: {role}: {words}; {what} would cover that up."
+            hint = f"Set it first: {options(fixes)}" if fixes else unfixed
+            raise LocfuseError(message, role=role, fixes=fixes, hint=hint)

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.compare import Compared, compare_log
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import verdicts
-from locfuse.fusion.data import Estimates, UsageError
+from locfuse.fusion.data import UsageError
 from locfuse.fusion.measure import DROPPED_SHARE, MOVED_S, jittered
 
 MAX_RUNS = 1000
@@ -53,16 +53,14 @@ def add_jitter(report: dict[str, Any], compared: Compared, asked: Asked, progres
         progress(f"jitter {seed + 1} of {asked.jitter}")
         other = replace(loaded, drive=jittered(loaded.drive, loaded.robot, seed))
         run = compare_log(other, compared.configurations, once, silent)
-        away = {e.name: _largest_distance(plain[e.name], e) for e in run.estimates}
+        away = {}
+        for e in run.estimates:
+            own = plain[e.name]
+            x, y = (np.interp(own.t, e.t, e.pose[:, k]) - own.pose[:, k] for k in (0, 1))
+            away[e.name] = float(np.hypot(x, y).max())
         words = {s: v["verdict"] for s, v in verdicts(run.credit, run.scores, run.sets).items()}
         found.append(Jittered({e.name: e.figures for e in run.evaluations}, away, words))
     add_ranges(report, found)
-
-
-def _largest_distance(plain: Estimates, other: Estimates) -> float:
-    """Return the largest distance [m] between two paths at the times of the first path."""
-    x, y = (np.interp(plain.t, other.t, other.pose[:, k]) - plain.pose[:, k] for k in (0, 1))
-    return float(np.hypot(x, y).max())
 
 
 def add_ranges(report: dict[str, Any], found: Sequence[Jittered]) -> None:
@@ -76,7 +74,11 @@ def add_ranges(report: dict[str, Any], found: Sequence[Jittered]) -> None:
             values["jitter"]["path_moved_m"] = max(run.away[name] for run in found)
     for sensor, own in report.get("verdicts", {}).items():
         seen = Counter(run.verdicts[sensor] for run in found if sensor in run.verdicts)
-        report["verdicts"][sensor] = _if_stable(own, seen)
+        if len({DIRECTIONS.get(word, 0) for word in (own["verdict"], *seen)}) > 1:
+            counted = ", ".join(f"{w} {n}" for w, n in sorted(seen.items(), key=lambda pair: (-pair[1], pair[0])))
+            words = f"The verdict is chance: it changes under jitter ({counted})."
+            recorded = "" if own["verdict"] == NO_EFFECT else f" As recorded: {own['verdict']}."
+            own.update(verdict=NO_EFFECT, words=f"{words}{recorded} {own['words']}")
 
 
 def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) -> dict[str, Any]:
@@ -88,17 +90,3 @@ def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) 
         if len(numbers) == len(values):
             out[key] = [min(numbers), max(numbers)]
     return out
-
-
-def _if_stable(verdict: Mapping[str, Any], seen: Counter[str]) -> dict[str, Any]:
-    """Return a verdict unchanged if all runs agree on its direction; else "no effect seen", with the reason.
-
-    `seen` counts the verdicts of the jittered runs.
-    """
-    directions = {DIRECTIONS.get(word, 0) for word in (verdict["verdict"], *seen)}
-    if len(directions) == 1:
-        return dict(verdict)
-    counted = ", ".join(f"{word} {n}" for word, n in sorted(seen.items(), key=lambda pair: (-pair[1], pair[0])))
-    own = "" if verdict["verdict"] == NO_EFFECT else f"As recorded: {verdict['verdict']}. "
-    words = f"The verdict is chance: it changes under jitter ({counted}). {own}{verdict['words']}"
-    return {"verdict": NO_EFFECT, "words": words}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any, NamedTuple
@@ -14,9 +14,10 @@ from msgspec.structs import replace
 from locfuse.cli.analysis import outputs
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.figures import palette
+from locfuse.formats.figures.for_paper import draw
 from locfuse.formats.figures.panels import Curve, Panel, Spots, Strokes
 from locfuse.formats.figures.sections import sections
-from locfuse.formats.report import json_report
+from locfuse.formats.report import json_report, paper_page, render
 from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Array, Colour
 from locfuse.fusion.sensors.registry import colours
@@ -47,58 +48,42 @@ FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees")
 class Driven(NamedTuple):
     """One simulated drive of one scenario, for figure 14."""
 
-    scenario: str
     xy: Array  # (n, 2) m, true positions
     path: Array  # (m, 2) m, planned positions
-
-
-def drives(jobs: int) -> dict[str, Driven]:
-    """Simulate the four drives of figure 14 in `jobs` processes; return scenario name -> drive.
-
-    Each of the two paths is driven twice: steered on odometry, and steered on the EKF.
-    """
-    names = [name for path in PATHS.values() for name in (path, f"{path}_ekf")]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return dict(zip(names, pool.map(drive, names), strict=True))
 
 
 def drive(scenario: str) -> Driven:
     """Simulate a scenario whose controller uses the scenario's estimator."""
     chosen = scenarios.load(scenario)
-    if not isinstance(chosen.path, Polygon):
-        raise TypeError(f"{scenario} follows no closed path")
+    assert isinstance(chosen.path, Polygon)
     *_, outcome = in_memory(chosen, SEED, localise(chosen.control.estimator))
-    return Driven(scenario, outcome.truth[::10, :2], polygon(chosen.path).pose[:, :2])
-
-
-def distances(driven: Driven) -> Array:
-    """Return the distance of each driven point to the planned path, (n,) m."""
-    return np.array([np.hypot(*(driven.path - p).T).min() for p in driven.xy])
+    return Driven(outcome.truth[::10, :2], polygon(chosen.path).pose[:, :2])
 
 
 def path_panels(driven: Mapping[str, Driven]) -> list[Panel]:
     """Return figures 14 a and 14 b: the driven paths."""
-    return [_panel(letter, driven[path], driven[f"{path}_ekf"]) for letter, path in PATHS.items()]
-
-
-def _panel(letter: str, without: Driven, with_ekf: Driven) -> Panel:
-    room = scenarios.load(without.scenario).room
-    x, y = room.size
-    sides = [((0, 0), (x, 0)), ((x, 0), (x, y)), ((x, y), (0, y)), ((0, y), (0, 0))]
-    ends = np.array([*sides, *(((a, b), (c, d)) for a, b, c, d in room.plates)], float)
-    closed = np.concatenate((without.path, without.path[:1]))
-    curves = {INTENDED: closed, WITHOUT: without.xy, WITH: with_ekf.xy}
-    title = f"Figure 14 {letter}: {without.scenario.replace('_', ' ')}"
-    return Panel(
-        name=f"fig14{letter}",
-        title=title,
-        y_label="y, m",
-        x_label="x, m",
-        marks=(Strokes(WALLS, ends), *(Curve(of, xy[:, 0], xy[:, 1]) for of, xy in curves.items())),
-        summary=f"{title}: the way that the robot really took, steered on odometry and on the EKF.",
-        equal=True,
-        keys=(INTENDED, WITHOUT, WITH),
-    )
+    panels = []
+    for letter, path in PATHS.items():
+        room = scenarios.load(path).room
+        x, y = room.size
+        sides = [((0, 0), (x, 0)), ((x, 0), (x, y)), ((x, y), (0, y)), ((0, y), (0, 0))]
+        ends = np.array([*sides, *(((a, b), (c, d)) for a, b, c, d in room.plates)], float)
+        planned = driven[path].path
+        curves = {INTENDED: np.concatenate((planned, planned[:1]))}
+        curves |= {WITHOUT: driven[path].xy, WITH: driven[f"{path}_ekf"].xy}
+        title = f"Figure 14 {letter}: {path.replace('_', ' ')}"
+        panel = Panel(
+            name=f"fig14{letter}",
+            title=title,
+            y_label="y, m",
+            x_label="x, m",
+            marks=(Strokes(WALLS, ends), *(Curve(of, xy[:, 0], xy[:, 1]) for of, xy in curves.items())),
+            summary=f"{title}: the way that the robot really took, steered on odometry and on the EKF.",
+            equal=True,
+            keys=(INTENDED, WITHOUT, WITH),
+        )
+        panels.append(panel)
+    return panels
 
 
 class Repeated(msgspec.Struct, frozen=True):
@@ -123,7 +108,8 @@ class Repeated(msgspec.Struct, frozen=True):
         rows = []
         for letter, path in PATHS.items():
             for name, steered in ((path, WITHOUT), (f"{path}_ekf", WITH)):
-                d = distances(self.driven[name])
+                xy, planned = self.driven[name]
+                d = np.array([np.hypot(*(planned - p).T).min() for p in xy])
                 rms = float(np.sqrt((d**2).mean()))
                 rows.append({"figure": f"14 {letter}", "steered": steered, "rms": rms, "largest": float(d.max())})
         return rows
@@ -141,10 +127,7 @@ class Repeated(msgspec.Struct, frozen=True):
         }
 
     def panels(self, which: str) -> dict[str, list[Panel]]:
-        """Return the panels of figures 12 (trajectories) and 13 (deviations in x and y) of one filter.
-
-        `which` is "ours" for locfuse's filter, or "print" for the equations as printed in the paper.
-        """
+        """Return figures 12 (trajectories) and 13 (deviations) of a filter: "ours", or "print" (as printed)."""
         found = {p.name: p for s in sections(outputs.scene(self.compared[which].compared)) for p in s.panels}
         tail = "" if which == "ours" else "_print"
         map_ = found["trajectories"]
@@ -162,14 +145,14 @@ def repeat(progress: Progress, jobs: int) -> Repeated:
         for which, preset in PRESETS.items()
     }
     progress("driving the paths of figure 14")
-    return Repeated(compared, drives(jobs=jobs))
+    # each of the two paths twice: steered on odometry, and steered on the EKF
+    names = [name for path in PATHS.values() for name in (path, f"{path}_ekf")]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        return Repeated(compared, dict(zip(names, pool.map(drive, names), strict=True)))
 
 
 def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     """Return file name -> content for table, figures and page."""
-    from locfuse.formats.figures.for_paper import draw
-    from locfuse.formats.report import paper_page, render
-
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
     traces = palette.traces_of(found.compared["ours"].compared.estimates)
@@ -187,8 +170,3 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     out["table.csv"] = render.csv(paper_page.table(values))
     out["paper.html"] = paper_page.render(values, shown, inks, looks)
     return out
-
-
-def lines(values: Mapping[str, Any]) -> Sequence[str]:
-    """Return a line of text for each drive of figure 14."""
-    return [f"fig. {d['figure']}, {d['steered']}: {d['rms']:.3f} m rms from the path" for d in values["figure_14"]]

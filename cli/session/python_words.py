@@ -52,14 +52,14 @@ def in_python(words: str) -> str:
 
 def in_tools(words: str) -> str:
     """Return a message with command-line options replaced by arguments of the tools of `locfuse mcp`."""
-    words = AS_CALL.sub(_tool_call, in_python(words)).replace("sets={", "settings={")
+
+    def call(found: re.Match[str]) -> str:
+        log, rest, method = found.groups()
+        return f"info({log}{rest}, check=true)" if method == "findings" else f"{method}([{log}]{rest})"
+
+    words = AS_CALL.sub(call, in_python(words)).replace("sets={", "settings={")
     words = re.sub(r"\blocfuse\.(info|compare)\(", r"\1(", words)
     return re.sub(r"([:=] ?)(True|False)\b", lambda found: found[0].lower(), words)
-
-
-def _tool_call(found: re.Match[str]) -> str:
-    log, rest, method = found.groups()
-    return f"info({log}{rest}, check=true)" if method == "findings" else f"{method}([{log}]{rest})"
 
 
 def speaks_python(function: Callable[P, R]) -> Callable[P, R]:
@@ -83,13 +83,12 @@ def _call(command: str, words: Sequence[str]) -> str:
     rest = iter(words)
     for word in rest:
         if word == "--set":
-            sets += [word, next(rest, "")]
+            sets.append(next(rest, ""))
         elif word == "--robot":
             given.append(f'robot="{next(rest, "")}"')
         elif not word.startswith("-"):
             log = log or word
-    given += [_sets(sets)] if sets else []
-    arguments = ", ".join((f'"{log}"', *given))
+    arguments = ", ".join((f'"{log}"', *given, *([_sets(sets)] if sets else [])))
     if "--check" in words:
         return f"locfuse.load({arguments}).findings()"
     direct = f"locfuse.{command}({arguments})"
@@ -111,10 +110,7 @@ def _value(text: str) -> str:
 
 
 def _keyword(found: re.Match[str]) -> str:
-    """Return a matched command-line option as a keyword argument.
-
-    If the option lacks its value, or if a colon follows at once, only the keyword's name is returned.
-    """
+    """Return a matched option as a keyword argument; only its name if it lacks its value or a colon follows."""
     option, value, colon = found.groups()
     keyword = OPTIONS[option]
     if "{}" in keyword and value is not None:

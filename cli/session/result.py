@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,9 +16,18 @@ from locfuse.cli.analysis import outputs, results
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
+from locfuse.formats.figures.for_paper import on_axes, paper_figures
+from locfuse.formats.figures.palette import Trace, traces_of
+from locfuse.formats.figures.panels import Panel
+from locfuse.formats.figures.sections import sections
+from locfuse.formats.figures.where import trajectories
 from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import notes_of, void_reasons
-from locfuse.formats.robot import landmark_map
+from locfuse.formats.report.table import records
+from locfuse.formats.report.tables import everything
+from locfuse.formats.results.trajectory import audit_csv
+from locfuse.formats.robot import landmark_map, line_map, robot_toml
 from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import Content, write_results, write_text
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, UsageError
@@ -28,13 +37,8 @@ from locfuse.fusion.sensors.registry import REGISTRY, colours
 
 from .python_words import in_python, speaks_python
 
-if TYPE_CHECKING:
-    from locfuse.formats.figures.palette import Trace
-    from locfuse.formats.figures.panels import Panel
-
 V = TypeVar("V")
 Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: the default ones
-UNKNOWN_EXPORT = "--export: unknown format"
 
 
 class UnknownNameError(UsageError, KeyError):
@@ -150,7 +154,6 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
         Without matplotlib, return the report's figure, an SVG for a notebook.
         """
-        from locfuse.formats.figures.for_paper import on_axes
         from locfuse.formats.report.notebook import NotebookFigure
 
         panel, traces = self._trajectories()
@@ -161,9 +164,6 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     def _trajectories(self) -> tuple[Panel, Mapping[str, Trace]]:
         """Return the figure of all paths, and the line style of each."""
-        from locfuse.formats.figures.palette import traces_of
-        from locfuse.formats.figures.where import trajectories
-
         panel = trajectories(outputs.scene(self.compared)).panels[0]
         return panel, traces_of(self.estimates.values())
 
@@ -173,9 +173,6 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         "configuration" is the result's name; figures are in SI units with the unit in the key, None where a
         figure does not exist; `<sensor>_accepted`, `_rejected`, `_absent`, `_nis` count its measurements.
         """
-        from locfuse.formats.report.table import records
-        from locfuse.formats.report.tables import everything
-
         return records(everything(self.report))
 
     def losses(self, strict: bool = False) -> list[str]:
@@ -183,10 +180,8 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
         With any loss, the command exits with 3. With `strict`, a single refused reading is a loss.
         """
-        return [*results.loss_lines(self.loaded, self._used(), strict), *void_reasons(self.report)]
-
-    def _used(self) -> list[str]:
-        return sorted({s for e in self.estimates.values() for s in e.sensors})
+        used = sorted({s for e in self.estimates.values() for s in e.sensors})
+        return [*results.loss_lines(self.loaded, used, strict), *void_reasons(self.report)]
 
     def __repr__(self) -> str:
         """Return the kind of result, the log and the names of its results."""
@@ -215,9 +210,9 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         Raises:
             LocfuseError: the folder holds something else, or cannot be written.
         """
-        files = self._files(write)
-        files |= fixes_file(self.report)
-        formats = chosen(export, list(EXPORTS), UNKNOWN_EXPORT)
+        robot: dict[str, Content] = {"robot.toml": robot_toml.dump(results.settings_tables(self.robot))}
+        files = robot | self._files(write) | fixes_file(self.report)
+        formats = chosen(export, list(EXPORTS), "--export: unknown format")
         files |= outputs.exported_files(formats, self.loaded, self._by_file())
         written = self._written(folder, files, overwrite)
         forget_fixes(written)
@@ -250,19 +245,16 @@ class Run(Result, frozen=True, eq=False):
         return next((e for e in self.estimates.values() if e.smoothed), None)
 
     def _files(self, write: Kinds) -> dict[str, Content]:
-        return outputs.files_of_run(self.loaded, self._by_file(), self.report, chosen(write, OF_RUN))
+        kinds = chosen(write, OF_RUN)
+        files = outputs.exported_files(kinds - {"json"}, self.loaded, self._by_file())
+        return files | ({"run.json": json_report.encode(self.report)} if "json" in kinds else {})
 
     def _by_file(self) -> Mapping[str, Estimates]:
         return {"smoothed" if e.smoothed else "trajectory": e for e in self.estimates.values()}
 
-    def _used(self) -> list[str]:
-        return list(self.filtered.sensors)
-
     @speaks_python
     def write_audit(self, file: PathLike) -> None:
         """Write every measurement with its NIS, gate threshold and verdict as CSV."""
-        from locfuse.formats.results.trajectory import audit_csv
-
         write_text(path_of(file), audit_csv(self.drive, self.filtered))
 
     @speaks_python
@@ -272,8 +264,6 @@ class Run(Result, frozen=True, eq=False):
         To a .csv, write the landmarks or anchors that the run estimated (`landmarks.map = "grow"`): use it as
         `landmarks.map`.
         """
-        from locfuse.formats.robot import line_map
-
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
                 hint = "--set landmarks.map=grow makes a map of them"
@@ -305,4 +295,6 @@ class Comparison(Result, frozen=True, eq=False):
     @speaks_python
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""
-        return self._written(folder, outputs.figure_files(self.compared), overwrite=True)
+        shown = sections(outputs.scene(self.compared))
+        figures = paper_figures(shown, traces_of(self.compared.estimates), colours())
+        return self._written(folder, figures, overwrite=True)

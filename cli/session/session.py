@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack, cast, get_args
 import msgspec
 from msgspec.structs import replace
 
+from locfuse.cli.advice.evaluator import advise, advise_on_run
 from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log, with_others
@@ -42,6 +43,7 @@ from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.whole_drive.reference import may_have_reference, refuse
 
 from .foreign import foreign_estimates, named_sources
 from .jitter import add_jitter, check_runs
@@ -84,10 +86,7 @@ def load(
 
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
-    """Open and measure a log given as command-line words, and return its session.
-
-    The log's columns stay in memory only with `read_again`. A map file in `how` is used for localisation.
-    """
+    """Open a log given as command-line words, with the map in `how`; its columns stay only with `read_again`."""
     loaded = load_log(log, how, progress)
     if not read_again:
         loaded.log.forget()
@@ -107,27 +106,18 @@ def info(
     """Return what is in a log, which sensor reads which topic and why, what is missing, and what looks wrong.
 
     Use it for a log that `load` refuses: an error becomes a finding, with the settings that fix it. Values are as
-    printed by `locfuse info LOG --json`; `locfuse schema info` has their units and meaning.
-
-    Args:
-        log: as in `load`.
-        robot: a robot.toml.
-        sets: single keys of robot.toml.
-        order: as in `load`.
-        progress: called with the name of every step, such as `print`.
-
-    Raises:
-        LocfuseError: no such file, not a log, or a robot.toml that cannot be read.
+    printed by `locfuse info LOG --json`; `locfuse schema info` has their units and meaning. Arguments are those of
+    `load`. Raises LocfuseError for no such file, not a log, or a robot.toml that cannot be read.
     """
     return inspected(words_of(log), log_options(robot, sets, order, None), progress)
 
 
 def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
     """Return the result of `info` for a log given as command-line words."""
-    from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
+    from locfuse.cli.inspect.robot_facts import values
 
-    return values.values(inspect_log(log, how, progress))
+    return values(inspect_log(log, how, progress))
 
 
 def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
@@ -136,9 +126,6 @@ def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> 
         return opened(log, how, progress).findings()
     except LocfuseError:
         return {}  # `info` reports the reason
-
-
-ADVICE_KEYS = ("headline", "validity", "findings", "fixes")  # of a report
 
 
 class Session(msgspec.Struct, frozen=True, eq=False):
@@ -197,10 +184,10 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         compared = run_log(self.loaded, used, asked)
         advised = Advised() if advice else None
         if advice and self._moves():
-            from locfuse.cli.advice.evaluator import advise_on_run  # imports all checks
-
             advised = advise_on_run(compared, self.progress, align)
-        return Run(compared, self._reported(report_of_run(compared), compared, asked, advised))
+        report = report_of_run(compared)
+        self._complete(report, compared, asked, advised)
+        return Run(compared, report)
 
     @speaks_python
     def compare(
@@ -243,10 +230,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
         advised = None
         if asked.advice and self._moves():
-            from locfuse.cli.advice.evaluator import advise  # imports all checks
-
             advised = advise(self.loaded, self.progress, asked.align, alone)
-        report = self._reported(report, compared, asked, advised, advised is not None)
+        self._complete(report, compared, asked, advised)
         return Comparison(compared, report)
 
     def _uses_reference(self, asked: Asked) -> bool:
@@ -262,8 +247,6 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         short = asked.smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
         if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
-        from locfuse.fusion.whole_drive.reference import may_have_reference, refuse  # imports the graph solver
-
         if wanted:
             refuse(self.drive, self.robot)
         return may_have_reference(self.drive, self.robot)
@@ -318,22 +301,14 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         Keys: "headline", "validity", "findings", "fixes".
         """
         report = self.compare(audits=False, smooth=False).report
-        return {key: report[key] for key in ADVICE_KEYS}
+        return {key: report[key] for key in ("headline", "validity", "findings", "fixes")}
 
-    def _reported(
-        self,
-        report: dict[str, Any],
-        compared: Compared,
-        asked: Asked,
-        advised: Advised | None,
-        judged: bool = False,
-    ) -> dict[str, Any]:
-        """Add ranges under jitter, advice, and warnings on the motion to `report`, and return it."""
+    def _complete(self, report: dict[str, Any], compared: Compared, asked: Asked, advised: Advised | None) -> None:
+        """Add ranges under jitter, advice, and warnings on the motion to `report`."""
         add_jitter(report, compared, asked, self.progress)
         complete(report, compared, advised)
-        say_motion(report, self.loaded, judged)
+        say_motion(report, self.loaded, advised is not None and "verdicts" in report)
         self.progress("writing")
-        return report
 
     def _moves(self) -> bool:
         """Return whether the robot moves, and the chosen motion is the robot's."""

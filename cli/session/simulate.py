@@ -64,18 +64,17 @@ def simulate(
     seed = chosen.seed if seed is None else seed
     if seed < 0:
         raise UsageError(f"seed = {seed}: it must be 0 or more")
-    progress("driving")
-    if out is not None:
-        path = path_of(out)
-        may_replace(path, overwrite)
-        drive(chosen, seed, path)
-        return load(path, progress=progress)
-    with ExitStack() as until:
-        folder = until.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix()))
-        path = Path(folder) / f"{Path(scenario).stem}.mcap"
+    with ExitStack() as until:  # keeps a temporary file while the log is in use
+        if out is None:
+            folder = until.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix()))
+            path = Path(folder) / f"{Path(scenario).stem}.mcap"
+        else:
+            path = path_of(out)
+            may_replace(path, overwrite)
+        progress("driving")
         drive(chosen, seed, path)
         session = load(path, progress=progress)
-        weakref.finalize(session.log, until.pop_all().close)  # keeps the file while the log is in use
+        weakref.finalize(session.log, until.pop_all().close)
     return session
 
 
@@ -84,20 +83,6 @@ def drive(scenario: Scenario, seed: int, out: Path) -> Outcome:
     from locfuse.sample_logs.record import write_log
 
     return write_log(scenario, seed, localise(scenario.control.estimator), out)
-
-
-def facts(outcome: Outcome) -> dict[str, Any]:
-    """Return figures of a simulated drive: duration [s], path length [m], missed ticks, speed stability."""
-    from locfuse.sample_logs.simulate import speed_stability
-
-    stability = speed_stability(outcome)
-    return {
-        "duration_s": round(outcome.duration, 3),
-        "way_m": round(outcome.way, 3),
-        "missed_encoder_transitions": outcome.missed,
-        "speed_worst_percent": round(100 * stability.worst, 2),
-        "speed_within_5_percent": round(stability.within_5_percent, 4),
-    }
 
 
 def localise(word: str) -> Localise:
@@ -146,19 +131,20 @@ class Localiser:
             elif message.topic in self._role:
                 self._waiting.append((self._role[message.topic], message))
         if len(self._wheel_t) >= 2:
-            wheels = self._wheels()
+            settings, (left, right) = self.robot.wheels, np.array(self._rolled).T
+            t = np.array(self._wheel_t)
+            wheels = Wheels.from_wheels(t, left, right, settings.track or 1.0, settings.noise)
             self._correct(wheels)
             now = wheels.relative(np.array([self._at]), wheels.t[-1:])[0]
             self._pose = se2.compose(np.array(self.filter.pose()), now)
-            self._drop_old()
+            while self._wheel_t[0] < min(t[-1] - WHEEL_MEMORY_S, self._at - WHEEL_MEMORY_S / 2):
+                self._wheel_t.pop(0)
+                self._rolled.pop(0)
         x, y, theta = self._pose.tolist()
         return x, y, theta
 
     def _add_rolled(self, message: RawMessage) -> None:
-        """Append the distances [m] rolled by the left and right wheel, radius x joint angle, of one joint message.
-
-        A message that is not later than the last one is ignored.
-        """
+        """Append the distances [m] rolled by both wheels, radius x joint angle, of a later joint message."""
         if not self._wheel_t:
             self._epoch_ns = message.stamp_ns
         t = (message.stamp_ns - self._epoch_ns) * 1e-9
@@ -170,14 +156,16 @@ class Localiser:
         self._wheel_t.append(t)
         self._rolled.append((radius * left * angle[settings.left], radius * right * angle[settings.right]))
 
-    def _wheels(self) -> Wheels:
-        settings, (left, right) = self.robot.wheels, np.array(self._rolled).T
-        return Wheels.from_wheels(np.array(self._wheel_t), left, right, settings.track or 1.0, settings.noise)
-
     def _correct(self, wheels: Wheels) -> None:
         """Advance the filter through all readings older than MAX_LATENCY_S, in time order."""
+        from locfuse.sample_logs.record import stream_of
+
+        def measured_by(sensor: str, message: RawMessage) -> Measurements:
+            settings = self.robot.settings(sensor)
+            return REGISTRY[sensor].measure(stream_of([message]), settings, wheels, self._epoch_ns)
+
         horizon = wheels.t[-1] - MAX_LATENCY_S
-        measured = [(self._measure(s, message, wheels), s, message) for s, message in self._waiting]
+        measured = [(measured_by(s, message), s, message) for s, message in self._waiting]
         ready = [(m, s) for m, s, _ in measured if len(m.t) and self._at <= m.t[0] <= horizon]
         self._waiting = [(s, message) for m, s, message in measured if len(m.t) and m.t[0] > horizon]
         for t in sorted({float(m.t[0]) for m, _ in ready}):
@@ -185,13 +173,3 @@ class Localiser:
             due = {s: m for m, s in ready if m.t[0] == t}
             self.filter.advance(0, step, [(s, 0) for s in due], due)
             self._at = t
-
-    def _measure(self, sensor: str, message: RawMessage, wheels: Wheels) -> Measurements:
-        from locfuse.sample_logs.record import stream_of
-
-        return REGISTRY[sensor].measure(stream_of([message]), self.robot.settings(sensor), wheels, self._epoch_ns)
-
-    def _drop_old(self) -> None:
-        while self._wheel_t[0] < min(self._wheel_t[-1] - WHEEL_MEMORY_S, self._at - WHEEL_MEMORY_S / 2):
-            self._wheel_t.pop(0)
-            self._rolled.pop(0)

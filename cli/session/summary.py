@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any, NamedTuple, Unpack, overload
@@ -144,32 +143,23 @@ def compare(
         return opened(words_of(logs[0]), how, progress).compared(asked)
     found: dict[str, Comparison] = {}
     known: dict[str, Any] = {}
-    for name, parts in named(_each(logs)).items():
-        with naming(name):
+    if not logs:
+        raise UsageError("which log? Name one or several, such as locfuse.compare('rounded_rectangle')")
+    # a list is one log, single files are grouped by name and time
+    single = [word for log in logs if isinstance(log, str | os.PathLike) for word in words_of(log)]
+    lists = [words_of(log) for log in logs if not isinstance(log, str | os.PathLike)]
+    for name, parts in named([*logs_of(single), *lists]).items():
+        try:
             found[name] = result = opened(parts, how, progress).compared(asked.of_each())
-            result.report["measured"] = numbers = numbers_of(result.loaded, tuple(result.estimates.values()))
-            known |= {name: numbers} if numbers is not None else {}
+        except LocfuseError as problem:
+            words = str(problem)
+            raise type(problem)(words if name in words else f"{name}: {words}") from None
+        result.report["measured"] = numbers = numbers_of(result.loaded, tuple(result.estimates.values()))
+        known |= {name: numbers} if numbers is not None else {}
     if not asked.advice or len(known) < 2:
         return Summary(found)
     look = in_this_process({name: r.loaded for name, r in found.items()}, asked.align, progress)
     return Summary(found, [{"robot": None, **ask(known, look)}])  # fixes common to the logs of one robot
-
-
-def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
-    """Return the parts of each log: a list is one log, single files are grouped by name and time."""
-    if not logs:
-        raise UsageError("which log? Name one or several, such as locfuse.compare('rounded_rectangle')")
-    single = [word for log in logs if isinstance(log, str | os.PathLike) for word in words_of(log)]
-    return [*logs_of(single), *(words_of(log) for log in logs if not isinstance(log, str | os.PathLike))]
-
-
-@contextmanager
-def naming(log: str) -> Iterator[None]:
-    """Add the log's name to LocfuseErrors raised in this context, unless they contain it."""
-    try:
-        yield
-    except LocfuseError as problem:
-        raise type(problem)(str(problem) if log in str(problem) else f"{log}: {problem}") from None
 
 
 def write_summary(
@@ -199,8 +189,7 @@ def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
     summary["replicates"] = {"of": "robots" if robots else "logs", "robots": len(robots), "logs": len(done)}
     for name, configuration in summary["configurations"].items():
         for key, figure in configuration["figures"].items():
-            mean = mean_over(_replicate_means(done, _values(done, name, key)))
-            figure |= {"mean": mean.value, "low": mean.low, "high": mean.high, "replicates": mean.replicates}
+            figure.update(mean_over(_replicate_means(done, _values(done, name, key)))._asdict())
     summary["ties"] = _ties(summary, entries)
     together = credit_over(entries)
     if together is not None:
@@ -218,7 +207,7 @@ def of_each(write: Kinds) -> set[str]:
 class Mean(NamedTuple):
     """A mean over replicates with its 95 % interval [low, high]; both None for too few replicates."""
 
-    value: float
+    mean: float
     low: float | None
     high: float | None
     replicates: int
@@ -263,25 +252,16 @@ def _ties(summary: Mapping[str, Any], entries: Sequence[Entry]) -> dict[str, Any
         ln = {x: math.log(ours[x] / theirs[x]) for x in ours if x in theirs and ours[x] > 0.0 < theirs[x]}
         if name == best or not ln:
             continue
-        ratio = mean_over(_replicate_means(entries, ln), fewest=2)
-        low, high = ratio.low, ratio.high
-        if abs(ratio.value) < MIN_EFFECT or (low is not None and high is not None and low <= 0.0 <= high):
-            low, high = (None, None) if ratio.replicates < MIN_REPLICATES else (low, high)
-            ties[name] = {
-                "factor": math.exp(ratio.value),
-                "low": None if low is None else math.exp(low),
-                "high": None if high is None else math.exp(high),
-                "replicates": ratio.replicates,
-            }
+        mean, low, high, replicates = mean_over(_replicate_means(entries, ln), fewest=2)
+        if abs(mean) < MIN_EFFECT or (low is not None and high is not None and low <= 0.0 <= high):
+            bounds = (low, high) if replicates >= MIN_REPLICATES else (None, None)
+            low, high = (None if bound is None else math.exp(bound) for bound in bounds)
+            ties[name] = {"factor": math.exp(mean), "low": low, "high": high, "replicates": replicates}
     return ties
 
 
 def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
-    """Return each sensor's mean effect on the error over several logs, and the kind of replicate.
-
-    The kind is "robots" if the intervals are over robots, or "drives" if they are over single logs. None for fewer
-    than two logs with effects.
-    """
+    """Return each sensor's mean effect over logs, and the replicates, "robots" or "drives"; None: too few logs."""
     judged = [e for e in entries if e.state == "done" and e.report.get("credit")]
     if len(judged) < 2:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import msgspec
@@ -29,6 +29,7 @@ from locfuse.fusion.tune.tune import NoiseChange as TunedRow, Tuned, TuneLog, tu
 
 from .found import Found, Row, refuse_doubtful
 
+RMSE = "position_rmse_m"
 HELD_OUT_SHARE = 0.2  # the end of every log that is not used for tuning, if no log is held out
 
 
@@ -64,18 +65,18 @@ class Tuning(Found, frozen=True, kw_only=True):
         noise: dict[str, Any] = {}
         for row in self.tuned.rows:
             low, high = _interval(row) or (None, None)
-            noise[row.key] = {"before": row.before, "after": row.after, "low": low, "high": high}
-            noise[row.key]["identifiable"] = row.identifiable
-        likelihood = {
-            name: None if pair is None else {"before": pair[0], "after": pair[1], "numbers": numbers}
-            for name, pair, numbers in self._likelihoods("training", "held_out")
-        }
+            bounds = {"low": low, "high": high, "identifiable": row.identifiable}
+            noise[row.key] = {"before": row.before, "after": row.after, **bounds}
+        likelihood = {}
+        pairs = (self.tuned.train, self.tuned.held_out)
+        for part, pair, n in zip(("training", "held_out"), pairs, self.tuned.numbers, strict=True):
+            likelihood[part] = pair and {"before": pair[0], "after": pair[1], "numbers": n}
         logs = []
         for j in self.judged:
             found: dict[str, Any] = {"name": j.name}
             for when, e in (("before", j.before), ("after", j.after)):
                 nis = {s: figures.nis for s, figures in e.sensors.items()}
-                found[when] = {"position_rmse_m": e.figures.get("position_rmse_m"), "nis": nis}
+                found[when] = {RMSE: e.figures.get(RMSE), "nis": nis}
             logs.append(found)
         return {
             "noise": noise,
@@ -86,13 +87,6 @@ class Tuning(Found, frozen=True, kw_only=True):
             "robot": self.tables(),
             "notes": list(self.notes),
         }
-
-    def _likelihoods(self, *parts: str) -> Iterator[tuple[str, tuple[float, ...] | None, int]]:
-        """Yield (name, (ln likelihood before, after) or None, number of values) for training, then held-out data.
-
-        `parts` are the names of the two data sets.
-        """
-        return zip(parts, (self.tuned.train, self.tuned.held_out), self.tuned.numbers, strict=True)
 
     def rows(self) -> list[Row]:
         """Return the table's rows as text: key, before, after, 95 % interval."""
@@ -116,7 +110,8 @@ class Tuning(Found, frozen=True, kw_only=True):
     def judgements(self) -> list[tuple[str, str, str]]:
         """Return rows of text: figure, value before, value after tuning."""
         rows: list[tuple[str, str, str]] = []
-        for part, pair, n in self._likelihoods("tuned on", "held out"):
+        pairs = (self.tuned.train, self.tuned.held_out)
+        for part, pair, n in zip(("tuned on", "held out"), pairs, self.tuned.numbers, strict=True):
             if pair is not None:
                 rows.append((f"ln likelihood per number, {part} ({n})", f"{pair[0]:.2f}", f"{pair[1]:.2f}"))
         for j in self.judged:
@@ -124,11 +119,9 @@ class Tuning(Found, frozen=True, kw_only=True):
             for s in j.after.sensors:
                 before, after = ("" if (nis := e.sensors[s].nis) is None else f"{nis:.2f}" for e in both)
                 rows.append((f"mean NIS of {s}, {j.name}", before, after))
-            errors = [e.figures.get("position_rmse_m") for e in both]
-            if errors[1] is not None:
-                shape = "" if j.after.align == "none" else " of the path's shape"
-                before, after = ("" if error is None else f"{error:.4f} m" for error in errors)
-                rows.append((f"position error{shape}, {j.name}", before, after))
+            before, after = ("" if (m := e.figures.get(RMSE)) is None else f"{m:.4f} m" for e in both)
+            shape = "" if j.after.align == "none" else " of the path's shape"
+            rows += [(f"position error{shape}, {j.name}", before, after)] if after else []
         return rows
 
 
@@ -144,10 +137,7 @@ def _tables(tuned: Tuned) -> dict[str, dict[str, float]]:
 
 
 def sensor_names(words: str) -> tuple[str, ...]:
-    """Return the sensor names in the value of `--sensors`, comma-separated or "all".
-
-    Raises UsageError for an unknown name.
-    """
+    """Return the sensors of `--sensors`, comma-separated or "all". Raises UsageError for an unknown name."""
     if words.strip() == "all":
         return tuple(REGISTRY)
     names = tuple(dict.fromkeys(w.strip() for w in words.split(",") if w.strip()))
@@ -197,7 +187,10 @@ def tune_logs(
             BothNoises(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
             for one, check in zip(loaded, checks, strict=True)
         ]
-        return tuned, judged, _worse(tuned, judged)
+        worse = [line for j in judged if (line := got_worse(j)) is not None]
+        if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
+            worse.append(f"{_less_likely(*tuned.held_out)}: the noise that was found is not used")
+        return tuned, judged, worse
 
     tuned, judged, worse = tuned_by(sensors)
     lasting = lasting_errors(tuned.trials)
@@ -217,14 +210,6 @@ def tune_logs(
     return Tuning(loaded=loaded, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
 
 
-def _worse(tuned: Tuned, judged: Sequence[BothNoises]) -> list[str]:
-    """Return notes on logs, or held-out data, that get worse with the tuned noise."""
-    worse = [line for j in judged if (line := got_worse(j)) is not None]
-    if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
-        worse.append(f"{_less_likely(*tuned.held_out)}: the noise that was found is not used")
-    return worse
-
-
 def _less_likely(before: float, after: float) -> str:
     figures = f"{before:.3f} -> {after:.3f} per number"
     return f"what was held out is less likely with the noise that was found ({figures})"
@@ -232,7 +217,7 @@ def _less_likely(before: float, after: float) -> str:
 
 def got_worse(j: BothNoises) -> str | None:
     """Return a note if a log gets worse with the tuned noise (which is then not written), else None."""
-    before, after = (Marks(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
+    before, after = (Marks(e.figures.get(RMSE), lost=e.lost_share) for e in (j.before, j.after))
     if not worsens(before, after):
         return None
     if after.lost > before.lost:

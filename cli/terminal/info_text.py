@@ -10,9 +10,8 @@ from typing import Any
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.robot_tables import table_types
-from locfuse.cli.inspect.robot_facts import Overview, extrinsics
+from locfuse.cli.inspect.robot_facts import Overview, absent, configurations, extrinsics, wheels_missing
 from locfuse.cli.inspect.topics import clock_word
-from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.formats.report.findings import options
 from locfuse.formats.report.table import Column, of_rows
 from locfuse.fusion.checks.finding import Finding
@@ -46,6 +45,7 @@ GAP_NOTE = " gap: the longest time without a message."
 CORRECT = "correct the settings that are named above, then: locfuse info LOG"
 SETTING = re.compile(rf"\b({'|'.join(table_types())})\.[a-z_]+")
 RECORD = "no setting helps: record the robot's wheels, odometry or laser scans, then: locfuse info LOG"
+NO_BREAK = "\xa0"  # a space at which textwrap breaks no line
 MAX_UNREADABLE_LISTED = 6  # number of unreadable topics listed with their reasons
 
 
@@ -80,24 +80,21 @@ def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Ite
         for f in (f for f in overview.findings if not (f.fixes and keys(f.fixes) <= common)):
             found.setdefault((f.role, f.code), {})[name] = f
     for title, severe in BY_EFFECT:
-        chosen = [of for of in found.values() if any(f.severe for f in of.values()) == severe]
-        yield from _section(title, [line for of in chosen for line in _shared(of, len(overviews))])
-
-
-def _shared(of: Mapping[str, Finding], logs: int) -> list[str]:
-    name, first = next(iter(of.items()))
-    where = f"in all {logs} logs, {name}" if len(of) == logs else f"in {len(of)} of {logs} logs, {name}"
-    return _finding(replace(first, role=f"{first.role} ({where})"), None, set())
+        body = []
+        for of in found.values():
+            (name, first), logs = next(iter(of.items())), len(overviews)
+            where = f"in {'all' if len(of) == logs else f'{len(of)} of'} {logs} logs, {name}"
+            if any(f.severe for f in of.values()) == severe:
+                body += _finding(replace(first, role=f"{first.role} ({where})"), None, set())
+        yield from _section(title, body)
 
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
-    """Return a table of `topics` (from `values.listed`) as lines of at most `width` characters; None: no limit."""
+    """Return a table of the `topics` of a log as lines of at most `width` characters; None: no limit."""
     return _table([{**found, "topic": name} for name, found in topics.items()], width, TOPIC_COLUMNS[:4])
 
 
-def _table(
-    rows: Sequence[Mapping[str, Any]], width: int | None, columns: Sequence[Column] = TOPIC_COLUMNS
-) -> list[str]:
+def _table(rows: Sequence[Mapping[str, Any]], width: int | None, columns: Sequence[Column]) -> list[str]:
     brief = ({**row, "type": row["type"].replace("/msg/", "/")} for row in rows)
     return [line.rstrip() for line in text_table.lines(of_rows(columns, brief), width)]
 
@@ -113,8 +110,7 @@ def _headline(overview: Overview) -> str:
     span = overview.log.time_span_ns
     seconds = f"{(span[1] - span[0]) * 1e-9:.1f} s" if span else "no messages"
     recorded = [f for f in overview.facts if not f.derived]
-    count = sum(f.count for f in recorded)
-    size = overview.log.identity.size / 1e6
+    count, size = sum(f.count for f in recorded), overview.log.identity.size / 1e6
     megabytes = f"{size:.1f}" if size >= 1.0 else f"{size:.1g}"
     files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
     topics = f"{len(recorded)} topic{'' if len(recorded) == 1 else 's'}"
@@ -131,7 +127,7 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
     full.sort(key=lambda f: f.topic not in role)
     roles = {f.topic: ", ".join(role.get(f.topic, ())) for f in full}
     rows = [{**f.values(), "topic": f.topic, "clock": clock_word(f), "roles": roles[f.topic]} for f in full]
-    yield from _table(rows, width)
+    yield from _table(rows, width, TOPIC_COLUMNS)
     if rows:
         gap = GAP_NOTE if any(row["longest_gap_s"] is not None for row in rows) else ""
         yield from text_table.wrapped("", f"{TOPICS_NOTE}{gap}", width, "")
@@ -171,55 +167,35 @@ def _place(mount: dict[str, Any], frame: str) -> str:
 
 def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
     """Yield lines on configurations that can run, on those that cannot (and why), and on sensors without topic."""
-    known, why = configurations(overview), absent(overview)
-    base = wheels_missing(overview)
-    ready = [name for name, what in known.items() if what is None]
-    body = text_table.wrapped("  ready    ", ", ".join(ready), width) if ready else []
-    if base is not None:
-        body += text_table.wrapped("  not yet  ", f"all: {_briefly(base, 'wheels', overview)}", width)
-    foreign = [name for name in REGISTRY if name in overview.choice.foreign]
-    for name in REGISTRY:
-        if name in why and name not in foreign:
-            body += text_table.wrapped("  not yet  ", f"{name}: {_briefly(why[name], name, overview)}", width)
+    foreign, reasons = [name for name in REGISTRY if name in overview.choice.foreign], absent(overview)
+    why = [(name, name, reasons[name]) for name in REGISTRY if name in reasons and name not in foreign]
+    if (base := wheels_missing(overview)) is not None:
+        why.insert(0, ("all", "wheels", base))
+    ready = ", ".join(name for name, what in configurations(overview).items() if what is None)
+    body = text_table.wrapped("  ready    ", ready, width) if ready else []
+    for name, role, words in why:
+        below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
+        body += text_table.wrapped("  not yet  ", f"{name}: {'see below' if below else words}", width)
     body += text_table.wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
     yield from _section(CONFIGURATIONS, body)
-
-
-def _briefly(words: str, role: str, overview: Overview) -> str:
-    """Return the reason `words` why a configuration cannot run; "see below" if a finding on `role` gives it."""
-    below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
-    return "see below" if below else words
 
 
 def _finding(f: Finding, width: int | None, failed: set[str]) -> list[str]:
     fixes = () if f.code == OPEN_SCALE else f.fixes  # the message names two alternative fixes
     body = text_table.wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
-    if not fixes:
-        return body
-    if not f.severe or not keys(fixes) <= failed:
-        return [*body, *_options("    fix: ", fixes, width)]
-    return [*body, *_options("    as measured, but it does not help (see below): ", fixes, width)]
+    useless = f.severe and keys(fixes) <= failed
+    head = "    as measured, but it does not help (see below): " if useless else "    fix: "
+    return [*body, *_options(head, fixes, width)] if fixes else body
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
-    """Return lines with `fixes` as --set options; the first line begins with the text `head`.
-
-    Lines are wrapped at `width` characters; None: one line.
-    """
-    rows, row = [], head
-    for option in (options((fix,)) for fix in fixes):
-        if width is not None and row.strip() and row != head and len(row) + len(option) > width:
-            rows.append(row.rstrip())
-            row = " " * len(head)
-        row += f"{option} "
-    return [*rows, row.rstrip()]
+    """Return `fixes` as --set options after the text `head`, wrapped at `width` characters; None: one line."""
+    unbroken = " ".join(options((fix,)).replace(" ", NO_BREAK) for fix in fixes)
+    return [line.replace(NO_BREAK, " ") for line in text_table.wrapped(head, unbroken, width)]
 
 
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:
-    """Return the next command to type: `recover`, `init`, `info` with fixes, or `compare`; or what to record.
-
-    If fixes were tried, `info` is proposed with those that helped.
-    """
+    """Return the next command: `recover`, `init`, `info` with fixes that help, `compare`; or what to record."""
     losses = overview.log.losses
     if losses.recoverable and losses.messages < sum(f.count for f in overview.facts if not f.derived):
         return [shlex.join(("locfuse", "recover", *map(str, overview.log.given), "-o", "recovered.mcap"))]
@@ -239,9 +215,7 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
             return [shlex.join(("locfuse", "info", *kept, "--set", f"wheels.topic={scans[0]}"))]
         return [RECORD]
     fixes = by_key(fix for f in worst for fix in f.fixes)
-    if fixes and helped is not None:
-        fixes = by_key(helped)
-    if fixes:
+    if fixes := by_key(helped) if fixes and helped is not None else fixes:
         kept = _without(typed, fixes)
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]
         return [shlex.join(("locfuse", "info", *kept, *options))]

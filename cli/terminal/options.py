@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 import msgspec
@@ -62,11 +62,8 @@ def carried(*declared: Declared) -> Callable[[F], F]:
             own = {n: v for n, v in given.items() if n not in CARRIED_OPTIONS}
             return command(log, options=_options(given), **own)
 
-        decorated: Any = wrapped
-        for option in reversed(declared):
-            decorated = option(decorated)
-        found: F = decorated
-        return found
+        found: Any = functools.reduce(lambda decorated, option: option(decorated), reversed(declared), wrapped)
+        return cast("F", found)
 
     return decorate
 
@@ -137,17 +134,10 @@ class Folder(click.Path):
 
 
 def kinds_of(known: Sequence[str], what: str, default: str | None) -> Callable[..., frozenset[str]]:
-    """Return a callback that parses comma-separated kinds of output. Raises click.UsageError for unknown ones."""
-
-    def chosen(context: click.Context, parameter: click.Parameter, value: str | None) -> frozenset[str]:
-        from locfuse.fusion.data import UsageError
-
-        try:
-            return frozenset(settings.chosen(default if value is None else value, known, what))
-        except UsageError as problem:
-            raise click.UsageError(str(problem)) from None
-
-    return chosen
+    """Return a callback that parses comma-separated kinds of output. Raises UsageError for unknown ones."""
+    return lambda context, parameter, value: frozenset(
+        settings.chosen(default if value is None else value, known, what)
+    )
 
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -203,16 +193,17 @@ READING = (
     ),
     QUIET,
 )
-PRESET = option(
-    "--preset",
-    "The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
-    type=click.Choice(settings.PRESETS),
-)
-WINDOW = (
+FUSING = (  # of a command that runs the filter on a log
+    *READING,
+    option(
+        "--preset",
+        "The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
+        type=click.Choice(settings.PRESETS),
+    ),
     option("--from begin", f"Use only the drive after this time: {SECONDS}.", type=float, metavar="S"),
     option("--to end", f"Use only the drive before this time: {SECONDS}.", type=float, metavar="S"),
 )
-FUSING = (*READING, PRESET, *WINDOW)  # of a command that runs the filter on a log
+
 GIVEN_MAP = option(
     "--map given_map",
     "Localise in this map: a .json of --save-map, or a .yaml of map_server, in which the start is searched. "

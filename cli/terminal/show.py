@@ -86,10 +86,7 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
 
 
 def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]:
-    """Print a result and its notes, record it for Rerun if asked, and return losses in words.
-
-    `files` are the written files, in one folder.
-    """
+    """Print a result, its `files` and notes, record it for Rerun if asked, and return losses in words."""
     how, outputs, lost = options.how, options.outputs, found.losses(options.how.strict)
     notes = notes_in_words(found.report)
     absent = found.report["absent"].items()
@@ -124,13 +121,9 @@ def ended(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
     return EXIT_LOSS if lost else 0
 
 
-def _page(files: Sequence[Path]) -> Path | None:
-    return next((file for file in files if file.suffix == ".html"), None)
-
-
 def end(files: Sequence[Path], notes: int = 0) -> None:
     """Print where the results are (page or folder), and the number of notes not printed."""
-    page = _page(files)
+    page = next((file for file in files if file.suffix == ".html"), None)
     where = f"{files[0].parent}: {', '.join(file.name for file in files)}" if page is None else f"report: {page}"
     count = f" ({notes} note{'' if notes == 1 else 's'}: -v)" if notes else ""
     on_screen(f"{where}{count}")
@@ -140,7 +133,7 @@ def open_page(files: Sequence[Path]) -> None:
     """Open the page among these files in the browser, or print why that is impossible."""
     import webbrowser
 
-    if (page := _page(files)) is None:
+    if (page := next((file for file in files if file.suffix == ".html"), None)) is None:
         say("--open: no page was written; add html to --write")
     elif not webbrowser.open(page.resolve().as_uri()):
         say(f"--open: no browser was found; open {page} yourself")
@@ -213,16 +206,13 @@ def headline(report: Mapping[str, Any]) -> None:
 
 
 def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: bool = True) -> None:
-    """Print findings with the tried fix of each.
-
-    All fixes together are in a file in `folder`; without a folder they are printed.
-    """
-    found = unwarned(report)
-    lines(sentence(f, brief=not verbose) for f in found if verbose or not _is_note(f))
-    if (all_fixes := together(report)) is not None:
-        both = "" if folder is None else f"--robot {folder / 'robot.toml'} --robot {folder / 'fixes.toml'}"
-        text = f"All fixes together, in place of your --robot and --set: {both}" if both else all_fixes
-        lines([text], bold=[text])
+    """Print findings with the tried fix of each, and all fixes: their file in `folder`, or the fixes."""
+    lines(sentence(f, brief=not verbose) for f in unwarned(report) if verbose or not _is_note(f))
+    text = together(report)
+    if text is not None and folder is not None:
+        both = f"--robot {folder / 'robot.toml'} --robot {folder / 'fixes.toml'}"
+        text = f"All fixes together, in place of your --robot and --set: {both}"
+    lines([text] if text else [], bold=[text or ""])
 
 
 def _is_note(finding: Mapping[str, Any]) -> bool:

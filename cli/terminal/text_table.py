@@ -28,22 +28,17 @@ class Strip(msgspec.Struct, frozen=True):
         """Characters of the widest cell."""
         return max(map(len, self.cells))
 
-    def padded(self) -> list[str]:
-        """Return heading and cells padded to one width."""
-        pad = str.rjust if self.column.kind == "number" else str.ljust
-        return [pad(cell, self.width) for cell in self.cells]
-
 
 def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
-    """Return the lines of a table of at most `width` characters, headings first; None: no limit.
-
-    A column whose cells are all empty is left out.
-    """
+    """Return a table's lines of at most `width` characters (None: any), headings first, no empty column."""
     texts = ([visible(_text(c, row[i])) for row in table.rows] for i, c in enumerate(table.columns))
     strips = [Strip(c, (heading(c, brief=True), *cells)) for c, cells in zip(table.columns, texts, strict=True)]
     strips = [s for s in strips if any(s.cells[1:])]
-    fitted = strips if width is None else _fitted(strips, width, len(gap))
-    return [gap.join(row).rstrip() for row in zip(*(s.padded() for s in fitted), strict=True)]
+    padded = []
+    for s in strips if width is None else _fitted(strips, width, len(gap)):
+        pad = str.rjust if s.column.kind == "number" else str.ljust
+        padded.append([pad(cell, s.width) for cell in s.cells])
+    return [gap.join(row).rstrip() for row in zip(*padded, strict=True)]
 
 
 def _text(column: Column, cell: Cell) -> str:
@@ -59,35 +54,24 @@ def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:
     columns.
     """
     kept = list(strips)
-    if _width(kept, gap) > width:
-        kept = [_shorter(s) for s in kept]
-    while _width(kept, gap) > width and any(s.column.rank for s in kept):
+
+    def too_wide() -> int:
+        return sum(s.width for s in kept) + gap * max(0, len(kept) - 1) - width
+
+    if too_wide() > 0:
+        shorter = ((s, s.column.shorter or str) for s in kept)
+        kept = [replace(s, cells=(s.cells[0], *map(of, s.cells[1:]))) for s, of in shorter]
+    while too_wide() > 0 and any(s.column.rank for s in kept):
         kept.remove(max(kept, key=lambda s: s.column.rank))
-    while (over := _width(kept, gap) - width) > 0:
+    while (over := too_wide()) > 0:
         i, widest = max(enumerate(kept), key=lambda entry: (entry[1].column.kind != "number", entry[1].width))
         if widest.width <= MIN_CELL_WIDTH or widest.column.kind == "number":
             break
         to = max(MIN_CELL_WIDTH, widest.width - over)
-        kept[i] = replace(widest, cells=tuple(_cut(cell, to) for cell in widest.cells))
+        head = (to - 1) // 2
+        cut = (f"{c[:head]}…{c[len(c) - (to - 1 - head) :]}" if len(c) > to else c for c in widest.cells)
+        kept[i] = replace(widest, cells=tuple(cut))  # the middle of long texts is left out
     return kept
-
-
-def _shorter(strip: Strip) -> Strip:
-    heading, *cells = strip.cells
-    shorter = strip.column.shorter
-    return strip if shorter is None else replace(strip, cells=(heading, *map(shorter, cells)))
-
-
-def _width(strips: Sequence[Strip], gap: int) -> int:
-    return sum(s.width for s in strips) + gap * max(0, len(strips) - 1)
-
-
-def _cut(cell: str, width: int) -> str:
-    """Return a text with its middle replaced by "…", at most `width` characters long."""
-    if len(cell) <= width:
-        return cell
-    head = (width - 1) // 2
-    return f"{cell[:head]}…{cell[len(cell) - (width - 1 - head) :]}"
 
 
 def wrapped(head: str, words: str, width: int | None, indent: str | None = None) -> list[str]:

@@ -72,7 +72,7 @@ def test_the_mean_is_of_robots_and_its_interval_students_t_over_them() -> None:
 @pytest.mark.parametrize("values", [[0.2], [0.1, 0.3], [0.1, 0.2, 0.3]])
 def test_fewer_than_four_replicates_have_no_interval(values: list[float]) -> None:
     found = mean_over(values)
-    assert found.value == pytest.approx(0.2)
+    assert found.mean == pytest.approx(0.2)
     assert found[1:] == (None, None, len(values))
 
 

@@ -278,7 +278,7 @@ def found() -> paper.Repeated:
     compared = {
         which: load(paper.LOG, preset=p).compare(smooth=False, advice=False) for which, p in paper.PRESETS.items()
     }
-    return paper.Repeated(compared, {name: Driven(name, circle(1.7), circle(1.5)) for name in PATHS})
+    return paper.Repeated(compared, {name: Driven(circle(1.7), circle(1.5)) for name in PATHS})
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from present import present
 from rows import one_by_one, said
 
-from locfuse.cli.analysis.results import robot_file
+from locfuse.cli.analysis.results import settings_tables
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Measurements, Ragged
@@ -45,7 +45,7 @@ def test_settings_survive_robot_toml(sensor: Sensor) -> None:
     for settings in (sensor.Settings(), changed(sensor.Settings())):
         robot = make_robot({})
         robot = replace(robot, sensors={**robot.sensors, sensor.name: settings})
-        again = make_robot(robot_toml.parse(robot_file(robot), "robot.toml"))
+        again = make_robot(robot_toml.parse(robot_toml.dump(settings_tables(robot)), "robot.toml"))
         assert again.settings(sensor.name) == settings
 
 

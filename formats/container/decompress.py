@@ -166,8 +166,10 @@ def unpack_file(data: FileBytes) -> None:
 def _unpack(data: FileBytes, plain: BinaryIO) -> None:
     cap = max(MIN_CAP_BYTES, MAX_UNPACK_RATIO * data.size)
     total, whole = 0, True
+    declared = 0  # unpacked bytes that the first frame declares, if any
     with data.where.open("rb") as packed:
-        declared = _declared_size(packed.read(HEAD_BYTES))
+        with suppress(zstandard.ZstdError):
+            declared = max(zstandard.frame_content_size(packed.read(HEAD_BYTES)), 0)
         packed.seek(0)
         frame = zstandard.ZstdDecompressor().decompressobj()
         try:
@@ -188,11 +190,3 @@ def _unpack(data: FileBytes, plain: BinaryIO) -> None:
         raise LocfuseError(f"{data.path}: its compression is damaged from the beginning ({data.size} bytes)")
     if not whole or not frame.eof or total < declared:
         data.lose("the compression is damaged or cut off", 0, max(declared - total, 0))
-
-
-def _declared_size(head: bytes) -> int:
-    """Return the unpacked size [bytes] that the first zstd frame declares; 0 if it declares none."""
-    try:
-        return max(zstandard.frame_content_size(head), 0)
-    except zstandard.ZstdError:
-        return 0

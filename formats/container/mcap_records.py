@@ -61,11 +61,6 @@ class ChunkIndex(NamedTuple):
     first: int  # log time of the first message, ns
     last: int
 
-    @property
-    def channels(self) -> frozenset[int]:
-        """The channels with messages in this chunk."""
-        return frozenset(self.indexes)
-
 
 class Statistics(NamedTuple):
     """The numbers of messages, attachments and chunks of a file."""

@@ -89,37 +89,31 @@ class McapSource(ChunkedSource):
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
-        """Yield the messages of the wanted channels in file order."""
+        """Yield the messages of the wanted channels in file order.
+
+        Of a remote file, the chunks with these messages are downloaded first. If they are more than
+        MAX_DOWNLOAD_SHARE of the file, the whole file is downloaded.
+        """
         if self.data.far:
-            self._fetch(wanted)
+            chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
+            spans = [chunk.place for chunk in chunks if (chunk.counts or {}).keys() & wanted]
+            if sum(stop - start for start, stop in spans) <= MAX_DOWNLOAD_SHARE * self.data.size:
+                self.data.fetch(spans)
+            else:
+                self.data.copy_here()
+                self._use(survey(self.data))
         yield from super().batches(wanted)
 
-    def _fetch(self, wanted: Collection[int]) -> None:
-        """Download the chunks with wanted messages.
-
-        If they are more than MAX_DOWNLOAD_SHARE of the file, download the whole file.
-        """
-        chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
-        spans = [chunk.place for chunk in chunks if (chunk.counts or {}).keys() & wanted]
-        if sum(stop - start for start, stop in spans) <= MAX_DOWNLOAD_SHARE * self.data.size:
-            self.data.fetch(spans)
-            return
-        self.data.copy_here()
-        self._use(survey(self.data))
-
     def search(self, part: Part, data: Bytes) -> Records:
-        """Find the records in the uncompressed bytes of a part."""
-        return rec.records(data, part.size, self._index(part))
+        """Find the records in the uncompressed bytes of a part.
 
-    def _index(self, part: Part) -> rec.Index:
-        """Return the message indexes of a chunk; {} if one is damaged.
-
-        The indexes are read even if there is no damage, so that all bytes of the file are read and can be hashed.
+        Message indexes are read even without damage, so that all bytes of the file are read and can be hashed.
         """
+        index: rec.Index = {}
         if isinstance(part, ChunkRef) and not part.cut_off:
             with suppress(DamagedError):
-                return dict(rec.message_index(self.data.read(at, length)) for at, length in part.index.values())
-        return {}
+                index = dict(rec.message_index(self.data.read(at, length)) for at, length in part.index.values())
+        return rec.records(data, part.size, index)
 
     def unpacked(self, part: Part) -> bytes:
         """Return the uncompressed bytes of a part. Raises DamagedError, also for a wrong checksum."""

@@ -241,8 +241,7 @@ class Resync:
         self.starts = sorted(summary.chunks) if summary else []
         self.end = summary.start if summary else data.size
         self._window = range(0)  # file offsets of the bytes searched last
-        # possible record starts in the window, file offsets
-        self._places: Ints = np.empty(0, np.int64)
+        self._places: Ints = np.empty(0, np.int64)  # possible record starts in the window, file offsets
         self._chunked = False  # whether `_places` has chunks only
 
     def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
@@ -356,7 +355,8 @@ class _SurveyWalk:
     def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
         self.data = data
         self.summary = summary
-        known = summary or Survey()
+        known = summary or FileSummary()
+        self.promised = known.chunks
         self.found = Survey([], known.schemas, known.channels, [], known.expected)
         self.resync = Resync(data, summary)
         self.chunked = False
@@ -371,10 +371,12 @@ class _SurveyWalk:
             self.data.lose(CUT_OFF, 0, 0)
         elif self.summary is None and ((foot := _footer(self.data)) is None or foot[0] != 0):
             self.data.lose(NO_SUMMARY, here, self.data.size - here)
-        self._drop_unconfirmed_counts()
+        for part in self.found.parts:
+            entry = self.promised.get(part.offset)
+            if isinstance(part, ChunkRef) and (entry is None or entry.indexes.keys() != part.index.keys()):
+                part.counts = None  # not confirmed by the summary: the chunk is read to count its messages
         # no checksum covers the times in a chunk's header: they are used only if equal to the summary's
-        promised = self.summary.chunks.values() if self.summary else ()
-        times = sorted((entry.first, entry.last) for entry in promised)
+        times = sorted((entry.first, entry.last) for entry in self.promised.values())
         if sorted(part.span for part in self.found.parts) == times:
             sort_by_time(self.found.parts)
         return self.found
@@ -385,74 +387,74 @@ class _SurveyWalk:
         if len(head) < rec.RECORD.size:
             return self._skip_damage(at, "the file is cut off inside a record")
         opcode, length = rec.RECORD.unpack_from(head)
-        if self._is_end(at, opcode, length):
-            self._check_data_crc(at, opcode)
-            return None
         end: int = at + rec.RECORD.size + length
+        if self._is_end(end, opcode, length):
+            if opcode == rec.DATA_END:
+                self._check_data_crc(at)
+            return None
         try:
             if not (0 < opcode < rec.DATA_END or opcode >= rec.PRIVATE) or opcode == rec.FOOTER:
                 raise DamagedError("bytes that are no record")
-            if opcode != rec.CHUNK and self.summary and at in self.summary.chunks:
+            if opcode != rec.CHUNK and at in self.promised:
                 raise DamagedError("no chunk where the index promises one")
             if opcode != rec.MESSAGE_INDEX and at < self.index_end:
                 raise DamagedError("no message index where the chunk index promises one")
             if end > self.data.size and opcode != rec.CHUNK:
                 raise DamagedError("a record reaches beyond the end of the file")
-            if (handler := self.HANDLERS.get(opcode)) is not None:
-                end = handler(self, at, length) or end
+            return min(self._add(opcode, at, end), self.data.size)
         except DamagedError as problem:
-            self._drop_last_index()
+            if self.found.parts and isinstance(chunk := self.found.parts[-1], ChunkRef):
+                chunk.index.clear()  # damage behind the chunk may have destroyed message indexes
+                chunk.counts = None
             return self._skip_damage(at, str(problem))
-        return min(end, self.data.size)
 
-    def _is_end(self, at: int, opcode: int, length: int) -> bool:
-        """Return whether the record at `at` is a DataEnd or Footer at a plausible offset.
+    def _add(self, opcode: int, at: int, end: int) -> int:
+        """Add the record from `at` to `end` to the result; return the offset from which to read on."""
+        start = at + rec.RECORD.size
+        if opcode == rec.MESSAGE:
+            return self._unchunked(at, end)
+        if opcode == rec.CHUNK:
+            return self._chunk(at, end)
+        if opcode in {rec.SCHEMA, rec.CHANNEL}:
+            if end - start > MAX_CHUNK:
+                raise DamagedError(f"a record claims more than {MAX_CHUNK >> 20} MiB")
+            self.found.define(opcode, self.data.read(start, end - start))
+        elif opcode == rec.ATTACHMENT:
+            self.found.attachments.append((start, end - start))
+        elif opcode == rec.MESSAGE_INDEX and self.found.parts and isinstance(self.found.parts[-1], ChunkRef):
+            chunk = self.found.parts[-1]
+            ident, n_bytes, _ = rec.values(self.data.read(start, 6), "HI")
+            if n_bytes != end - start - 6 or n_bytes % 16:
+                raise DamagedError("a message index that contradicts itself")
+            chunk.index[ident] = (start, end - start)
+            if not chunk.cut_off:
+                chunk.counts = (chunk.counts or {}) | {ident: n_bytes // 16}
+        return end
+
+    def _is_end(self, end: int, opcode: int, length: int) -> bool:
+        """Return whether the record that ends at `end` is a DataEnd or Footer at a plausible offset.
 
         At any other offset such a record comes from a flipped bit.
         """
         if opcode == rec.FOOTER:
-            return at + rec.RECORD.size + length + len(rec.MAGIC) == self.data.size
+            return end + len(rec.MAGIC) == self.data.size
         if opcode != rec.DATA_END or length != 4:
             return False
-        end = at + rec.RECORD.size + length
         if self.summary and self.summary.start:
             return end == self.summary.start
-        return 0 < self.data.read(end, 1)[:1][0] <= rec.DATA_END if end < self.data.size else True
+        return end >= self.data.size or 0 < self.data.read(end, 1)[0] <= rec.DATA_END
 
-    def _check_data_crc(self, at: int, opcode: int) -> None:
+    def _check_data_crc(self, at: int) -> None:
         """Check the data section's CRC-32, if it has one and some messages are outside chunks."""
         value = self.data.read(at + rec.RECORD.size, 4)
-        whole = opcode == rec.DATA_END and len(value) == 4  # the file may be cut off inside the checksum
-        if whole and any(not isinstance(part, ChunkRef) for part in self.found.parts):
-            crc = int.from_bytes(value, "little")
-            if crc and self.data.crc32(0, at) != crc:
-                self.data.lose("the file fails its checksum: values may be wrong", 0, 0)
+        crc = int.from_bytes(value, "little") if len(value) == 4 else 0  # the file may be cut off inside it
+        unchunked = any(not isinstance(part, ChunkRef) for part in self.found.parts)
+        if crc and unchunked and self.data.crc32(0, at) != crc:
+            self.data.lose("the file fails its checksum: values may be wrong", 0, 0)
 
-    def _drop_unconfirmed_counts(self) -> None:
-        """Drop message counts that the summary does not confirm; those chunks are read to count messages."""
-        promised = self.summary.chunks if self.summary else {}
-        for part in self.found.parts:
-            if isinstance(part, ChunkRef):
-                entry = promised.get(part.offset)
-                if entry is None or entry.channels != part.index.keys():
-                    part.counts = None
-
-    def _drop_last_index(self) -> None:
-        """Drop the index and counts of the last chunk: damage after it may have destroyed message indexes."""
-        if self.found.parts and isinstance(chunk := self.found.parts[-1], ChunkRef):
-            chunk.index.clear()
-            chunk.counts = None
-
-    def _define(self, at: int, length: int) -> None:
-        """Add a Schema or Channel record."""
-        if length > MAX_CHUNK:
-            raise DamagedError(f"a record claims more than {MAX_CHUNK >> 20} MiB")
-        content = self.data.read(at, rec.RECORD.size + length)
-        self.found.define(content[0], content[rec.RECORD.size :])
-
-    def _unchunked(self, at: int, length: int) -> int:
+    def _unchunked(self, at: int, end: int) -> int:
         """Add consecutive messages outside chunks as a part; return their end offset."""
-        n_bytes = max(rec.RECORD.size + length, RUN_BYTES)
+        n_bytes = max(end - at, RUN_BYTES)
         if n_bytes > MAX_CHUNK:
             self.data.lose(f"a message is larger than {MAX_CHUNK >> 20} MiB", at, n_bytes, 1)
             return at + n_bytes
@@ -468,49 +470,23 @@ class _SurveyWalk:
         self.found.parts.append(Part(at, at, found.end, counts=counts, span=span))
         return at + found.end
 
-    def _chunk(self, at: int, length: int) -> int | None:
+    def _chunk(self, at: int, end: int) -> int:
+        """Add a chunk; return the offset from which to read on."""
         chunk = chunk_at(at, self.data)
         declared, chunk.size = chunk.size, min(chunk.size, max(self.data.size - chunk.start, 0))
         chunk.cut_off = chunk.size < declared
         if chunk.cut_off and self._next_readable(at + 1) is not None:
             raise DamagedError("a chunk reaches beyond the end of the file")
-        if not chunk.compression and declared > LARGE_CHUNK_BYTES:
-            return self._enter_large_chunk(chunk)
-        self.chunked = True
-        if self.summary and at in self.summary.chunks:
-            self.index_end = at + rec.RECORD.size + length + self.summary.chunks[at].index_length
-        self.found.parts.append(chunk)
-        return None
-
-    def _enter_large_chunk(self, chunk: ChunkRef) -> int:
-        """Return the offset of an uncompressed large chunk's content, to read its messages like unchunked ones."""
-        end = chunk.start + chunk.size
-        if not chunk.cut_off and chunk.crc and self.data.crc32(chunk.start, end) != chunk.crc:
+        if not chunk.compression and declared > LARGE_CHUNK_BYTES:  # read its messages like unchunked ones
+            if chunk.cut_off or not chunk.crc or self.data.crc32(chunk.start, end) == chunk.crc:
+                return chunk.start
             self.data.lose("a chunk fails its checksum", chunk.start, chunk.size)
             return end
-        return chunk.start
-
-    def _message_index(self, at: int, length: int) -> None:
-        chunk = self.found.parts[-1] if self.found.parts else None
-        if isinstance(chunk, ChunkRef):
-            ident, n_bytes, _ = rec.values(self.data.read(at + rec.RECORD.size, 6), "HI")
-            if n_bytes != length - 6 or n_bytes % 16:
-                raise DamagedError("a message index that contradicts itself")
-            chunk.index[ident] = (at + rec.RECORD.size, length)
-            if not chunk.cut_off:
-                chunk.counts = (chunk.counts or {}) | {ident: n_bytes // 16}
-
-    def _attachment(self, at: int, length: int) -> None:
-        self.found.attachments.append((at + rec.RECORD.size, length))
-
-    HANDLERS = {  # noqa: RUF012
-        rec.SCHEMA: _define,
-        rec.CHANNEL: _define,
-        rec.MESSAGE: _unchunked,
-        rec.CHUNK: _chunk,
-        rec.MESSAGE_INDEX: _message_index,
-        rec.ATTACHMENT: _attachment,
-    }
+        self.chunked = True
+        if at in self.promised:
+            self.index_end = end + self.promised[at].index_length
+        self.found.parts.append(chunk)
+        return end
 
     def _next_readable(self, at: int) -> int | None:
         return self.resync.next(at, self.chunked, self.found.channels.keys())

@@ -309,8 +309,16 @@ def definition(msgtype: str, sample: bytes = b"") -> str | None:
     returned that gives the message `sample` of the bag its actual length. If no definition does, the result is the
     newest one for a standard type, and None for another type.
     """
-    if texts := _texts(msgtype.replace("/msg/", "/")):
-        return next((text for text in texts if not sample or _fits(_store(msgtype, text), msgtype, sample)), None)
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    texts = _texts(msgtype.replace("/msg/", "/"))
+    for text in texts:
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(text, msgtype))
+        if not sample or _fits(store, msgtype, sample):
+            return text
+    if texts:
+        return None
     known = _definitions(msgtype)
     if len(known) < 2 or not sample or len(sample) > MAX_SAMPLE:
         return next(iter(known), None)
@@ -318,30 +326,20 @@ def definition(msgtype: str, sample: bytes = b"") -> str | None:
 
 
 @cache
-def _fields() -> dict[str, list[str]]:
-    """Return the field definitions of every type in known_types.toml, one field per line, newest first."""
+def _known_types() -> dict[str, list[str]]:
     table = tomllib.loads((files(__package__) / "known_types.toml").read_text(encoding="utf-8"))
     return {name: [re.sub(r",\s+", "\n", text) + "\n" for text in texts] for name, texts in table.items()}
 
 
 def _texts(name: str) -> list[str]:
     """Return the ros2msg texts of a type in known_types.toml, with all types that it uses, newest first."""
-    table = _fields()
+    table = _known_types()  # type -> its field definitions, one field per line, newest first
     used = [name] if name in table else []
     for one in used:
         used += [other for text in table[one] for other in NESTED_TYPE.findall(text) if other not in used]
     versions = max((len(table[one]) for one in used), default=0)
     chosen = [[table[one][min(i, len(table[one]) - 1)] for one in used] for i in range(versions)]
     return [f"\n{DIVIDER}\n".join([own, *map("MSG: {}\n{}".format, used[1:], rest)]) for own, *rest in chosen]
-
-
-def _store(msgtype: str, text: str) -> Any:
-    """Return a `rosbags` type store with the message type of a ros2msg text."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(text, msgtype))
-    return store
 
 
 def _definitions(msgtype: str) -> dict[str, Any]:

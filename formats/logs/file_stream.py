@@ -107,8 +107,16 @@ def _csv(path: Path) -> MadeStream:
 
     times = [_ns(path, number, row[at[time]]) for number, row in body]
     if "id" in at and ("range" in at or "bearing" in at):
-        idents = [_ident(path, number, row[at["id"]]) for number, row in body]
-        return _detections(path, times, idents, at, column)
+        idents = column("id")
+        for (number, row), ident in zip(body, idents.tolist(), strict=True):
+            if not abs(ident) < MAX_IDENT or ident != round(ident):
+                word = row[at["id"]].strip()[:40]
+                raise LocfuseError(f"{path}: line {number}: {word!r} is no id: whole numbers are read")
+        missing = np.full(len(times), np.nan)
+        measured = {name: column(name) if name in at else missing for name in ("range", "bearing")}
+        kind = DETECTIONS if "bearing" in at else RANGES
+        data = {"id": idents.astype(np.int64), **measured}
+        return in_time_order(str(path), kind, np.array(times, np.int64), data)
     if not {"x", "y"} <= at.keys():
         read = "x and y of poses, or id, range and bearing of landmarks are read"
         raise LocfuseError(f"{path}: {read}, not {_few(names)}")
@@ -118,16 +126,6 @@ def _csv(path: Path) -> MadeStream:
 def _few(names: Sequence[str]) -> str:
     """Return the first 12 column names as one line."""
     return ", ".join(visible(name[:40]) for name in names[:12])
-
-
-def _detections(
-    path: Path, times: Sequence[int], idents: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
-) -> MadeStream:
-    missing = np.full(len(times), np.nan)
-    measured = {name: column(name) if name in at else missing for name in ("range", "bearing")}
-    data: dict[str, Column] = {"id": np.array(idents, np.int64), **measured}
-    kind = DETECTIONS if "bearing" in at else RANGES
-    return in_time_order(str(path), kind, np.array(times, np.int64), data)
 
 
 def _table_of_poses(
@@ -167,14 +165,6 @@ def _number(path: Path, line: int, word: str) -> float:
         return float(word)
     except ValueError:
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no number") from None
-
-
-def _ident(path: Path, line: int, word: str) -> int:
-    """Return the id of a landmark. Raises LocfuseError if it is not an integer."""
-    value = _number(path, line, word)
-    if not abs(value) < MAX_IDENT or value != round(value):
-        raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no id: whole numbers are read")
-    return round(value)
 
 
 def _ns(path: Path, line: int, word: str) -> int:

@@ -33,24 +33,19 @@ UNNAMED = "log"  # name for a file like "...mcap", whose stem ".." would be anot
 def log_files(path: Place) -> list[Place]:
     """Return the files of a log; `path` is a file, a rosbag2 folder or its metadata.yaml, or a URL."""
     if isinstance(path, Url):
-        return _objects(path)
+        if not path.is_folder:
+            return [path]
+        from locfuse.formats.container.remote_objects import below
+
+        if files := _by_ending(f for f in below(path) if f.parent.key.rstrip("/") == path.key.rstrip("/")):
+            return files
+        raise LocfuseError(f"{path}: no log in this folder (.mcap, .db3, .bag); all logs below it: --each {path}")
     with reading(path):
         if not path.exists():
             raise UsageError(f"{path}: no such file or folder")
         if path.is_dir():
             return _folder(path)
         return _folder(path.parent) if path.name == "metadata.yaml" else [path]
-
-
-def _objects(url: Url) -> list[Place]:
-    """Return the remote files of a log: the file at `url`, or the log files of a folder. Raises LocfuseError."""
-    if not url.is_folder:
-        return [url]
-    from locfuse.formats.container.remote_objects import below
-
-    if files := _by_ending(file for file in below(url) if file.parent.key.rstrip("/") == url.key.rstrip("/")):
-        return files
-    raise LocfuseError(f"{url}: no log in this folder (.mcap, .db3, .bag); all logs below it: --each {url}")
 
 
 def _folder(folder: Path) -> list[Place]:
@@ -139,20 +134,17 @@ def identity_of(files: Sequence[Place], states: Sequence[tuple[int, str] | None]
     """
     digest, total = hashlib.sha256(), 0
     for file, state in zip_longest(files, states):
-        kind, size, content = _identifying_bytes(file, state)
+        if isinstance(file, Url):
+            from locfuse.formats.container.remote_objects import state_of
+
+            size, tag = state or state_of(file)
+            kind, content = "etag", tag.encode()
+        else:
+            data = FileBytes(file, Losses())
+            kind, size, section = "summary", data.size, summary_section(data)
+            if section is None:
+                kind, section = "ends", data.read(0, END_BYTES) + data.read(max(size - END_BYTES, 0), END_BYTES)
+            content = section
         digest.update(f"{kind} {size} {len(content)}\n".encode() + content)
         total += size
     return Identity(total, digest.hexdigest())
-
-
-def _identifying_bytes(file: Place, state: tuple[int, str] | None) -> tuple[str, int, bytes]:
-    """Return how a file is identified ("summary", "ends" or "etag"), its size, and the bytes to hash."""
-    if isinstance(file, Url):
-        from locfuse.formats.container.remote_objects import state_of
-
-        size, tag = state or state_of(file)
-        return "etag", size, tag.encode()
-    data = FileBytes(file, Losses())
-    if (section := summary_section(data)) is not None:
-        return "summary", data.size, section
-    return "ends", data.size, data.read(0, END_BYTES) + data.read(max(data.size - END_BYTES, 0), END_BYTES)

@@ -9,7 +9,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 from msgspec.structs import replace
@@ -25,6 +25,9 @@ from locfuse.fusion.streams import concat, take
 from . import clock as clocks
 from .adapters import OF_PATH, POSE, PRESENTED
 from .file_stream import RANGES, in_time_order
+
+if TYPE_CHECKING:
+    from .log import Log
 
 
 class Raw(NamedTuple):
@@ -155,7 +158,9 @@ class TopicTable:
         They must after the first pass over the topic, if several messages have the same log time.
         """
         collected, self._pass = self._pass, Pass((), 0)
-        columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
+        none = np.empty(0, np.int64)
+        empty = self.decoder.decode(np.empty(0, np.uint8), none, none, collected.fields).columns
+        columns = {name: column.column(empty[name]) for name, column in collected.columns.items()}
         log_time, sequence = collected.log_time.array(), collected.sequence.array()
         if self.known:
             if len(log_time) != self._n:
@@ -168,13 +173,6 @@ class TopicTable:
         self._times = log_time, sequence
         ordered = log_time if (np.diff(log_time) >= 0).all() else np.sort(log_time)
         return bool((np.diff(ordered) == 0).any())
-
-    def _finished(self, name: str, growing: Growing) -> Column:
-        column = growing.column()
-        if column is None:
-            none = np.empty(0, np.int64)
-            column = self.decoder.decode(np.empty(0, np.uint8), none, none, (name,)).columns[name]
-        return column
 
     def tied(self) -> Ints:
         """Return the log times (k,) [ns] that occur in several messages."""
@@ -254,30 +252,10 @@ NUMBER = "std_msgs/msg/Float64"  # message type of a topic derived from a numeri
 BLOCK_BYTES = 32 * 1024 * 1024
 
 
-class Reader(Protocol):
-    """The part of a log that a stream uses (formats.logs.log.Log)."""
-
-    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
-        """Return the topics' tables with these fields."""
-
-    def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
-        """Yield the messages of one topic batch by batch, for the decoding of `fields`."""
-
-    def frame_ids(self, topic: str) -> list[str]:
-        """Return the frame_ids of some messages of one topic, in file order."""
-
-    def left_out(self, topic: str) -> Mapping[str, int]:
-        """Return reason -> number of messages that have another type or definition than the topic."""
-
-    @property
-    def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps (n,) of a topic, if stamps and recording use different clocks; else None."""
-
-
 class LogStream:
     """A recorded topic with chosen times, and fields as columns on request (fusion.data.Stream)."""
 
-    def __init__(self, log: Reader, topic: str, msgtype: str, order: str) -> None:
+    def __init__(self, log: Log, topic: str, msgtype: str, order: str) -> None:
         self.topic = self._recorded = topic
         self.msgtype = msgtype
         self.order = order
@@ -294,7 +272,13 @@ class LogStream:
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
         clock = clocks.settle(table.log_time, stamp, self.order, lambda: self._log.stamps_clock)
-        return replace(clock, notes=(*clock.notes, _jittered(table.jittered))) if table.jittered else clock
+        if not table.jittered:
+            return clock
+        note = (
+            f"recording times jitter: {table.jittered} run backwards or are off the beat; the order of the "
+            "messages in the file is kept, and those are dated evenly between their neighbours"
+        )
+        return replace(clock, notes=(*clock.notes, note))
 
     @property
     def t_ns(self) -> Ints:
@@ -376,14 +360,6 @@ class LogStream:
         row = np.full(len(recorded) + 1, -1, np.int64)  # index -1: the last entry
         row[self.clock.rows] = np.arange(len(self.clock.rows))
         return row[recorded]
-
-
-def _jittered(n: int) -> str:
-    """Return a note that n recording times were replaced because the recording times jitter."""
-    return (
-        f"recording times jitter: {n} run backwards or are off the beat; the order of the messages in the file "
-        "is kept, and those are dated evenly between their neighbours"
-    )
 
 
 def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:

@@ -109,18 +109,16 @@ class _LayoutWalk:
         self.tail: Tail | None = None  # the last sequence of numbers
         self.tail_end = -1
         self.nested = 0  # number of arrays around the current position
-        self.little = self._encapsulation() if rules.header else True
+        self.little = True  # byte order of the numbers
+        if rules.header:
+            kind = bytes(payload[:2])
+            if len(payload) < rules.header:
+                raise MalformedError("shorter than its type")
+            if kind not in {b"\x00\x00", b"\x00\x01"}:
+                raise MalformedError("not plain CDR")
+            self.spots.append(0)
+            self.little = kind == b"\x00\x01"
         self.word = struct.Struct("<I" if self.little else ">I")
-
-    def _encapsulation(self) -> bool:
-        """Read the CDR header; return whether the numbers are little-endian."""
-        kind = bytes(self.payload[:2])
-        if len(self.payload) < self.rules.header:
-            raise MalformedError("shorter than its type")
-        if kind not in {b"\x00\x00", b"\x00\x01"}:
-            raise MalformedError("not plain CDR")
-        self.spots.append(0)
-        return kind == b"\x00\x01"
 
     def room(self, n: int) -> None:
         """Raise MalformedError if fewer than n bytes remain."""
@@ -276,20 +274,18 @@ class Decoder(MessageDecoder):
 
     def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
-        request = self._request(tuple(fields))
+        key = tuple(fields)
+        if key not in self._requests:
+            resolved = {path: resolve(self.message, path) for path in key}
+            paths = [part.path for parts in resolved.values() for part in parts]
+            self._requests[key] = Request(resolved, nested(dict(zip(paths, paths, strict=True))))
+        request = self._requests[key]
         groups, bad = self._groups(data, start, length, request)
         good = np.zeros(len(start), bool)
         for group in groups:
             good[group.rows] = True
         columns = {name: _gather(data, start, groups, parts) for name, parts in request.fields.items()}
         return Decoded(good, columns, bad)
-
-    def _request(self, fields: tuple[str, ...]) -> Request:
-        if fields not in self._requests:
-            resolved = {path: resolve(self.message, path) for path in fields}
-            paths = [part.path for parts in resolved.values() for part in parts]
-            self._requests[fields] = Request(resolved, nested(dict(zip(paths, paths, strict=True))))
-        return self._requests[fields]
 
     def _groups(
         self, data: Bytes, start: Ints, length: Ints, request: Request
@@ -365,19 +361,16 @@ def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) ->
 def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[FieldPart, ...]) -> Column:
     """Return one field of all messages as a column, in the order of the batch."""
     if len(parts) == 2:
-        return _nanoseconds(*(_gather(data, start, groups, (part,)) for part in parts))
+        seconds, nanoseconds = (_gather(data, start, groups, (part,)) for part in parts)
+        if isinstance(seconds, Ragged) and isinstance(nanoseconds, Ragged):
+            return Ragged(seconds.values.astype(np.int64) * 10**9 + nanoseconds.values, seconds.first)
+        total: Ints = np.asarray(seconds).astype(np.int64) * 10**9 + np.asarray(nanoseconds)
+        return total
     pieces = [_leaf(data, start[group.rows], group, parts[0]) for group in groups or (NO_MESSAGES,)]
     column = concat(pieces)
     if len(pieces) == 1:
         return column
     return take(column, np.argsort(np.concatenate([group.rows for group in groups]), kind="stable"))
-
-
-def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
-    if isinstance(seconds, Ragged):  # the nanoseconds are Ragged too
-        return Ragged(seconds.values.astype(np.int64) * 10**9 + cast("Ragged", nanoseconds).values, seconds.first)
-    total: Ints = np.asarray(seconds).astype(np.int64) * 10**9 + np.asarray(nanoseconds)
-    return total
 
 
 def _leaf(data: Bytes, start: Ints, group: Group, part: FieldPart) -> Column:
@@ -391,23 +384,17 @@ def _leaf(data: Bytes, start: Ints, group: Group, part: FieldPart) -> Column:
         return _rows(values) if part.inside else values[:, 0]
     if isinstance(node, LengthCounts):
         return _rows(np.tile(np.array(leaf.counts, np.int64), (len(start), 1)))
-    if isinstance(node, Many) and isinstance(node.element, Scalar) and part.inside:
-        return _arrays(data, start, group, leaf, node.element)
+    if isinstance(node, Many) and isinstance(node.element, Scalar) and part.inside:  # all inner arrays in a row
+        counts = np.array(leaf.counts, np.int64)
+        inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        offsets = np.repeat(np.array(leaf.offsets, np.int64), counts) + node.element.size * inside
+        return _rows(_numbers(data, start[:, None] + offsets, node.element.dtype, group.layout.little))
     if isinstance(node, Text) and not part.inside:
         texts = _text(data, start + leaf.offsets[0], leaf.counts[0])
         return texts * (len(start) // len(texts))
     if isinstance(node, Many) and isinstance(node.element, Scalar):
         return _array(data, start, group, leaf, part)
     return _texts(data, start, leaf)
-
-
-def _arrays(data: Bytes, start: Ints, group: Group, leaf: Leaf, element: Scalar) -> Column:
-    """Return for each message the numbers of all inner arrays of an array, concatenated."""
-    counts = np.array(leaf.counts, np.int64)
-    begin = np.repeat(np.array(leaf.offsets, np.int64), counts)
-    inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    offsets = begin + element.size * inside
-    return _rows(_numbers(data, start[:, None] + offsets, element.dtype, group.layout.little))
 
 
 def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: FieldPart) -> Column:

@@ -55,7 +55,9 @@ def _resolve(message: Structure, path: str) -> tuple[FieldPart, ...]:
         if not isinstance(node, Structure):
             raise FieldError(f"{'.'.join(walked)} has no parts")
         if name not in node.fields:
-            raise FieldError(_no_field(node, walked, name))
+            near = difflib.get_close_matches(name, node.fields, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(node.fields)}"
+            raise FieldError(f"{'.'.join(walked) or node.name} has no field {name!r}; {hint}")
         node = node.fields[name]
         walked.append(name)
     if isinstance(node, Many) and isinstance(node.element, Structure) and node.element.is_time and not inside:
@@ -67,12 +69,6 @@ def _resolve(message: Structure, path: str) -> tuple[FieldPart, ...]:
     if isinstance(node, Many) and inside and not isinstance(node.element, Scalar | Text):
         raise FieldError(f"{path} is an array inside an array: it cannot be a column")
     return (FieldPart(path, node, inside, depth),)
-
-
-def _no_field(node: Structure, walked: list[str], name: str) -> str:
-    near = difflib.get_close_matches(name, node.fields, 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(node.fields)}"
-    return f"{'.'.join(walked) or node.name} has no field {name!r}; {hint}"
 
 
 def stamp_path(message: Structure) -> str | None:

@@ -52,7 +52,9 @@ def column(objects: list[dict[str, Any]], path: str, parts: tuple[FieldPart, ...
     values = [_at(one, path.split(".")) for one in objects]
     node = TIME if len(parts) == 2 else parts[0].node
     if inside:
-        rows = [_flat(value, parts[0].depth) if isinstance(value, list) else [] for value in values]
+        rows = [value if isinstance(value, list) else [] for value in values]
+        for _ in range(parts[0].depth - 1):  # lists in lists become one list
+            rows = [[v for one in row if isinstance(one, list) for v in one] for row in rows]
         if isinstance(node, Text):
             return [tuple(_text(v) for v in row) for row in rows]
         return _ragged([_scalars(node, row) for row in rows], _dtype(node))
@@ -73,13 +75,6 @@ def _nested(part: FieldPart, objects: list[dict[str, Any]]) -> Column:
     if isinstance(part.node, Many) and isinstance(part.node.element, Text):
         return [tuple(_text(v) for inner in row for v in inner) for row in rows]
     return _ragged([_floats([v for inner in row for v in inner]) for row in rows], "f8")
-
-
-def _flat(values: list[Any], depth: int) -> list[Any]:
-    """Return the values of lists nested `depth` deep as one list."""
-    for _ in range(depth - 1):
-        values = [v for one in values if isinstance(one, list) for v in one]
-    return values
 
 
 def _at(value: Any, names: Sequence[str]) -> Any:
@@ -127,7 +122,13 @@ def _text(value: Any) -> str:
 
 def _many(node: Many, values: list[Any]) -> Column:
     if isinstance(node.element, Scalar) and node.element.dtype == "u1":
-        return [_bytes(value) for value in values]
+        data = []
+        for value in values:
+            try:
+                data.append(value if isinstance(value, bytes) else base64.b64decode(value))
+            except (TypeError, ValueError, binascii.Error):
+                data.append(b"")
+        return data
     rows = [value if isinstance(value, list) else [] for value in values]
     if isinstance(node.element, Text):
         return [tuple(_text(v) for v in row) for row in rows]
@@ -145,15 +146,6 @@ def _floats(row: list[Any]) -> NDArray[Any]:
 def _ragged(rows: list[NDArray[Any]], dtype: str) -> Ragged:
     first = totals([len(row) for row in rows], np.int64)
     return Ragged(np.concatenate([np.empty(0, dtype), *rows]).astype(dtype), first)
-
-
-def _bytes(value: Any) -> bytes:
-    if isinstance(value, bytes):
-        return value
-    try:
-        return base64.b64decode(value)
-    except (TypeError, ValueError, binascii.Error):
-        return b""
 
 
 # --- JSON messages, such as Foxglove's
@@ -203,21 +195,17 @@ class JsonDecoder(MessageDecoder):
     def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
         places = zip(start.tolist(), length.tolist(), strict=True)
-        objects = [_object(data[at : at + n].tobytes()) for at, n in places]
-        found = [one for one in objects if one is not None]
-        good = np.array([one is not None for one in objects], bool)
+        objects: list[Any] = []
+        for at, n in places:
+            text = data[at : at + n].tobytes() if n <= MAX_MESSAGE else b""
+            try:
+                objects.append(msgspec.json.decode(text))
+            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                try:
+                    objects.append(json.loads(text))  # accepts NaN and Infinity, which some writers use
+                except (ValueError, RecursionError):
+                    objects.append(None)
+        good = np.array([isinstance(one, dict) for one in objects], bool)
+        found = [one for one in objects if isinstance(one, dict)]
         columns = {path: column(found, path, resolve(self.message, path)) for path in fields}
         return Decoded(good, columns, +Counter({"not a JSON object": len(objects) - len(found)}))
-
-
-def _object(text: bytes) -> dict[str, Any] | None:
-    value: Any = None
-    if len(text) <= MAX_MESSAGE:
-        try:
-            value = msgspec.json.decode(text)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            try:
-                value = json.loads(text)  # accepts NaN and Infinity, which some writers use against the standard
-            except (ValueError, RecursionError):
-                return None
-    return value if isinstance(value, dict) else None

@@ -168,7 +168,14 @@ class View:
 
         `rings` (l, 3) are round walls up to the ceiling: x, y, radius [m], seen from inside.
         """
-        hits = self._empty_room(eye, ceiling)
+        c, s = float(np.cos(eye[3])), float(np.sin(eye[3]))
+        down = self.slope < 0
+        with np.errstate(divide="ignore"):
+            way = np.where(down, -eye[2] / self.slope, (ceiling - eye[2]) / self.slope).astype(np.float32)
+        surface = np.where(down, Surface.FLOOR, Surface.CEILING).astype(np.int8)
+        dx, dy = c * self.cos - s * self.sin, s * self.cos + c * self.sin
+        along, nx, ny = np.zeros((3, len(way)), np.float32)
+        hits = Hits(dx, dy, self.slope, way, surface, along, nx, ny, {})
         for ring in rings:
             self._ring(hits, eye, ring, ceiling)
         for kind in standing:
@@ -177,24 +184,6 @@ class View:
         for pillar in pillars:
             self._cylinder(hits, eye, pillar)
         return hits
-
-    def _empty_room(self, eye: Array, ceiling: float) -> Hits:
-        c, s = float(np.cos(eye[3])), float(np.sin(eye[3]))
-        down = self.slope < 0
-        with np.errstate(divide="ignore"):
-            way = np.where(down, -eye[2] / self.slope, (ceiling - eye[2]) / self.slope)
-        along, nx, ny = np.zeros((3, len(way)), np.float32)
-        return Hits(
-            dx=c * self.cos - s * self.sin,
-            dy=s * self.cos + c * self.sin,
-            slope=self.slope,
-            way=way.astype(np.float32),
-            surface=np.where(down, Surface.FLOOR, Surface.CEILING).astype(np.int8),
-            along=along,
-            nx=nx,
-            ny=ny,
-            colours={},
-        )
 
     def _wall(self, hits: Hits, eye: Array, segment: Array, kind: VerticalFaces) -> None:
         ends = segment.reshape(2, 2) - eye[:2]
@@ -345,7 +334,10 @@ class Painter:
         w, h = scene.room.size
         lamp = scene.room.height - 0.1
         self.lamps = np.array([(w / 4, h / 2, lamp), (3 * w / 4, h / 2, lamp)])
-        self.background = self._background()
+        width, height = camera.size
+        v, u = np.mgrid[:height, :width]
+        radius = np.hypot(u - camera.centre[0], v - camera.centre[1])
+        self.background = np.where((radius < camera.inner)[..., None], DECK, BLACK).astype(np.float32)
 
     def paint(self, pose: Array, t: float) -> NDArray[np.float32]:
         """Return the picture (height, width, 3), RGB, seen from the camera pose (3,) at t [s]."""
@@ -363,13 +355,6 @@ class Painter:
             VerticalFaces(scene.plates, room.plate_height, Surface.PLATE),
         ]
         return self.view.trace(eye, standing, scene.pillars(t), room.height, scene.rings)
-
-    def _background(self) -> NDArray[np.float32]:
-        width, height = self.camera.size
-        v, u = np.mgrid[:height, :width]
-        radius = np.hypot(u - self.camera.centre[0], v - self.camera.centre[1])
-        inside = (radius < self.camera.inner)[..., None]
-        return np.where(inside, DECK, BLACK).astype(np.float32)
 
 
 def expose(light: NDArray[np.float32], camera: CameraSpec, rng: np.random.Generator) -> NDArray[np.uint8]:

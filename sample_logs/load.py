@@ -12,6 +12,7 @@ from typing import Any, get_args
 import msgspec
 import tomli_w
 
+from locfuse.formats.robot.robot_toml import apply_sets
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import HERE
@@ -34,7 +35,7 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
     tables = _tables(name)
     convert(tables, name, LocfuseError)
     for setting in settings:
-        tables = merge(tables, parse_setting(setting))
+        tables = merge(tables, apply_sets([setting]))
     return convert(tables, f"{name} with --set", UsageError)
 
 
@@ -55,43 +56,21 @@ def merge(tables: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def parse_setting(setting: str) -> dict[str, Any]:
-    """Return a setting `table.key=value` as nested tables; a value that is not valid TOML is text."""
-    path, equals, text = setting.partition("=")
-    if not equals or not path.strip():
-        raise UsageError(f"--set {setting}: expected table.key=value, such as control.speed=0.2")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text
-    for key in reversed(path.strip().split(".")):
-        value = {key: value}
-    return dict(value)
-
-
 def _tables(name: str) -> dict[str, Any]:
     path = Path(name)
-    if path.is_file():
-        text, where = _read(path), str(path)
-    elif name in names():
-        text, where = (HERE / f"{name}.toml").read_text(encoding="utf-8"), name
-    else:
+    if not path.is_file() and name not in names():
         near = difflib.get_close_matches(name, names(), 1)
         hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(names())}"
         raise UsageError(f"no scenario {name}: neither a file nor a name; {hint}")
     try:
+        text = (path if path.is_file() else HERE / f"{name}.toml").read_text(encoding="utf-8")
         tables = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise LocfuseError(f"{name} cannot be read as a scenario: {error}") from error
     except tomllib.TOMLDecodeError as error:
-        raise LocfuseError(f"{where} is not TOML: {error}") from error
+        raise LocfuseError(f"{name} is not TOML: {error}") from error
     base = tables.pop("base", None)
     return tables if base is None else merge(_tables(str(base)), tables)
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise LocfuseError(f"{path} cannot be read as a scenario: {error}") from error
 
 
 def convert(tables: Mapping[str, Any], where: str, kind: type[LocfuseError]) -> Scenario:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,10 +39,11 @@ def polygon(path: Polygon) -> Sampled:
         raise LocfuseError(f"path.vertices holds {len(p)} points: a closed path needs at least three")
     corners = np.roll(p, -1, axis=0)  # the corner after each edge
     edges = corners - p
-    turns = wrap_all(np.diff(_headings(edges), append=_headings(edges[:1])))
+    headings = np.arctan2(edges[:, 1], edges[:, 0])
+    turns = wrap_all(np.diff(headings, append=headings[:1]))
     cuts = path.radius * np.tan(np.abs(turns) / 2)  # length of each edge that its rounded corner replaces
     pieces = _pieces(np.hypot(*edges.T), np.roll(cuts, 1), cuts, turns, path.radius)
-    heading = float(_headings(edges)[0])
+    heading = float(headings[0])
     x, y = p[0] + cuts[-1] * np.array([math.cos(heading), math.sin(heading)])
     lap = _lay((float(x), float(y), heading), pieces)
     n = round(path.laps * len(lap.pose))
@@ -100,15 +101,11 @@ def _walk(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gene
 
 def _open(corners: Array, radius: float) -> Sampled:
     edges = np.diff(corners, axis=0)
-    headings = _headings(edges)
+    headings = np.arctan2(edges[:, 1], edges[:, 0])
     turns = np.append(wrap_all(np.diff(headings)), 0.0)
     cuts = radius * np.tan(np.abs(turns) / 2)
     pieces = _pieces(np.hypot(*edges.T), np.append(0.0, cuts[:-1]), cuts, turns, radius)
     return _lay((float(corners[0, 0]), float(corners[0, 1]), float(headings[0])), pieces)
-
-
-def _headings(edges: Array) -> Array:
-    return np.asarray(np.arctan2(edges[:, 1], edges[:, 0]))
 
 
 def _pieces(
@@ -161,13 +158,6 @@ class Command(NamedTuple):
 
 
 STOP = Command(0.0, 0.0)
-
-
-class Follower(Protocol):
-    """Path follower: computes commands from pose estimates."""
-
-    def command(self, now: float, pose: Pose) -> Command | None:
-        """Return the command at time `now` [s] and this pose; None after the end of the path."""
 
 
 class PathFollower:
@@ -255,6 +245,9 @@ def _braked(speed: float, left: float) -> float:
     return max(0.02, min(speed, math.sqrt(2 * BRAKING_M_S2 * left)))
 
 
+Follower = PathFollower | LegFollower
+
+
 class Steering:
     """Control of a drive: wait, follow the path, wait."""
 
@@ -267,24 +260,19 @@ class Steering:
 
     def wheel_speeds(self, now: float, pose: Pose) -> tuple[float, float]:
         """Return the set points of left and right wheel [rad/s] for the next control period."""
-        command = self._command(now, pose)
-        half = command.omega * self.track / 2
-        speeds = ((command.v + way) / self.radius for way in (-half, half))
-        left, right = (round(speed / RESOLUTION_RAD_S) * RESOLUTION_RAD_S for speed in speeds)
-        return left, right
-
-    def _command(self, now: float, pose: Pose) -> Command:
         if now >= self.control.time_limit:
             raise LocfuseError(
                 f"the way is not done after control.time_limit = {self.control.time_limit:g} s: "
                 "raise it, or control.speed"
             )
-        if now < self.control.wait - 1e-9:
-            return STOP
-        if self.done_at is None:
+        command: Command | None = STOP
+        if self.done_at is None and now >= self.control.wait - 1e-9:
             command = self.follower.command(now, pose)
-            if command is not None:
-                return command
-            self.done_at = now
-        self.finished = now >= self.done_at + self.control.wait - 1e-9
-        return STOP
+            if command is None:
+                self.done_at = now
+        if self.done_at is not None:
+            self.finished = now >= self.done_at + self.control.wait - 1e-9
+        v, omega = command or STOP
+        speeds = ((v + way) / self.radius for way in (-omega * self.track / 2, omega * self.track / 2))
+        left, right = (round(speed / RESOLUTION_RAD_S) * RESOLUTION_RAD_S for speed in speeds)
+        return left, right

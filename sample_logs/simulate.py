@@ -11,14 +11,13 @@ import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError
 
-from . import equipment
 from .building_scene import scene_of
 from .faults import ClockOffset, Dates, Fault, MessageFault, label
 from .messages import Emit, Estimator, Pose, RawMessage, Streams, streams
 from .paths import Follower, LegFollower, PathFollower, Steering, polygon, tour, waypoints
 from .robot import SimulatedRobot
 from .scenario import Legs, Polygon, Scenario, Waypoints
-from .sensors import SimulatedSensor
+from .sensors import SimulatedSensor, robot_tables, sensors, stated_start, static_transforms
 from .world import World, clearance
 
 EPOCH_NS = 1_700_000_000_000_000_000  # start of every simulated drive, so that logs do not depend on the date
@@ -63,8 +62,8 @@ class Simulation:
     @property
     def robot_tables(self) -> dict[str, dict[str, Any]]:
         """Tables of the robot.toml that a user of this robot would write."""
-        stated = equipment.stated_start(self.scenario, self.start, self.streams)
-        return equipment.robot_tables(self.scenario, stated)
+        stated = stated_start(self.scenario, self.start, self.streams)
+        return robot_tables(self.scenario, stated)
 
     def run(self, estimator: Estimator | None, emit: Emit) -> Outcome:
         """Simulate the drive and call `emit` with each message in order of arrival.
@@ -77,10 +76,10 @@ class Simulation:
             LocfuseError: the robot collides, or exceeds the time limit.
         """
         robot = SimulatedRobot(self.scenario, self.start, self.streams)
-        carried = equipment.sensors(self.scenario, self.scene, robot, self.streams)
+        carried = sensors(self.scenario, self.scene, robot, self.streams)
         recorder = Recorder(carried, self.scenario.faults, self.streams)
         steering = Steering(self.scenario, self.follower())
-        emit(equipment.static_transforms(self.scenario, EPOCH_NS))
+        emit(static_transforms(self.scenario, EPOCH_NS))
         ticks = max(1, round(self.scenario.control.period * self.scenario.wheels.rate))
         while not steering.finished:
             now = robot.trail.end
@@ -94,7 +93,17 @@ class Simulation:
             self._check(robot)
         for message in recorder.until(robot.trail.end):
             emit(message)
-        return _outcome(robot, self.scenario.wheels.radius)
+        truth = robot.trail.knots().copy()
+        return Outcome(
+            truth_t=np.linspace(0, robot.trail.end, len(truth)),
+            truth=truth,
+            ticks_t=np.array([tick.t for tick in robot.ticks]),
+            counts=np.array([tick.counts for tick in robot.ticks], float),
+            set_points=np.array([tick.set_point for tick in robot.ticks]),
+            rad_per_count=robot.wheels[0].rad_per_count,
+            radius=self.scenario.wheels.radius,
+            missed=sum(w.missed for w in robot.wheels),
+        )
 
     def _check(self, robot: SimulatedRobot) -> None:
         x, y, _ = _pose(robot)
@@ -184,20 +193,6 @@ def plan_way(scenario: Scenario, scene: World, streams: Streams) -> tuple[Pose, 
 def _pose(robot: SimulatedRobot) -> Pose:
     x, y, theta = robot.trail.knots()[-1].tolist()
     return x, y, theta
-
-
-def _outcome(robot: SimulatedRobot, radius: float) -> Outcome:
-    truth = robot.trail.knots().copy()
-    return Outcome(
-        truth_t=np.linspace(0, robot.trail.end, len(truth)),
-        truth=truth,
-        ticks_t=np.array([tick.t for tick in robot.ticks]),
-        counts=np.array([tick.counts for tick in robot.ticks], float),
-        set_points=np.array([tick.set_point for tick in robot.ticks]),
-        rad_per_count=robot.wheels[0].rad_per_count,
-        radius=radius,
-        missed=sum(w.missed for w in robot.wheels),
-    )
 
 
 class Stability(NamedTuple):

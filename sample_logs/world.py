@@ -50,7 +50,9 @@ class World:
 
     def pillars(self, t: float) -> tuple[Pillar, ...]:
         """Return all cylinders at t [s], the landmark first."""
-        return (self._landmark(t), *self.room.pillars, *self._red_objects(t), *self._people(t, t))
+        cloth = next((f for f in self.faults if isinstance(f, HiddenLandmark) and f.active(t)), None)
+        landmark = self.landmark if cloth is None else msgspec.structs.replace(self.landmark, colour=cloth.colour)
+        return (landmark, *self.room.pillars, *self._red_objects(t), *self._people(t, t))
 
     def plan(self, z: float, times: Array | None = None) -> Plan:
         """Return the objects at height z [m]: only static ones, or with ray times (n,) [s] also moving ones."""
@@ -91,12 +93,6 @@ class World:
             if isinstance(fault, Magnetic) and fault.active(t):
                 field = field + fault.field(at)
         return field
-
-    def _landmark(self, t: float) -> Pillar:
-        for fault in self.faults:
-            if isinstance(fault, HiddenLandmark) and fault.active(t):
-                return msgspec.structs.replace(self.landmark, colour=fault.colour)
-        return self.landmark
 
     def _red_objects(self, t: float) -> tuple[Pillar, ...]:
         return tuple(f.pillar() for f in self.faults if isinstance(f, RedObject) and f.active(t))

@@ -39,7 +39,7 @@ MCAP = "estimates.mcap"
 
 def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
     """Return file name -> content for these kinds of output."""
-    from locfuse.formats.report import markdown, render, tables
+    from locfuse.formats.report import markdown, table, tables
     from locfuse.formats.results import trajectory as to
 
     loaded, drive = compared.loaded, compared.loaded.drive
@@ -50,7 +50,7 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
     made: dict[str, Callable[[], str]] = {
         "html": lambda: page(compared, report),
         "md": lambda: markdown.render(report),
-        "csv": lambda: render.csv(tables.everything(report)),
+        "csv": lambda: table.csv(tables.everything(report)),
         "tex": lambda: tables.latex(report),
         "json": lambda: json_report.encode(report),
     }

@@ -168,7 +168,7 @@ def repeat(progress: Progress, jobs: int) -> Repeated:
 def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     """Return file name -> content for table, figures and page."""
     from locfuse.formats.figures.for_paper import draw
-    from locfuse.formats.report import paper_page, render
+    from locfuse.formats.report import paper_page, table
 
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
@@ -184,7 +184,7 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
         out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panels, light, looks)
     out["paper.json"] = json_report.encode(values)
     out["table.tex"] = paper_page.latex(values)
-    out["table.csv"] = render.csv(paper_page.table(values))
+    out["table.csv"] = table.csv(paper_page.table(values))
     out["paper.html"] = paper_page.render(values, shown, inks, looks)
     return out
 

@@ -103,6 +103,8 @@ def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mappi
 def draw(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]) -> tuple[bytes, bytes]:
     """Return a panel, or a column of panels with a common x axis, drawn as (SVG, PDF)."""
     from matplotlib import rc_context
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     first, n = panels[0], len(panels)
@@ -122,36 +124,32 @@ def draw(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]
         for own in axes[:-1]:
             own.set_xlabel("")
             own.tick_params(labelbottom=False)
-        return _saved(figure)
-
-
-def _fill(axes: Any, panel: Panel, inks: dict[str, str], looks: Mapping[str, str]) -> None:
-    for mark in panel.marks:
-        _mark(axes, panel, mark, inks, looks)
-    _finish_axes(axes, panel)
-
-
-def _saved(figure: Any) -> tuple[bytes, bytes]:
-    from matplotlib.backends.backend_pdf import FigureCanvasPdf
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    svg, pdf = io.BytesIO(), io.BytesIO()
-    to_svg: Any = FigureCanvasSVG(figure)
-    to_pdf: Any = FigureCanvasPdf(figure)
-    to_svg.print_svg(svg, metadata={"Date": None, "Creator": "locfuse"})
-    to_pdf.print_pdf(pdf, metadata={"CreationDate": None, "Creator": "locfuse", "Producer": None})
+        svg, pdf = io.BytesIO(), io.BytesIO()
+        to_svg: Any = FigureCanvasSVG(figure)
+        to_pdf: Any = FigureCanvasPdf(figure)
+        to_svg.print_svg(svg, metadata={"Date": None, "Creator": "locfuse"})
+        to_pdf.print_pdf(pdf, metadata={"CreationDate": None, "Creator": "locfuse", "Producer": None})
     return svg.getvalue(), pdf.getvalue()
 
 
-def _finish_axes(axes: Any, panel: Panel) -> None:
-    """Set limits, labels and the legend."""
-    x, y = ranges(panel)
+def _fill(axes: Any, panel: Panel, inks: dict[str, str], looks: Mapping[str, str]) -> None:
+    """Draw the marks of a panel, then set limits, ticks, labels and the legend, as on the page."""
+    for mark in panel.marks:
+        _mark(axes, panel, mark, inks, looks)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     else:
-        _scales(axes, panel, x, y)
+        x, y = ranges(panel)
+        if panel.log:
+            axes.set_yscale("log")
+        if panel.x_log:
+            axes.set_xscale("log")
+        axes.set(xlim=x, ylim=y)
+        if not panel.lanes:
+            axes.set_yticks(*map(list, zip(*ticks(*y, panel.log), strict=True)))
+            axes.minorticks_off()
     if panel.lanes:
         axes.set_yticks([i + 0.5 for i in range(len(panel.lanes))], panel.lanes)
         axes.grid(visible=False, axis="y")
@@ -163,23 +161,14 @@ def _finish_axes(axes: Any, panel: Panel) -> None:
                 handle.set_markersize(MAX_LEGEND_SPOT)
 
 
-def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Set scales, limits and ticks, as on the page."""
-    if panel.log:
-        axes.set_yscale("log")
-    if panel.x_log:
-        axes.set_xscale("log")
-    axes.set_xlim(*x)
-    axes.set_ylim(*y)
-    if not panel.lanes:
-        axes.set_yticks(*map(list, zip(*ticks(*y, panel.log), strict=True)))
-        axes.minorticks_off()
-
-
 def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapping[str, str]) -> None:
     ink, label = inks[mark.of], _label(axes, panel, mark)
     if isinstance(mark, Curve):
-        _curve(axes, mark, ink, label, DASHES.get(looks.get(mark.of, ""), "solid"))
+        dash = TRUTH_DASH if mark.of == "truth" else DASHES.get(looks.get(mark.of, ""), "solid")
+        grows = bool((np.diff(mark.x) >= 0).all())
+        kept = extremes(mark.y, MAX_CURVE_POINTS) if grows else np.arange(len(mark.x))
+        width = WIDE_PT if mark.wide else None
+        axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, lw=width, label=label)
     elif isinstance(mark, Spots):
         axes.plot(mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **SPOTS[palette.SHAPES[mark.of]])
     elif isinstance(mark, Band):
@@ -192,14 +181,6 @@ def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapp
     elif isinstance(mark, Strokes):
         for i, (a, b) in enumerate(mark.ends):
             axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)
-
-
-def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> None:
-    dash = TRUTH_DASH if mark.of == "truth" else broken
-    grows = bool((np.diff(mark.x) >= 0).all())
-    kept = extremes(mark.y, MAX_CURVE_POINTS) if grows else np.arange(len(mark.x))
-    width = {"lw": WIDE_PT} if mark.wide else {}
-    axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, label=label, **width)
 
 
 def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:

@@ -17,8 +17,15 @@ from locfuse.formats.container.decompress import unpack
 from locfuse.formats.container.file_bytes import Losses
 from locfuse.formats.container.source import ChannelInfo, Messages, Source
 from locfuse.formats.container.url import Place
-from locfuse.formats.messages.fields import NUMBER as A_NUMBER, NUMBERS, FieldError, check_kind, kind_of, resolve
-from locfuse.formats.messages.schema import SchemaError
+from locfuse.formats.messages.schema import (
+    NUMBER as A_NUMBER,
+    NUMBERS,
+    FieldError,
+    SchemaError,
+    check_kind,
+    kind_of,
+    resolve,
+)
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError

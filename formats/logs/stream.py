@@ -17,8 +17,7 @@ from msgspec.structs import replace
 from locfuse.formats.caps import MAX_LONG
 from locfuse.formats.columns import Bytes, Growing, GrowingArray, n_bytes
 from locfuse.formats.container.source import Messages
-from locfuse.formats.messages.fields import frame_path, stamp_path
-from locfuse.formats.messages.schema import Decoded, MessageDecoder
+from locfuse.formats.messages.schema import Decoded, MessageDecoder, frame_path, stamp_path
 from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, Mask, Ragged
 from locfuse.fusion.streams import concat, take
 

@@ -24,8 +24,7 @@ from locfuse.formats.columns import Bytes, nested, view
 from locfuse.fusion.data import Column, Ints, Mask, Ragged, totals
 from locfuse.fusion.streams import concat, take
 
-from .fields import FieldPart, resolve
-from .schema import Decoded, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text
+from .schema import Decoded, FieldPart, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text, resolve
 
 UINT32 = struct.Struct("<I")
 

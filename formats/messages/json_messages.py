@@ -21,10 +21,10 @@ from locfuse.formats.columns import Bytes
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import Column, Ints, Ragged, totals
 
-from .fields import FieldPart, resolve
 from .schema import (
-    TIMES,
+    TIME_TYPES,
     Decoded,
+    FieldPart,
     LengthCounts,
     Many,
     MessageDecoder,
@@ -34,11 +34,12 @@ from .schema import (
     Structure,
     Text,
     refuse_large,
+    resolve,
 )
 
 NUMBER = Scalar("f8", 8)
 WHOLE = Scalar("i8", 8)
-TIME = Structure(min(TIMES - {"builtin_interfaces/msg/Duration"}), {"sec": WHOLE, "nanosec": WHOLE})
+TIME = Structure(min(TIME_TYPES - {"builtin_interfaces/msg/Duration"}), {"sec": WHOLE, "nanosec": WHOLE})
 NANOSECONDS = ("nsec", "nanosec", "nsecs")
 NAN = float("nan")
 

@@ -1,11 +1,13 @@
-"""Message definitions (ros2msg, ros2idl, ros1msg) as trees of fields."""
+"""Message definitions (ros2msg, ros2idl, ros1msg) as trees of fields, and lookup of fields by dotted paths."""
 
 from __future__ import annotations
 
+import difflib
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import msgspec
@@ -29,7 +31,7 @@ DTYPES = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
+TIME_TYPES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
 FILLER = "structure_needs_at_least_one_member"  # field for the byte of an empty message in CDR
 DIVIDER = re.compile(r"^={20,}\s*$", re.MULTILINE)
 EXPRESSION = re.compile(r"\[|=+")  # beginning of an expression in IDL; a divider line (===) counts once
@@ -67,7 +69,7 @@ class Structure(msgspec.Struct, frozen=True, eq=False):
     def is_time(self) -> bool:
         """Whether this is a time or duration, which becomes one number of nanoseconds."""
         whole = [isinstance(part, Scalar) and part.dtype[0] in "iu" for part in self.fields.values()]
-        return self.name in TIMES and whole == [True, True]
+        return self.name in TIME_TYPES and whole == [True, True]
 
 
 class LengthCounts(msgspec.Struct, frozen=True, eq=False):
@@ -162,7 +164,7 @@ class _Trees:
 
     def _new(self, name: str, depth: int) -> Structure:
         if name not in self._types:
-            if name in TIMES:
+            if name in TIME_TYPES:
                 return Structure(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
             raise SchemaError(f"its definition names {name} and does not define it")
         fields = {field: self._node(desc, depth + 1) for field, desc in self._types[name][1]}
@@ -213,3 +215,245 @@ class MessageDecoder(ABC):
     @abstractmethod
     def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
+
+
+# --- Dotted field paths ("header.stamp"): lookup in a message type, and check of the kind of a field
+
+STAMPS = ("header.stamp", "timestamp")  # the time of measurement: ROS, Foxglove
+FRAMES = ("header.frame_id", "frame_id")
+
+
+class FieldError(KeyError):
+    """Error: the message type lacks the field, or it cannot be a column; the text is the reason."""
+
+
+class FieldPart(NamedTuple):
+    """A resolved field of a message; a stamp has two parts, seconds and nanoseconds."""
+
+    path: str
+    node: Node
+    inside: bool  # whether it is in an array of structures: one value per element
+    depth: int = 0  # number of nested arrays around the field
+
+
+LENGTH = "length"  # last name of the path to the lengths of inner arrays: "echoes.ranges.length"
+OR = "|"  # separates the names of a field in different releases of a package: "k|K"
+
+
+def resolve(message: Structure, path: str) -> tuple[FieldPart, ...]:
+    """Return the parts of a field path; of alternatives "a|b", those of the first one in the message.
+
+    Raises FieldError, with the most similar name, if there is no such field. Arrays inside an array become one
+    concatenated column; `PATH.length` has the length of each array.
+    """
+    *earlier, last = path.split(OR)
+    for name in (path, *earlier) if earlier else ():  # a field's own name may contain "|"
+        with suppress(FieldError):
+            return _resolve(message, name)
+    return _resolve(message, last)
+
+
+def _resolve(message: Structure, path: str) -> tuple[FieldPart, ...]:
+    node: Node = message
+    inside, depth = False, 0
+    walked: list[str] = []
+    for name in path.split("."):
+        if name == LENGTH and inside and isinstance(node, Many) and not isinstance(node.element, Structure):
+            return (FieldPart(".".join(walked), LengthCounts(), inside=True),)
+        if isinstance(node, Many) and isinstance(node.element, Structure):
+            node, inside, depth = node.element, True, depth + 1
+        if not isinstance(node, Structure):
+            raise FieldError(f"{'.'.join(walked)} has no parts")
+        if name not in node.fields:
+            near = difflib.get_close_matches(name, node.fields, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(node.fields)}"
+            raise FieldError(f"{'.'.join(walked) or node.name} has no field {name!r}; {hint}")
+        node = node.fields[name]
+        walked.append(name)
+    if isinstance(node, Many) and isinstance(node.element, Structure) and node.element.is_time and not inside:
+        node, inside = node.element, True
+    if isinstance(node, Structure) and node.is_time:
+        return tuple(FieldPart(f"{path}.{name}", part, inside) for name, part in node.fields.items())
+    if isinstance(node, Structure) or (isinstance(node, Many) and isinstance(node.element, Structure | Many)):
+        raise FieldError(f"{path} is a structure: name a part of it")
+    if isinstance(node, Many) and inside and not isinstance(node.element, Scalar | Text):
+        raise FieldError(f"{path} is an array inside an array: it cannot be a column")
+    return (FieldPart(path, node, inside, depth),)
+
+
+def stamp_path(message: Structure) -> str | None:
+    """Return the path of the message's stamp; None if it has no stamp."""
+    return next((path for path in STAMPS if len(_resolved(message, path)) == 2), None)
+
+
+def frame_path(message: Structure) -> str | None:
+    """Return the path of the message's frame_id; None if it has no frame_id."""
+    found = ((path, _resolved(message, path)) for path in FRAMES)
+    return next((path for path, parts in found if parts and isinstance(parts[0].node, Text)), None)
+
+
+def _resolved(message: Structure, path: str) -> tuple[FieldPart, ...]:
+    try:
+        return resolve(message, path)
+    except FieldError:
+        return ()
+
+
+# --- Kinds of column: the kind of a field by its definition, and the kinds that locfuse accepts
+# The definition of a type in a log may differ from the standard (a LaserScan whose `ranges` is one number). Such a
+# field is refused before decoding.
+
+NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
+NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
+NINE = "9 numbers"
+THIRTY_SIX = "36 numbers"
+
+XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
+WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
+GAZEBO = ("ModelStates", "LinkStates")
+FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # prefixes of Foxglove's types in Protobuf and JSON, and in ROS
+
+
+def words(text: str) -> list[str]:
+    """Split a text at white space into its words (names of types or fields)."""
+    return text.split()
+
+
+# packages with types whose fields are checked; fields of other types may be of any kind
+PACKAGES = frozenset(
+    words("""
+        ackermann_msgs apriltag_msgs apriltag_ros apriltags2_ros apriltags_ros aruco_msgs aruco_opencv_msgs
+        autoware_auto_vehicle_msgs autoware_vehicle_msgs clearpath_platform_msgs control_msgs duckietown_msgs
+        foxglove foxglove_msgs gazebo_msgs geometry_msgs gps_common gps_msgs irobot_create_msgs
+        isaac_ros_apriltag_interfaces jackal_msgs kobuki_msgs locfuse mocap4r2_msgs nav_msgs px4_msgs
+        ros2_aruco_interfaces sensor_msgs std_msgs tf tf2_msgs turtlebot3_msgs turtlesim unitree_go vesc_msgs
+        vision_msgs
+    """)
+)
+# dotted paths in these packages that must be one number
+ONE_NUMBER = (
+    *(f"{vector}.{axis}" for vector in ("magnetic_field", "angular_velocity") for axis in XYZ),
+    *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
+    *(f"{at}position.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XY),
+    *(f"{at}.{axis}" for at in ("transform.translation", "point") for axis in XY),
+    *(f"transform.rotation.{axis}" for axis in XYZW),
+    *(f"{at}{part}" for at in ("", "twist.", "twist.twist.") for part in ("linear.x", "angular.z")),
+    *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
+    *words("""
+        linear_velocity.x point_stride longitudinal_velocity heading_rate state.speed velocity_left
+        velocity_right x y theta linear_velocity angular_velocity v omega angle_min angle_increment
+        time_increment range_min range_max width height step start_angle end_angle field_of_view min_range
+        max_range range status.status latitude longitude position_covariance_type ticks_left ticks_right
+        left_encoder right_encoder
+    """),
+)
+# alternative names of a field in releases of a package
+CAMERA_MATRIX = "k|K"  # ROS 2, ROS 1
+CENTRE_2D = "detections.bbox.center.position.x|detections.bbox.center.x"
+CLASS = "detections.results.hypothesis.class_id|detections.results.id"
+TRACK_OR_CLASS = f"detections.id|{CLASS}"
+POSITIONS = """
+    poses.position poses.pose.position markers.pose.position markers.pose.pose.position
+    detections.pose.pose.pose.position detections.pose.pose.position detections.bbox.center.position
+    detections.centre
+    """
+# paths in these packages that must be an array of numbers
+ARRAYS = (
+    *(f"rigidbodies.pose.position.{axis}" for axis in XY),
+    *(f"{at}.pose.orientation.{axis}" for at in ("rigidbodies", "poses") for axis in XYZW),
+    *(f"{at}.{axis}" for at in words(POSITIONS) for axis in XYZ),
+    CENTRE_2D,
+    *words("""
+        ranges marker_ids markers.id markers.marker_id detections.id.length
+        interface_values.values interface_values.values.length ranges.echoes ranges.echoes.length
+        fields.offset fields.datatype fields.type joints.position joints.velocity joints.effort
+        drivers.measured_travel drivers.measured_velocity
+    """),
+)
+# dotted path in these packages -> accepted kinds
+EXPECTED: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
+    **dict.fromkeys(ARRAYS, (NUMBERS,)),
+    **dict.fromkeys(
+        words("rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name joints.name"),
+        (TEXTS,),
+    ),
+    **dict.fromkeys((TRACK_OR_CLASS, CLASS, "detections.id"), (NUMBERS, TEXTS)),
+    **dict.fromkeys(("pose_covariance", "velocity_covariance"), (THIRTY_SIX, NUMBERS)),
+    **dict.fromkeys(("pose.covariance", "twist.covariance"), (THIRTY_SIX,)),
+    **dict.fromkeys((CAMERA_MATRIX, "orientation_covariance", "angular_velocity_covariance"), (NINE,)),
+    **dict.fromkeys(("format", "encoding"), (TEXT,)),
+    "position_covariance": (NINE, NUMBERS),  # JSON schemas do not fix the length
+    "imu_state.quaternion": ("4 numbers",),
+}
+# message type, its fields, their kind
+OF_TYPES: tuple[tuple[str, str, str], ...] = (
+    *((f"std_msgs/msg/{name}", "data", NUMBER) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
+    *((f"std_msgs/msg/{name}MultiArray", "data", NUMBERS) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
+    ("std_msgs/msg/String", "data", TEXT),
+    ("sensor_msgs/msg/JointState", "name", TEXTS),
+    ("sensor_msgs/msg/JointState", "position velocity", NUMBERS),
+    ("duckietown_msgs/msg/WheelEncoderStamped", "data", NUMBER),
+    ("locfuse/msg/Detections", "id range bearing", NUMBER),
+    ("locfuse/msg/Ranges", "id range", NUMBER),
+    ("locfuse/msg/TagFrames", "id x y z", NUMBER),
+    ("sensor_msgs/msg/PointCloud2", "point_step row_step", NUMBER),
+    ("sensor_msgs/msg/PointCloud2", "is_bigendian", TRUTH),
+    *((f"sensor_msgs/msg/{name}", "data", BYTES) for name in ("PointCloud2", "CompressedImage", "Image")),
+    *((f"{at}{name}", "data", BYTES) for at in FOXGLOVE for name in ("CompressedImage", "PointCloud", "RawImage")),
+    ("px4_msgs/msg/VehicleOdometry", "position velocity angular_velocity", "3 numbers"),
+    ("px4_msgs/msg/VehicleOdometry", "q", "4 numbers"),
+    ("px4_msgs/msg/VehicleOdometry", "velocity_frame", NUMBER),
+    ("px4_msgs/msg/VehicleLocalPosition", "x y heading vx vy", NUMBER),
+    ("px4_msgs/msg/SensorCombined", "gyro_rad accelerometer_m_s2", "3 numbers"),
+    ("unitree_go/msg/SportModeState", "position", "3 numbers"),
+    *((f"gazebo_msgs/msg/{name}", "name", TEXTS) for name in GAZEBO),
+    *((f"gazebo_msgs/msg/{name}", f"pose.position.{axis}", NUMBERS) for name in GAZEBO for axis in XY),
+    *((f"gazebo_msgs/msg/{name}", f"pose.orientation.{axis}", NUMBERS) for name in GAZEBO for axis in XYZW),
+)
+OF_TYPE = {(msgtype, name): (kind,) for msgtype, names, kind in OF_TYPES for name in names.split()}
+TF = "transforms."  # one value for each transform of a message
+TF_TEXTS = ("frame_id",)
+
+
+def kind_of(parts: Sequence[FieldPart]) -> str:
+    """Return the kind of a resolved field, such as NUMBER, TEXTS or "9 numbers"."""
+    first = parts[0]
+    if len(parts) == 2:
+        return TIMES if first.inside else TIME
+    node, many = first.node, first.inside
+    if isinstance(node, LengthCounts):
+        return NUMBERS
+    if isinstance(node, Many):
+        if isinstance(node.element, Scalar) and node.element.dtype == "u1" and node.count is None and not many:
+            return BYTES
+        if isinstance(node.element, Scalar) and node.element.dtype != "?" and node.count is not None and not many:
+            return f"{node.count} numbers"
+        node, many = node.element, True
+    if isinstance(node, Text):
+        return TEXTS if many else TEXT
+    if isinstance(node, Scalar) and node.dtype == "?":
+        return TRUTHS if many else TRUTH
+    return NUMBERS if many else NUMBER
+
+
+def expected(msgtype: str, path: str) -> tuple[str, ...]:
+    """Return the accepted kinds of a field of a message type; () for a field that is not checked."""
+    if path in STAMPS:
+        return (TIME,)
+    if msgtype.replace(".", "/").partition("/")[0] not in PACKAGES:
+        return ()
+    if path.startswith(("transforms.header.stamp", "poses.header.stamp")):
+        return (TIMES, TIME)
+    if path.startswith(TF) and OR in path:
+        return (TEXTS, TEXT) if path.endswith(TF_TEXTS) else (NUMBERS, NUMBER)
+    if path.startswith(TF):
+        return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if path.rpartition(".")[2] in XYZW else ()
+    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path, ())
+
+
+def check_kind(msgtype: str, path: str, parts: Sequence[FieldPart]) -> None:
+    """Raise FieldError if a field's kind is not accepted."""
+    found, accepted = kind_of(parts), expected(msgtype, path)
+    if accepted and found not in accepted:
+        raise FieldError(f"{path} is {found} by its definition; accepted: {' or '.join(accepted)}")

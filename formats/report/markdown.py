@@ -7,7 +7,7 @@ from typing import Any
 
 from . import tables
 from .findings import banner_of, counts, fingerprint, notes_of, sentence, title_of, together, unwarned
-from .render import SIGNS, code, escape, markdown
+from .table import SIGNS, code, escape, markdown
 
 
 def render(report: Mapping[str, Any]) -> str:
@@ -29,7 +29,10 @@ def render(report: Mapping[str, Any]) -> str:
         f"# locfuse: {escape(title_of(report))}",
         escape(report.get("headline", "")),
         "\n".join(f"- {escape(line)}" for line in banner_of(report)),
-        _verdicts(report),
+        "\n".join(
+            f"- {SIGNS.get(v['verdict'], '●')} **{escape(sensor)} {v['verdict']}.** {escape(v['words'])}"
+            for sensor, v in report.get("verdicts", {}).items()
+        ),
         markdown(tables.configurations(report)),
         _truth_line(report),
         f"{escape(prediction['trust'])}\n\n{markdown(tables.ranking(report))}" if prediction else "",
@@ -41,13 +44,6 @@ def render(report: Mapping[str, Any]) -> str:
         f"Input {identity}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with}.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
-
-
-def _verdicts(report: Mapping[str, Any]) -> str:
-    return "\n".join(
-        f"- {SIGNS.get(v['verdict'], '●')} **{escape(sensor)} {v['verdict']}.** {escape(v['words'])}"
-        for sensor, v in report.get("verdicts", {}).items()
-    )
 
 
 def _truth_line(report: Mapping[str, Any]) -> str:

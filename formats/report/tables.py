@@ -10,8 +10,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from .findings import MAX_ANEES, fingerprint
-from .render import latex as latex_of, latex_text
-from .table import Cell, Column, Path, Table, of_values
+from .table import Cell, Column, Path, Table, latex as latex_of, latex_text, of_values
 
 Report = Mapping[str, Any]
 Rows = Iterator[tuple[dict[str, Any], Path]]
@@ -322,16 +321,14 @@ def streams(report: Report) -> Table:
 
 def changed_settings(report: Report) -> Table:
     """Return the settings that differ from their defaults, with unit and source."""
-    changed = report["changed_settings"].items()
-    rows = (({**v, "key": k, "value": _number_or_text(v["value"])}, ("changed_settings", k)) for k, v in changed)
+    rows = []
+    for key, changed in report["changed_settings"].items():
+        value = changed["value"]
+        numbers = value if isinstance(value, list) else [value]
+        if not numbers or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
+            value = json.dumps(value).strip('"')
+        rows.append(({**changed, "key": key, "value": value}, ("changed_settings", key)))
     return of_values(CHANGED, rows, "Settings that were changed")
-
-
-def _number_or_text(value: Any) -> Any:
-    """Return a number or a list of numbers unchanged, everything else as text."""
-    numbers = value if isinstance(value, list) else [value]
-    plain = all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers)
-    return value if plain and numbers else json.dumps(value).strip('"')
 
 
 def everything(report: Report) -> Table:

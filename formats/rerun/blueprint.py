@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 from locfuse.formats.figures.panels import count_ticks
 from locfuse.fusion.data import Evaluation
 
-from . import drawing, series
+from . import drawing
 from .drawing import DRIVE, STEP, TIME, part
 from .map_view import ROOT
 from .scene import RerunScene
@@ -119,9 +119,9 @@ def _tabs(scene: RerunScene) -> dict[str, Any]:
         "NIS": stacked("NIS", [_nis(scene, s) for s in sensors]),
         "Innovation": stacked("Innovation", [view for s in sensors for view in _innovations(scene, s)]),
         "Gates": rrb.StateTimelineView(name="Gates", origin="/gate") if sensors else None,
-        "Events": rrb.TextLogView(name="Events", origin=f"/{series.EVENTS}") if scene.events else None,
+        "Events": rrb.TextLogView(name="Events", origin=f"/{drawing.EVENTS}") if scene.events else None,
         "Result": rrb.TextDocumentView(name="Result", origin="/result") if scene.table else None,
-        "Raw topics": stacked("Raw topics", [_plot(t.topic, f"/{series.raw_path(t.topic)}") for t in raw]),
+        "Raw topics": stacked("Raw topics", [_plot(t.topic, f"/{drawing.raw_path(t.topic)}") for t in raw]),
     }
     return {name: view for name, view in tabs.items() if view is not None}
 
@@ -133,7 +133,7 @@ def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: l
     """
     count = 2 if judged[0].heading is None else 3
     views = []
-    for i, (component, (unit, _)) in enumerate(list(series.DEVIATIONS.items())[:count]):
+    for i, (component, (unit, _)) in enumerate(list(drawing.DEVIATIONS.items())[:count]):
         origin = f"/deviation/{component}"
         shown = {part(e.name): rrb.EntityBehavior(visible=e.name == scene.best.name) for e in judged}
         bands = {f"{origin}/{name}/three_sigma": [behaviour] for name, behaviour in shown.items()}
@@ -149,9 +149,9 @@ def _deviation_range(scene: RerunScene, judged: list[Evaluation], i: int) -> Ran
 
     The 3-sigma band of the best configuration is included.
     """
-    scale = list(series.DEVIATIONS.values())[i][1]
+    scale = list(drawing.DEVIATIONS.values())[i][1]
     columns = [j.heading if i == 2 and j.heading is not None else j.deviation[:, i % 2] for j in judged]
-    bands = [series.DEVIATION_BAND_SIGMAS * j.sigma[:, i] for j in judged if j.name == scene.best.name]
+    bands = [drawing.DEVIATION_BAND_SIGMAS * j.sigma[:, i] for j in judged if j.name == scene.best.name]
     values = scale * np.concatenate([*columns, *bands, *(-b for b in bands)])
     values = values[np.isfinite(values)]
     return (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)

@@ -45,9 +45,8 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
     import rerun as rr
 
     from .blueprint import blueprint
-    from .drawing import TimelineRecorder, draw_legend, draw_pictures
+    from .drawing import TimelineRecorder, draw_legend, draw_pictures, draw_series
     from .map_view import draw_map
-    from .series import draw_series
 
     rr.set_strict_mode(True)  # raise instead of warn, so that no incomplete recording is written
     stream = rr.RecordingStream(_application(scene), recording_id=identity)

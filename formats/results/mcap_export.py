@@ -26,8 +26,7 @@ from locfuse.formats.container.mcap_write import CHUNK_BYTES, LogWriter, Standar
 from locfuse.formats.geometry import quaternions, spatial_covariance
 from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
-from locfuse.formats.messages.fields import resolve
-from locfuse.formats.messages.schema import Many, Node, Scalar, parse
+from locfuse.formats.messages.schema import Many, Node, Scalar, parse, resolve
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth, evenly
 
 from .recovered_log import copy_messages

@@ -11,7 +11,6 @@ from scipy.stats import binom, chi2, kstest
 
 from locfuse.fusion.data import Array, ArrayStream, Ragged
 from locfuse.sample_logs import load
-from locfuse.sample_logs.equipment import beam_pattern, stated_start
 from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.robot import SimulatedRobot
@@ -34,6 +33,8 @@ from locfuse.sample_logs.sensors import (
     SatelliteReceiver,
     SimulatedEncoders,
     SimulatedLaser,
+    beam_pattern,
+    stated_start,
 )
 from locfuse.sample_logs.simulate import Simulation
 from locfuse.sample_logs.world import World

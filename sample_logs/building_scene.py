@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Mask
 
-from .messages import Streams, streams
 from .scenario import Box, Building, Furniture, Glass, LeggedTable, Opening, Scenario, Space, SwivelChair, Walker
-from .table import Point, Segment
+from .table import Point, Segment, Streams, streams
 from .world import Plan, World, cast, hit_circles, hit_segments
 
 SAME_PLACE_M = 1e-6  # m, largest difference of equal coordinates

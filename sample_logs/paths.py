@@ -10,8 +10,8 @@ import numpy as np
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.se2 import wrap, wrap_all
 
-from .messages import Pose
 from .scenario import Control, Leg, Polygon, Scenario, Tour, Waypoints
+from .table import Pose
 from .world import Plan, clearance
 
 SPACING_M = 0.01  # m between the points of a sampled path

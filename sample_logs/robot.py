@@ -16,8 +16,8 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Mask
 
 from .faults import Displaced, GroundFault, Kidnap
-from .messages import Pose, Streams
 from .scenario import Motor, Scenario, WheelsSpec
+from .table import Pose, Streams
 
 SIDES = ("left", "right")
 

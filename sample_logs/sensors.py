@@ -13,9 +13,9 @@ from locfuse.fusion.se2 import compose
 
 from .camera import OmniCamera
 from .faults import EncoderRollover, EncoderSpike, TruthStep
-from .messages import Pose, RawMessage, Streams
 from .robot import SIDES, SimulatedRobot
 from .scenario import CompassSpec, GpsSpec, LrfSpec, Scenario, SonarSpec, TruthSpec
+from .table import Pose, RawMessage, Streams
 from .world import World
 
 JOINTS = ("left_wheel_joint", "right_wheel_joint")

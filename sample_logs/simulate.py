@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import heapq
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
+import tomli_w
 
-from locfuse.fusion.data import Array, LocfuseError
+from locfuse.formats.container.mcap_write import LogWriter, log_writer
+from locfuse.fusion.data import Array, ArrayStream, Column, Ints, LocfuseError, Ragged
 
 from .building_scene import scene_of
 from .faults import ClockOffset, Dates, Fault, MessageFault, label
-from .messages import Emit, Estimator, Pose, RawMessage, Streams, streams
+from .load import dumps
 from .paths import Follower, LegFollower, PathFollower, Steering, polygon, tour, waypoints
 from .robot import SimulatedRobot
 from .scenario import Legs, Polygon, Scenario, Waypoints
 from .sensors import SimulatedSensor, robot_tables, sensors, stated_start, static_transforms
+from .table import Emit, Estimator, Pose, RawMessage, Streams, streams
 from .world import World, clearance
 
 EPOCH_NS = 1_700_000_000_000_000_000  # start of every simulated drive, so that logs do not depend on the date
@@ -217,3 +223,76 @@ def speed_stability(outcome: Outcome) -> Stability:
     return Stability(
         float(deviation.max()), float(np.sqrt((deviation**2).mean())), float((deviation <= 0.05).mean())
     )
+
+
+# --- Output to a log file, or to columns in memory
+
+# Tables of robot.toml -> localisation; None: steer by the truth.
+Localise = Callable[[dict[str, dict[str, Any]]], Estimator | None]
+
+
+def on_truth(robot_tables: dict[str, dict[str, Any]]) -> None:
+    """Return None in place of an estimator: the robot then steers by its true pose."""
+
+
+def write_log(scenario: Scenario, seed: int, localise: Localise, path: Path) -> Outcome:
+    """Simulate a drive into an MCAP log, with robot.toml and the scenario as attachments."""
+    simulation = Simulation(scenario, seed)
+    tables = simulation.robot_tables
+    with log_writer(path) as log:
+        log.attach("robot.toml", tomli_w.dumps(tables).encode())
+        log.attach("scenario.toml", dumps(msgspec.structs.replace(scenario, seed=seed)).encode())
+        return simulation.run(localise(tables), to_log(log))
+
+
+def to_log(log: LogWriter) -> Emit:
+    """Return a function that writes messages to a log."""
+
+    def emit(m: RawMessage) -> None:
+        log.write(
+            m.topic,
+            m.msgtype,
+            m.fields,
+            m.log_ns,
+            stamp_ns=m.stamp_ns,
+            frame_id=m.frame_id,
+            latched=m.topic == "/tf_static",
+        )
+
+    return emit
+
+
+def in_memory(
+    scenario: Scenario, seed: int, localise: Localise = on_truth
+) -> tuple[dict[str, ArrayStream], dict[str, dict[str, Any]], Outcome]:
+    """Simulate a drive in memory; return streams by topic, the tables of robot.toml, and the outcome."""
+    simulation = Simulation(scenario, seed)
+    tables = simulation.robot_tables
+    messages = defaultdict[str, list[RawMessage]](list)
+    outcome = simulation.run(localise(tables), lambda message: messages[message.topic].append(message))
+    return {topic: stream_of(some) for topic, some in messages.items()}, tables, outcome
+
+
+def stream_of(messages: list[RawMessage]) -> ArrayStream:
+    """Convert the messages of one topic to a stream; drop each message with a stamp earlier than one before it."""
+    stamps: Ints = np.array([m.stamp_ns for m in messages], np.int64)
+    in_order = stamps >= np.maximum.accumulate(stamps)
+    kept = [m for m, keep in zip(messages, in_order.tolist(), strict=True) if keep]
+    first = messages[0]
+    return ArrayStream(
+        topic=first.topic,
+        msgtype=first.msgtype,
+        t_ns=stamps[in_order],
+        data={name: _column([m.fields[name] for m in kept]) for name in first.fields},
+        frame_id=first.frame_id,
+        dropped={} if in_order.all() else {"stamp runs backwards": int((~in_order).sum())},
+    )
+
+
+def _column(values: list[Any]) -> Column:
+    if isinstance(values[0], np.ndarray):
+        first = np.concatenate(([0], np.cumsum([len(v) for v in values])))
+        return Ragged(np.concatenate(values), first)
+    if isinstance(values[0], int | float):
+        return np.array(values)
+    return values

@@ -22,8 +22,8 @@ from locfuse.fusion.data import Array, Colour
 from locfuse.fusion.sensors.registry import colours
 from locfuse.sample_logs import load as scenarios
 from locfuse.sample_logs.paths import polygon
-from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.scenario import Polygon
+from locfuse.sample_logs.simulate import in_memory
 
 from .result import Comparison
 from .session import load

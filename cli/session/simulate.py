@@ -29,10 +29,9 @@ from .python_words import speaks_python
 from .session import Session, load
 
 if TYPE_CHECKING:
-    from locfuse.sample_logs.messages import Estimator, RawMessage
-    from locfuse.sample_logs.record import Localise
     from locfuse.sample_logs.scenario import Scenario
-    from locfuse.sample_logs.simulate import Outcome
+    from locfuse.sample_logs.simulate import Localise, Outcome
+    from locfuse.sample_logs.table import Estimator, RawMessage
 
 
 @speaks_python
@@ -81,7 +80,7 @@ def simulate(
 
 def drive(scenario: Scenario, seed: int, out: Path) -> Outcome:
     """Simulate a scenario and write its log. Raises LocfuseError if the file cannot be written."""
-    from locfuse.sample_logs.record import write_log
+    from locfuse.sample_logs.simulate import write_log
 
     return write_log(scenario, seed, localise(scenario.control.estimator), out)
 
@@ -102,7 +101,7 @@ def facts(outcome: Outcome) -> dict[str, Any]:
 
 def localise(word: str) -> Localise:
     """Return a function that builds the robot's estimator: "truth", "odometry", "all", or sensor names."""
-    from locfuse.sample_logs.record import on_truth
+    from locfuse.sample_logs.simulate import on_truth
 
     def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:
         carried = tuple(name for name in REGISTRY if name in tables)
@@ -187,7 +186,7 @@ class Localiser:
             self._at = t
 
     def _measure(self, sensor: str, message: RawMessage, wheels: Wheels) -> Measurements:
-        from locfuse.sample_logs.record import stream_of
+        from locfuse.sample_logs.simulate import stream_of
 
         return REGISTRY[sensor].measure(stream_of([message]), self.robot.settings(sensor), wheels, self._epoch_ns)
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from locfuse.formats.columns import Bytes, view
 from locfuse.fusion.data import Ints
 
-from .chunked import Records, most_records
 from .decompress import DamagedError
-from .source import Messages, by_channel
+from .source import Messages, Records, by_channel, most_records
 
 MAGIC = b"\x89MCAP0\r\n"
 

@@ -12,11 +12,10 @@ from locfuse.formats.caps import MAX_ATTACHMENT
 from locfuse.formats.columns import Bytes
 
 from . import mcap_records as rec
-from .chunked import ChunkedSource, Part, Records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .mcap_survey import ChunkRef, Survey, confirm, promised, survey
-from .source import Batch, ChannelInfo
+from .source import Batch, ChannelInfo, ChunkedSource, Part, Records
 
 MAX_DOWNLOAD_SHARE = 0.5  # of a remote file; if more is wanted, the whole file is downloaded
 

@@ -21,9 +21,9 @@ from locfuse.formats.caps import MAX_CHUNK
 from locfuse.fusion.data import Ints, LocfuseError
 
 from . import mcap_records as rec
-from .chunked import Part
 from .decompress import CODECS, DamagedError
 from .file_bytes import FileBytes
+from .source import Part
 
 
 class ChunkRef(Part):

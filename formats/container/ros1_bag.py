@@ -16,10 +16,9 @@ import numpy as np
 from locfuse.formats.columns import Bytes
 from locfuse.fusion.data import LocfuseError
 
-from .chunked import ChunkedSource, Part, Records, most_records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
-from .source import ChannelInfo, Messages, by_channel
+from .source import ChannelInfo, ChunkedSource, Messages, Part, Records, by_channel, most_records
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)

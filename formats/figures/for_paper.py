@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.formats.thin import extremes
+from locfuse.formats.geometry import extremes
 from locfuse.fusion.data import Colour
 
 from . import palette

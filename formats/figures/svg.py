@@ -13,7 +13,7 @@ from html import escape
 import msgspec
 import numpy as np
 
-from locfuse.formats.thin import extremes
+from locfuse.formats.geometry import extremes
 from locfuse.fusion.data import REFUSED, Array, stretches
 
 from .palette import EVENTS, SHAPES

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 
-from locfuse.formats.thin import extremes
+from locfuse.formats.geometry import extremes
 from locfuse.fusion import data
 from locfuse.fusion.data import Array, Audit, Drive, Estimates, Evaluation, Event, Ints, Measurements, RowVerdict
 

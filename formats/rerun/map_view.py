@@ -11,8 +11,7 @@ import numpy as np
 import rerun as rr
 from msgspec.structs import asdict
 
-from locfuse.formats.geometry import ellipses, quaternions, segments, wall_band, walls
-from locfuse.formats.thin import extremes
+from locfuse.formats.geometry import ellipses, extremes, quaternions, segments, wall_band, walls
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, MapLine, Measurements, evenly, matrices
 from locfuse.fusion.se2 import compose, transform
 

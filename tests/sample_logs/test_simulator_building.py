@@ -23,9 +23,7 @@ from locfuse.sample_logs.building_scene import (
     stepped_aside,
     straight_walls,
 )
-from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.paths import waypoints
-from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.scenario import (
     Box,
     Building,
@@ -41,7 +39,8 @@ from locfuse.sample_logs.scenario import (
     Walker,
     Waypoints,
 )
-from locfuse.sample_logs.simulate import OBSTACLE_HEIGHT
+from locfuse.sample_logs.simulate import OBSTACLE_HEIGHT, in_memory
+from locfuse.sample_logs.table import streams
 from locfuse.sample_logs.world import Plan, cast, clearance
 
 NAMES = ("office", "hall")

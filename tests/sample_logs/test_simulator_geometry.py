@@ -9,11 +9,10 @@ import rooms
 
 from locfuse.fusion.data import Array
 from locfuse.sample_logs.camera import Painter, Surface, expose, rays, slope
-from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.robot import SimulatedRobot
 from locfuse.sample_logs.scenario import CameraSpec, Landmark, LrfSpec, Room, Scenario
 from locfuse.sample_logs.sensors import SimulatedLaser
-from locfuse.sample_logs.table import Pillar
+from locfuse.sample_logs.table import Pillar, streams
 from locfuse.sample_logs.world import Plan, World, cast, clearance, rings
 
 NOTHING = np.zeros((0, 3))

@@ -152,8 +152,14 @@ def records(data: Bytes, packed: int, index: Index) -> Records:
     scanned = scan(data, most_records(packed))
     if scanned.end == len(data) or not index:
         return scanned
-    offsets = _disjoint(data, _confirmed(data, index))
-    return Records(_gather(data, _followed(data, offsets)), scanned.definitions, scanned.end)
+    offsets: list[int] = []
+    end = 0
+    for offset in _confirmed(data, index).tolist():
+        if offset >= end:  # not inside the message before
+            offsets.append(offset)
+            end = offset + RECORD.size + RECORD.unpack_from(data.data, offset)[1]
+    followed = _followed(data, np.array(offsets, np.int64))
+    return Records(_gather(data, followed), scanned.definitions, scanned.end)
 
 
 def scan(data: Bytes, most: int | None = None) -> Records:
@@ -233,13 +239,3 @@ def _followed(data: Bytes, offsets: Ints) -> Ints:
     valid = (opcode != 0) & ((opcode <= DATA_END) | (opcode >= PRIVATE))
     kept: Ints = offsets[(ends == len(data)) | (inside & valid)]
     return kept
-
-
-def _disjoint(data: Bytes, offsets: Ints) -> Ints:
-    kept: list[int] = []
-    end = 0
-    for offset in offsets.tolist():
-        if offset >= end:
-            kept.append(offset)
-            end = offset + RECORD.size + RECORD.unpack_from(data.data, offset)[1]
-    return np.array(kept, np.int64)

@@ -23,6 +23,8 @@ MAX_DOWNLOAD_SHARE = 0.5  # of a remote file; if more is wanted, the whole file 
 class McapSource(ChunkedSource):
     """One .mcap file. Opening it reads record headers only; `batches` reads the messages."""
 
+    channels: dict[int, ChannelInfo]
+
     def __init__(self, data: FileBytes) -> None:
         super().__init__(data)
         found = promised(data) if data.far else None
@@ -30,7 +32,13 @@ class McapSource(ChunkedSource):
             data.copy_here()
             found = survey(data)
         self._use(found)
-        self.channels = self._channels()
+        counts, self.channels = self.counted(), {}
+        for ident, c in self._survey.channels.items():
+            schema = self._survey.schemas.get(c.schema_id, rec.Schema(0, "", "", b""))
+            how = c.message_encoding, schema.encoding, schema.data
+            self.channels[ident] = ChannelInfo(c.topic, schema.name, *how, counts[ident])
+        for ident in counts.keys() - self.channels.keys():
+            data.lose("messages of an undefined channel", ident, 0, counts[ident])
 
     def _use(self, found: Survey) -> None:
         """Keep the parts of the file found by a survey; read parts whose channels or message counts are unknown.
@@ -122,15 +130,3 @@ class McapSource(ChunkedSource):
         if isinstance(part, ChunkRef) and part.crc and not part.cut_off and zlib.crc32(plain) != part.crc:
             raise DamagedError("a chunk fails its checksum")
         return plain
-
-    def _channels(self) -> dict[int, ChannelInfo]:
-        nothing = rec.Schema(0, "", "", b"")
-        counts = self.counted()
-        found: dict[int, ChannelInfo] = {}
-        for ident, c in self._survey.channels.items():
-            schema = self._survey.schemas.get(c.schema_id, nothing)
-            how = c.message_encoding, schema.encoding, schema.data
-            found[ident] = ChannelInfo(c.topic, schema.name, *how, counts[ident])
-        for ident in counts.keys() - found.keys():
-            self.data.lose("messages of an undefined channel", ident, 0, counts[ident])
-        return found

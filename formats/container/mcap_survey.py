@@ -254,24 +254,18 @@ class Resync:
             return self.starts[i] if i < len(self.starts) else None
         while at + rec.RECORD.size <= self.end:
             if at not in self._window or chunked != self._chunked:
-                self._search_window(at, chunked)
+                window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
+                n = len(window) - rec.RECORD.size + 1
+                wanted = (window[:n] == rec.CHUNK) | ((window[:n] == rec.MESSAGE) & (not chunked))
+                wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # upper half of the length: below 4 GiB
+                self._window, self._chunked = range(at, at + n), chunked
+                self._places = np.flatnonzero(wanted) + at
             for i in range(int(np.searchsorted(self._places, at)), len(self._places)):
                 place = int(self._places[i])
                 if self._is_chunk(place) or (not chunked and self._are_records(place, channels)):
                     return place
             at = self._window.stop
         return None
-
-    def _search_window(self, at: int, chunked: bool) -> None:
-        """Find the possible record starts in the next SEARCH_BYTES from `at`."""
-        window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
-        n = len(window) - rec.RECORD.size + 1
-        wanted = window[:n] == rec.CHUNK
-        if not chunked:
-            wanted |= window[:n] == rec.MESSAGE
-        wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # upper half of the length: below 4 GiB
-        self._window, self._chunked = range(at, at + n), chunked
-        self._places = np.flatnonzero(wanted) + at
 
     def _is_chunk(self, at: int) -> bool:
         try:

@@ -9,7 +9,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 from msgspec.structs import replace
@@ -24,9 +24,6 @@ from locfuse.fusion.streams import concat, take
 from . import clock as clocks
 from .adapters import OF_PATH, POSE, PRESENTED
 from .file_stream import RANGES, in_time_order
-
-if TYPE_CHECKING:
-    from .log import Log
 
 
 class Raw(NamedTuple):
@@ -251,10 +248,19 @@ NUMBER = "std_msgs/msg/Float64"  # message type of a topic derived from a numeri
 BLOCK_BYTES = 32 * 1024 * 1024
 
 
+class _Reader(Protocol):  # the part of formats.logs.log.Log that a stream uses
+    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]: ...
+    def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]: ...
+    def frame_ids(self, topic: str) -> list[str]: ...
+    def left_out(self, topic: str) -> Mapping[str, int]: ...
+    @property
+    def stamps_clock(self) -> tuple[Ints, Ints] | None: ...
+
+
 class LogStream:
     """A recorded topic with chosen times, and fields as columns on request (fusion.data.Stream)."""
 
-    def __init__(self, log: Log, topic: str, msgtype: str, order: str) -> None:
+    def __init__(self, log: _Reader, topic: str, msgtype: str, order: str) -> None:
         self.topic = self._recorded = topic
         self.msgtype = msgtype
         self.order = order
@@ -330,7 +336,11 @@ class LogStream:
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row occurs exactly once."""
-        row_of = self._row_of_file()
+        row_of = self._table.row  # of every readable message in file order; -1 for a dropped one
+        if self.clock.rows is not None:
+            row = np.full(len(row_of) + 1, -1, np.int64)  # index -1: the last entry
+            row[self.clock.rows] = np.arange(len(self.clock.rows))
+            row_of = row[row_of]
         waiting: list[Block] = []
         room, size, at = rows, 0, 0
         for raw in self._log.raw(self._recorded, fields):
@@ -350,15 +360,6 @@ class LogStream:
                     waiting, room, size = [], rows, 0
         if room < rows:
             yield _joined(waiting)
-
-    def _row_of_file(self) -> Ints:
-        """Return the row of every readable message in file order (n,); -1 for a dropped message."""
-        recorded = self._table.row
-        if self.clock.rows is None:
-            return recorded
-        row = np.full(len(recorded) + 1, -1, np.int64)  # index -1: the last entry
-        row[self.clock.rows] = np.arange(len(self.clock.rows))
-        return row[recorded]
 
 
 def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:
@@ -448,7 +449,13 @@ def path_in(name: str, source: LogStream) -> clocks.MadeStream:
     SLAM software publishes the path up to now again and again, each time longer and corrected; so only the last
     message is used. Raises LocfuseError if the poses have no times of their own, as in a planned path.
     """
-    last = _last_message(source)
+    last: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
+    latest = -1
+    for rows, columns in source.blocks(*OF_PATH, rows=16):
+        i = int(np.argmax(rows))
+        if len(rows) and rows[i] > latest:
+            latest = int(rows[i])
+            last = {name: cast("Ragged", column)[i] for name, column in columns.items()}
     stamps: Ints = np.asarray(last.pop(OF_PATH[0]), np.int64)
     if len(stamps) < 2 or np.ptp(stamps) == 0:
         raise LocfuseError(
@@ -457,15 +464,3 @@ def path_in(name: str, source: LogStream) -> clocks.MadeStream:
         )
     poses = {field.removeprefix("poses."): column for field, column in last.items()}
     return replace(in_time_order(name, POSE, stamps, poses, "stamps of its poses"), frame_id=source.frame_id)
-
-
-def _last_message(source: LogStream) -> dict[str, Column]:
-    """Return the columns of the poses in the last message of a topic."""
-    found: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
-    latest = -1
-    for rows, columns in source.blocks(*OF_PATH, rows=16):
-        i = int(np.argmax(rows))
-        if len(rows) and rows[i] > latest:
-            latest = int(rows[i])
-            found = {name: cast("Ragged", column)[i] for name, column in columns.items()}
-    return found

@@ -289,32 +289,22 @@ class Decoder(MessageDecoder):
     def _groups(
         self, data: Bytes, start: Ints, length: Ints, request: Request
     ) -> tuple[list[Group], Counter[str]]:
-        """Return the messages in groups of equal layout, and reason -> number of malformed messages."""
-        rows = np.arange(len(start))
+        """Return the messages in groups of equal layout, and reason -> number of malformed messages.
+
+        First come the known layouts. Then the first message left is parsed, and all messages with its layout form
+        a group; this repeats with the other messages.
+        """
+        rows, spare = np.arange(len(start)), self.rules.spare
         groups: list[Group] = []
+        bad: Counter[str] = Counter()
         for layout in list(request.layouts):
-            if not len(rows):
-                break
-            same, tails = _same(data, start[rows], length[rows], layout, self.rules.spare)
+            same, tails = _same(data, start[rows], length[rows], layout, spare)
             if same.any():
                 groups.append(Group(rows[same], layout, tails[same]))
                 rows = rows[~same]
                 request.layouts.remove(layout)
                 request.layouts.insert(0, layout)
-        new, bad = self._new_groups(data, start, length, rows, request)
-        return groups + new, bad
-
-    def _new_groups(
-        self, data: Bytes, start: Ints, length: Ints, rows: Ints, request: Request
-    ) -> tuple[list[Group], Counter[str]]:
-        """Group messages `rows` of unknown layout; return the groups, and reason -> number of malformed messages.
-
-        The first message is parsed, and all messages with its layout form a group. This repeats with the other
-        messages.
-        """
-        groups: list[Group] = []
-        bad: Counter[str] = Counter()
-        i = 0
+        i, most = 0, len(groups) + MAX_GROUPS
         while i < len(rows):
             at, n = int(start[rows[i]]), int(length[rows[i]])
             try:
@@ -323,9 +313,9 @@ class Decoder(MessageDecoder):
                 bad[str(problem)] += 1
                 i += 1
                 continue
-            alone = len(groups) >= MAX_GROUPS
+            alone = len(groups) >= most
             rest = rows[i : i + 1] if alone else rows[i:]
-            same, tails = _same(data, start[rest], length[rest], layout, self.rules.spare)
+            same, tails = _same(data, start[rest], length[rest], layout, spare)
             groups.append(Group(rest[same], layout, tails[same]))
             if alone:
                 i += 1
@@ -407,19 +397,14 @@ def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: FieldPart) 
         return [data[i : i + n].tobytes() for i, n in zip(at.tolist(), counts.tolist(), strict=True)]
     n = int(counts.max(initial=0)) if node.count is None else node.count
     if (counts == n).all():
-        values = _matrix(data, at, n, element, little)
+        values = np.empty((len(at), 0), element.dtype)
+        if n:
+            rows = view(data, f"V{n * element.size}", at).view(np.uint8).reshape(len(at), n * element.size)
+            values = _native(rows.view(_stored(element.dtype, little)), element.dtype)
         return _rows(values) if node.count is None else values
     first = totals(counts)
     inside = np.arange(first[-1]) - np.repeat(first[:-1], counts)
     return Ragged(_numbers(data, np.repeat(at, counts) + element.size * inside, element.dtype, little), first)
-
-
-def _matrix(data: Bytes, at: Ints, count: int, element: Scalar, little: bool) -> NDArray[Any]:
-    """Return `count` successive numbers at each byte offset (k,), (k, count)."""
-    if not count:
-        return np.empty((len(at), 0), element.dtype)
-    rows = view(data, f"V{count * element.size}", at).view(np.uint8).reshape(len(at), count * element.size)
-    return _native(rows.view(_stored(element.dtype, little)), element.dtype)
 
 
 def _numbers(data: Bytes, at: Ints, dtype: str, little: bool) -> NDArray[Any]:

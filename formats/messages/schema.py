@@ -156,19 +156,17 @@ class _Trees:
         if depth + self._height.get(name, 0) > MAX_DEPTH:
             raise SchemaError(f"its definition contains itself, or nests more than {MAX_DEPTH} structures")
         if name not in self._made:
-            made = self._new(name, depth)
+            if name in self._types:
+                fields = {field: self._node(desc, depth + 1) for field, desc in self._types[name][1]}
+            elif name in TIME_TYPES:
+                fields = {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)}
+            else:
+                raise SchemaError(f"its definition names {name} and does not define it")
+            made = Structure(name, fields or dict(self._filler))
             parts = (part.element if isinstance(part, Many) else part for part in made.fields.values())
             heights = (1 + self._height.get(part.name, 0) for part in parts if isinstance(part, Structure))
             self._made[name], self._height[name] = made, max(heights, default=0)
         return self._made[name]
-
-    def _new(self, name: str, depth: int) -> Structure:
-        if name not in self._types:
-            if name in TIME_TYPES:
-                return Structure(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
-            raise SchemaError(f"its definition names {name} and does not define it")
-        fields = {field: self._node(desc, depth + 1) for field, desc in self._types[name][1]}
-        return Structure(name, fields or dict(self._filler))
 
     def _node(self, desc: FieldDesc, depth: int) -> Node:
         kind, detail = desc[0].name, desc[1]

@@ -248,7 +248,7 @@ NUMBER = "std_msgs/msg/Float64"  # message type of a topic derived from a numeri
 BLOCK_BYTES = 32 * 1024 * 1024
 
 
-class _Reader(Protocol):  # the part of formats.logs.log.Log that a stream uses
+class _LogReader(Protocol):  # the part of formats.logs.log.Log that a stream uses
     def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]: ...
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]: ...
     def frame_ids(self, topic: str) -> list[str]: ...
@@ -260,7 +260,7 @@ class _Reader(Protocol):  # the part of formats.logs.log.Log that a stream uses
 class LogStream:
     """A recorded topic with chosen times, and fields as columns on request (fusion.data.Stream)."""
 
-    def __init__(self, log: _Reader, topic: str, msgtype: str, order: str) -> None:
+    def __init__(self, log: _LogReader, topic: str, msgtype: str, order: str) -> None:
         self.topic = self._recorded = topic
         self.msgtype = msgtype
         self.order = order

@@ -162,7 +162,9 @@ def _fill(axes: Any, panel: Panel, inks: dict[str, str], looks: Mapping[str, str
 
 
 def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapping[str, str]) -> None:
-    ink, label = inks[mark.of], _label(axes, panel, mark)
+    name = panel.legend.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
+    known = name == "bounds" or name in axes.get_legend_handles_labels()[1]
+    ink, label = inks[mark.of], None if known else name
     if isinstance(mark, Curve):
         dash = TRUTH_DASH if mark.of == "truth" else DASHES.get(looks.get(mark.of, ""), "solid")
         grows = bool((np.diff(mark.x) >= 0).all())
@@ -181,10 +183,3 @@ def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapp
     elif isinstance(mark, Strokes):
         for i, (a, b) in enumerate(mark.ends):
             axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)
-
-
-def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:
-    """Return the legend text of a mark; None if the legend already has this text."""
-    taken = set(axes.get_legend_handles_labels()[1])
-    name = panel.legend.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
-    return None if name in taken or name == "bounds" else name

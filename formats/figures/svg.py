@@ -165,7 +165,9 @@ def svg(
     attribute `data-axes` is for the page's script (see `_axes`).
     """
     (x0, x1), (y0, y1) = ranges(panel)
-    left = _left(panel, y0, y1)
+    labels = panel.lanes or [label for _, label in ticks(y0, y1, panel.log)]
+    left = 12 + CHARACTER_WIDTH_PX * max(map(len, labels), default=1)
+    left = left if panel.lanes else round(left)
     inner_width = width - left - RIGHT_PX
     if panel.equal:
         x0, x1, y0, y1, height = _equal(x0, x1, y0, y1, inner_width, height)
@@ -213,13 +215,6 @@ def _axes(panel: Panel, x: Axis, y: Axis) -> str:
     kind = "map" if panel.equal else "lanes" if panel.lanes else "time" if panel.x_label == TIME else "other"
     ends = (f"{a.low:.9g} {a.high:.9g} {a.start:.5g} {a.end:.5g} {int(a.log)}" for a in (x, y))
     return f"{' '.join(ends)} {kind}"
-
-
-def _left(panel: Panel, y0: float, y1: float) -> float:
-    """Return the left margin [px] for the y labels."""
-    if panel.lanes:
-        return 12 + CHARACTER_WIDTH_PX * max(len(lane) for lane in panel.lanes)
-    return round(12 + CHARACTER_WIDTH_PX * max((len(label) for _, label in ticks(y0, y1, panel.log)), default=1))
 
 
 def _equal(

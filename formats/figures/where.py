@@ -209,8 +209,12 @@ def _words(edges: Array) -> list[str]:
 
 def _panel(scene: Scene, route: Route, edges: Array, what: str, legend: dict[str, str]) -> Panel:
     marks: list[Mark] = list(_coloured(route, edges))
-    crosses = _crosses(route)
-    marks += [Spots("gate", *crosses.T)] if len(crosses) else []
+    crosses = interpolate(route.refused, route.t, route.xy)
+    crosses = crosses[np.isfinite(crosses).all(axis=1)]
+    if len(crosses):  # at most one in each cell of the map
+        cell = max(float(np.nanmax(np.ptp(route.xy, axis=0))), TINY_M) * REFUSAL_CELL
+        _, first = np.unique(np.floor(crosses / cell), axis=0, return_index=True)
+        marks.append(Spots("gate", *crosses[np.sort(first)].T))
     marks += landmarks(scene)
     marks += spots(route.t, route.xy)
     rms = float(np.sqrt(np.nanmean(route.value**2)))
@@ -244,14 +248,3 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
                 found += [np.full((1, 2), np.nan), points] if found else [points]
     paths = {level: np.concatenate(found) for level, found in sorted(pieces.items())}
     return [Curve(f"level {level}", xy[:, 0], xy[:, 1], wide=True) for level, xy in paths.items()]
-
-
-def _crosses(route: Route) -> Array:
-    """Return the positions (k, 2) [m] on the path at the times of rejected readings, at most one per map cell."""
-    places = interpolate(route.refused, route.t, route.xy)
-    places = places[np.isfinite(places).all(axis=1)]
-    if len(places) == 0:
-        return places
-    cell = max(float(np.nanmax(np.ptp(route.xy, axis=0))), TINY_M) * REFUSAL_CELL
-    _, first = np.unique(np.floor(places / cell), axis=0, return_index=True)
-    return places[np.sort(first)]

@@ -37,7 +37,21 @@ def report(
         "locfuse": version,
         "made_with": made_with(),
         "input": {**source, "dropped": {k: dict(v) for k, v in drive.dropped.items() if v}},
-        "configurations": {e.name: _configuration(e) for e in evaluations},
+        "configurations": {
+            e.name: {
+                "configuration": e.configuration,
+                **e.figures,
+                "align": e.align,
+                "reference": None,  # errors are estimate - truth
+                "smoothed": e.smoothed,
+                "rates_hz": dict(e.rates),
+                "lost": [list(interval) for interval in e.lost],
+                "lost_share": e.lost_share,
+                "notes": list(e.notes),
+                "sensors": {name: asdict(s) for name, s in e.sensors.items()},
+            }
+            for e in evaluations
+        },
         "truth": None if drive.truth is None else _truth(drive.truth, evaluations),
         "absent": drive.absent,
         "notes": list(drive.notes),
@@ -82,21 +96,6 @@ def readable(report: Mapping[str, Any], source: str) -> dict[str, Any]:
             f"{SCHEMA_VERSION}. Update locfuse, or make the report again with: locfuse compare LOG -o DIR"
         )
     return dict(report)
-
-
-def _configuration(evaluation: Evaluation) -> dict[str, Any]:
-    return {
-        "configuration": evaluation.configuration,
-        **evaluation.figures,
-        "align": evaluation.align,
-        "reference": None,  # errors are estimate - truth
-        "smoothed": evaluation.smoothed,
-        "rates_hz": dict(evaluation.rates),
-        "lost": [list(interval) for interval in evaluation.lost],
-        "lost_share": evaluation.lost_share,
-        "notes": list(evaluation.notes),
-        "sensors": {name: asdict(s) for name, s in evaluation.sensors.items()},
-    }
 
 
 def _truth(truth: Truth, evaluations: Sequence[Evaluation]) -> dict[str, Any]:

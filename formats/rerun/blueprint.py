@@ -44,7 +44,9 @@ def _left(scene: RerunScene) -> Any:
     rows = [(_map_view(scene), 0.66)]
     if len(drawing.legend_of(scene)) > 1:
         share = LEGEND_SHARES[0] + LEGEND_SHARES[1] * drawing.legend_rows(scene)
-        rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", *drawing.legend_ranges(scene)), share))
+        x = (-0.5 * drawing.LEGEND_CELL, (drawing.LEGEND_COLUMNS - 0.5) * drawing.LEGEND_CELL)
+        y = (-0.2, drawing.legend_rows(scene) - 0.1)  # each row has height 1
+        rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", x, y), share))
     if scene.picture_rows is not None:
         rows.append((_view_2d("Panorama", f"/{drawing.PANORAMA}"), 0.24))
     views, shares = zip(*rows, strict=True)

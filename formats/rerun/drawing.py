@@ -109,11 +109,6 @@ def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:
     return [*((e.name, scene.colour(e.name)) for e in runs), *rest]
 
 
-def legend_ranges(scene: RerunScene) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the x and y ranges of the legend's view; each row has height 1."""
-    return (-0.5 * LEGEND_CELL, (LEGEND_COLUMNS - 0.5) * LEGEND_CELL), (-0.2, legend_rows(scene) - 0.1)
-
-
 def legend_rows(scene: RerunScene) -> int:
     """Return the number of rows of the legend."""
     return -(-len(legend_of(scene)) // LEGEND_COLUMNS)
@@ -218,7 +213,13 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
             pen.dots(f"nis/{sensor}/{name}", e.t[audit.instant[compared]], audit.nis[compared])
             _draw_innovation(pen, f"innovation/{sensor}", e, audit, scene.sights[sensor])
             t = drive.t[drive.instant[sensor]]
-            _draw_gate(pen, f"gate/{sensor}/{name}", t, reading_states(drive.measurements[sensor], audit))
+            states, path = list(STATES), f"gate/{sensor}/{name}"
+            reading, code = thinned_states(reading_states(drive.measurements[sensor], audit), limit)
+            changes = np.flatnonzero(np.diff(code, prepend=-1))
+            colours = list(STATES.values())
+            to.static(path, rr.StateConfiguration(values=states, labels=states, colors=colours))
+            words = [states[state] for state in code[changes].tolist()]
+            to.send(path, t[reading[changes]], rr.StateChange.columns(state=words))
     for sensor, sight in scene.sights.items():
         _draw_limits(to, scene, sensor, sight)
     for topic in scene.raw:
@@ -270,16 +271,6 @@ def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: Se
         if np.isfinite(value):
             pen = Pen(to, name, colour, 2)
             pen.curve(f"nis/{sensor}/limits/{level}", scene.drive.t[[0, -1]], np.full(2, value))
-
-
-def _draw_gate(pen: Pen, path: str, t: Array, codes: Ints) -> None:
-    """Draw the changes of the state of a sensor's readings; `codes` (n,) at t (n,) [s] are indices into STATES."""
-    names = list(STATES)
-    reading, code = thinned_states(codes, pen.limit)
-    changes = np.flatnonzero(np.diff(code, prepend=-1))
-    pen.to.static(path, rr.StateConfiguration(values=names, labels=names, colors=list(STATES.values())))
-    words = [names[state] for state in code[changes].tolist()]
-    pen.to.send(path, t[reading[changes]], rr.StateChange.columns(state=words))
 
 
 def reading_states(m: Measurements, audit: Audit) -> Ints:

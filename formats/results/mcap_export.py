@@ -26,7 +26,7 @@ from locfuse.formats.container.mcap_write import CHUNK_BYTES, LogWriter, Standar
 from locfuse.formats.geometry import quaternions, spatial_covariance
 from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
-from locfuse.formats.messages.schema import Many, Node, Scalar, parse, resolve
+from locfuse.formats.messages.schema import Many, Scalar, parse, resolve
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth, evenly
 
 from .recovered_log import copy_messages
@@ -39,11 +39,6 @@ Columns = Mapping[str, NDArray[Any]]  # dotted path of a field -> numbers (n,), 
 def stamp_columns(path: str, t_ns: Ints) -> dict[str, Ints]:
     """Return the columns of a builtin_interfaces/Time field at `path`."""
     return {f"{path}.sec": t_ns // 1_000_000_000, f"{path}.nanosec": t_ns % 1_000_000_000}
-
-
-def _number(node: Node) -> np.dtype[Any]:
-    scalar = cast("Scalar", node.element if isinstance(node, Many) else node)
-    return np.dtype(scalar.dtype).newbyteorder("<")
 
 
 # --- Series of poses as messages: nav_msgs/Odometry, PoseStamped, PointStamped, Path, and /tf
@@ -72,8 +67,12 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
         message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
         paths = self.columns(slice(1)).keys()
         layout = read_layout(message, nested({path: path for path in paths}), memoryview(one), CDR)
-        types = {path: _number(resolve(message, path)[0].node) for path in paths}
-        return np.frombuffer(one, np.uint8), {p: (layout.leaves[p].offsets[0], types[p]) for p in paths}
+        places = {}
+        for path in paths:
+            node = resolve(message, path)[0].node
+            scalar = cast("Scalar", node.element if isinstance(node, Many) else node)
+            places[path] = layout.leaves[path].offsets[0], np.dtype(scalar.dtype).newbyteorder("<")
+        return np.frombuffer(one, np.uint8), places
 
     def messages(self, rows: slice) -> Bytes:
         """Return the messages of these rows as CDR bytes (k, size)."""
@@ -219,13 +218,10 @@ class Export(msgspec.Struct, frozen=True):
         topics.add(f"/locfuse/{name}/odometry", odometry(t_ns, pose, triangles, twist, f"{name}/{BASE}"))
         topics.once(f"/locfuse/{name}/path", t_ns, pose)
         topics.add("/tf", transforms(t_ns, pose, f"{name}/{BASE}"))
-        if e is self.estimates[-1] and self._may_publish_base():
+        recorded = self.log.topics.items() if self.log is not None else ()
+        has_tf = any(t.msgtype in TF_TYPES and not name.endswith("tf_static") for name, t in recorded)
+        if e is self.estimates[-1] and not has_tf:
             topics.add("/tf", transforms(t_ns, pose, BASE))
-
-    def _may_publish_base(self) -> bool:
-        """Return whether the log has no /tf, so that a configuration may publish the frame base_link."""
-        topics = self.log.topics if self.log is not None else {}
-        return not any(t.msgtype in TF_TYPES and not name.endswith("tf_static") for name, t in topics.items())
 
 
 def _truth(topics: _Topics, truth: Truth, epoch_ns: int) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Mask
 
 from .scenario import Box, Building, Furniture, Glass, LeggedTable, Opening, Scenario, Space, SwivelChair, Walker
-from .table import Point, Segment, Streams, streams
+from .table import Point, Streams, streams
 from .world import Plan, World, cast, hit_circles, hit_segments
 
 SAME_PLACE_M = 1e-6  # m, largest difference of equal coordinates
@@ -42,27 +42,20 @@ def straight_walls(building: Building, size: Point) -> Array:
         size: m, between the centre lines of the outer walls, along x and y.
     """
     half = building.wall / 2
-    outer: Segment = (-half, -half, size[0] + half, size[1] + half)
-    rectangles = np.round(np.array([outer, *hollows(building)], float) / SAME_PLACE_M) * SAME_PLACE_M
-    x, y = (np.unique(rectangles[:, [i, i + 2]]) for i in (0, 1))
-    solid = _inside(rectangles[:1], x, y) & ~_inside(rectangles[1:], x, y)
-    return np.array([*_faces(solid, x, y), *(s[[1, 0, 3, 2]] for s in _faces(solid.T, y, x))]).reshape(-1, 4)
-
-
-def hollows(building: Building) -> list[Segment]:
-    """Return the empty rectangles (west, south, east, north) [m] of all spaces and openings."""
-    half = building.wall / 2
-    found = []
+    parts = [(-half, -half, size[0] + half, size[1] + half)]  # the block, then all that is empty
     for space in building.spaces:
         west, south, east, north = space.area
-        found.append((west + half, south + half, east - half, north - half))
+        parts.append((west + half, south + half, east - half, north - half))
         for opening in space.openings:  # through the whole wall, of a closed door its outer half
             at, inward = ends(space, opening)
             inner = at + (0.0 if opening.kind == "closed" else half) * inward
             corners = np.concatenate((inner, at - half * inward))
             (west, south), (east, north) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-            found.append((west, south, east, north))
-    return found
+            parts.append((west, south, east, north))
+    rectangles = np.round(np.array(parts, float) / SAME_PLACE_M) * SAME_PLACE_M
+    x, y = (np.unique(rectangles[:, [i, i + 2]]) for i in (0, 1))
+    solid = _inside(rectangles[:1], x, y) & ~_inside(rectangles[1:], x, y)
+    return np.array([*_faces(solid, x, y), *(s[[1, 0, 3, 2]] for s in _faces(solid.T, y, x))]).reshape(-1, 4)
 
 
 def ends(space: Space, opening: Opening) -> tuple[Array, Array]:

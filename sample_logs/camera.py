@@ -90,15 +90,6 @@ def shade(hits: Hits, eye: Array, lamps: Array) -> Floats:
     way = np.minimum(hits.way, np.float32(100))  # 100 m: limit for rays that leave through an open door
     x, y = np.float32(eye[0]) + way * hits.dx, np.float32(eye[1]) + way * hits.dy
     z = np.float32(eye[2]) + way * hits.slope
-    light = _light(hits, x, y, z, lamps)
-    palette: dict[int, Colour] = {**COLOUR, **hits.colours}
-    table = np.array([palette.get(i, (0, 0, 0)) for i in range(max(palette) + 1)], np.float32)
-    rgb = table[hits.surface]
-    rgb *= (light * _texture(hits, x, y, z))[:, None]
-    return rgb
-
-
-def _light(hits: Hits, x: Floats, y: Floats, z: Floats, lamps: Array) -> Floats:
     flat = (hits.nx == 0) & (hits.ny == 0)
     up = np.where(hits.surface == Surface.CEILING, np.float32(-1), np.float32(1))
     nz = np.where(flat, up, np.float32(0))
@@ -108,7 +99,11 @@ def _light(hits: Hits, x: Floats, y: Floats, z: Floats, lamps: Array) -> Floats:
         square = lx * lx + ly * ly + lz * lz + np.float32(0.3)
         facing = np.maximum(lx * hits.nx + ly * hits.ny + lz * nz, 0)
         light += np.float32(LAMP_LIGHT_M2) * facing / (square * np.sqrt(square))
-    return light
+    palette: dict[int, Colour] = {**COLOUR, **hits.colours}
+    table = np.array([palette.get(i, (0, 0, 0)) for i in range(max(palette) + 1)], np.float32)
+    rgb = table[hits.surface]
+    rgb *= (light * _texture(hits, x, y, z))[:, None]
+    return rgb
 
 
 def _texture(hits: Hits, x: Floats, y: Floats, z: Floats) -> Floats:

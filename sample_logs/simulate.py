@@ -96,7 +96,15 @@ class Simulation:
             targets = steering.wheel_speeds(now, pose)
             for _ in range(ticks):
                 robot.drive(targets)
-            self._check(robot)
+            x, y, _ = _pose(robot)
+            gap, control = float(clearance(self.obstacles, np.array([[x, y]]))[0]), self.scenario.control
+            if gap < control.clearance:
+                raise LocfuseError(
+                    f"the robot hits something after {robot.trail.end:.1f} s: at ({x:.2f}, {y:.2f}) it is "
+                    f"{gap:.2f} m away, and it is {2 * control.clearance:g} m wide; it steers on "
+                    f"control.estimator = {control.estimator}; try another --seed, or "
+                    "--set control.estimator=truth"
+                )
         for message in recorder.until(robot.trail.end):
             emit(message)
         truth = robot.trail.knots().copy()
@@ -110,17 +118,6 @@ class Simulation:
             radius=self.scenario.wheels.radius,
             missed=sum(w.missed for w in robot.wheels),
         )
-
-    def _check(self, robot: SimulatedRobot) -> None:
-        x, y, _ = _pose(robot)
-        gap = float(clearance(self.obstacles, np.array([[x, y]]))[0])
-        if gap < self.scenario.control.clearance:
-            raise LocfuseError(
-                f"the robot hits something after {robot.trail.end:.1f} s: at ({x:.2f}, {y:.2f}) it is "
-                f"{gap:.2f} m away, and it is {2 * self.scenario.control.clearance:g} m wide; it steers on "
-                f"control.estimator = {self.scenario.control.estimator}; try another --seed, "
-                "or --set control.estimator=truth"
-            )
 
 
 class Recorder:
@@ -279,20 +276,19 @@ def stream_of(messages: list[RawMessage]) -> ArrayStream:
     in_order = stamps >= np.maximum.accumulate(stamps)
     kept = [m for m, keep in zip(messages, in_order.tolist(), strict=True) if keep]
     first = messages[0]
+    data: dict[str, Column] = {}
+    for name, value in first.fields.items():
+        values = [m.fields[name] for m in kept]
+        if isinstance(value, np.ndarray):
+            ends = np.concatenate(([0], np.cumsum([len(v) for v in values])))
+            data[name] = Ragged(np.concatenate(values), ends)
+        else:
+            data[name] = np.array(values) if isinstance(value, int | float) else values
     return ArrayStream(
         topic=first.topic,
         msgtype=first.msgtype,
         t_ns=stamps[in_order],
-        data={name: _column([m.fields[name] for m in kept]) for name in first.fields},
+        data=data,
         frame_id=first.frame_id,
         dropped={} if in_order.all() else {"stamp runs backwards": int((~in_order).sum())},
     )
-
-
-def _column(values: list[Any]) -> Column:
-    if isinstance(values[0], np.ndarray):
-        first = np.concatenate(([0], np.cumsum([len(v) for v in values])))
-        return Ragged(np.concatenate(values), first)
-    if isinstance(values[0], int | float):
-        return np.array(values)
-    return values

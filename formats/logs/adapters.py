@@ -265,14 +265,12 @@ def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id
         "point_step": step,
         "fields.datatype": Ragged(packed, kinds.first),
     }
-    place, turn = _stacked(columns, PLACE), _stacked(columns, TURN)
-    return _as_scans(len(step), lambda i: _moved(points(cloud, i), place[i], turn[i]), fields, frame_id)
-
-
-def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
-    """Return points (n, 3) [m] transformed by a pose: position (3,) [m], quaternion x, y, z, w (4,)."""
-    valid = 0.0 < float(quaternion @ quaternion) < np.inf  # else use the identity
-    return (rotated_3d(quaternion[None], xyz) if valid else xyz) + np.nan_to_num(place)
+    place, turn = np.nan_to_num(_stacked(columns, PLACE)), _stacked(columns, TURN)
+    squares = np.square(turn).sum(axis=1)
+    turn[~((squares > 0.0) & (squares < np.inf))] = 0.0, 0.0, 0.0, 1.0  # an invalid rotation is left out
+    return _as_scans(
+        len(step), lambda i: rotated_3d(turn[i : i + 1], points(cloud, i)) + place[i], fields, frame_id
+    )
 
 
 def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
@@ -363,7 +361,15 @@ PRESENTED: Mapping[str, Presented] = {
         FOXGLOVE_ODOMETRY, Presented(ODOMETRY, "odometry", OF_FOXGLOVE_ODOMETRY, odometry_of_foxglove)
     ),
     SPORT_STATE: Presented(ODOMETRY, "odometry", OF_SPORT_STATE, odometry_of_sport_state, frame=lambda _: "odom"),
-    **dict.fromkeys(FOXGLOVE_JOINTS, Presented(JOINTS, "joints", OF_FOXGLOVE_JOINTS, joints_of_foxglove)),
+    **dict.fromkeys(
+        FOXGLOVE_JOINTS,
+        Presented(
+            JOINTS,
+            "joints",
+            OF_FOXGLOVE_JOINTS,
+            lambda columns, fields, _: {name: columns[f"joints.{name}"] for name in fields},
+        ),
+    ),
     **dict.fromkeys(FEEDBACK, Presented(JOINTS, "joints", OF_FEEDBACK, joints_of_feedback)),
     VEHICLE_ODOMETRY: Presented(ODOMETRY, "odometry", OF_ODOMETRY, odometry_of_vehicle, frame=lambda _: "odom"),
     LOCAL_POSITION: Presented(ODOMETRY, "odometry", OF_POSITION, odometry_of_position, frame=lambda _: "odom"),

@@ -134,15 +134,13 @@ def draw_pictures(to: TimelineRecorder, scene: RerunScene) -> None:
     rest = iter(scene.pictures)
     while batch := list(islice(rest, PICTURES_IN_MEMORY)):
         t = np.array([picture.t for picture in batch])
-        _send_encoded(to, OMNI, t, [p.omni for p in batch], [p.omni_type for p in batch])
-        _send_encoded(to, PANORAMA, t, [p.panorama for p in batch], ["image/jpeg"] * len(batch))
+        of_omni = [p.omni for p in batch], [p.omni_type for p in batch]
+        of_panorama = [p.panorama for p in batch], ["image/jpeg"] * len(batch)
+        for root, (images, kinds) in ((OMNI, of_omni), (PANORAMA, of_panorama)):
+            blobs = [np.frombuffer(data, np.uint8) for data in images]
+            to.send(root, t, rr.EncodedImage.columns(blob=blobs, media_type=kinds))
         for name in GROUPS:
             _send_found(to, name, t, batch, rows)
-
-
-def _send_encoded(to: TimelineRecorder, path: str, t: Array, data: Sequence[bytes], kinds: Sequence[str]) -> None:
-    blobs = [np.frombuffer(d, np.uint8) for d in data]
-    to.send(path, t, rr.EncodedImage.columns(blob=blobs, media_type=list(kinds)))
 
 
 def _send_found(to: TimelineRecorder, group: str, t: Array, batch: Sequence[Picture], rows: float) -> None:

@@ -37,7 +37,7 @@ from benchmarks.advice_cases import CAMERA, CASES, CLEAN, Case
 from benchmarks.experiment import Row
 from locfuse.cli.session.session import load
 from locfuse.fusion.data import Array
-from locfuse.sample_logs.load import load as scenario_of
+from locfuse.sample_logs.scenario import load as scenario_of
 from locfuse.sample_logs.simulate import EPOCH_NS, on_truth, write_log
 
 SIDES = {"with truth": True, "without": False}

@@ -13,7 +13,7 @@ from benchmarks import floor_plan
 from benchmarks.real_logs import FILES, KNOWN, are_there
 from locfuse.cli.analysis.settings import set_words
 from locfuse.formats.container.mcap_write import log_writer
-from locfuse.sample_logs import load
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation, to_log
 from locfuse.sample_logs.table import RawMessage
 

@@ -18,10 +18,9 @@ from locfuse.fusion.data import Array, ArrayStream, Column, Ints, LocfuseError, 
 
 from .building_scene import scene_of
 from .faults import ClockOffset, Dates, Fault, MessageFault, label
-from .load import dumps
 from .paths import Follower, LegFollower, PathFollower, Steering, polygon, tour, waypoints
 from .robot import SimulatedRobot
-from .scenario import Legs, Polygon, Scenario, Waypoints
+from .scenario import Legs, Polygon, Scenario, Waypoints, dumps
 from .sensors import SimulatedSensor, robot_tables, sensors, stated_start, static_transforms
 from .table import Emit, Estimator, Pose, RawMessage, Streams, streams
 from .world import World, clearance

@@ -20,7 +20,7 @@ from locfuse.formats.report import json_report
 from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Array, Colour
 from locfuse.fusion.sensors.registry import colours
-from locfuse.sample_logs import load as scenarios
+from locfuse.sample_logs import scenario as scenarios
 from locfuse.sample_logs.paths import polygon
 from locfuse.sample_logs.scenario import Polygon
 from locfuse.sample_logs.simulate import in_memory

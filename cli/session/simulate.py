@@ -57,7 +57,7 @@ def simulate(
     Raises:
         LocfuseError: no such scenario, an unknown key, or an existing file.
     """
-    from locfuse.sample_logs import load as scenarios
+    from locfuse.sample_logs import scenario as scenarios
 
     chosen = scenarios.load(str(scenario), set_words(sets))
     seed = chosen.seed if seed is None else seed

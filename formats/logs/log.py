@@ -32,9 +32,8 @@ from locfuse.fusion.progress import report_progress
 
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
-from .channels import Topic, by_topic
 from .file_stream import RANGES, is_file_topic, read_file
-from .files import Identity, files_of, identity_of, log_name, open_source
+from .files import Identity, Topic, by_topic, files_of, identity_of, log_name, open_source
 from .stream import (
     NUMBER,
     LogStream,

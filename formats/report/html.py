@@ -86,7 +86,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
 def page_of(template: Traversable, version: str, swatches: Swatches, script: bool = True, **values: Any) -> str:
     """Return a self-contained HTML page: the rendered template with its style sheet, script and colours."""
     folder = files(__package__)
-    code = (folder / "report.js").read_text(encoding="utf-8") if script else ""
+    code = compact((folder / "report.js").read_text(encoding="utf-8")) if script else ""
     page = _compiled(template.read_text(encoding="utf-8")).render(
         values,
         version=version,
@@ -129,6 +129,13 @@ def style_sheet(css: str, swatches: Swatches) -> str:
     uses = "".join(f".{s}{{--c:var(--{s})}}" for s in slugs.values())
     hides = "".join(f":root:has(#show-{s}:not(:checked)) .fig .{s}{{display:none}}" for s in slugs.values())
     return css.replace("/*light*/", light).replace("/*dark*/", dark) + uses + f"@media screen{{{hides}}}"
+
+
+def compact(source: str) -> str:
+    """Return JavaScript without comments and indents, and without line ends and spaces outside strings."""
+    lines = (line.strip() for line in source.splitlines())
+    parts = re.split(r"""("[^"]*"|`[^`]*`)""", "".join(line for line in lines if not line.startswith("//")))
+    return "".join(p if i % 2 else re.sub(r" *([-=+*/<>?:,;{}()&|!]) *", r"\1", p) for i, p in enumerate(parts))
 
 
 def hash_of(script: str) -> str:

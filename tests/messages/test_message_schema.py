@@ -17,7 +17,7 @@ from present import present
 from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
-from locfuse.formats.logs.channels import encoding_problem, make_decoder
+from locfuse.formats.logs.files import encoding_problem, make_decoder
 from locfuse.formats.messages import schema, schema as kinds
 from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema

@@ -11,7 +11,7 @@ import rooms
 
 from benchmarks.floor_plan import FREE, OCCUPIED, UNKNOWN, floor_plan, write
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.sample_logs import load
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.building_scene import (
     LEG_RADIUS_M,
     MIN_PERSON_RANGE_M,

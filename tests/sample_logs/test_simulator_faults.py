@@ -11,7 +11,7 @@ import pytest
 from present import present
 
 from locfuse.fusion.data import ArrayStream, Ragged
-from locfuse.sample_logs import faults, load
+from locfuse.sample_logs import faults, scenario as load
 from locfuse.sample_logs.camera import Painter
 from locfuse.sample_logs.scenario import Leg, Legs, Scenario
 from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation, in_memory

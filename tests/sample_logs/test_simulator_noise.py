@@ -10,7 +10,7 @@ from present import present
 from scipy.stats import binom, chi2, kstest
 
 from locfuse.fusion.data import Array, ArrayStream, Ragged
-from locfuse.sample_logs import load
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.robot import SimulatedRobot
 from locfuse.sample_logs.scenario import (
     CompassSpec,

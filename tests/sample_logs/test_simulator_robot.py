@@ -13,7 +13,7 @@ from present import present
 from locfuse.cli.commands.simulate import simulate
 from locfuse.cli.session.simulate import localise
 from locfuse.fusion.data import Array, LocfuseError, UsageError
-from locfuse.sample_logs import load
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.paths import LegFollower, PathFollower, polygon, tour
 from locfuse.sample_logs.robot import SimulatedRobot, Trail, decode, phases
 from locfuse.sample_logs.scenario import Leg, Motor, Polygon, Room, Scenario, Tour, WheelsSpec

@@ -9,7 +9,6 @@ from __future__ import annotations
 import zlib
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Collection
 from contextlib import suppress
 
 import msgspec
@@ -37,6 +36,9 @@ class ChunkRef(Part):
     def place(self) -> tuple[int, int]:
         """File offsets: start of the chunk, end of its message indexes."""
         return self.offset, max(at + length for at, length in self.index.values())
+
+
+CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
 
 
 def chunk_at(offset: int, data: FileBytes) -> ChunkRef:
@@ -227,70 +229,6 @@ def confirm(data: FileBytes, chunk: ChunkRef) -> None:
         chunk.crc, chunk.promised = own.crc, False
 
 
-# --- The next readable record after damage
-
-SEARCH_BYTES = 1 << 20
-CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
-
-
-class Resync:
-    """Finds the next readable record after damage, by the chunk index or else by a search of the bytes."""
-
-    def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
-        self.data = data
-        self.starts = sorted(summary.chunks) if summary else []
-        self.end = summary.start if summary else data.size
-        self._window = range(0)  # file offsets of the bytes searched last
-        self._places: Ints = np.empty(0, np.int64)  # possible record starts in the window, file offsets
-        self._chunked = False  # whether `_places` has chunks only
-
-    def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
-        """Return the offset of the next chunk at or after `at`, in an unchunked file of the next message.
-
-        None if there is none.
-        """
-        if self.starts:
-            i = bisect_left(self.starts, at)
-            return self.starts[i] if i < len(self.starts) else None
-        while at + rec.RECORD.size <= self.end:
-            if at not in self._window or chunked != self._chunked:
-                window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
-                n = len(window) - rec.RECORD.size + 1
-                wanted = (window[:n] == rec.CHUNK) | ((window[:n] == rec.MESSAGE) & (not chunked))
-                wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # upper half of the length: below 4 GiB
-                self._window, self._chunked = range(at, at + n), chunked
-                self._places = np.flatnonzero(wanted) + at
-            for i in range(int(np.searchsorted(self._places, at)), len(self._places)):
-                place = int(self._places[i])
-                if self._is_chunk(place) or (not chunked and self._are_records(place, channels)):
-                    return place
-            at = self._window.stop
-        return None
-
-    def _is_chunk(self, at: int) -> bool:
-        try:
-            chunk = chunk_at(at, self.data)
-        except DamagedError:
-            return False
-        return chunk.start + chunk.size <= self.data.size and chunk.compression in CODECS
-
-    def _are_records(self, at: int, channels: Collection[int]) -> bool:
-        """Return whether three plausible records in a row begin here, with messages of known channels only."""
-        for _ in range(3):
-            head = self.data.read(at, rec.RECORD.size + 2)
-            if len(head) < rec.RECORD.size + 2:
-                return False
-            opcode, length = rec.RECORD.unpack_from(head)
-            if opcode == rec.MESSAGE and int.from_bytes(head[rec.RECORD.size :], "little") not in channels:
-                return False
-            if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
-                return False
-            if opcode == rec.DATA_END:
-                return True
-            at += rec.RECORD.size + length
-        return True
-
-
 # --- The kind of a file by its first bytes, for error messages
 
 SIGNATURES = (
@@ -330,6 +268,7 @@ def describe(head: bytes) -> str:
 
 # --- The survey, record by record
 
+SEARCH_BYTES = 1 << 20  # searched at once for the next readable record after damage
 RUN_BYTES = 1 << 20  # size of the blocks in which messages outside chunks are read; a larger message is read alone
 LARGE_CHUNK_BYTES = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
@@ -352,8 +291,11 @@ class _SurveyWalk:
         known = summary or FileSummary()
         self.promised = known.chunks
         self.found = Survey([], known.schemas, known.channels, [], known.expected)
-        self.resync = Resync(data, summary)
         self.chunked = False
+        self._starts = sorted(self.promised)
+        self._window = range(0)  # file offsets of the bytes searched last for a readable record
+        self._places: Ints = np.empty(0, np.int64)  # possible record starts in the window, file offsets
+        self._chunks_only = False  # whether `_places` has chunks only
         self.index_end = 0  # end of the last chunk's message indexes, from the summary
 
     def run(self) -> Survey:
@@ -483,7 +425,54 @@ class _SurveyWalk:
         return end
 
     def _next_readable(self, at: int) -> int | None:
-        return self.resync.next(at, self.chunked, self.found.channels.keys())
+        """Return the offset of the next chunk at or after `at`, in an unchunked file of the next message.
+
+        It is found by the chunk index, or else by a search of the bytes. None if there is none.
+        """
+        if self._starts:
+            i = bisect_left(self._starts, at)
+            return self._starts[i] if i < len(self._starts) else None
+        end = self.summary.start if self.summary else self.data.size
+        while at + rec.RECORD.size <= end:
+            if at not in self._window or self.chunked != self._chunks_only:
+                window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
+                n = len(window) - rec.RECORD.size + 1
+                wanted = (window[:n] == rec.CHUNK) | ((window[:n] == rec.MESSAGE) & (not self.chunked))
+                wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # upper half of the length: below 4 GiB
+                self._window, self._chunks_only = range(at, at + n), self.chunked
+                self._places = np.flatnonzero(wanted) + at
+            for i in range(int(np.searchsorted(self._places, at)), len(self._places)):
+                place = int(self._places[i])
+                if self._is_chunk(place) or (not self.chunked and self._are_records(place)):
+                    return place
+            at = self._window.stop
+        return None
+
+    def _is_chunk(self, at: int) -> bool:
+        try:
+            chunk = chunk_at(at, self.data)
+        except DamagedError:
+            return False
+        return chunk.start + chunk.size <= self.data.size and chunk.compression in CODECS
+
+    def _are_records(self, at: int) -> bool:
+        """Return whether three plausible records in a row begin here, with messages of known channels only."""
+        for _ in range(3):
+            head = self.data.read(at, rec.RECORD.size + 2)
+            if len(head) < rec.RECORD.size + 2:
+                return False
+            opcode, length = rec.RECORD.unpack_from(head)
+            if (
+                opcode == rec.MESSAGE
+                and int.from_bytes(head[rec.RECORD.size :], "little") not in self.found.channels
+            ):
+                return False
+            if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
+                return False
+            if opcode == rec.DATA_END:
+                return True
+            at += rec.RECORD.size + length
+        return True
 
     def _skip_damage(self, at: int, reason: str) -> int:
         """Record the bytes up to the next readable record as lost; return its offset."""

@@ -45,37 +45,35 @@ NAN = float("nan")
 
 
 def column(objects: list[dict[str, Any]], path: str, parts: tuple[FieldPart, ...]) -> Column:
-    """Return one field of all messages as a column; `parts` is the resolved `path`."""
-    inside = parts[0].inside
-    if inside and isinstance(parts[0].node, Many | LengthCounts):
-        return _nested(parts[0], objects)
-    path = parts[0].path.rpartition(".")[0] if len(parts) == 2 else parts[0].path
-    values = [_at(one, path.split(".")) for one in objects]
-    node = TIME if len(parts) == 2 else parts[0].node
-    if inside:
-        rows = [value if isinstance(value, list) else [] for value in values]
-        for _ in range(parts[0].depth - 1):  # lists in lists become one list
-            rows = [[v for one in row if isinstance(one, list) for v in one] for row in rows]
-        if isinstance(node, Text):
-            return [tuple(_text(v) for v in row) for row in rows]
-        return _ragged([_scalars(node, row) for row in rows], _dtype(node))
-    if isinstance(node, Many):
-        return _many(node, values)
-    return [_text(v) for v in values] if isinstance(node, Text) else _scalars(node, values)
+    """Return one field of all messages as a column; `parts` is the resolved `path`.
 
-
-def _nested(part: FieldPart, objects: list[dict[str, Any]]) -> Column:
-    """Return the inner arrays of an array as a column: all their numbers or strings of a message in one row.
-
-    For a field "PATH.length", return the lengths of the inner arrays.
+    The inner arrays of an array become one row of a message; for a field "PATH.length", the row has their lengths.
     """
-    found = [_at(one, part.path.split(".")) for one in objects]
-    rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
-    if isinstance(part.node, LengthCounts):
-        return _ragged([np.array([len(v) for v in row], np.int64) for row in rows], "i8")
-    if isinstance(part.node, Many) and isinstance(part.node.element, Text):
-        return [tuple(_text(v) for inner in row for v in inner) for row in rows]
-    return _ragged([_floats([v for inner in row for v in inner]) for row in rows], "f8")
+    part = parts[0]
+    path = part.path.rpartition(".")[0] if len(parts) == 2 else part.path
+    values = [_at(one, path.split(".")) for one in objects]
+    node = TIME if len(parts) == 2 else part.node
+    many = isinstance(node, Many)
+    if not part.inside and not many:
+        return [_text(v) for v in values] if isinstance(node, Text) else _scalars(node, values)
+    if isinstance(node, Many):
+        node = node.element
+    if not part.inside and isinstance(node, Scalar) and node.dtype == "u1":
+        return [_bytes(value) for value in values]
+    rows = [_listed(value) for value in values]
+    if isinstance(node, LengthCounts):
+        return _ragged([np.array([len(_listed(v)) for v in row], np.int64) for row in rows], "i8")
+    for _ in range(part.depth - (not many)):  # lists in lists become one list
+        rows = [[v for one in row for v in _listed(one)] for row in rows]
+    if isinstance(node, Text):
+        return [tuple(_text(v) for v in row) for row in rows]
+    if many:
+        return _ragged([_floats(row) for row in rows], "f8")
+    return _ragged([_scalars(node, row) for row in rows], _dtype(node))
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def _at(value: Any, names: Sequence[str]) -> Any:
@@ -121,19 +119,11 @@ def _text(value: Any) -> str:
     return writable(value) if isinstance(value, str) else ""  # JSON can contain half a surrogate pair
 
 
-def _many(node: Many, values: list[Any]) -> Column:
-    if isinstance(node.element, Scalar) and node.element.dtype == "u1":
-        data = []
-        for value in values:
-            try:
-                data.append(value if isinstance(value, bytes) else base64.b64decode(value))
-            except (TypeError, ValueError, binascii.Error):
-                data.append(b"")
-        return data
-    rows = [value if isinstance(value, list) else [] for value in values]
-    if isinstance(node.element, Text):
-        return [tuple(_text(v) for v in row) for row in rows]
-    return _ragged([_floats(row) for row in rows], "f8")
+def _bytes(value: Any) -> bytes:
+    try:
+        return value if isinstance(value, bytes) else base64.b64decode(value)
+    except (TypeError, ValueError, binascii.Error):
+        return b""
 
 
 def _floats(row: list[Any]) -> NDArray[Any]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping
 from statistics import fmean, median
 from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 
-from .findings import effect_of, options
+from .findings import counts, effect_of, options
 from .table import Column, Table, escape, markdown, of_rows
 from .tables import CONFIGURATION, DURATION, MAIN, RMSE
 
@@ -159,17 +160,17 @@ def headline(summary: Mapping[str, Any]) -> str:
     done = [log for log in summary["logs"].values() if log.get("state", "done") == "done"]
     if not done:
         return "No log could be compared."
-    unjudged = [log for log in done if log.get("best") is None]  # no truth, or void figures
+    unjudged = ["void" if log.get("void") else "without truth" for log in done if log.get("best") is None]
+    left_out = counts(Counter(sorted(unjudged)))  # "2 void, 1 without truth"
     if best is None:
-        void = any(log.get("void") for log in unjudged)
         without_truth = "None of these logs has a truth: error figures do not exist."
-        reason = f"No log has an error figure: {_left_out(unjudged)}." if void else without_truth
+        reason = f"No log has an error figure: {left_out}." if "void" in unjudged else without_truth
         return f"{reason}{not_done(summary)}"
     found = summary["configurations"][best]
     mean = found["figures"][RMSE.key]["mean"]
     rivals = {n: c["best_in"] for n, c in summary["configurations"].items() if n != best and c["best_in"]}
     others = "".join(f", {n} in {k}" for n, k in rivals.items())
-    left = f" {_left_out(unjudged)}." if unjudged else ""
+    left = f" {left_out}." if unjudged else ""
     rest = f"{left}{_ties(summary)}{not_done(summary)}"
     partly = any(summary["configurations"][n]["figures"][RMSE.key]["logs"] < judged for n in rivals)
     if partly and not found["best_in"]:
@@ -181,13 +182,6 @@ def headline(summary: Mapping[str, Any]) -> str:
         )
     wins = f"the best in {found['best_in']} of {judged} logs{others}."
     return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}{rest}"
-
-
-def _left_out(logs: Sequence[Mapping[str, Any]]) -> str:
-    """Return the causes of missing error figures: "2 void, 1 without truth"."""
-    void = sum(bool(log.get("void")) for log in logs)
-    counts = ((void, "void"), (len(logs) - void, "without truth"))
-    return ", ".join(f"{n} {what}" for n, what in counts if n)
 
 
 def _ties(summary: Mapping[str, Any]) -> str:

@@ -306,7 +306,7 @@ NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or fals
 NINE = "9 numbers"
 THIRTY_SIX = "36 numbers"
 
-XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
+XYZW = ("x", "y", "z", "w")
 WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
 GAZEBO = ("ModelStates", "LinkStates")
 FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # prefixes of Foxglove's types in Protobuf and JSON, and in ROS
@@ -328,54 +328,33 @@ PACKAGES = frozenset(
         vision_msgs
     """)
 )
-# dotted paths in these packages that must be one number
-ONE_NUMBER = (
-    *(f"{vector}.{axis}" for vector in ("magnetic_field", "angular_velocity") for axis in XYZ),
-    *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
-    *(f"{at}position.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XY),
-    *(f"{at}.{axis}" for at in ("transform.translation", "point") for axis in XY),
-    *(f"transform.rotation.{axis}" for axis in XYZW),
-    *(f"{at}{part}" for at in ("", "twist.", "twist.twist.") for part in ("linear.x", "angular.z")),
-    *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
-    *words("""
-        linear_velocity.x point_stride longitudinal_velocity heading_rate state.speed velocity_left
-        velocity_right x y theta linear_velocity angular_velocity v omega angle_min angle_increment
-        time_increment range_min range_max width height step start_angle end_angle field_of_view min_range
-        max_range range status.status latitude longitude position_covariance_type ticks_left ticks_right
-        left_encoder right_encoder
-    """),
+# last names of paths in these packages that must be a number; of a field in one of the LISTS, an array of numbers
+NUMBER_NAMES = frozenset(
+    words("""
+        x y z w v theta omega speed steering_angle longitudinal_velocity heading heading_rate linear_velocity
+        angular_velocity velocity_left velocity_right vx vy velocity_frame point_stride point_step row_step step
+        angle_min angle_increment time_increment range_min range_max width height start_angle end_angle
+        field_of_view min_range max_range range bearing status latitude longitude position_covariance_type
+        ticks_left ticks_right left_encoder right_encoder
+    """)
 )
+LISTS = frozenset(words("detections drivers fields joints markers points poses rigidbodies"))
 # alternative names of a field in releases of a package
 CAMERA_MATRIX = "k|K"  # ROS 2, ROS 1
 CENTRE_2D = "detections.bbox.center.position.x|detections.bbox.center.x"
 CLASS = "detections.results.hypothesis.class_id|detections.results.id"
 TRACK_OR_CLASS = f"detections.id|{CLASS}"
-POSITIONS = """
-    poses.position poses.pose.position markers.pose.position markers.pose.pose.position
-    detections.pose.pose.pose.position detections.pose.pose.position detections.bbox.center.position
-    detections.centre
-    """
-# paths in these packages that must be an array of numbers
-ARRAYS = (
-    *(f"rigidbodies.pose.position.{axis}" for axis in XY),
-    *(f"{at}.pose.orientation.{axis}" for at in ("rigidbodies", "poses") for axis in XYZW),
-    *(f"{at}.{axis}" for at in words(POSITIONS) for axis in XYZ),
-    CENTRE_2D,
-    *words("""
-        ranges marker_ids markers.id markers.marker_id detections.id.length
-        interface_values.values interface_values.values.length ranges.echoes ranges.echoes.length
-        fields.offset fields.datatype fields.type joints.position joints.velocity joints.effort
-        drivers.measured_travel drivers.measured_velocity
-    """),
-)
+ARRAYS = words("""
+    ranges marker_ids markers.id markers.marker_id detections.id.length
+    interface_values.values interface_values.values.length ranges.echoes ranges.echoes.length
+    fields.offset fields.datatype fields.type joints.position joints.velocity joints.effort
+    drivers.measured_travel drivers.measured_velocity
+""")
+NAMES = words("rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name joints.name")
 # dotted path in these packages -> accepted kinds
 EXPECTED: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
     **dict.fromkeys(ARRAYS, (NUMBERS,)),
-    **dict.fromkeys(
-        words("rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name joints.name"),
-        (TEXTS,),
-    ),
+    **dict.fromkeys(NAMES, (TEXTS,)),
     **dict.fromkeys((TRACK_OR_CLASS, CLASS, "detections.id"), (NUMBERS, TEXTS)),
     **dict.fromkeys(("pose_covariance", "velocity_covariance"), (THIRTY_SIX, NUMBERS)),
     **dict.fromkeys(("pose.covariance", "twist.covariance"), (THIRTY_SIX,)),
@@ -392,22 +371,15 @@ OF_TYPES: tuple[tuple[str, str, str], ...] = (
     ("sensor_msgs/msg/JointState", "name", TEXTS),
     ("sensor_msgs/msg/JointState", "position velocity", NUMBERS),
     ("duckietown_msgs/msg/WheelEncoderStamped", "data", NUMBER),
-    ("locfuse/msg/Detections", "id range bearing", NUMBER),
-    ("locfuse/msg/Ranges", "id range", NUMBER),
-    ("locfuse/msg/TagFrames", "id x y z", NUMBER),
-    ("sensor_msgs/msg/PointCloud2", "point_step row_step", NUMBER),
+    *((f"locfuse/msg/{name}", "id", NUMBER) for name in ("Detections", "Ranges", "TagFrames")),
     ("sensor_msgs/msg/PointCloud2", "is_bigendian", TRUTH),
     *((f"sensor_msgs/msg/{name}", "data", BYTES) for name in ("PointCloud2", "CompressedImage", "Image")),
     *((f"{at}{name}", "data", BYTES) for at in FOXGLOVE for name in ("CompressedImage", "PointCloud", "RawImage")),
     ("px4_msgs/msg/VehicleOdometry", "position velocity angular_velocity", "3 numbers"),
     ("px4_msgs/msg/VehicleOdometry", "q", "4 numbers"),
-    ("px4_msgs/msg/VehicleOdometry", "velocity_frame", NUMBER),
-    ("px4_msgs/msg/VehicleLocalPosition", "x y heading vx vy", NUMBER),
     ("px4_msgs/msg/SensorCombined", "gyro_rad accelerometer_m_s2", "3 numbers"),
     ("unitree_go/msg/SportModeState", "position", "3 numbers"),
     *((f"gazebo_msgs/msg/{name}", "name", TEXTS) for name in GAZEBO),
-    *((f"gazebo_msgs/msg/{name}", f"pose.position.{axis}", NUMBERS) for name in GAZEBO for axis in XY),
-    *((f"gazebo_msgs/msg/{name}", f"pose.orientation.{axis}", NUMBERS) for name in GAZEBO for axis in XYZW),
 )
 OF_TYPE = {(msgtype, name): (kind,) for msgtype, names, kind in OF_TYPES for name in names.split()}
 TF = "transforms."  # one value for each transform of a message
@@ -447,7 +419,11 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
         return (TEXTS, TEXT) if path.endswith(TF_TEXTS) else (NUMBERS, NUMBER)
     if path.startswith(TF):
         return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if path.rpartition(".")[2] in XYZW else ()
-    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path, ())
+    if kinds := OF_TYPE.get((msgtype, path)) or EXPECTED.get(path):
+        return kinds
+    many = not LISTS.isdisjoint(path.split(".")) or msgtype.startswith("gazebo_msgs/")
+    number = path.partition(OR)[0].rpartition(".")[2] in NUMBER_NAMES
+    return ((NUMBERS if many else NUMBER),) if number else ()
 
 
 def check_kind(msgtype: str, path: str, parts: Sequence[FieldPart]) -> None:

@@ -34,20 +34,10 @@ class Sampled(NamedTuple):
 
 def polygon(path: Polygon) -> Sampled:
     """Return `laps` rounds of a closed polygon with rounded corners, from its first straight on."""
-    p = np.array(path.vertices, float)
-    if len(p) < 3:
-        raise LocfuseError(f"path.vertices holds {len(p)} points: a closed path needs at least three")
-    corners = np.roll(p, -1, axis=0)  # the corner after each edge
-    edges = corners - p
-    headings = np.arctan2(edges[:, 1], edges[:, 0])
-    turns = wrap_all(np.diff(headings, append=headings[:1]))
-    cuts = path.radius * np.tan(np.abs(turns) / 2)  # length of each edge that its rounded corner replaces
-    pieces = _pieces(np.hypot(*edges.T), np.roll(cuts, 1), cuts, turns, path.radius)
-    heading = float(headings[0])
-    x, y = p[0] + cuts[-1] * np.array([math.cos(heading), math.sin(heading)])
-    lap = _lay((float(x), float(y), heading), pieces)
-    n = round(path.laps * len(lap.pose))
-    times = math.ceil(path.laps)
+    if len(path.vertices) < 3:
+        raise LocfuseError(f"path.vertices holds {len(path.vertices)} points: a closed path needs at least three")
+    lap = _rounded(np.array(path.vertices, float), path.radius, closed=True)
+    n, times = round(path.laps * len(lap.pose)), math.ceil(path.laps)
     return Sampled(np.tile(lap.pose, (times, 1))[:n], np.tile(lap.curvature, times)[:n])
 
 
@@ -55,7 +45,7 @@ def waypoints(path: Waypoints) -> Sampled:
     """Return an open path through given points, with rounded corners."""
     if len(path.points) < 2:
         raise LocfuseError(f"path.points holds {len(path.points)} points: a path needs at least two")
-    return _open(np.array(path.points, float), path.radius)
+    return _rounded(np.array(path.points, float), path.radius)
 
 
 def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Sampled:
@@ -68,7 +58,7 @@ def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gener
     for _ in range(WALK_COUNT):
         corners = _walk(path, plan, size, rng)
         if corners is not None:
-            return _open(corners, path.radius)
+            return _rounded(corners, path.radius)
     raise LocfuseError(
         f"no tour of {path.length} m found in this room: lower path.clearance ({path.clearance} m) or path.legs"
     )
@@ -99,20 +89,17 @@ def _walk(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gene
     return None
 
 
-def _open(corners: Array, radius: float) -> Sampled:
-    edges = np.diff(corners, axis=0)
+def _rounded(corners: Array, radius: float, closed: bool = False) -> Sampled:
+    """Return the path through corners (k, 2) [m] with rounded corners, back to the first one if it is `closed`."""
+    following = np.roll(corners, -1, axis=0) if closed else corners[1:]
+    edges = following - corners[: len(following)]
     headings = np.arctan2(edges[:, 1], edges[:, 0])
-    turns = np.append(wrap_all(np.diff(headings)), 0.0)
-    cuts = radius * np.tan(np.abs(turns) / 2)
-    pieces = _pieces(np.hypot(*edges.T), np.append(0.0, cuts[:-1]), cuts, turns, radius)
-    return _lay((float(corners[0, 0]), float(corners[0, 1]), float(headings[0])), pieces)
-
-
-def _pieces(
-    length: Array, cut_before: Array, cut_after: Array, turns: Array, radius: float
-) -> list[tuple[float, float]]:
-    """Return alternating straights and arcs as (length [m], curvature [1/m])."""
-    straight = length - cut_before - cut_after
+    turns = wrap_all(np.diff(headings, append=headings[:1]))
+    if not closed:
+        turns[-1] = 0.0
+    cuts = radius * np.tan(np.abs(turns) / 2)  # length of each edge that its rounded corner replaces
+    before = np.roll(cuts, 1)
+    straight = np.hypot(*edges.T) - before - cuts
     if (straight < 0).any():
         raise LocfuseError(
             f"path.radius = {radius} m does not fit: the edge after vertex {int(straight.argmin()) + 1} "
@@ -120,7 +107,10 @@ def _pieces(
         )
     arcs = [(radius * abs(turn), math.copysign(1 / radius, turn)) for turn in turns.tolist()]
     pairs = zip(straight.tolist(), arcs, strict=True)
-    return [piece for way, arc in pairs for piece in ((way, 0.0), arc) if piece[0] > 0]
+    pieces = [piece for way, arc in pairs for piece in ((way, 0.0), arc) if piece[0] > 0]
+    heading = float(headings[0])
+    x, y = corners[0] + before[0] * np.array([math.cos(heading), math.sin(heading)])
+    return _lay((float(x), float(y), heading), pieces)
 
 
 def _lay(start: Pose, pieces: list[tuple[float, float]]) -> Sampled:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,22 +24,6 @@ FLATTENING = 1 / 298.257223563
 SONAR_RAYS = 21  # cast within a sonar's cone
 ULTRASOUND = 0  # Range.radiation_type
 APPROXIMATED, FIX, GPS_SERVICE = 1, 0, 1  # NavSatFix: covariance type, status, service
-
-
-class SimulatedSensor(Protocol):
-    """Sensor with its topic, period, duration and latency."""
-
-    name: str
-    topic: str
-    msgtype: str
-    frame_id: str
-    period: float  # s
-    phase: float  # s, time of the first reading
-    duration: float  # s, from the first sample of a reading to the last
-    latency: float  # s, from the last sample of a reading to its recording
-
-    def read(self, t: float) -> dict[str, Any]:
-        """Return the message fields of the reading that starts at t [s]; the trail must cover its duration."""
 
 
 class SimulatedEncoders:
@@ -251,6 +235,12 @@ def radii(latitude: float) -> tuple[float, float]:
 
 
 # --- Equipment of the robot: sensors of a scenario, their mounts, and the matching robot.toml
+
+# Each has a period, the phase of its first reading, the duration of a reading and the latency until its recording,
+# in s. `read(t)` returns the fields of the reading that starts at t [s]; the trail must cover its duration.
+SimulatedSensor = (
+    SimulatedEncoders | Magnetometer | SimulatedLaser | OmniCamera | Ranger | SatelliteReceiver | GroundTruth
+)
 
 EXACT_MOUNT = ("sigma_x", "sigma_y", "sigma_yaw_deg")  # 0: the simulated mount is exact
 

@@ -311,18 +311,19 @@ def definition(msgtype: str, sample: bytes = b"") -> str | None:
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    texts = _texts(msgtype.replace("/msg/", "/"))
-    for text in texts:
-        store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(text, msgtype))
-        if not sample or _fits(store, msgtype, sample):
-            return text
-    if texts:
-        return None
-    known = _definitions(msgtype)
-    if len(known) < 2 or not sample or len(sample) > MAX_SAMPLE:
-        return next(iter(known), None)
-    return next((text for text, store in known.items() if _fits(store, msgtype, sample)), next(iter(known)))
+    known: dict[str, Any] = {}  # ros2msg text -> type store, newest first
+    common = _texts(msgtype.replace("/msg/", "/"))
+    for text in common:
+        known[text] = get_typestore(Stores.EMPTY)
+        known[text].register(get_types_from_msg(text, msgtype))
+    for release in () if common else RELEASES:
+        store = get_typestore(Stores[release])
+        if msgtype in store.types:
+            known.setdefault(str(store.generate_msgdef(msgtype, ros_version=2)[0]), store)
+    newest = next(iter(known), None)
+    if not sample or (not common and (len(known) < 2 or len(sample) > MAX_SAMPLE)):
+        return newest
+    return next((t for t, store in known.items() if _fits(store, msgtype, sample)), None if common else newest)
 
 
 @cache
@@ -340,18 +341,6 @@ def _texts(name: str) -> list[str]:
     versions = max((len(table[one]) for one in used), default=0)
     chosen = [[table[one][min(i, len(table[one]) - 1)] for one in used] for i in range(versions)]
     return [f"\n{DIVIDER}\n".join([own, *map("MSG: {}\n{}".format, used[1:], rest)]) for own, *rest in chosen]
-
-
-def _definitions(msgtype: str) -> dict[str, Any]:
-    """Return the different definitions of a type in RELEASES, newest first: ros2msg text -> type store."""
-    from rosbags.typesys import Stores, get_typestore
-
-    found: dict[str, Any] = {}
-    for release in RELEASES:
-        store = get_typestore(Stores[release])
-        if msgtype in store.types:
-            found.setdefault(str(store.generate_msgdef(msgtype, ros_version=2)[0]), store)
-    return found
 
 
 def _fits(store: Any, msgtype: str, sample: bytes) -> bool:

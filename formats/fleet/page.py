@@ -29,7 +29,7 @@ from locfuse.formats.report.table import SIGNS, Cell, Column, Swatches, Table, h
 from locfuse.formats.report.tables import RMSE
 from locfuse.fusion.data import Array, Colour
 
-from .files import Entry
+from .entry import Entry
 
 MAX_ROWS = 200  # of each table on the page; all rows are in summary.csv
 MAX_CONFIGURATIONS = 12  # columns of the table of logs

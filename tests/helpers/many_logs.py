@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from locfuse.cli.session.summary import summarised
-from locfuse.formats.fleet.files import KINDS, Entry, slim, summary_files
+from locfuse.formats.fleet.entry import Entry, slim
+from locfuse.formats.fleet.files import KINDS, summary_files
 from locfuse.fusion.sensors.registry import colours
 
 LOCFUSE = (sys.executable, "-m", "locfuse")

@@ -6,8 +6,9 @@ import difflib
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import msgspec
@@ -304,84 +305,32 @@ def _resolved(message: Structure, path: str) -> tuple[FieldPart, ...]:
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
 NINE = "9 numbers"
-THIRTY_SIX = "36 numbers"
-
 XYZW = ("x", "y", "z", "w")
-WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
-GAZEBO = ("ModelStates", "LinkStates")
-FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # prefixes of Foxglove's types in Protobuf and JSON, and in ROS
-
-
-def words(text: str) -> list[str]:
-    """Split a text at white space into its words (names of types or fields)."""
-    return text.split()
-
-
-# packages with types whose fields are checked; fields of other types may be of any kind
-PACKAGES = frozenset(
-    words("""
-        ackermann_msgs apriltag_msgs apriltag_ros apriltags2_ros apriltags_ros aruco_msgs aruco_opencv_msgs
-        autoware_auto_vehicle_msgs autoware_vehicle_msgs clearpath_platform_msgs control_msgs duckietown_msgs
-        foxglove foxglove_msgs gazebo_msgs geometry_msgs gps_common gps_msgs irobot_create_msgs
-        isaac_ros_apriltag_interfaces jackal_msgs kobuki_msgs locfuse mocap4r2_msgs nav_msgs px4_msgs
-        ros2_aruco_interfaces sensor_msgs std_msgs tf tf2_msgs turtlebot3_msgs turtlesim unitree_go vesc_msgs
-        vision_msgs
-    """)
-)
-# last names of paths in these packages that must be a number; of a field in one of the LISTS, an array of numbers
-NUMBER_NAMES = frozenset(
-    words("""
-        x y z w v theta omega speed steering_angle longitudinal_velocity heading heading_rate linear_velocity
-        angular_velocity velocity_left velocity_right vx vy velocity_frame point_stride point_step row_step step
-        angle_min angle_increment time_increment range_min range_max width height start_angle end_angle
-        field_of_view min_range max_range range bearing status latitude longitude position_covariance_type
-        ticks_left ticks_right left_encoder right_encoder
-    """)
-)
-LISTS = frozenset(words("detections drivers fields joints markers points poses rigidbodies"))
 # alternative names of a field in releases of a package
 CAMERA_MATRIX = "k|K"  # ROS 2, ROS 1
 CENTRE_2D = "detections.bbox.center.position.x|detections.bbox.center.x"
 CLASS = "detections.results.hypothesis.class_id|detections.results.id"
 TRACK_OR_CLASS = f"detections.id|{CLASS}"
-ARRAYS = words("""
-    ranges marker_ids markers.id markers.marker_id detections.id.length
-    interface_values.values interface_values.values.length ranges.echoes ranges.echoes.length
-    fields.offset fields.datatype fields.type joints.position joints.velocity joints.effort
-    drivers.measured_travel drivers.measured_velocity
-""")
-NAMES = words("rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name joints.name")
-# dotted path in these packages -> accepted kinds
-EXPECTED: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(ARRAYS, (NUMBERS,)),
-    **dict.fromkeys(NAMES, (TEXTS,)),
-    **dict.fromkeys((TRACK_OR_CLASS, CLASS, "detections.id"), (NUMBERS, TEXTS)),
-    **dict.fromkeys(("pose_covariance", "velocity_covariance"), (THIRTY_SIX, NUMBERS)),
-    **dict.fromkeys(("pose.covariance", "twist.covariance"), (THIRTY_SIX,)),
-    **dict.fromkeys((CAMERA_MATRIX, "orientation_covariance", "angular_velocity_covariance"), (NINE,)),
-    **dict.fromkeys(("format", "encoding"), (TEXT,)),
-    "position_covariance": (NINE, NUMBERS),  # JSON schemas do not fix the length
-    "imu_state.quaternion": ("4 numbers",),
+
+
+class CheckedFields(msgspec.Struct):
+    """The content of kinds.toml."""
+
+    packages: frozenset[str]
+    numbers: frozenset[str]
+    lists: frozenset[str]
+    fields: dict[str, list[str]]
+    types: dict[str, list[str]]
+
+
+CHECKED = msgspec.toml.decode((files(__package__) / "kinds.toml").read_bytes(), type=CheckedFields)
+EXPECTED = {path: tuple(kinds.split(" | ")) for kinds, paths in CHECKED.fields.items() for path in paths}
+OF_TYPE = {
+    (msgtype, name): (kind,)
+    for kind, lines in CHECKED.types.items()
+    for msgtype, *names in map(str.split, lines)
+    for name in names
 }
-# message type, its fields, their kind
-OF_TYPES: tuple[tuple[str, str, str], ...] = (
-    *((f"std_msgs/msg/{name}", "data", NUMBER) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
-    *((f"std_msgs/msg/{name}MultiArray", "data", NUMBERS) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
-    ("std_msgs/msg/String", "data", TEXT),
-    ("sensor_msgs/msg/JointState", "name", TEXTS),
-    ("sensor_msgs/msg/JointState", "position velocity", NUMBERS),
-    ("duckietown_msgs/msg/WheelEncoderStamped", "data", NUMBER),
-    *((f"locfuse/msg/{name}", "id", NUMBER) for name in ("Detections", "Ranges", "TagFrames")),
-    ("sensor_msgs/msg/PointCloud2", "is_bigendian", TRUTH),
-    *((f"sensor_msgs/msg/{name}", "data", BYTES) for name in ("PointCloud2", "CompressedImage", "Image")),
-    *((f"{at}{name}", "data", BYTES) for at in FOXGLOVE for name in ("CompressedImage", "PointCloud", "RawImage")),
-    ("px4_msgs/msg/VehicleOdometry", "position velocity angular_velocity", "3 numbers"),
-    ("px4_msgs/msg/VehicleOdometry", "q", "4 numbers"),
-    ("px4_msgs/msg/SensorCombined", "gyro_rad accelerometer_m_s2", "3 numbers"),
-    ("unitree_go/msg/SportModeState", "position", "3 numbers"),
-    *((f"gazebo_msgs/msg/{name}", "name", TEXTS) for name in GAZEBO),
-)
-OF_TYPE = {(msgtype, name): (kind,) for msgtype, names, kind in OF_TYPES for name in names.split()}
 TF = "transforms."  # one value for each transform of a message
 TF_TEXTS = ("frame_id",)
 
@@ -411,7 +360,7 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
     """Return the accepted kinds of a field of a message type; () for a field that is not checked."""
     if path in STAMPS:
         return (TIME,)
-    if msgtype.replace(".", "/").partition("/")[0] not in PACKAGES:
+    if msgtype.replace(".", "/").partition("/")[0] not in CHECKED.packages:
         return ()
     if path.startswith(("transforms.header.stamp", "poses.header.stamp")):
         return (TIMES, TIME)
@@ -421,8 +370,8 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
         return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if path.rpartition(".")[2] in XYZW else ()
     if kinds := OF_TYPE.get((msgtype, path)) or EXPECTED.get(path):
         return kinds
-    many = not LISTS.isdisjoint(path.split(".")) or msgtype.startswith("gazebo_msgs/")
-    number = path.partition(OR)[0].rpartition(".")[2] in NUMBER_NAMES
+    many = not CHECKED.lists.isdisjoint(path.split(".")) or msgtype.startswith("gazebo_msgs/")
+    number = path.partition(OR)[0].rpartition(".")[2] in CHECKED.numbers
     return ((NUMBERS if many else NUMBER),) if number else ()
 
 

@@ -78,9 +78,7 @@ def _tum(path: Path) -> MadeStream:
     if len({len(row) for row in rows}) > 1:
         raise LocfuseError(f"{path}: its lines differ in length")
     values = np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 7))
-    position, q = values[:, :2], values[:, 3:7]
-    if unknown:
-        return _points(path, times, position)
+    position, q = values[:, :2], None if unknown else values[:, 3:7]
     if values.shape[1] != 28:
         return _poses(path, times, position, q, None)
     P = np.zeros((len(rows), 6, 6))
@@ -138,7 +136,7 @@ def _table_of_poses(
         q = np.stack([column(name) if name in at else none for name in parts], -1)
         return _poses(path, times, position, q, None)
     if heading is None:
-        return _points(path, times, position)
+        return _poses(path, times, position, None, None)
     theta = column(heading)
     q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # infinite headings are missing; sin() would warn
     if not set(COVARIANCE_COLUMNS) <= at.keys():
@@ -147,15 +145,15 @@ def _table_of_poses(
     return _poses(path, times, position, q, P)
 
 
-def _points(path: Path, times: Sequence[int], xy: Array) -> MadeStream:
-    return in_time_order(str(path), POINT, np.array(times, np.int64), {"point.x": xy[:, 0], "point.y": xy[:, 1]})
-
-
-def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | None) -> MadeStream:
+def _poses(path: Path, times: Sequence[int], xy: Array, q: Array | None, P: Array | None) -> MadeStream:
+    """Return a stream of poses, or of points if the rotations q (n, 4) are None."""
+    t_ns = np.array(times, np.int64)
+    if q is None:
+        return in_time_order(str(path), POINT, t_ns, {"point.x": xy[:, 0], "point.y": xy[:, 1]})
     data: dict[str, Column] = {"pose.pose.position.x": xy[:, 0], "pose.pose.position.y": xy[:, 1]}
     data |= {f"pose.pose.orientation.{axis}": column for axis, column in zip("xyzw", q.T, strict=True)}
     data["pose.covariance"] = np.zeros((len(xy), 36)) if P is None else P.reshape(len(P), 36)
-    return in_time_order(str(path), POSE, np.array(times, np.int64), data)
+    return in_time_order(str(path), POSE, t_ns, data)
 
 
 def _number(path: Path, line: int, word: str) -> float:

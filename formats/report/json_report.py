@@ -15,7 +15,7 @@ from msgspec.structs import asdict
 
 from locfuse.formats.versions import installed
 from locfuse.formats.visible import escaped, writable
-from locfuse.fusion.data import Drive, Evaluation, LocfuseError, Truth
+from locfuse.fusion.data import Drive, Evaluation, LocfuseError
 from locfuse.fusion.kernels.built import how
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
@@ -32,6 +32,14 @@ def report(
     version: str,
 ) -> dict[str, Any]:
     """Return the content of report.json as plain values, before verdicts and findings are added."""
+    judged = evaluations[0] if evaluations and len(evaluations[0].t) else None
+    truth = drive.truth and {
+        "topic": drive.truth.topic,
+        "stamps": len(drive.truth.t),
+        "used": 0 if judged is None else len(judged.t),
+        "heading": drive.truth.theta is not None,
+        "distance_m": None if judged is None else float(judged.distance[-1]),
+    }
     return {
         "schema_version": SCHEMA_VERSION,
         "locfuse": version,
@@ -52,7 +60,7 @@ def report(
             }
             for e in evaluations
         },
-        "truth": None if drive.truth is None else _truth(drive.truth, evaluations),
+        "truth": truth,
         "absent": drive.absent,
         "notes": list(drive.notes),
         "settings": dict(settings),
@@ -96,17 +104,6 @@ def readable(report: Mapping[str, Any], source: str) -> dict[str, Any]:
             f"{SCHEMA_VERSION}. Update locfuse, or make the report again with: locfuse compare LOG -o DIR"
         )
     return dict(report)
-
-
-def _truth(truth: Truth, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
-    used = len(evaluations[0].t) if evaluations else 0
-    return {
-        "topic": truth.topic,
-        "stamps": len(truth.t),
-        "used": used,
-        "heading": truth.theta is not None,
-        "distance_m": float(evaluations[0].distance[-1]) if used else None,
-    }
 
 
 def _finite(value: Any) -> Any:

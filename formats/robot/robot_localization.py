@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,33 +27,12 @@ X, Y, YAW, SPEED, TURN, ACCELERATION = 0, 1, 5, 6, 11, 12  # indices of the swit
 SWITCH_COUNT = 15
 INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
 INPUT_KEY = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
+KEYS = tomllib.loads((files(__package__) / "robot_localization.toml").read_text(encoding="utf-8"))
+USED, IDLE, UNUSED, IDLE_OF_INPUT = (KEYS[name] for name in ("used", "idle", "unused", "idle_of_input"))
 USED_OF_INPUT = ("config", "differential", "relative")
-IDLE_OF_INPUT = ("queue_size", "nodelay", "remove_gravitational_acceleration", "use_sim_time")
 REJECTING = ("", "pose_", "twist_", "linear_acceleration_")
 UNUSED_OF_INPUT = (*(f"{part}rejection_threshold" for part in REJECTING), "pose_use_child_frame")
 KNOWN_OF_INPUT = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
-USED = ("initial_state", "two_d_mode", "world_frame", "map_frame", "odom_frame", "base_link_frame")
-IDLE = (  # keys that have no effect outside a running ROS node
-    "frequency", "sensor_timeout", "transform_time_offset", "transform_timeout", "predict_to_current_time",
-    "print_diagnostics", "debug", "debug_out_file", "publish_tf", "publish_acceleration", "tf_prefix",
-    "permit_corrected_publication", "reset_on_time_jump", "use_sim_time", "qos_overrides", "history_length",
-    "disabled_at_startup", "base_link_frame_output", "smooth_lagged_data",
-)  # fmt: skip
-UNUSED = {
-    **dict.fromkeys(
-        ("use_control", "stamped_control", "control_config", "control_timeout"),
-        "commanded speeds are no measurement",
-    ),
-    **dict.fromkeys(
-        ("acceleration_limits", "deceleration_limits", "acceleration_gains", "deceleration_gains"),
-        "there are no accelerations in the state",
-    ),
-    "process_noise_covariance": "noise grows with the way: wheels.noise (locfuse calibrate and tune find it)",
-    "dynamic_process_noise_covariance": "noise grows with the way: wheels.noise",
-    "initial_estimate_covariance": "start.sigma_xy and start.sigma_theta_deg say how well the start is known",
-    "gravitational_acceleration": "accelerations are not used",
-    **dict.fromkeys(("alpha", "kappa", "beta"), "this filter is no unscented one"),
-}
 
 
 class Translated(NamedTuple):

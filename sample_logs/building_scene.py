@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Mask
 
-from .scenario import Box, Building, Furniture, Glass, LeggedTable, Opening, Scenario, Space, SwivelChair, Walker
+from .scenario import Box, Building, Furniture, LeggedTable, Opening, Scenario, Space, SwivelChair, Walker
 from .table import Point, Streams, streams
 from .world import Plan, World, cast, hit_circles, hit_segments
 
@@ -201,22 +201,6 @@ def posts(building: Building) -> Array:
 def glass_walls(building: Building) -> list[Array]:
     """Return the two ends of each glass opening, (2, 2) [m, map frame]."""
     return [ends(s, o)[0] for s in building.spaces for o in s.openings if o.kind == "glass"]
-
-
-def returned(distance: Array, pane: Array, direction: Array, glass: Glass, chance: Array) -> Array:
-    """Return the distances (n, g) [m] at which panes reflect rays; inf where the beam passes.
-
-    Args:
-        distance: (n, g) m, of every ray to every pane, inf for a miss.
-        pane: (g, 4) m, map frame.
-        direction: (n, 2) of the rays, unit length.
-        glass: largest angle to the normal, and probability of an echo.
-        chance: (n, g) random numbers, uniform in [0, 1).
-    """
-    along = pane[:, 2:] - pane[:, :2]
-    normal = np.stack((-along[:, 1], along[:, 0]), axis=-1) / np.hypot(along[:, 0], along[:, 1])[:, None]
-    steep = np.abs(direction @ normal.T) >= math.cos(math.radians(glass.within_deg))
-    return np.where(steep & (chance < glass.returns), distance, np.inf)
 
 
 # --- Walking people, and ray casting
@@ -422,9 +406,13 @@ class BuildingScene(World):
 
     def _through_glass(self, t: float, origin: Array, angle: Array) -> Array:
         """Return the distances at which panes reflect rays, (n,) [m], inf for none; random for each time t [s]."""
+        panes, glass = self.panes, self.building.glass
         direction = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-        distance = hit_segments(self.panes, origin[:, None], direction[:, None])
+        distance = hit_segments(panes, origin[:, None], direction[:, None])
         name = zlib.crc32(b"glass"), round(t * 1e9)
         chance = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=name)).random(distance.shape)
-        echoes = returned(distance, self.panes, direction, self.building.glass, chance)
+        along = panes[:, 2:] - panes[:, :2]
+        normal = np.stack((-along[:, 1], along[:, 0]), axis=-1) / np.hypot(along[:, 0], along[:, 1])[:, None]
+        steep = np.abs(direction @ normal.T) >= math.cos(math.radians(glass.within_deg))
+        echoes = np.where(steep & (chance < glass.returns), distance, np.inf)
         return np.asarray(echoes.min(axis=1, initial=np.inf))

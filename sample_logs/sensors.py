@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array
 from locfuse.fusion.se2 import compose
@@ -113,7 +112,14 @@ class SimulatedLaser:
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the message fields of one scan that starts at t [s]."""
-        s = self.settings
+        s, times = self.settings, t + self.times
+        laser = self.robot.sensor_pose("lrf", times, self.mount)
+        wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
+        noise = s.sigma_range * self.rng.standard_normal(s.beams)
+        lost = self.rng.random(s.beams) < s.lost
+        angles = laser[:, 2] + self.angles + wobble
+        ranges = s.scale * self.scene.see(s.z, times, laser[:, :2], angles, s.range_max) + noise + self.pattern
+        seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
         return {
             "angle_min": float(self.angles[0]),
             "angle_max": float(self.angles[-1]),
@@ -122,20 +128,9 @@ class SimulatedLaser:
             "scan_time": self.period,
             "range_min": s.range_min,
             "range_max": s.range_max,
-            "ranges": self._ranges(t + self.times),
+            "ranges": np.where(seen, ranges, np.inf).astype(np.float32),
             "intensities": np.zeros(0, np.float32),
         }
-
-    def _ranges(self, times: Array) -> NDArray[np.float32]:
-        s = self.settings
-        laser = self.robot.sensor_pose("lrf", times, self.mount)
-        wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
-        noise = s.sigma_range * self.rng.standard_normal(s.beams)
-        lost = self.rng.random(s.beams) < s.lost
-        angles = laser[:, 2] + self.angles + wobble
-        ranges = s.scale * self.scene.see(s.z, times, laser[:, :2], angles, s.range_max) + noise + self.pattern
-        seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
-        return np.where(seen, ranges, np.inf).astype(np.float32)
 
 
 class GroundTruth:

@@ -406,24 +406,22 @@ def convert(tables: Mapping[str, Any], where: str, kind: type[LocfuseError]) -> 
     try:
         return msgspec.convert(tables, Scenario)
     except msgspec.ValidationError as error:
-        raise kind(f"{where}: {_explain(str(error))}") from error
+        problem = str(error)
+        if found := UNKNOWN.search(problem):
+            known = {name for table in _tables_at(found["path"] or "") for name in table.__struct_fields__}
+            what = f"no key {found['key']} in {(found['path'] or '.')[1:] or 'a scenario'}"
+        elif found := BAD_KIND.search(problem):
+            known = {str(table.__struct_config__.tag) for table in _tables_at(found["path"])}
+            what = f"no kind {found['key']} of {found['path'][1:]}"
+        else:
+            raise kind(f"{where}: {problem[:1].lower()}{problem[1:].replace('`$.', '`')}") from error
+        near = difflib.get_close_matches(found["key"], known, 1)
+        hint = f"did you mean {near[0]}?" if near else "known: " + ", ".join(sorted(known))
+        raise kind(f"{where}: {what}; {hint}") from error
 
 
 UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`(?: - at `\$(?P<path>[^`]*)`)?")
 BAD_KIND = re.compile(r"Invalid value '(?P<key>[^']*)' - at `\$(?P<path>[^`]*)\.kind`")
-
-
-def _explain(error: str) -> str:
-    if found := UNKNOWN.search(error):
-        known = {name for table in _tables_at(found["path"] or "") for name in table.__struct_fields__}
-        what = f"no key {found['key']} in {(found['path'] or '.')[1:] or 'a scenario'}"
-    elif found := BAD_KIND.search(error):
-        known = {str(table.__struct_config__.tag) for table in _tables_at(found["path"])}
-        what = f"no kind {found['key']} of {found['path'][1:]}"
-    else:
-        return error[:1].lower() + error[1:].replace("`$.", "`")
-    near = difflib.get_close_matches(found["key"], known, 1)
-    return f"{what}; {f'did you mean {near[0]}?' if near else 'known: ' + ', '.join(sorted(known))}"
 
 
 def _tables_at(path: str) -> list[type[ScenarioTable]]:

@@ -27,41 +27,38 @@ Range = tuple[float, float]
 
 
 def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
-    """Return the layout for a scene, without empty views; the tab with the name `tab` is active."""
-    left, right = _left(scene), _right(scene, tab)
-    return rrb.Blueprint(
-        left if right is None else rrb.Horizontal(contents=[left, right], column_shares=[0.54, 0.46]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=DRIVE),
-        auto_views=False,
-        auto_layout=False,
-    )
+    """Return the layout for a scene, without empty views; the tab with the name `tab` is active.
 
-
-def _left(scene: RerunScene) -> Any:
-    """Return the left column: map, legend, and panorama if there are pictures."""
+    Left: map, legend, and panorama if there are pictures. Right: scan and camera views in the robot's frame, above
+    the tabs with plots.
+    """
     rows = [(_map_view(scene), 0.66)]
     if len(drawing.legend_of(scene)) > 1:
         share = LEGEND_SHARES[0] + LEGEND_SHARES[1] * drawing.legend_rows(scene)
         x = (-0.5 * drawing.LEGEND_CELL, (drawing.LEGEND_COLUMNS - 0.5) * drawing.LEGEND_CELL)
         y = (-0.2, drawing.legend_rows(scene) - 0.1)  # each row has height 1
         rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", x, y), share))
+    sensor_views = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
     if scene.picture_rows is not None:
         rows.append((_view_2d("Panorama", f"/{drawing.PANORAMA}"), 0.24))
+        sensor_views.append(_view_2d("Omni image", f"/{drawing.OMNI}"))
     views, shares = zip(*rows, strict=True)
-    return rrb.Vertical(contents=views, row_shares=shares) if len(rows) > 1 else views[0]
-
-
-def _right(scene: RerunScene, tab: str | None) -> Any | None:
-    """Return the right column: scan and camera views in the robot's frame, above the tabs with plots."""
-    sensor_views = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
-    sensor_views += [] if scene.picture_rows is None else [_view_2d("Omni image", f"/{drawing.OMNI}")]
-    parts: list[Any] = [rrb.Horizontal(contents=sensor_views)] if sensor_views else []
+    root = rrb.Vertical(contents=views, row_shares=shares) if len(rows) > 1 else views[0]
+    right: list[Any] = [rrb.Horizontal(contents=sensor_views)] if sensor_views else []
     if tabs := _tabs(scene):
         front = list(tabs).index(tab) if tab in tabs else 0
-        parts.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
-    return rrb.Vertical(contents=parts, row_shares=[0.26, 0.74]) if len(parts) > 1 else next(iter(parts), None)
+        right.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
+    if right:
+        beside = rrb.Vertical(contents=right, row_shares=[0.26, 0.74]) if len(right) > 1 else right[0]
+        root = rrb.Horizontal(contents=[root, beside], column_shares=[0.54, 0.46])
+    return rrb.Blueprint(
+        root,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=DRIVE),
+        auto_views=False,
+        auto_layout=False,
+    )
 
 
 def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = None, **more: Any) -> Any:

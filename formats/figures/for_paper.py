@@ -6,7 +6,9 @@ Equal input gives equal bytes: no date, ids from a fixed salt. Text stays text, 
 from __future__ import annotations
 
 import io
+import tomllib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -26,46 +28,11 @@ HEIGHT_IN_COLUMN = 1.45  # inches per panel in a column of panels
 COLUMN = {"top": 0.88, "bottom": 0.12, "hspace": 0.12}
 LANES_AREA = (0.24, 0.19, 0.73, 0.66)
 MAX_LEGEND_SPOT = 5.0  # points; symbols in the legend are enlarged up to this size
-LEGEND: dict[str, Any] = {
-    "ncols": 4,
-    "loc": "lower left",
-    "bbox_to_anchor": (-0.12, 1.0),
-    "columnspacing": 0.9,
-    "handlelength": 1.3,
-    "handletextpad": 0.4,
-    "labelspacing": 0.25,
-    "markerscale": 4.0,
-    "borderpad": 0.1,
-}
 MAX_CURVE_POINTS = 1600  # more than 3.5 inches at 300 dpi can show
 TRUTH_DASH = (0, (1, 2))
 DASHES = {"dash": (0, (4, 2)), "over": (0, (7, 3))}
 WIDE_PT = 1.8
-SPOTS: dict[str, dict[str, Any]] = {
-    "dot": {"marker": "o", "ms": 1.6, "mew": 0},
-    "ring": {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 0.9},
-    "square": {"marker": "s", "ms": 4.0, "mew": 0},
-    "target": {"marker": "*", "ms": 6.5, "mew": 0},
-    "cross": {"marker": "x", "ms": 2.6, "mew": 0.6},
-}
-STYLE: dict[Any, Any] = {
-    "svg.hashsalt": "locfuse",
-    "svg.fonttype": "none",
-    "pdf.fonttype": 42,
-    "font.size": 7.0,
-    "axes.linewidth": 0.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.linewidth": 0.3,
-    "grid.color": "#dddfe3",
-    "lines.linewidth": 0.9,
-    "legend.frameon": False,
-    "legend.fontsize": 5.8,
-    "xtick.major.width": 0.5,
-    "ytick.major.width": 0.5,
-    "path.simplify": True,
-}
+LOOK = tomllib.loads((files(__package__) / "print.toml").read_text(encoding="utf-8"))
 
 
 def paper_figures(
@@ -108,7 +75,7 @@ def draw(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]
     from matplotlib.figure import Figure
 
     first, n = panels[0], len(panels)
-    with rc_context(STYLE):
+    with rc_context(LOOK["style"]):
         if n == 1:
             figure = Figure(figsize=SQUARE_SIZE_IN if first.equal else PANEL_SIZE_IN)
             axes = [figure.add_axes(LANES_AREA if first.lanes else AXES_AREA)]
@@ -155,7 +122,7 @@ def _fill(axes: Any, panel: Panel, inks: dict[str, str], looks: Mapping[str, str
         axes.grid(visible=False, axis="y")
     handles, labels = axes.get_legend_handles_labels()
     if len(handles) > 1 or panel.keys:
-        legend = axes.legend(handles, labels, **LEGEND)
+        legend = axes.legend(handles, labels, **LOOK["legend"])
         for handle in legend.legend_handles:
             if getattr(handle, "get_markersize", lambda: 0.0)() > MAX_LEGEND_SPOT:
                 handle.set_markersize(MAX_LEGEND_SPOT)
@@ -172,7 +139,9 @@ def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapp
         width = WIDE_PT if mark.wide else None
         axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, lw=width, label=label)
     elif isinstance(mark, Spots):
-        axes.plot(mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **SPOTS[palette.SHAPES[mark.of]])
+        axes.plot(
+            mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **LOOK["spots"][palette.SHAPES[mark.of]]
+        )
     elif isinstance(mark, Band):
         kept = extremes(np.stack((mark.low, mark.high), axis=-1), MAX_CURVE_POINTS)
         alpha = 1.0 if mark.solid else 0.18

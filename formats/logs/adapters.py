@@ -51,10 +51,19 @@ DRIVERS = ("left_wheel", "right_wheel")
 
 def as_joints(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Convert DynamicJointState columns to JointState; missing values are NaN."""
-    names = cast("list[tuple[str, ...]]", columns["joint_names"])
+    names, interfaces = (cast("list[tuple[str, ...]]", columns[key]) for key in ("joint_names", INTERFACES))
+    values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
     first = totals([len(row) for row in names], np.int64)
-    made = {field: Ragged(_interface(columns, names, field), first) for field in fields if field != "name"}
-    return {"name": names, **made}
+    made = {field: [np.empty(0)] for field in fields if field != "name"}
+    places: dict[tuple[object, ...], Ints] = {}  # joints, names and numbers of their values, field -> places
+    for i, row in enumerate(names):
+        numbers = np.append(values[i].astype(np.float64), np.nan)  # at place -1: missing
+        for field, pieces in made.items():
+            key = (row, interfaces[i], lengths[i].tobytes(), field)
+            if key not in places:
+                places[key] = _places(len(row), interfaces[i], lengths[i], field)
+            pieces.append(numbers[places[key]])
+    return {"name": names, **{field: Ragged(np.concatenate(pieces), first) for field, pieces in made.items()}}
 
 
 def joints_of_foxglove(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
@@ -67,23 +76,6 @@ def joints_of_feedback(columns: Columns, fields: tuple[str, ...], frame_id: str)
     travel, rate = (_ragged(columns, name) for name in OF_FEEDBACK)
     names = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
     return {"position": travel, "velocity": rate, "name": names}
-
-
-def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Array:
-    """Return the values of `field` ("position", ...) of all joints in all messages, as one array.
-
-    `names` are the joints of each message. A missing value is NaN.
-    """
-    interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
-    values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
-    places: dict[tuple[object, ...], Ints] = {}
-    out = [np.empty(0)]
-    for i, row in enumerate(names):
-        key = (row, interfaces[i], lengths[i].tobytes())
-        if key not in places:
-            places[key] = _places(len(row), interfaces[i], lengths[i], field)
-        out.append(np.append(values[i].astype(np.float64), np.nan)[places[key]])
-    return np.concatenate(out)
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
@@ -27,7 +27,7 @@ from locfuse.formats.geometry import quaternions, spatial_covariance
 from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
 from locfuse.formats.messages.schema import Many, Scalar, parse, resolve
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth, evenly
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, evenly
 
 from .recovered_log import copy_messages
 from .trajectory import stamps, with_truth_rows
@@ -194,7 +194,14 @@ class Export(msgspec.Struct, frozen=True):
             for e in self.estimates:
                 self._estimates(topics, e)
             if self.drive.truth is not None:
-                _truth(topics, self.drive.truth, self.drive.epoch_ns)
+                truth = self.drive.truth
+                t_ns = np.array(stamps(self.drive.epoch_ns, truth.t), np.int64)
+                if truth.theta is None:
+                    topics.add(TRUTH_POINT, points(t_ns, truth.xy))
+                else:
+                    pose = np.column_stack((truth.xy, truth.theta))
+                    topics.add(TRUTH_POSE, poses(t_ns, pose))
+                    topics.once(TRUTH_PATH, t_ns, pose)
             topics.write()
             if self.log is not None:
                 copy_messages(out.writer, self.log)
@@ -222,16 +229,6 @@ class Export(msgspec.Struct, frozen=True):
         has_tf = any(t.msgtype in TF_TYPES and not name.endswith("tf_static") for name, t in recorded)
         if e is self.estimates[-1] and not has_tf:
             topics.add("/tf", transforms(t_ns, pose, BASE))
-
-
-def _truth(topics: _Topics, truth: Truth, epoch_ns: int) -> None:
-    t_ns = np.array(stamps(epoch_ns, truth.t), np.int64)
-    if truth.theta is None:
-        topics.add(TRUTH_POINT, points(t_ns, truth.xy))
-        return
-    pose = np.column_stack((truth.xy, truth.theta))
-    topics.add(TRUTH_POSE, poses(t_ns, pose))
-    topics.once(TRUTH_PATH, t_ns, pose)
 
 
 class _Topics:
@@ -290,20 +287,16 @@ class ShownTopic(NamedTuple):
 
 def layouts(topics: Mapping[str, str]) -> dict[str, str]:
     """Return layout file name -> content; `topics` maps each topic of the export to its message type."""
-    shown = list(_shown(topics))
-    paths = [name for name, msgtype in topics.items() if msgtype.endswith("/Path")]
-    return {FOXGLOVE: _foxglove(shown, paths), PLOTJUGGLER: _plotjuggler(shown)}
-
-
-def _shown(topics: Mapping[str, str]) -> Iterator[ShownTopic]:
-    colours = cycle(COLOURS)
+    shown, colours = [], cycle(COLOURS)
     for topic, msgtype in topics.items():
         kind = msgtype.rpartition("/")[2]
         if kind in POSITION:
             fields = {axis: f"{POSITION[kind]}.{axis}" for axis in ("x", "y")}
             odometry = kind == "Odometry"
             fields |= {"turn rate": "twist.twist.angular.z"} if odometry else {}
-            yield ShownTopic(topic, fields, next(colours) if odometry else TRUTH)
+            shown.append(ShownTopic(topic, fields, next(colours) if odometry else TRUTH))
+    paths = [name for name, msgtype in topics.items() if msgtype.endswith("/Path")]
+    return {FOXGLOVE: _foxglove(shown, paths), PLOTJUGGLER: _plotjuggler(shown)}
 
 
 def _foxglove(shown: Sequence[ShownTopic], paths: Sequence[str]) -> str:

@@ -77,15 +77,20 @@ def part(name: str) -> str:
     return "".join(c if c.isalnum() or c in "_-." else f"\\{c}" for c in name)
 
 
+def screen_radius(points: float) -> Any:
+    """Return a radius [screen points] that is independent of the zoom."""
+    return rr.Radius.ui_points(points)
+
+
 def lines(colour: Rgb, width: float, order: float | None = None, alpha: int = 255) -> rr.LineStrips2D:
     """Return the style of line strips: colour, width [screen points], draw order, opacity 0 to 255."""
-    colors, radii = [(*colour, alpha)], [rr.Radius.ui_points(width)]  # independent of the zoom
+    colors, radii = [(*colour, alpha)], [screen_radius(width)]
     return rr.LineStrips2D.from_fields(colors=colors, radii=radii, draw_order=order, show_labels=False)
 
 
 def points(colour: Rgb, width: float, alpha: int = 255) -> rr.Points2D:
     """Return the style of points: colour, radius [screen points], opacity 0 to 255."""
-    return rr.Points2D.from_fields(colors=[(*colour, alpha)], radii=[rr.Radius.ui_points(width)])
+    return rr.Points2D.from_fields(colors=[(*colour, alpha)], radii=[screen_radius(width)])
 
 
 def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:

@@ -78,7 +78,7 @@ def _draw_pose(to: TimelineRecorder, root: str, e: Estimates, scene: RerunScene)
     if not e.triangles.any():
         return  # a trajectory from a file without covariances
     axes, angle = ellipses(matrices(e.triangles[picks]))
-    look = rr.Ellipses2D.from_fields(colors=[scene.colour(e.name)], line_radii=rr.Radius.ui_points(0.75))
+    look = rr.Ellipses2D.from_fields(colors=[scene.colour(e.name)], line_radii=ink.screen_radius(0.75))
     to.static(f"{root}/sigma", look)
     to.send(f"{root}/sigma", t, _moves(pose[:, :2], angle), rr.Ellipses2D.columns(half_sizes=axes))
 

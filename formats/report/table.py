@@ -173,19 +173,8 @@ def records(table: Table) -> list[dict[str, Any]]:
 # --- Tables as Markdown, HTML, LaTeX and CSV: text from logs is escaped by the rules of each format, and control
 # characters are made visible, except in CSV, which is for programs
 
-LATEX = {
-    "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "°": r"\textdegree{}",
-}
+ESCAPES = {"\\": "textbackslash", "~": "textasciitilde", "^": "textasciicircum", "°": "textdegree"}
+LATEX = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {c: f"\\{name}{{}}" for c, name in ESCAPES.items()})
 UNIT, NBSP = re.compile(r" (?=\S{1,2}$)"), "\u00a0"  # the space before the unit at the end of a heading
 # verdict on a sensor -> its sign
 SIGNS = {"helps": "▲", "seems to help": "△", "no effect seen": "■", "seems to hurt": "▽", "hurts": "▼"}
@@ -304,7 +293,7 @@ def latex(table: Table) -> str:
 
 def latex_text(words: str) -> str:
     """Return a text escaped for LaTeX, in one line."""
-    return "".join(LATEX.get(character, character) for character in visible(_one_line(words)))
+    return visible(_one_line(words)).translate(LATEX)
 
 
 def csv(table: Table) -> str:

@@ -375,7 +375,7 @@ def test_every_field_read_is_of_the_expected_kind_in_its_standard_definition(msg
 
 
 def test_of_every_field_that_is_read_the_expected_kind_is_known() -> None:
-    """A new sensor that reads a field says in kinds.py what it takes."""
+    """A new sensor that reads a field says in kinds.toml what it takes."""
     assert [(kind, path) for kind, path in ALL_READ if not expected(kind, path)] == []
 
 

@@ -37,9 +37,8 @@ from benchmarks.advice_cases import CAMERA, CASES, CLEAN, Case
 from benchmarks.experiment import Row
 from locfuse.cli.session.session import load
 from locfuse.fusion.data import Array
-from locfuse.sample_logs.load import load as scenario_of
-from locfuse.sample_logs.record import on_truth, write_log
-from locfuse.sample_logs.simulate import EPOCH_NS
+from locfuse.sample_logs.scenario import load as scenario_of
+from locfuse.sample_logs.simulate import EPOCH_NS, on_truth, write_log
 
 SIDES = {"with truth": True, "without": False}
 MAX_LOSS, MAX_LOSS_M, MAX_LOSS_DEG = 0.02, 2e-4, 0.02

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks import experiment
 from benchmarks.experiment import Row
 from locfuse.fusion.wheels.calibrate import calibrate_wheels
-from locfuse.sample_logs.load import load
+from locfuse.sample_logs.scenario import load
 
 LIGHT = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")
 

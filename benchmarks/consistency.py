@@ -40,8 +40,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.scenario import LrfSpec, Scenario
+from locfuse.sample_logs.scenario import LrfSpec, Scenario, load
 from locfuse.sample_logs.simulate import Outcome, Simulation
 from locfuse.sample_logs.world import Plan, cast
 

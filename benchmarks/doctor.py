@@ -20,8 +20,8 @@ from benchmarks.experiment import Row
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.inspect.inspect_log import inspect_log
 from locfuse.fusion.checks.finding import Finding
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import on_truth, write_log
+from locfuse.sample_logs.scenario import load
+from locfuse.sample_logs.simulate import on_truth, write_log
 
 # key, wrong value, right value, largest error of the fix (0: a word), and a key that has to change with it
 WRONG: tuple[tuple[str, str, str, float, str], ...] = (

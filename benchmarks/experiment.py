@@ -39,9 +39,8 @@ from locfuse.fusion.data import ArrayStream, Drive
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
-from locfuse.sample_logs.simulate import Outcome
+from locfuse.sample_logs.scenario import load
+from locfuse.sample_logs.simulate import Outcome, in_memory
 
 FIRST_SEED = 1000  # the shipped logs use small seeds; drives with these seeds are not used elsewhere
 Task = tuple[str | int | bool, ...]

@@ -27,9 +27,8 @@ from benchmarks.real_logs import are_there, folder
 from locfuse import sample_logs
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.fusion.data import Array
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import on_truth, write_log
-from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation
+from locfuse.sample_logs.scenario import load
+from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation, on_truth, write_log
 
 LARGEST = 2_000_000  # bytes of a real log: a case must stay fast
 

@@ -26,8 +26,7 @@ from locfuse.formats.container.mcap_records import scan
 from locfuse.formats.container.rosbag2_sqlite import journal_of
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.logs import file_stream
-from locfuse.formats.logs.channels import make_decoder
-from locfuse.formats.logs.files import log_files
+from locfuse.formats.logs.files import log_files, make_decoder
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.schema import SchemaError, parse, signature
 from locfuse.formats.robot import landmark_map, line_map, robot_toml

@@ -13,10 +13,9 @@ from benchmarks import floor_plan
 from benchmarks.real_logs import FILES, KNOWN, are_there
 from locfuse.cli.analysis.settings import set_words
 from locfuse.formats.container.mcap_write import log_writer
-from locfuse.sample_logs import load
-from locfuse.sample_logs.messages import RawMessage
-from locfuse.sample_logs.record import to_log
-from locfuse.sample_logs.simulate import EPOCH_NS, Simulation
+from locfuse.sample_logs import scenario as load
+from locfuse.sample_logs.simulate import EPOCH_NS, Simulation, to_log
+from locfuse.sample_logs.table import RawMessage
 
 Words = tuple[str, ...]
 LOGS, HERE = "{logs}", "{data}"  # placeholders for the folders of simulated and of real logs

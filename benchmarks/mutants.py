@@ -61,11 +61,10 @@ fusion/judge/against: judge/against
 fusion/whole_drive/smooth: whole_drive/smooth
 formats/results/mcap_export formats/container/mcap_write: container/mcap_write
 formats/messages/cdr: messages/layout messages/cdr
-formats/logs/channels: messages/message_schema
-formats/messages/fields: messages/message_schema messages/cdr
+formats/logs/files: messages/message_schema
 formats/messages/json_messages: messages/json_messages messages/protobuf_messages
 formats/messages/protobuf_messages: messages/protobuf_messages
-formats/messages/schema: messages/message_schema messages/layout
+formats/messages/schema: messages/message_schema messages/layout messages/cdr
 """
 TESTS: dict[str, tuple[str, ...]] = {
     f"{file}.py": tuple(f"tests/{test.replace('/', '/test_')}{'.py' * ('/' in test)}" for test in tests.split())

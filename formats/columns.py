@@ -71,10 +71,10 @@ class Growing:
         else:
             self._values.add(piece)
 
-    def column(self) -> Column | None:
-        """Return the whole column; None if nothing was added."""
+    def column(self, empty: Column) -> Column:
+        """Return the whole column; `empty` if nothing was added."""
         if self._kind is None:
-            return None
+            return empty
         if self._kind is list:
             return self._list
         if self._kind is not Ragged:

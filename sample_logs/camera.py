@@ -32,7 +32,6 @@ Floats = NDArray[np.float32]
 AMBIENT_LIGHT = 0.6  # light without direction
 LAMP_LIGHT_M2 = 4.0  # m^2: brightness of one lamp, times cosine over squared distance
 MIN_DISTANCE_M = 0.01  # m: a nearer hit is the camera itself
-NO_RINGS = np.zeros((0, 3))
 SLICE_MARGIN_RAD = 1e-3  # rad, by which a slice is wider than its object
 
 
@@ -91,15 +90,6 @@ def shade(hits: Hits, eye: Array, lamps: Array) -> Floats:
     way = np.minimum(hits.way, np.float32(100))  # 100 m: limit for rays that leave through an open door
     x, y = np.float32(eye[0]) + way * hits.dx, np.float32(eye[1]) + way * hits.dy
     z = np.float32(eye[2]) + way * hits.slope
-    light = _light(hits, x, y, z, lamps)
-    palette: dict[int, Colour] = {**COLOUR, **hits.colours}
-    table = np.array([palette.get(i, (0, 0, 0)) for i in range(max(palette) + 1)], np.float32)
-    rgb = table[hits.surface]
-    rgb *= (light * _texture(hits, x, y, z))[:, None]
-    return rgb
-
-
-def _light(hits: Hits, x: Floats, y: Floats, z: Floats, lamps: Array) -> Floats:
     flat = (hits.nx == 0) & (hits.ny == 0)
     up = np.where(hits.surface == Surface.CEILING, np.float32(-1), np.float32(1))
     nz = np.where(flat, up, np.float32(0))
@@ -109,7 +99,11 @@ def _light(hits: Hits, x: Floats, y: Floats, z: Floats, lamps: Array) -> Floats:
         square = lx * lx + ly * ly + lz * lz + np.float32(0.3)
         facing = np.maximum(lx * hits.nx + ly * hits.ny + lz * nz, 0)
         light += np.float32(LAMP_LIGHT_M2) * facing / (square * np.sqrt(square))
-    return light
+    palette: dict[int, Colour] = {**COLOUR, **hits.colours}
+    table = np.array([palette.get(i, (0, 0, 0)) for i in range(max(palette) + 1)], np.float32)
+    rgb = table[hits.surface]
+    rgb *= (light * _texture(hits, x, y, z))[:, None]
+    return rgb
 
 
 def _texture(hits: Hits, x: Floats, y: Floats, z: Floats) -> Floats:
@@ -138,125 +132,6 @@ def _planks(along: Floats, z: Floats) -> Floats:
     grain = np.float32(0.05) * np.sin(along * 90 + 3 * np.sin(z * 5 + plank))
     joint = np.where(along % np.float32(0.2) < 0.012, np.float32(-0.4), np.float32(0))
     return np.asarray(np.float32(1) + tone + grain + joint)
-
-
-class VerticalFaces(NamedTuple):
-    """Vertical rectangles with one surface."""
-
-    segments: Array  # (m, 4) x1, y1, x2, y2 [m]
-    height: float
-    surface: Surface
-
-
-class View:
-    """Fixed bundle of rays that is traced in different scenes."""
-
-    def __init__(self, rays: Rays) -> None:
-        self.rays = rays
-        self.cos, self.sin = (f(rays.azimuth).astype(np.float32) for f in (np.cos, np.sin))
-        self.slope = rays.slope.astype(np.float32)
-
-    def trace(
-        self,
-        eye: Array,
-        standing: list[VerticalFaces],
-        pillars: tuple[Pillar, ...],
-        ceiling: float,
-        rings: Array = NO_RINGS,
-    ) -> Hits:
-        """Return the first hits of all rays from `eye` = (x, y, z, heading).
-
-        `rings` (l, 3) are round walls up to the ceiling: x, y, radius [m], seen from inside.
-        """
-        hits = self._empty_room(eye, ceiling)
-        for ring in rings:
-            self._ring(hits, eye, ring, ceiling)
-        for kind in standing:
-            for segment in kind.segments:
-                self._wall(hits, eye, segment, kind)
-        for pillar in pillars:
-            self._cylinder(hits, eye, pillar)
-        return hits
-
-    def _empty_room(self, eye: Array, ceiling: float) -> Hits:
-        c, s = float(np.cos(eye[3])), float(np.sin(eye[3]))
-        down = self.slope < 0
-        with np.errstate(divide="ignore"):
-            way = np.where(down, -eye[2] / self.slope, (ceiling - eye[2]) / self.slope)
-        along, nx, ny = np.zeros((3, len(way)), np.float32)
-        return Hits(
-            dx=c * self.cos - s * self.sin,
-            dy=s * self.cos + c * self.sin,
-            slope=self.slope,
-            way=way.astype(np.float32),
-            surface=np.where(down, Surface.FLOOR, Surface.CEILING).astype(np.int8),
-            along=along,
-            nx=nx,
-            ny=ny,
-            colours={},
-        )
-
-    def _wall(self, hits: Hits, eye: Array, segment: Array, kind: VerticalFaces) -> None:
-        ends = segment.reshape(2, 2) - eye[:2]
-        along = ends[1] - ends[0]
-        length = float(np.hypot(*along))
-        ux, uy = (along / length).tolist()
-        gap = float(ends[0] @ (uy, -ux))  # m, from the eye to the wall's line along its normal
-        if abs(gap) < MIN_DISTANCE_M:
-            return  # seen edge-on
-        begin, z = float(ends[0] @ (ux, uy)), float(eye[2])
-        facing = -1.0 if gap > 0 else 1.0  # turns the normal towards the eye
-        for part in self._slices(ends, float(eye[3])):
-            dx, dy = hits.dx[part], hits.dy[part]
-            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-                way = gap / (dx * uy - dy * ux)
-                at = way * (dx * ux + dy * uy) - begin
-                seen = (way > MIN_DISTANCE_M) & (way < hits.way[part]) & (at >= 0) & (at <= length)
-                seen &= z + way * hits.slope[part] <= kind.height
-            hits.put(part, seen, way, kind.surface, at, facing * uy, -facing * ux)
-
-    def _ring(self, hits: Hits, eye: Array, ring: Array, height: float) -> None:
-        x, y, radius = (ring - (eye[0], eye[1], 0.0)).tolist()  # centre relative to the eye
-        power = radius**2 - x * x - y * y
-        if power <= 0:
-            return  # the camera is outside
-        ahead = hits.dx * x + hits.dy * y
-        way = (ahead + np.sqrt(power + ahead**2)).astype(np.float32)
-        out_x, out_y = way * hits.dx - x, way * hits.dy - y  # from the centre to where the ray ends
-        seen = (way < hits.way) & (float(eye[2]) + way * hits.slope <= height)
-        along = np.float32(radius) * np.arctan2(out_y, out_x)
-        hits.put(slice(None), seen, way, Surface.WALL, along, -out_x / radius, -out_y / radius)
-
-    def _cylinder(self, hits: Hits, eye: Array, pillar: Pillar) -> None:
-        x, y = pillar.x - float(eye[0]), pillar.y - float(eye[1])
-        distance = float(np.hypot(x, y))
-        if distance <= pillar.radius + MIN_DISTANCE_M:
-            return  # the camera is inside
-        surface = Surface.PAINTED + len(hits.colours)
-        hits.colours[surface] = pillar.colour
-        half, middle = np.arcsin(pillar.radius / distance), np.arctan2(y, x)
-        rim = np.array([[np.cos(middle + a), np.sin(middle + a)] for a in (-half, half)])
-        for part in self._slices(rim, float(eye[3])):
-            dx, dy = hits.dx[part], hits.dy[part]
-            ahead = dx * x + dy * y
-            square = pillar.radius**2 - (dx * y - dy * x) ** 2
-            chord = np.sqrt(np.maximum(square, 0))
-            way, lid = _side_or_lid(float(eye[2]), hits.slope[part], ahead - chord, ahead + chord, pillar)
-            seen = (square > 0) & (way > MIN_DISTANCE_M) & (way < hits.way[part])
-            outward = np.where(lid, np.float32(0), np.float32(1 / pillar.radius))
-            nx, ny = (way * dx - x) * outward, (way * dy - y) * outward
-            hits.put(part, seen, way, surface, np.zeros_like(way), nx, ny)
-
-    def _slices(self, ends: Array, heading: float) -> Iterator[slice]:
-        """Yield the slices of rays with azimuths between two directions `ends` (2, 2)."""
-        a, b = np.arctan2(ends[:, 1], ends[:, 0]) - heading
-        span = (b - a + np.pi) % (2 * np.pi) - np.pi
-        first = (min(a, a + span) - SLICE_MARGIN_RAD + np.pi) % (2 * np.pi) - np.pi
-        last = first + abs(span) + 2 * SLICE_MARGIN_RAD
-        i, j = np.searchsorted(self.rays.azimuth, (first, last))
-        yield slice(int(i), int(j))
-        if last > np.pi:
-            yield slice(0, int(np.searchsorted(self.rays.azimuth, last - 2 * np.pi)))
 
 
 def _side_or_lid(
@@ -336,16 +211,20 @@ class OmniCamera:
 
 
 class Painter:
-    """Renderer of pictures without lens and sensor errors."""
+    """Renderer of pictures without lens and sensor errors, by tracing one bundle of rays in the room."""
 
     def __init__(self, camera: CameraSpec, scene: World) -> None:
         self.camera, self.scene = camera, scene
         self.rays = rays(camera)
-        self.view = View(self.rays)
+        self.cos, self.sin = (f(self.rays.azimuth).astype(np.float32) for f in (np.cos, np.sin))
+        self.slope = self.rays.slope.astype(np.float32)
         w, h = scene.room.size
         lamp = scene.room.height - 0.1
         self.lamps = np.array([(w / 4, h / 2, lamp), (3 * w / 4, h / 2, lamp)])
-        self.background = self._background()
+        width, height = camera.size
+        v, u = np.mgrid[:height, :width]
+        radius = np.hypot(u - camera.centre[0], v - camera.centre[1])
+        self.background = np.where((radius < camera.inner)[..., None], DECK, BLACK).astype(np.float32)
 
     def paint(self, pose: Array, t: float) -> NDArray[np.float32]:
         """Return the picture (height, width, 3), RGB, seen from the camera pose (3,) at t [s]."""
@@ -358,18 +237,85 @@ class Painter:
     def trace(self, eye: Array, t: float) -> Hits:
         """Return the first hits of the pixels' rays from `eye` = (x, y, z, heading) at t [s]."""
         room, scene = self.scene.room, self.scene
-        standing = [
-            VerticalFaces(scene.walls, room.height, Surface.WALL),
-            VerticalFaces(scene.plates, room.plate_height, Surface.PLATE),
-        ]
-        return self.view.trace(eye, standing, scene.pillars(t), room.height, scene.rings)
+        c, s = float(np.cos(eye[3])), float(np.sin(eye[3]))
+        down = self.slope < 0
+        with np.errstate(divide="ignore"):
+            way = np.where(down, -eye[2] / self.slope, (room.height - eye[2]) / self.slope).astype(np.float32)
+        surface = np.where(down, Surface.FLOOR, Surface.CEILING).astype(np.int8)
+        dx, dy = c * self.cos - s * self.sin, s * self.cos + c * self.sin
+        along, nx, ny = np.zeros((3, len(way)), np.float32)
+        hits = Hits(dx, dy, self.slope, way, surface, along, nx, ny, {})
+        for ring in scene.rings:
+            self._ring(hits, eye, ring, room.height)
+        for segment in scene.walls:
+            self._wall(hits, eye, segment, room.height, Surface.WALL)
+        for segment in scene.plates:
+            self._wall(hits, eye, segment, room.plate_height, Surface.PLATE)
+        for pillar in scene.pillars(t):
+            self._cylinder(hits, eye, pillar)
+        return hits
 
-    def _background(self) -> NDArray[np.float32]:
-        width, height = self.camera.size
-        v, u = np.mgrid[:height, :width]
-        radius = np.hypot(u - self.camera.centre[0], v - self.camera.centre[1])
-        inside = (radius < self.camera.inner)[..., None]
-        return np.where(inside, DECK, BLACK).astype(np.float32)
+    def _wall(self, hits: Hits, eye: Array, segment: Array, height: float, surface: Surface) -> None:
+        ends = segment.reshape(2, 2) - eye[:2]
+        along = ends[1] - ends[0]
+        length = float(np.hypot(*along))
+        ux, uy = (along / length).tolist()
+        gap = float(ends[0] @ (uy, -ux))  # m, from the eye to the wall's line along its normal
+        if abs(gap) < MIN_DISTANCE_M:
+            return  # seen edge-on
+        begin, z = float(ends[0] @ (ux, uy)), float(eye[2])
+        facing = -1.0 if gap > 0 else 1.0  # turns the normal towards the eye
+        for part in self._slices(ends, float(eye[3])):
+            dx, dy = hits.dx[part], hits.dy[part]
+            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+                way = gap / (dx * uy - dy * ux)
+                at = way * (dx * ux + dy * uy) - begin
+                seen = (way > MIN_DISTANCE_M) & (way < hits.way[part]) & (at >= 0) & (at <= length)
+                seen &= z + way * hits.slope[part] <= height
+            hits.put(part, seen, way, surface, at, facing * uy, -facing * ux)
+
+    def _ring(self, hits: Hits, eye: Array, ring: Array, height: float) -> None:
+        x, y, radius = (ring - (eye[0], eye[1], 0.0)).tolist()  # centre relative to the eye
+        power = radius**2 - x * x - y * y
+        if power <= 0:
+            return  # the camera is outside
+        ahead = hits.dx * x + hits.dy * y
+        way = (ahead + np.sqrt(power + ahead**2)).astype(np.float32)
+        out_x, out_y = way * hits.dx - x, way * hits.dy - y  # from the centre to where the ray ends
+        seen = (way < hits.way) & (float(eye[2]) + way * hits.slope <= height)
+        along = np.float32(radius) * np.arctan2(out_y, out_x)
+        hits.put(slice(None), seen, way, Surface.WALL, along, -out_x / radius, -out_y / radius)
+
+    def _cylinder(self, hits: Hits, eye: Array, pillar: Pillar) -> None:
+        x, y = pillar.x - float(eye[0]), pillar.y - float(eye[1])
+        distance = float(np.hypot(x, y))
+        if distance <= pillar.radius + MIN_DISTANCE_M:
+            return  # the camera is inside
+        surface = Surface.PAINTED + len(hits.colours)
+        hits.colours[surface] = pillar.colour
+        half, middle = np.arcsin(pillar.radius / distance), np.arctan2(y, x)
+        rim = np.array([[np.cos(middle + a), np.sin(middle + a)] for a in (-half, half)])
+        for part in self._slices(rim, float(eye[3])):
+            dx, dy = hits.dx[part], hits.dy[part]
+            ahead = dx * x + dy * y
+            square = pillar.radius**2 - (dx * y - dy * x) ** 2
+            chord = np.sqrt(np.maximum(square, 0))
+            way, lid = _side_or_lid(float(eye[2]), hits.slope[part], ahead - chord, ahead + chord, pillar)
+            seen = (square > 0) & (way > MIN_DISTANCE_M) & (way < hits.way[part])
+            outward = np.where(lid, np.float32(0), np.float32(1 / pillar.radius))
+            nx, ny = (way * dx - x) * outward, (way * dy - y) * outward
+            hits.put(part, seen, way, surface, np.zeros_like(way), nx, ny)
+
+    def _slices(self, ends: Array, heading: float) -> Iterator[slice]:
+        """Yield the slices of rays with azimuths between two directions `ends` (2, 2)."""
+        a, b = np.arctan2(ends[:, 1], ends[:, 0]) - heading
+        span = (b - a + np.pi) % (2 * np.pi) - np.pi
+        first = (min(a, a + span) - SLICE_MARGIN_RAD + np.pi) % (2 * np.pi) - np.pi
+        last = first + abs(span) + 2 * SLICE_MARGIN_RAD
+        i, j = np.searchsorted(self.rays.azimuth, (first, last))
+        yield slice(int(i), int(j))
+        if last > np.pi:
+            yield slice(0, int(np.searchsorted(self.rays.azimuth, last - 2 * np.pi)))
 
 
 def expose(light: NDArray[np.float32], camera: CameraSpec, rng: np.random.Generator) -> NDArray[np.uint8]:

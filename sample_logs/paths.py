@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.se2 import wrap, wrap_all
 
-from .messages import Pose
 from .scenario import Control, Leg, Polygon, Scenario, Tour, Waypoints
+from .table import Pose
 from .world import Plan, clearance
 
 SPACING_M = 0.01  # m between the points of a sampled path
@@ -34,19 +34,10 @@ class Sampled(NamedTuple):
 
 def polygon(path: Polygon) -> Sampled:
     """Return `laps` rounds of a closed polygon with rounded corners, from its first straight on."""
-    p = np.array(path.vertices, float)
-    if len(p) < 3:
-        raise LocfuseError(f"path.vertices holds {len(p)} points: a closed path needs at least three")
-    corners = np.roll(p, -1, axis=0)  # the corner after each edge
-    edges = corners - p
-    turns = wrap_all(np.diff(_headings(edges), append=_headings(edges[:1])))
-    cuts = path.radius * np.tan(np.abs(turns) / 2)  # length of each edge that its rounded corner replaces
-    pieces = _pieces(np.hypot(*edges.T), np.roll(cuts, 1), cuts, turns, path.radius)
-    heading = float(_headings(edges)[0])
-    x, y = p[0] + cuts[-1] * np.array([math.cos(heading), math.sin(heading)])
-    lap = _lay((float(x), float(y), heading), pieces)
-    n = round(path.laps * len(lap.pose))
-    times = math.ceil(path.laps)
+    if len(path.vertices) < 3:
+        raise LocfuseError(f"path.vertices holds {len(path.vertices)} points: a closed path needs at least three")
+    lap = _rounded(np.array(path.vertices, float), path.radius, closed=True)
+    n, times = round(path.laps * len(lap.pose)), math.ceil(path.laps)
     return Sampled(np.tile(lap.pose, (times, 1))[:n], np.tile(lap.curvature, times)[:n])
 
 
@@ -54,7 +45,7 @@ def waypoints(path: Waypoints) -> Sampled:
     """Return an open path through given points, with rounded corners."""
     if len(path.points) < 2:
         raise LocfuseError(f"path.points holds {len(path.points)} points: a path needs at least two")
-    return _open(np.array(path.points, float), path.radius)
+    return _rounded(np.array(path.points, float), path.radius)
 
 
 def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Sampled:
@@ -67,7 +58,7 @@ def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gener
     for _ in range(WALK_COUNT):
         corners = _walk(path, plan, size, rng)
         if corners is not None:
-            return _open(corners, path.radius)
+            return _rounded(corners, path.radius)
     raise LocfuseError(
         f"no tour of {path.length} m found in this room: lower path.clearance ({path.clearance} m) or path.legs"
     )
@@ -98,24 +89,17 @@ def _walk(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gene
     return None
 
 
-def _open(corners: Array, radius: float) -> Sampled:
-    edges = np.diff(corners, axis=0)
-    headings = _headings(edges)
-    turns = np.append(wrap_all(np.diff(headings)), 0.0)
-    cuts = radius * np.tan(np.abs(turns) / 2)
-    pieces = _pieces(np.hypot(*edges.T), np.append(0.0, cuts[:-1]), cuts, turns, radius)
-    return _lay((float(corners[0, 0]), float(corners[0, 1]), float(headings[0])), pieces)
-
-
-def _headings(edges: Array) -> Array:
-    return np.asarray(np.arctan2(edges[:, 1], edges[:, 0]))
-
-
-def _pieces(
-    length: Array, cut_before: Array, cut_after: Array, turns: Array, radius: float
-) -> list[tuple[float, float]]:
-    """Return alternating straights and arcs as (length [m], curvature [1/m])."""
-    straight = length - cut_before - cut_after
+def _rounded(corners: Array, radius: float, closed: bool = False) -> Sampled:
+    """Return the path through corners (k, 2) [m] with rounded corners, back to the first one if it is `closed`."""
+    following = np.roll(corners, -1, axis=0) if closed else corners[1:]
+    edges = following - corners[: len(following)]
+    headings = np.arctan2(edges[:, 1], edges[:, 0])
+    turns = wrap_all(np.diff(headings, append=headings[:1]))
+    if not closed:
+        turns[-1] = 0.0
+    cuts = radius * np.tan(np.abs(turns) / 2)  # length of each edge that its rounded corner replaces
+    before = np.roll(cuts, 1)
+    straight = np.hypot(*edges.T) - before - cuts
     if (straight < 0).any():
         raise LocfuseError(
             f"path.radius = {radius} m does not fit: the edge after vertex {int(straight.argmin()) + 1} "
@@ -123,7 +107,10 @@ def _pieces(
         )
     arcs = [(radius * abs(turn), math.copysign(1 / radius, turn)) for turn in turns.tolist()]
     pairs = zip(straight.tolist(), arcs, strict=True)
-    return [piece for way, arc in pairs for piece in ((way, 0.0), arc) if piece[0] > 0]
+    pieces = [piece for way, arc in pairs for piece in ((way, 0.0), arc) if piece[0] > 0]
+    heading = float(headings[0])
+    x, y = corners[0] + before[0] * np.array([math.cos(heading), math.sin(heading)])
+    return _lay((float(x), float(y), heading), pieces)
 
 
 def _lay(start: Pose, pieces: list[tuple[float, float]]) -> Sampled:
@@ -161,13 +148,6 @@ class Command(NamedTuple):
 
 
 STOP = Command(0.0, 0.0)
-
-
-class Follower(Protocol):
-    """Path follower: computes commands from pose estimates."""
-
-    def command(self, now: float, pose: Pose) -> Command | None:
-        """Return the command at time `now` [s] and this pose; None after the end of the path."""
 
 
 class PathFollower:
@@ -255,6 +235,9 @@ def _braked(speed: float, left: float) -> float:
     return max(0.02, min(speed, math.sqrt(2 * BRAKING_M_S2 * left)))
 
 
+Follower = PathFollower | LegFollower
+
+
 class Steering:
     """Control of a drive: wait, follow the path, wait."""
 
@@ -267,24 +250,19 @@ class Steering:
 
     def wheel_speeds(self, now: float, pose: Pose) -> tuple[float, float]:
         """Return the set points of left and right wheel [rad/s] for the next control period."""
-        command = self._command(now, pose)
-        half = command.omega * self.track / 2
-        speeds = ((command.v + way) / self.radius for way in (-half, half))
-        left, right = (round(speed / RESOLUTION_RAD_S) * RESOLUTION_RAD_S for speed in speeds)
-        return left, right
-
-    def _command(self, now: float, pose: Pose) -> Command:
         if now >= self.control.time_limit:
             raise LocfuseError(
                 f"the way is not done after control.time_limit = {self.control.time_limit:g} s: "
                 "raise it, or control.speed"
             )
-        if now < self.control.wait - 1e-9:
-            return STOP
-        if self.done_at is None:
+        command: Command | None = STOP
+        if self.done_at is None and now >= self.control.wait - 1e-9:
             command = self.follower.command(now, pose)
-            if command is not None:
-                return command
-            self.done_at = now
-        self.finished = now >= self.done_at + self.control.wait - 1e-9
-        return STOP
+            if command is None:
+                self.done_at = now
+        if self.done_at is not None:
+            self.finished = now >= self.done_at + self.control.wait - 1e-9
+        v, omega = command or STOP
+        speeds = ((v + way) / self.radius for way in (-omega * self.track / 2, omega * self.track / 2))
+        left, right = (round(speed / RESOLUTION_RAD_S) * RESOLUTION_RAD_S for speed in speeds)
+        return left, right

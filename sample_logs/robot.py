@@ -16,8 +16,8 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Mask
 
 from .faults import Displaced, GroundFault, Kidnap
-from .messages import Pose, Streams
 from .scenario import Motor, Scenario, WheelsSpec
+from .table import Pose, Streams
 
 SIDES = ("left", "right")
 
@@ -85,7 +85,15 @@ class Trail:
             self._pose = np.concatenate((self._pose, np.zeros_like(self._pose)))
             self._twist = np.concatenate((self._twist, np.zeros_like(self._twist)))
         self._twist[self.count : need - 1] = twist
-        self._pose[self.count + 1 : need] = _chained(self._pose[self.count], se2.exp(twist))
+        moves = se2.exp(twist)
+        x, y, theta = self._pose[self.count].tolist()
+        headings = np.cumsum((theta, *moves[:, 2]))
+        cos, sin = np.cos(headings).tolist(), np.sin(headings).tolist()
+        poses = []
+        for (ahead, left, _), c, s, heading in zip(moves.tolist(), cos, sin, headings[1:].tolist(), strict=False):
+            x, y = x + c * ahead - s * left, y + s * ahead + c * left
+            poses.append((x, y, heading))
+        self._pose[self.count + 1 : need] = poses
         self.count = need - 1
 
     def knots(self) -> Array:
@@ -101,18 +109,6 @@ class Trail:
         i = np.clip((t / self.step).astype(np.int64), 0, max(self.count - 1, 0))
         share = t / self.step - i
         return se2.compose(self._pose[i], se2.exp(self._twist[i] * share[:, None]))
-
-
-def _chained(start: Array, moves: Array) -> list[tuple[float, float, float]]:
-    """Return the poses after each of the moves (k, 3) from `start` (3,), in plain floats."""
-    x, y, theta = start.tolist()
-    theta = np.cumsum((theta, *moves[:, 2]))
-    cos, sin = np.cos(theta).tolist(), np.sin(theta).tolist()
-    poses = []
-    for (ahead, left, _), c, s, heading in zip(moves.tolist(), cos, sin, theta[1:].tolist(), strict=False):
-        x, y = x + c * ahead - s * left, y + s * ahead + c * left
-        poses.append((x, y, heading))
-    return poses
 
 
 class Tick(NamedTuple):
@@ -217,7 +213,12 @@ class SimulatedRobot:
         left, right = ways[:2] + np.sqrt(self.noise * np.abs(rolled)) * self.rng.standard_normal(rolled.shape)
         twist = np.stack(((left + right) / 2, ways[2], (right - left) / self.track), axis=-1)
         lifted = next((f for f in self.faults if isinstance(f, Kidnap) and f.active(t)), None)
-        self.trail.extend(twist if lifted is None else self._carried(lifted, len(twist)))
+        if lifted is not None:  # a person carries the robot
+            share = self.trail.step / (lifted.end - lifted.start)
+            move = share * np.array([lifted.x, lifted.y, math.radians(lifted.theta_deg)])
+            poses = self.trail.knots()[-1] + np.arange(len(twist) + 1)[:, None] * move
+            twist = se2.log(se2.between(poses[:-1], poses[1:]))
+        self.trail.extend(twist)
         self.ticks.append(self._tick())
 
     def sensor_pose(self, sensor: str, t: Array, mount: Array | None = None) -> Array:
@@ -233,13 +234,6 @@ class SimulatedRobot:
             if isinstance(fault, Displaced) and fault.sensor == sensor:
                 offset = offset + fault.shift(t)
         return se2.compose(self.trail.pose(t), offset)
-
-    def _carried(self, kidnap: Kidnap, steps: int) -> Array:
-        """Return the twists (steps, 3) of a robot that is carried by a person."""
-        share = self.trail.step / (kidnap.end - kidnap.start)
-        move = share * np.array([kidnap.x, kidnap.y, math.radians(kidnap.theta_deg)])
-        poses = self.trail.knots()[-1] + np.arange(steps + 1)[:, None] * move
-        return se2.log(se2.between(poses[:-1], poses[1:]))
 
     def _tick(self) -> Tick:
         left, right = self.wheels

@@ -5,11 +5,106 @@ The default room is an arena of 8 m x 6 m with four plates, wide enough for a tr
 
 from __future__ import annotations
 
-import msgspec
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args
 
-from .building import Building
+import msgspec
+import tomli_w
+
+from locfuse.formats.robot.robot_toml import apply_sets
+from locfuse.fusion.data import LocfuseError, UsageError
+
+from . import HERE
 from .faults import Fault
 from .table import Count, NotNegative, Percent, Pillar, Point, Positive, ScenarioTable, Segment, Share
+
+Side = Literal["south", "east", "north", "west"]
+
+
+class Opening(ScenarioTable, frozen=True, kw_only=True):
+    """Opening in one wall of a space: a door, a niche, or glass."""
+
+    side: Side
+    at: float  # m, middle of the opening: x in a south or north wall, y in an east or west wall
+    width: Positive = 1.0  # m
+    kind: Literal["door", "closed", "glass"] = "door"  # closed: a niche in the outer half of the wall
+    leaf_deg: float = 0.0  # opening angle of the door leaf, into the space; 0: no leaf
+
+
+class Box(ScenarioTable, frozen=True, tag_field="kind", tag="box"):
+    """Solid box on the floor, such as a cabinet, a sofa or a pillar."""
+
+    at: Point  # m, its middle
+    size: Point  # m, along x and y before it is turned
+    turn_deg: float = 0.0
+    height: Positive = 1.8  # m
+
+
+class LeggedTable(ScenarioTable, frozen=True, tag_field="kind", tag="table"):
+    """Table or chair with four thin round legs; its top is above the laser."""
+
+    at: Point
+    size: Point
+    turn_deg: float = 0.0
+    height: Positive = 0.72
+    leg: Positive = 0.025  # m, radius of a leg
+
+
+class SwivelChair(ScenarioTable, frozen=True, tag_field="kind", tag="chair"):
+    """Office chair, one thin column at the height of the laser."""
+
+    at: Point
+    radius: Positive = 0.035
+    height: Positive = 0.45
+
+
+Furniture = Box | LeggedTable | SwivelChair
+
+
+class Space(ScenarioTable, frozen=True, kw_only=True):
+    """Corridor or room; overlapping spaces are one space without a wall between them."""
+
+    name: str
+    area: Segment  # m: west, south, east, north, on the centre lines of the walls
+    openings: tuple[Opening, ...] = ()
+    furniture: tuple[Furniture, ...] = ()
+
+
+class Glass(ScenarioTable, frozen=True, kw_only=True):
+    """Reflection of laser beams by panes: only near normal incidence, else the beam passes through."""
+
+    within_deg: float = 8.0  # largest angle to the normal with an echo
+    returns: Share = 0.8  # probability of an echo within this angle
+    post_every: Positive = 1.5  # m, largest distance of the posts that hold the panes
+    post: Positive = 0.06  # m, thickness of a post
+
+
+class Walker(ScenarioTable, frozen=True, kw_only=True):
+    """Person who walks along a path and back during the whole drive, and steps aside for the robot."""
+
+    path: tuple[Point, ...]
+    speed: Positive = 1.1  # m/s; the seed changes it by up to 20 %
+    pause: float = 20.0  # s at both ends; the seed changes it by up to 50 %
+
+    def __post_init__(self) -> None:
+        if len(self.path) < 2:
+            raise ValueError("a walker needs at least two points in its `path`")
+
+
+class Building(ScenarioTable, frozen=True, kw_only=True):
+    """Building that replaces the walls and plates of a `room`."""
+
+    spaces: tuple[Space, ...]
+    wall: Positive = 0.15  # m, thickness of every wall
+    bow: float = 0.02  # m, largest deviation of a wall from its straight line
+    screens: tuple[Segment, ...] = ()  # thin straight walls, in any direction
+    glass: Glass = Glass()
+    people: tuple[Walker, ...] = ()
+    seed: int | None = None  # seed of the wall shapes and the walks; None: the seed of the drive
 
 
 class Room(ScenarioTable, frozen=True, kw_only=True):
@@ -248,3 +343,104 @@ class Scenario(ScenarioTable, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.building is not None and self.camera.enabled:
             raise ValueError("the camera cannot draw a building: set camera.enabled = false")
+
+
+# --- Scenario files: found by name or path, merged with their base, changed by settings, validated
+
+
+def names() -> list[str]:
+    """Return the names of the scenarios in the package."""
+    return sorted(f.stem for f in HERE.glob("*.toml"))
+
+
+def load(name: str, settings: Iterable[str] = ()) -> Scenario:
+    """Return the scenario of a TOML file or of a name, with `table.key=value` settings applied.
+
+    Raises:
+        LocfuseError: the file is not a scenario; the message has the wrong key and the most similar one.
+        UsageError: no such scenario, or a setting that does not fit.
+    """
+    tables = _tables(name)
+    convert(tables, name, LocfuseError)
+    for setting in settings:
+        tables = merge(tables, apply_sets([setting]))
+    return convert(tables, f"{name} with --set", UsageError)
+
+
+def dumps(scenario: Scenario) -> str:
+    """Return a scenario as TOML with all keys."""
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(scenario)))
+
+
+def merge(tables: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `tables` updated recursively with `above`; a table that changes its `kind` is replaced as a whole."""
+    merged = dict(tables)
+    for key, value in above.items():
+        old = merged.get(key)
+        merged[key] = value
+        if isinstance(old, Mapping) and isinstance(value, Mapping):
+            other_kind = value.get("kind", old.get("kind")) != old.get("kind")
+            merged[key] = value if other_kind else merge(old, value)
+    return merged
+
+
+def _tables(name: str) -> dict[str, Any]:
+    path = Path(name)
+    if not path.is_file() and name not in names():
+        near = difflib.get_close_matches(name, names(), 1)
+        hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(names())}"
+        raise UsageError(f"no scenario {name}: neither a file nor a name; {hint}")
+    try:
+        text = (path if path.is_file() else HERE / f"{name}.toml").read_text(encoding="utf-8")
+        tables = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise LocfuseError(f"{name} cannot be read as a scenario: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise LocfuseError(f"{name} is not TOML: {error}") from error
+    base = tables.pop("base", None)
+    return tables if base is None else merge(_tables(str(base)), tables)
+
+
+def convert(tables: Mapping[str, Any], where: str, kind: type[LocfuseError]) -> Scenario:
+    """Convert tables to a Scenario. Raises `kind`, an error that names the wrong key and the most similar one."""
+    try:
+        return msgspec.convert(tables, Scenario)
+    except msgspec.ValidationError as error:
+        problem = str(error)
+        if found := UNKNOWN.search(problem):
+            known = {name for table in _tables_at(found["path"] or "") for name in table.__struct_fields__}
+            what = f"no key {found['key']} in {(found['path'] or '.')[1:] or 'a scenario'}"
+        elif found := BAD_KIND.search(problem):
+            known = {str(table.__struct_config__.tag) for table in _tables_at(found["path"])}
+            what = f"no kind {found['key']} of {found['path'][1:]}"
+        else:
+            raise kind(f"{where}: {problem[:1].lower()}{problem[1:].replace('`$.', '`')}") from error
+        near = difflib.get_close_matches(found["key"], known, 1)
+        hint = f"did you mean {near[0]}?" if near else "known: " + ", ".join(sorted(known))
+        raise kind(f"{where}: {what}; {hint}") from error
+
+
+UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`(?: - at `\$(?P<path>[^`]*)`)?")
+BAD_KIND = re.compile(r"Invalid value '(?P<key>[^']*)' - at `\$(?P<path>[^`]*)\.kind`")
+
+
+def _tables_at(path: str) -> list[type[ScenarioTable]]:
+    """Return the types of table possible at a path of a msgspec error, such as `.faults[0]`."""
+    found: list[type[ScenarioTable]] = [Scenario]
+    for step in filter(None, path.replace("[...]", "").split(".")):
+        name = re.sub(r"\[\d+\]", "", step)
+        types = [f.type for table in found for f in msgspec.structs.fields(table) if f.name == name]
+        found = [table for t in types for table in _structs(t)]
+    return found
+
+
+def _structs(of: Any) -> list[type[ScenarioTable]]:
+    if isinstance(of, type) and issubclass(of, ScenarioTable):
+        return [of]
+    return [table for part in get_args(of) for table in _structs(part)]
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value

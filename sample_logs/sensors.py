@@ -1,19 +1,20 @@
-"""Physical models of the sensors: each returns the message fields that it measures at its own times."""
+"""Physical models of the sensors, which return message fields; their mounts, and the matching robot.toml."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array
 from locfuse.fusion.se2 import compose
 
+from .camera import OmniCamera
 from .faults import EncoderRollover, EncoderSpike, TruthStep
 from .robot import SIDES, SimulatedRobot
 from .scenario import CompassSpec, GpsSpec, LrfSpec, Scenario, SonarSpec, TruthSpec
+from .table import Pose, RawMessage, Streams
 from .world import World
 
 JOINTS = ("left_wheel_joint", "right_wheel_joint")
@@ -22,22 +23,6 @@ FLATTENING = 1 / 298.257223563
 SONAR_RAYS = 21  # cast within a sonar's cone
 ULTRASOUND = 0  # Range.radiation_type
 APPROXIMATED, FIX, GPS_SERVICE = 1, 0, 1  # NavSatFix: covariance type, status, service
-
-
-class SimulatedSensor(Protocol):
-    """Sensor with its topic, period, duration and latency."""
-
-    name: str
-    topic: str
-    msgtype: str
-    frame_id: str
-    period: float  # s
-    phase: float  # s, time of the first reading
-    duration: float  # s, from the first sample of a reading to the last
-    latency: float  # s, from the last sample of a reading to its recording
-
-    def read(self, t: float) -> dict[str, Any]:
-        """Return the message fields of the reading that starts at t [s]; the trail must cover its duration."""
 
 
 class SimulatedEncoders:
@@ -127,7 +112,14 @@ class SimulatedLaser:
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the message fields of one scan that starts at t [s]."""
-        s = self.settings
+        s, times = self.settings, t + self.times
+        laser = self.robot.sensor_pose("lrf", times, self.mount)
+        wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
+        noise = s.sigma_range * self.rng.standard_normal(s.beams)
+        lost = self.rng.random(s.beams) < s.lost
+        angles = laser[:, 2] + self.angles + wobble
+        ranges = s.scale * self.scene.see(s.z, times, laser[:, :2], angles, s.range_max) + noise + self.pattern
+        seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
         return {
             "angle_min": float(self.angles[0]),
             "angle_max": float(self.angles[-1]),
@@ -136,20 +128,9 @@ class SimulatedLaser:
             "scan_time": self.period,
             "range_min": s.range_min,
             "range_max": s.range_max,
-            "ranges": self._ranges(t + self.times),
+            "ranges": np.where(seen, ranges, np.inf).astype(np.float32),
             "intensities": np.zeros(0, np.float32),
         }
-
-    def _ranges(self, times: Array) -> NDArray[np.float32]:
-        s = self.settings
-        laser = self.robot.sensor_pose("lrf", times, self.mount)
-        wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
-        noise = s.sigma_range * self.rng.standard_normal(s.beams)
-        lost = self.rng.random(s.beams) < s.lost
-        angles = laser[:, 2] + self.angles + wobble
-        ranges = s.scale * self.scene.see(s.z, times, laser[:, :2], angles, s.range_max) + noise + self.pattern
-        seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
-        return np.where(seen, ranges, np.inf).astype(np.float32)
 
 
 class GroundTruth:
@@ -246,3 +227,106 @@ def radii(latitude: float) -> tuple[float, float]:
     phi = math.radians(latitude)
     w = 1 - e2 * math.sin(phi) ** 2
     return EARTH_RADIUS * (1 - e2) / w**1.5, EARTH_RADIUS / math.sqrt(w) * math.cos(phi)
+
+
+# --- Equipment of the robot: sensors of a scenario, their mounts, and the matching robot.toml
+
+# Each has a period, the phase of its first reading, the duration of a reading and the latency until its recording,
+# in s. `read(t)` returns the fields of the reading that starts at t [s]; the trail must cover its duration.
+SimulatedSensor = (
+    SimulatedEncoders | Magnetometer | SimulatedLaser | OmniCamera | Ranger | SatelliteReceiver | GroundTruth
+)
+
+EXACT_MOUNT = ("sigma_x", "sigma_y", "sigma_yaw_deg")  # 0: the simulated mount is exact
+
+
+def sensors(scenario: Scenario, scene: World, robot: SimulatedRobot, streams: Streams) -> list[SimulatedSensor]:
+    """Return the sensors of a scenario, each with its own random stream."""
+    carried: list[SimulatedSensor] = [SimulatedEncoders(scenario, robot)]
+    if scenario.compass.enabled:
+        carried.append(Magnetometer(scenario.compass, scene, robot, streams("compass")))
+    if scenario.lrf.enabled:
+        carried.append(
+            SimulatedLaser(scenario.lrf, scene, robot, streams("lrf"), beam_pattern(scenario.lrf, streams))
+        )
+    if scenario.camera.enabled:
+        carried.append(OmniCamera(scenario.camera, scene, robot, streams("camera")))
+    carried += [Ranger(s, scene, robot, streams(f"sonar {s.name}")) for s in scenario.sonar]
+    if scenario.gps.enabled:
+        carried.append(SatelliteReceiver(scenario.gps, robot, streams("gps")))
+    carried.append(GroundTruth(scenario.truth, robot, streams("truth")))
+    return carried
+
+
+def beam_pattern(lrf: LrfSpec, streams: Streams) -> Array:
+    """Return the constant errors of the laser's beams in a drive, (beams,) [m]."""
+    return np.asarray(lrf.pattern * streams("lrf pattern").standard_normal(lrf.beams))
+
+
+def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
+    """Return the /tf_static message with the mounts of the sensors."""
+    lrf, camera = scenario.lrf, scenario.camera
+    mounts = [("compass", 0.0, 0.0, 0.6, 0.0)] if scenario.compass.enabled else []
+    if lrf.enabled:
+        mounts.append(("laser", lrf.x, lrf.y, lrf.z, lrf.yaw_deg))
+    if camera.enabled:
+        mounts.append(("omni_camera", camera.x, camera.y, camera.z, camera.yaw_deg))
+    mounts += [(f"sonar_{s.name}", s.x, s.y, s.z, s.yaw_deg) for s in scenario.sonar]
+    if scenario.gps.enabled:
+        mounts.append(("gps", 0.0, 0.0, 1.0, 0.0))
+    stamp = {"sec": epoch_ns // 10**9, "nanosec": epoch_ns % 10**9}
+    transforms = [
+        {
+            "header": {"stamp": stamp, "frame_id": "base_link"},
+            "child_frame_id": child,
+            "transform": {
+                "translation": {"x": x, "y": y, "z": z},
+                "rotation": {"z": math.sin(math.radians(yaw) / 2), "w": math.cos(math.radians(yaw) / 2)},
+            },
+        }
+        for child, x, y, z, yaw in mounts
+    ]
+    fields = {"transforms": transforms}
+    return RawMessage("/tf_static", "tf2_msgs/msg/TFMessage", epoch_ns, epoch_ns, "", fields)
+
+
+def stated_start(scenario: Scenario, true: Pose, streams: Streams) -> Pose:
+    """Return the start pose for robot.toml: true pose, plus the error of the user, plus a random error."""
+    s = scenario.start
+    sigma = np.array([s.sigma_xy, s.sigma_xy, math.radians(s.sigma_theta_deg)])
+    wrong = np.array([*s.error[:2], math.radians(s.error[2])])
+    x, y, theta = (true + wrong + sigma * streams("start").standard_normal(3)).tolist()
+    return x, y, theta
+
+
+def robot_tables(scenario: Scenario, start: Pose) -> dict[str, dict[str, Any]]:
+    """Return the robot.toml that a user would write: nominal geometry, data-sheet accuracies.
+
+    `start` is the user's start pose. Errors of the scenario (noise, iron, wheel errors, direction of north) are
+    left out.
+    """
+    wheels, (x, y, theta) = scenario.wheels, start
+    known = {k: getattr(scenario.start, k) for k in ("sigma_xy", "sigma_theta_deg")}
+    tables: dict[str, dict[str, Any]] = {
+        "wheels": {
+            "topic": SimulatedEncoders.topic,
+            "left": JOINTS[0],
+            "right": JOINTS[1],
+            "radius": wheels.radius,
+            "track": wheels.track,
+        },
+        "start": {"x": x, "y": y, "theta_deg": math.degrees(theta), **{k: s for k, s in known.items() if s > 0}},
+    }
+    if scenario.compass.enabled:
+        tables["compass"] = {"topic": Magnetometer.topic, "sigma_deg": scenario.compass.sigma_deg}
+    if scenario.lrf.enabled:
+        keys = ("x", "y", "yaw_deg", "sigma_range", "sigma_angle_deg")
+        tables["lrf"] = {"topic": SimulatedLaser.topic, **{key: getattr(scenario.lrf, key) for key in keys}}
+        tables["lrf"] |= dict.fromkeys(EXACT_MOUNT, 0.0)
+    if scenario.camera.enabled:
+        camera, mark = scenario.camera, scenario.landmark
+        optics = ("centre", "inner", "outer", "zero_deg", "clockwise") if camera.calibrated else ()
+        tables["camera"] = {"topic": OmniCamera.topic, "landmark": [mark.x, mark.y]}
+        tables["camera"] |= {key: getattr(camera, key) for key in (*optics, "x", "y", "yaw_deg", "sigma_deg")}
+    tables["truth"] = {"topic": GroundTruth.topic, "x": 0.0, "y": 0.0}
+    return tables

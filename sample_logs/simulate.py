@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import heapq
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
+import tomli_w
 
-from locfuse.fusion.data import Array, LocfuseError
+from locfuse.formats.container.mcap_write import LogWriter, log_writer
+from locfuse.fusion.data import Array, ArrayStream, Column, Ints, LocfuseError, Ragged
 
-from . import equipment
 from .building_scene import scene_of
 from .faults import ClockOffset, Dates, Fault, MessageFault, label
-from .messages import Emit, Estimator, Pose, RawMessage, Streams, streams
 from .paths import Follower, LegFollower, PathFollower, Steering, polygon, tour, waypoints
 from .robot import SimulatedRobot
-from .scenario import Legs, Polygon, Scenario, Waypoints
-from .sensors import SimulatedSensor
+from .scenario import Legs, Polygon, Scenario, Waypoints, dumps
+from .sensors import SimulatedSensor, robot_tables, sensors, stated_start, static_transforms
+from .table import Emit, Estimator, Pose, RawMessage, Streams, streams
 from .world import World, clearance
 
 EPOCH_NS = 1_700_000_000_000_000_000  # start of every simulated drive, so that logs do not depend on the date
@@ -63,8 +67,8 @@ class Simulation:
     @property
     def robot_tables(self) -> dict[str, dict[str, Any]]:
         """Tables of the robot.toml that a user of this robot would write."""
-        stated = equipment.stated_start(self.scenario, self.start, self.streams)
-        return equipment.robot_tables(self.scenario, stated)
+        stated = stated_start(self.scenario, self.start, self.streams)
+        return robot_tables(self.scenario, stated)
 
     def run(self, estimator: Estimator | None, emit: Emit) -> Outcome:
         """Simulate the drive and call `emit` with each message in order of arrival.
@@ -77,10 +81,10 @@ class Simulation:
             LocfuseError: the robot collides, or exceeds the time limit.
         """
         robot = SimulatedRobot(self.scenario, self.start, self.streams)
-        carried = equipment.sensors(self.scenario, self.scene, robot, self.streams)
+        carried = sensors(self.scenario, self.scene, robot, self.streams)
         recorder = Recorder(carried, self.scenario.faults, self.streams)
         steering = Steering(self.scenario, self.follower())
-        emit(equipment.static_transforms(self.scenario, EPOCH_NS))
+        emit(static_transforms(self.scenario, EPOCH_NS))
         ticks = max(1, round(self.scenario.control.period * self.scenario.wheels.rate))
         while not steering.finished:
             now = robot.trail.end
@@ -91,21 +95,28 @@ class Simulation:
             targets = steering.wheel_speeds(now, pose)
             for _ in range(ticks):
                 robot.drive(targets)
-            self._check(robot)
+            x, y, _ = _pose(robot)
+            gap, control = float(clearance(self.obstacles, np.array([[x, y]]))[0]), self.scenario.control
+            if gap < control.clearance:
+                raise LocfuseError(
+                    f"the robot hits something after {robot.trail.end:.1f} s: at ({x:.2f}, {y:.2f}) it is "
+                    f"{gap:.2f} m away, and it is {2 * control.clearance:g} m wide; it steers on "
+                    f"control.estimator = {control.estimator}; try another --seed, or "
+                    "--set control.estimator=truth"
+                )
         for message in recorder.until(robot.trail.end):
             emit(message)
-        return _outcome(robot, self.scenario.wheels.radius)
-
-    def _check(self, robot: SimulatedRobot) -> None:
-        x, y, _ = _pose(robot)
-        gap = float(clearance(self.obstacles, np.array([[x, y]]))[0])
-        if gap < self.scenario.control.clearance:
-            raise LocfuseError(
-                f"the robot hits something after {robot.trail.end:.1f} s: at ({x:.2f}, {y:.2f}) it is "
-                f"{gap:.2f} m away, and it is {2 * self.scenario.control.clearance:g} m wide; it steers on "
-                f"control.estimator = {self.scenario.control.estimator}; try another --seed, "
-                "or --set control.estimator=truth"
-            )
+        truth = robot.trail.knots().copy()
+        return Outcome(
+            truth_t=np.linspace(0, robot.trail.end, len(truth)),
+            truth=truth,
+            ticks_t=np.array([tick.t for tick in robot.ticks]),
+            counts=np.array([tick.counts for tick in robot.ticks], float),
+            set_points=np.array([tick.set_point for tick in robot.ticks]),
+            rad_per_count=robot.wheels[0].rad_per_count,
+            radius=self.scenario.wheels.radius,
+            missed=sum(w.missed for w in robot.wheels),
+        )
 
 
 class Recorder:
@@ -186,20 +197,6 @@ def _pose(robot: SimulatedRobot) -> Pose:
     return x, y, theta
 
 
-def _outcome(robot: SimulatedRobot, radius: float) -> Outcome:
-    truth = robot.trail.knots().copy()
-    return Outcome(
-        truth_t=np.linspace(0, robot.trail.end, len(truth)),
-        truth=truth,
-        ticks_t=np.array([tick.t for tick in robot.ticks]),
-        counts=np.array([tick.counts for tick in robot.ticks], float),
-        set_points=np.array([tick.set_point for tick in robot.ticks]),
-        rad_per_count=robot.wheels[0].rad_per_count,
-        radius=radius,
-        missed=sum(w.missed for w in robot.wheels),
-    )
-
-
 class Stability(NamedTuple):
     """Deviation of the mean wheel speed from its mean set point, over windows of one sampling period."""
 
@@ -221,4 +218,76 @@ def speed_stability(outcome: Outcome) -> Stability:
         return Stability(0.0, 0.0, 1.0)
     return Stability(
         float(deviation.max()), float(np.sqrt((deviation**2).mean())), float((deviation <= 0.05).mean())
+    )
+
+
+# --- Output to a log file, or to columns in memory
+
+# Tables of robot.toml -> localisation; None: steer by the truth.
+Localise = Callable[[dict[str, dict[str, Any]]], Estimator | None]
+
+
+def on_truth(robot_tables: dict[str, dict[str, Any]]) -> None:
+    """Return None in place of an estimator: the robot then steers by its true pose."""
+
+
+def write_log(scenario: Scenario, seed: int, localise: Localise, path: Path) -> Outcome:
+    """Simulate a drive into an MCAP log, with robot.toml and the scenario as attachments."""
+    simulation = Simulation(scenario, seed)
+    tables = simulation.robot_tables
+    with log_writer(path) as log:
+        log.attach("robot.toml", tomli_w.dumps(tables).encode())
+        log.attach("scenario.toml", dumps(msgspec.structs.replace(scenario, seed=seed)).encode())
+        return simulation.run(localise(tables), to_log(log))
+
+
+def to_log(log: LogWriter) -> Emit:
+    """Return a function that writes messages to a log."""
+
+    def emit(m: RawMessage) -> None:
+        log.write(
+            m.topic,
+            m.msgtype,
+            m.fields,
+            m.log_ns,
+            stamp_ns=m.stamp_ns,
+            frame_id=m.frame_id,
+            latched=m.topic == "/tf_static",
+        )
+
+    return emit
+
+
+def in_memory(
+    scenario: Scenario, seed: int, localise: Localise = on_truth
+) -> tuple[dict[str, ArrayStream], dict[str, dict[str, Any]], Outcome]:
+    """Simulate a drive in memory; return streams by topic, the tables of robot.toml, and the outcome."""
+    simulation = Simulation(scenario, seed)
+    tables = simulation.robot_tables
+    messages = defaultdict[str, list[RawMessage]](list)
+    outcome = simulation.run(localise(tables), lambda message: messages[message.topic].append(message))
+    return {topic: stream_of(some) for topic, some in messages.items()}, tables, outcome
+
+
+def stream_of(messages: list[RawMessage]) -> ArrayStream:
+    """Convert the messages of one topic to a stream; drop each message with a stamp earlier than one before it."""
+    stamps: Ints = np.array([m.stamp_ns for m in messages], np.int64)
+    in_order = stamps >= np.maximum.accumulate(stamps)
+    kept = [m for m, keep in zip(messages, in_order.tolist(), strict=True) if keep]
+    first = messages[0]
+    data: dict[str, Column] = {}
+    for name, value in first.fields.items():
+        values = [m.fields[name] for m in kept]
+        if isinstance(value, np.ndarray):
+            ends = np.concatenate(([0], np.cumsum([len(v) for v in values])))
+            data[name] = Ragged(np.concatenate(values), ends)
+        else:
+            data[name] = np.array(values) if isinstance(value, int | float) else values
+    return ArrayStream(
+        topic=first.topic,
+        msgtype=first.msgtype,
+        t_ns=stamps[in_order],
+        data=data,
+        frame_id=first.frame_id,
+        dropped={} if in_order.all() else {"stamp runs backwards": int((~in_order).sum())},
     )

@@ -10,7 +10,7 @@ import numpy as np
 from locfuse.fusion.data import Array
 
 from .faults import HiddenLandmark, Magnetic, People, RedObject
-from .scenario import Room, Scenario
+from .scenario import Scenario
 from .table import Pillar
 
 
@@ -22,21 +22,6 @@ class Plan(NamedTuple):
     rings: Array = np.zeros((0, 3))  # (l, 3) x, y, radius [m, map frame] of round walls, seen from inside
 
 
-def walls(room: Room) -> Array:
-    """Return the straight outer walls, (m, 4) [m, map frame]; for a round room only configured ones."""
-    if room.walls is not None or room.radius is not None:
-        return np.array(room.walls or (), float).reshape(-1, 4)
-    w, h = room.size
-    return np.array([(0, 0, w, 0), (w, 0, w, h), (w, h, 0, h), (0, h, 0, 0)], float)
-
-
-def rings(room: Room) -> Array:
-    """Return the round outer walls, (l, 3): x, y, radius [m, map frame]."""
-    if room.radius is None:
-        return np.zeros((0, 3))
-    return np.array([(room.size[0] / 2, room.size[1] / 2, room.radius)])
-
-
 class World:
     """Room with its landmark, plates, pillars and faults over time."""
 
@@ -44,13 +29,19 @@ class World:
         self.room = scenario.room
         self.landmark = scenario.landmark
         self.faults = scenario.faults
-        self.walls = walls(self.room)
-        self.rings = rings(self.room)
+        (w, h), radius, given = self.room.size, self.room.radius, self.room.walls
+        if given is None:
+            given = () if radius is not None else ((0, 0, w, 0), (w, 0, w, h), (w, h, 0, h), (0, h, 0, 0))
+        self.walls = np.array(given, float).reshape(-1, 4)  # m, map frame
+        rings = [] if radius is None else [(w / 2, h / 2, radius)]
+        self.rings = np.array(rings, float).reshape(-1, 3)  # x, y, radius [m, map frame] of round walls
         self.plates = np.array(self.room.plates, float).reshape(-1, 4)
 
     def pillars(self, t: float) -> tuple[Pillar, ...]:
         """Return all cylinders at t [s], the landmark first."""
-        return (self._landmark(t), *self.room.pillars, *self._red_objects(t), *self._people(t, t))
+        cloth = next((f for f in self.faults if isinstance(f, HiddenLandmark) and f.active(t)), None)
+        landmark = self.landmark if cloth is None else msgspec.structs.replace(self.landmark, colour=cloth.colour)
+        return (landmark, *self.room.pillars, *self._red_objects(t), *self._people(t, t))
 
     def plan(self, z: float, times: Array | None = None) -> Plan:
         """Return the objects at height z [m]: only static ones, or with ray times (n,) [s] also moving ones."""
@@ -91,12 +82,6 @@ class World:
             if isinstance(fault, Magnetic) and fault.active(t):
                 field = field + fault.field(at)
         return field
-
-    def _landmark(self, t: float) -> Pillar:
-        for fault in self.faults:
-            if isinstance(fault, HiddenLandmark) and fault.active(t):
-                return msgspec.structs.replace(self.landmark, colour=fault.colour)
-        return self.landmark
 
     def _red_objects(self, t: float) -> tuple[Pillar, ...]:
         return tuple(f.pillar() for f in self.faults if isinstance(f, RedObject) and f.active(t))
@@ -160,7 +145,11 @@ def hit_rings(rings: Array, origin: Array, direction: Array) -> Array:
 
 def clearance(plan: Plan, points: Array) -> Array:
     """Return the distance (n,) [m] of points (n, 2) from the nearest object in the plan."""
-    to_walls = _squared_gaps(plan.segments, points)
+    ax, ay, ex, ey = plan.segments.T
+    ux, uy = ex - ax, ey - ay
+    wx, wy = points[:, :1] - ax, points[:, 1:] - ay
+    share = np.clip((wx * ux + wy * uy) / (ux * ux + uy * uy), 0.0, 1.0)
+    to_walls = (wx - share * ux) ** 2 + (wy - share * uy) ** 2  # m^2
     to_circles = points[:, None] - plan.circles[None, :, :2]
     to_rings = points[:, None] - plan.rings[None, :, :2]
     gaps = (
@@ -169,13 +158,3 @@ def clearance(plan: Plan, points: Array) -> Array:
         plan.rings[:, 2] - np.hypot(to_rings[..., 0], to_rings[..., 1]),
     )
     return np.asarray(np.concatenate(gaps, axis=1).min(axis=1, initial=np.inf))
-
-
-def _squared_gaps(segments: Array, points: Array) -> Array:
-    """Return the squared distances (n, m) [m^2] of points (n, 2) from segments (m, 4)."""
-    ax, ay, ex, ey = segments.T
-    ux, uy = ex - ax, ey - ay
-    wx, wy = points[:, :1] - ax, points[:, 1:] - ay
-    share = np.clip((wx * ux + wy * uy) / (ux * ux + uy * uy), 0.0, 1.0)
-    squared: Array = (wx - share * ux) ** 2 + (wy - share * uy) ** 2
-    return squared

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.logs.log import Log
-from locfuse.formats.messages.fields import CAMERA_MATRIX
+from locfuse.formats.messages.schema import CAMERA_MATRIX
 from locfuse.formats.robot.transforms import FrameMount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import Robot

@@ -11,7 +11,7 @@ import numpy as np
 from locfuse.formats.figures.panels import Scene
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.logs.clock import MAX_DELAY_S
-from locfuse.formats.report import json_report, markdown, render, tables
+from locfuse.formats.report import json_report, markdown, table, tables
 from locfuse.formats.results import trajectory as to
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import Content
@@ -47,7 +47,7 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
     made: dict[str, Callable[[], str]] = {
         "html": page,
         "md": lambda: markdown.render(report),
-        "csv": lambda: render.csv(tables.everything(report)),
+        "csv": lambda: table.csv(tables.everything(report)),
         "tex": lambda: tables.latex(report),
         "json": lambda: json_report.encode(report),
     }
@@ -116,9 +116,9 @@ def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dic
     from locfuse.formats.results.mcap_export import Export, layouts
 
     tables = results.settings_tables(loaded.robot)
-    for table, key, text in list(files_of(tables)):
+    for name, key, text in list(files_of(tables)):
         if not loaded.log.recorded(text):  # a file that is not part of the exported copy
-            tables[table].pop(key, None)
+            tables[name].pop(key, None)
     drive = loaded.drive
     delay_s = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
     dt = np.diff(drive.t, prepend=drive.t[0])

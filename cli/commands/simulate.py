@@ -47,18 +47,18 @@ def simulate(
     from locfuse.cli.session import simulate as job
     from locfuse.formats.whole_files import may_replace
     from locfuse.fusion.data import UsageError
-    from locfuse.sample_logs import load
+    from locfuse.sample_logs import scenario as scenarios
     from locfuse.sample_logs.simulate import speed_stability
 
     if listing:
-        for name in load.names():
-            say(f"{name:24} {load.load(name).title}")
+        for name in scenarios.names():
+            say(f"{name:24} {scenarios.load(name).title}")
         return
     if scenario is None:
         raise UsageError("which SCENARIO? See: locfuse simulate --list")
-    chosen = load.load(scenario, sets)
+    chosen = scenarios.load(scenario, sets)
     if show:
-        put(load.dumps(chosen))
+        put(scenarios.dumps(chosen))
         return
     if out is None:
         raise UsageError("where to? Name the log with -o LOG.mcap")

@@ -17,14 +17,14 @@ from locfuse.formats.figures import palette
 from locfuse.formats.figures.for_paper import draw
 from locfuse.formats.figures.panels import Curve, Panel, Spots, Strokes
 from locfuse.formats.figures.sections import sections
-from locfuse.formats.report import json_report, paper_page, render
+from locfuse.formats.report import json_report, paper_page, table
 from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Array, Colour
 from locfuse.fusion.sensors.registry import colours
-from locfuse.sample_logs import load as scenarios
+from locfuse.sample_logs import scenario as scenarios
 from locfuse.sample_logs.paths import polygon
-from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.scenario import Polygon
+from locfuse.sample_logs.simulate import in_memory
 
 from .result import Comparison
 from .session import load
@@ -167,6 +167,6 @@ def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
         out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panels, light, looks)
     out["paper.json"] = json_report.encode(values)
     out["table.tex"] = paper_page.latex(values)
-    out["table.csv"] = render.csv(paper_page.table(values))
+    out["table.csv"] = table.csv(paper_page.table(values))
     out["paper.html"] = paper_page.render(values, shown, inks, looks)
     return out

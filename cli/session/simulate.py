@@ -29,10 +29,9 @@ from .python_words import speaks_python
 from .session import Session, load
 
 if TYPE_CHECKING:
-    from locfuse.sample_logs.messages import Estimator, RawMessage
-    from locfuse.sample_logs.record import Localise
     from locfuse.sample_logs.scenario import Scenario
-    from locfuse.sample_logs.simulate import Outcome
+    from locfuse.sample_logs.simulate import Localise, Outcome
+    from locfuse.sample_logs.table import Estimator, RawMessage
 
 
 @speaks_python
@@ -58,7 +57,7 @@ def simulate(
     Raises:
         LocfuseError: no such scenario, an unknown key, or an existing file.
     """
-    from locfuse.sample_logs import load as scenarios
+    from locfuse.sample_logs import scenario as scenarios
 
     chosen = scenarios.load(str(scenario), set_words(sets))
     seed = chosen.seed if seed is None else seed
@@ -80,14 +79,14 @@ def simulate(
 
 def drive(scenario: Scenario, seed: int, out: Path) -> Outcome:
     """Simulate a scenario and write its log. Raises LocfuseError if the file cannot be written."""
-    from locfuse.sample_logs.record import write_log
+    from locfuse.sample_logs.simulate import write_log
 
     return write_log(scenario, seed, localise(scenario.control.estimator), out)
 
 
 def localise(word: str) -> Localise:
     """Return a function that builds the robot's estimator: "truth", "odometry", "all", or sensor names."""
-    from locfuse.sample_logs.record import on_truth
+    from locfuse.sample_logs.simulate import on_truth
 
     def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:
         carried = tuple(name for name in REGISTRY if name in tables)
@@ -158,7 +157,7 @@ class Localiser:
 
     def _correct(self, wheels: Wheels) -> None:
         """Advance the filter through all readings older than MAX_LATENCY_S, in time order."""
-        from locfuse.sample_logs.record import stream_of
+        from locfuse.sample_logs.simulate import stream_of
 
         def measured_by(sensor: str, message: RawMessage) -> Measurements:
             settings = self.robot.settings(sensor)

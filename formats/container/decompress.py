@@ -10,22 +10,19 @@ import bz2
 import io
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import lz4.frame
-import numpy as np
 import zstandard
 
-from locfuse.formats.caps import MAX_CHUNK, MAX_MESSAGE
-from locfuse.formats.columns import Bytes, view
+from locfuse.formats.caps import MAX_CHUNK
 from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 
 from .file_bytes import FileBytes
-from .source import Messages
 
 MAX_PIECE_BYTES = 1 << 16  # unpacked at once from a cut-off stream
 
@@ -90,51 +87,6 @@ def _stream(data: bytes, compression: str) -> Any:
         raise DamagedError(f"unknown compression {compression[:16]!r}") from None
 
 
-# --- Messages compressed one by one (rosbag2 "message mode"). They are recognised by zstd's magic number at their
-# beginning, so metadata.yaml is not needed, which is missing after a crash
-
-ZSTD_WORD = 0xFD2FB528
-MAX_PORTION_BYTES = 16 * 1024 * 1024  # bytes of unpacked messages per yielded portion
-
-
-def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
-    """Decompress zstd messages; yield (buffer, messages) in portions of about MAX_PORTION_BYTES.
-
-    A damaged message becomes empty. A batch without zstd messages is yielded unchanged.
-    """
-    words = view(data, "<u4", messages.start[messages.length >= 4])
-    if not (words == ZSTD_WORD).any():
-        yield data, messages
-        return
-    pieces: list[bytes] = []
-    first, size = 0, 0
-    for i, (at, n) in enumerate(zip(messages.start.tolist(), messages.length.tolist(), strict=True)):
-        pieces.append(_unpacked_message(data[at : at + n].tobytes()))
-        size += len(pieces[-1])
-        if size >= MAX_PORTION_BYTES:
-            yield _portion(pieces, messages.take(slice(first, i + 1)))
-            pieces, first, size = [], i + 1, 0
-    if pieces:
-        yield _portion(pieces, messages.take(slice(first, None)))
-
-
-def _unpacked_message(message: bytes) -> bytes:
-    if int.from_bytes(message[:4], "little") != ZSTD_WORD:
-        return message
-    try:
-        declared = zstandard.frame_content_size(message)  # -1: the frame declares none
-        plain = zstandard.ZstdDecompressor().stream_reader(message, read_across_frames=True).read(MAX_MESSAGE + 1)
-    except zstandard.ZstdError:
-        return b""
-    return plain if declared <= len(plain) <= MAX_MESSAGE else b""  # a cut-off frame gives less
-
-
-def _portion(pieces: list[bytes], messages: Messages) -> tuple[Bytes, Messages]:
-    ends = np.cumsum([len(piece) for piece in pieces], dtype=np.int64)
-    length = np.diff(ends, prepend=0)
-    return np.frombuffer(b"".join(pieces), np.uint8), messages._replace(start=ends - length, length=length)
-
-
 # --- A log file compressed as a whole (rosbag2 "file mode": .mcap.zstd, .db3.zstd), unpacked to a temporary file
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -166,8 +118,10 @@ def unpack_file(data: FileBytes) -> None:
 def _unpack(data: FileBytes, plain: BinaryIO) -> None:
     cap = max(MIN_CAP_BYTES, MAX_UNPACK_RATIO * data.size)
     total, whole = 0, True
+    declared = 0  # unpacked bytes that the first frame declares, if any
     with data.where.open("rb") as packed:
-        declared = _declared_size(packed.read(HEAD_BYTES))
+        with suppress(zstandard.ZstdError):
+            declared = max(zstandard.frame_content_size(packed.read(HEAD_BYTES)), 0)
         packed.seek(0)
         frame = zstandard.ZstdDecompressor().decompressobj()
         try:
@@ -188,11 +142,3 @@ def _unpack(data: FileBytes, plain: BinaryIO) -> None:
         raise LocfuseError(f"{data.path}: its compression is damaged from the beginning ({data.size} bytes)")
     if not whole or not frame.eof or total < declared:
         data.lose("the compression is damaged or cut off", 0, max(declared - total, 0))
-
-
-def _declared_size(head: bytes) -> int:
-    """Return the unpacked size [bytes] that the first zstd frame declares; 0 if it declares none."""
-    try:
-        return max(zstandard.frame_content_size(head), 0)
-    except zstandard.ZstdError:
-        return 0

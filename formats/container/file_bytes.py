@@ -76,20 +76,18 @@ class Losses(msgspec.Struct):
 
     def lines(self) -> list[str]:
         """Return the losses as text, one line per file and reason."""
-        groups: dict[tuple[str, str], list[Loss]] = {}
+        groups: dict[str, list[Loss]] = {}
         for loss in self.places.values():
-            groups.setdefault((loss.path, loss.reason), []).append(loss)
-        return [_line(path, reason, losses) for (path, reason), losses in groups.items()]
-
-
-def _line(path: str, reason: str, losses: list[Loss]) -> str:
-    n_bytes = sum(loss.bytes for loss in losses)
-    known = [loss.messages for loss in losses if loss.messages is not None]
-    parts = [f"{len(losses)} places"] if len(losses) > 1 else []
-    parts += [f"{n_bytes} bytes"] if n_bytes else []
-    if known:
-        parts.append(f"{sum(known)} message{'' if sum(known) == 1 else 's'}")
-    return f"{path}: {reason}" + (f" ({', '.join(parts)})" if parts else "")
+            groups.setdefault(f"{loss.path}: {loss.reason}", []).append(loss)
+        lines = []
+        for line, losses in groups.items():
+            n_bytes = sum(loss.bytes for loss in losses)
+            known = [loss.messages for loss in losses if loss.messages is not None]
+            parts = [f"{len(losses)} places"] if len(losses) > 1 else []
+            parts += [f"{n_bytes} bytes"] if n_bytes else []
+            parts += [f"{sum(known)} message{'' if sum(known) == 1 else 's'}"] if known else []
+            lines.append(f"{line} ({', '.join(parts)})" if parts else line)
+        return lines
 
 
 MIN_WINDOW_BYTES = 1 << 12  # read-ahead after a jump, for example to the next chunk header

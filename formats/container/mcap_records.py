@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from locfuse.formats.columns import Bytes, view
 from locfuse.fusion.data import Ints
 
-from .chunked import Records, most_records
 from .decompress import DamagedError
-from .source import Messages, by_channel
+from .source import Messages, Records, by_channel, most_records
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -60,11 +59,6 @@ class ChunkIndex(NamedTuple):
     plain: int  # bytes, uncompressed
     first: int  # log time of the first message, ns
     last: int
-
-    @property
-    def channels(self) -> frozenset[int]:
-        """The channels with messages in this chunk."""
-        return frozenset(self.indexes)
 
 
 class Statistics(NamedTuple):
@@ -158,8 +152,14 @@ def records(data: Bytes, packed: int, index: Index) -> Records:
     scanned = scan(data, most_records(packed))
     if scanned.end == len(data) or not index:
         return scanned
-    offsets = _disjoint(data, _confirmed(data, index))
-    return Records(_gather(data, _followed(data, offsets)), scanned.definitions, scanned.end)
+    offsets: list[int] = []
+    end = 0
+    for offset in _confirmed(data, index).tolist():
+        if offset >= end:  # not inside the message before
+            offsets.append(offset)
+            end = offset + RECORD.size + RECORD.unpack_from(data.data, offset)[1]
+    followed = _followed(data, np.array(offsets, np.int64))
+    return Records(_gather(data, followed), scanned.definitions, scanned.end)
 
 
 def scan(data: Bytes, most: int | None = None) -> Records:
@@ -239,13 +239,3 @@ def _followed(data: Bytes, offsets: Ints) -> Ints:
     valid = (opcode != 0) & ((opcode <= DATA_END) | (opcode >= PRIVATE))
     kept: Ints = offsets[(ends == len(data)) | (inside & valid)]
     return kept
-
-
-def _disjoint(data: Bytes, offsets: Ints) -> Ints:
-    kept: list[int] = []
-    end = 0
-    for offset in offsets.tolist():
-        if offset >= end:
-            kept.append(offset)
-            end = offset + RECORD.size + RECORD.unpack_from(data.data, offset)[1]
-    return np.array(kept, np.int64)

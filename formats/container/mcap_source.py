@@ -12,17 +12,18 @@ from locfuse.formats.caps import MAX_ATTACHMENT
 from locfuse.formats.columns import Bytes
 
 from . import mcap_records as rec
-from .chunked import ChunkedSource, Part, Records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .mcap_survey import ChunkRef, Survey, confirm, promised, survey
-from .source import Batch, ChannelInfo
+from .source import Batch, ChannelInfo, ChunkedSource, Part, Records
 
 MAX_DOWNLOAD_SHARE = 0.5  # of a remote file; if more is wanted, the whole file is downloaded
 
 
 class McapSource(ChunkedSource):
     """One .mcap file. Opening it reads record headers only; `batches` reads the messages."""
+
+    channels: dict[int, ChannelInfo]
 
     def __init__(self, data: FileBytes) -> None:
         super().__init__(data)
@@ -31,7 +32,13 @@ class McapSource(ChunkedSource):
             data.copy_here()
             found = survey(data)
         self._use(found)
-        self.channels = self._channels()
+        counts, self.channels = self.counted(), {}
+        for ident, c in self._survey.channels.items():
+            schema = self._survey.schemas.get(c.schema_id, rec.Schema(0, "", "", b""))
+            how = c.message_encoding, schema.encoding, schema.data
+            self.channels[ident] = ChannelInfo(c.topic, schema.name, *how, counts[ident])
+        for ident in counts.keys() - self.channels.keys():
+            data.lose("messages of an undefined channel", ident, 0, counts[ident])
 
     def _use(self, found: Survey) -> None:
         """Keep the parts of the file found by a survey; read parts whose channels or message counts are unknown.
@@ -89,37 +96,31 @@ class McapSource(ChunkedSource):
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
-        """Yield the messages of the wanted channels in file order."""
+        """Yield the messages of the wanted channels in file order.
+
+        Of a remote file, the chunks with these messages are downloaded first. If they are more than
+        MAX_DOWNLOAD_SHARE of the file, the whole file is downloaded.
+        """
         if self.data.far:
-            self._fetch(wanted)
+            chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
+            spans = [chunk.place for chunk in chunks if (chunk.counts or {}).keys() & wanted]
+            if sum(stop - start for start, stop in spans) <= MAX_DOWNLOAD_SHARE * self.data.size:
+                self.data.fetch(spans)
+            else:
+                self.data.copy_here()
+                self._use(survey(self.data))
         yield from super().batches(wanted)
 
-    def _fetch(self, wanted: Collection[int]) -> None:
-        """Download the chunks with wanted messages.
-
-        If they are more than MAX_DOWNLOAD_SHARE of the file, download the whole file.
-        """
-        chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
-        spans = [chunk.place for chunk in chunks if (chunk.counts or {}).keys() & wanted]
-        if sum(stop - start for start, stop in spans) <= MAX_DOWNLOAD_SHARE * self.data.size:
-            self.data.fetch(spans)
-            return
-        self.data.copy_here()
-        self._use(survey(self.data))
-
     def search(self, part: Part, data: Bytes) -> Records:
-        """Find the records in the uncompressed bytes of a part."""
-        return rec.records(data, part.size, self._index(part))
+        """Find the records in the uncompressed bytes of a part.
 
-    def _index(self, part: Part) -> rec.Index:
-        """Return the message indexes of a chunk; {} if one is damaged.
-
-        The indexes are read even if there is no damage, so that all bytes of the file are read and can be hashed.
+        Message indexes are read even without damage, so that all bytes of the file are read and can be hashed.
         """
+        index: rec.Index = {}
         if isinstance(part, ChunkRef) and not part.cut_off:
             with suppress(DamagedError):
-                return dict(rec.message_index(self.data.read(at, length)) for at, length in part.index.values())
-        return {}
+                index = dict(rec.message_index(self.data.read(at, length)) for at, length in part.index.values())
+        return rec.records(data, part.size, index)
 
     def unpacked(self, part: Part) -> bytes:
         """Return the uncompressed bytes of a part. Raises DamagedError, also for a wrong checksum."""
@@ -129,15 +130,3 @@ class McapSource(ChunkedSource):
         if isinstance(part, ChunkRef) and part.crc and not part.cut_off and zlib.crc32(plain) != part.crc:
             raise DamagedError("a chunk fails its checksum")
         return plain
-
-    def _channels(self) -> dict[int, ChannelInfo]:
-        nothing = rec.Schema(0, "", "", b"")
-        counts = self.counted()
-        found: dict[int, ChannelInfo] = {}
-        for ident, c in self._survey.channels.items():
-            schema = self._survey.schemas.get(c.schema_id, nothing)
-            how = c.message_encoding, schema.encoding, schema.data
-            found[ident] = ChannelInfo(c.topic, schema.name, *how, counts[ident])
-        for ident in counts.keys() - found.keys():
-            self.data.lose("messages of an undefined channel", ident, 0, counts[ident])
-        return found

@@ -9,7 +9,6 @@ from __future__ import annotations
 import zlib
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Collection
 from contextlib import suppress
 
 import msgspec
@@ -21,9 +20,9 @@ from locfuse.formats.caps import MAX_CHUNK
 from locfuse.fusion.data import Ints, LocfuseError
 
 from . import mcap_records as rec
-from .chunked import Part
 from .decompress import CODECS, DamagedError
 from .file_bytes import FileBytes
+from .source import Part
 
 
 class ChunkRef(Part):
@@ -37,6 +36,9 @@ class ChunkRef(Part):
     def place(self) -> tuple[int, int]:
         """File offsets: start of the chunk, end of its message indexes."""
         return self.offset, max(at + length for at, length in self.index.values())
+
+
+CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
 
 
 def chunk_at(offset: int, data: FileBytes) -> ChunkRef:
@@ -227,77 +229,6 @@ def confirm(data: FileBytes, chunk: ChunkRef) -> None:
         chunk.crc, chunk.promised = own.crc, False
 
 
-# --- The next readable record after damage
-
-SEARCH_BYTES = 1 << 20
-CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
-
-
-class Resync:
-    """Finds the next readable record after damage, by the chunk index or else by a search of the bytes."""
-
-    def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
-        self.data = data
-        self.starts = sorted(summary.chunks) if summary else []
-        self.end = summary.start if summary else data.size
-        self._window = range(0)  # file offsets of the bytes searched last
-        # possible record starts in the window, file offsets
-        self._places: Ints = np.empty(0, np.int64)
-        self._chunked = False  # whether `_places` has chunks only
-
-    def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
-        """Return the offset of the next chunk at or after `at`, in an unchunked file of the next message.
-
-        None if there is none.
-        """
-        if self.starts:
-            i = bisect_left(self.starts, at)
-            return self.starts[i] if i < len(self.starts) else None
-        while at + rec.RECORD.size <= self.end:
-            if at not in self._window or chunked != self._chunked:
-                self._search_window(at, chunked)
-            for i in range(int(np.searchsorted(self._places, at)), len(self._places)):
-                place = int(self._places[i])
-                if self._is_chunk(place) or (not chunked and self._are_records(place, channels)):
-                    return place
-            at = self._window.stop
-        return None
-
-    def _search_window(self, at: int, chunked: bool) -> None:
-        """Find the possible record starts in the next SEARCH_BYTES from `at`."""
-        window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
-        n = len(window) - rec.RECORD.size + 1
-        wanted = window[:n] == rec.CHUNK
-        if not chunked:
-            wanted |= window[:n] == rec.MESSAGE
-        wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # upper half of the length: below 4 GiB
-        self._window, self._chunked = range(at, at + n), chunked
-        self._places = np.flatnonzero(wanted) + at
-
-    def _is_chunk(self, at: int) -> bool:
-        try:
-            chunk = chunk_at(at, self.data)
-        except DamagedError:
-            return False
-        return chunk.start + chunk.size <= self.data.size and chunk.compression in CODECS
-
-    def _are_records(self, at: int, channels: Collection[int]) -> bool:
-        """Return whether three plausible records in a row begin here, with messages of known channels only."""
-        for _ in range(3):
-            head = self.data.read(at, rec.RECORD.size + 2)
-            if len(head) < rec.RECORD.size + 2:
-                return False
-            opcode, length = rec.RECORD.unpack_from(head)
-            if opcode == rec.MESSAGE and int.from_bytes(head[rec.RECORD.size :], "little") not in channels:
-                return False
-            if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
-                return False
-            if opcode == rec.DATA_END:
-                return True
-            at += rec.RECORD.size + length
-        return True
-
-
 # --- The kind of a file by its first bytes, for error messages
 
 SIGNATURES = (
@@ -337,6 +268,7 @@ def describe(head: bytes) -> str:
 
 # --- The survey, record by record
 
+SEARCH_BYTES = 1 << 20  # searched at once for the next readable record after damage
 RUN_BYTES = 1 << 20  # size of the blocks in which messages outside chunks are read; a larger message is read alone
 LARGE_CHUNK_BYTES = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
@@ -356,10 +288,14 @@ class _SurveyWalk:
     def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
         self.data = data
         self.summary = summary
-        known = summary or Survey()
+        known = summary or FileSummary()
+        self.promised = known.chunks
         self.found = Survey([], known.schemas, known.channels, [], known.expected)
-        self.resync = Resync(data, summary)
         self.chunked = False
+        self._starts = sorted(self.promised)
+        self._window = range(0)  # file offsets of the bytes searched last for a readable record
+        self._places: Ints = np.empty(0, np.int64)  # possible record starts in the window, file offsets
+        self._chunks_only = False  # whether `_places` has chunks only
         self.index_end = 0  # end of the last chunk's message indexes, from the summary
 
     def run(self) -> Survey:
@@ -371,10 +307,12 @@ class _SurveyWalk:
             self.data.lose(CUT_OFF, 0, 0)
         elif self.summary is None and ((foot := _footer(self.data)) is None or foot[0] != 0):
             self.data.lose(NO_SUMMARY, here, self.data.size - here)
-        self._drop_unconfirmed_counts()
+        for part in self.found.parts:
+            entry = self.promised.get(part.offset)
+            if isinstance(part, ChunkRef) and (entry is None or entry.indexes.keys() != part.index.keys()):
+                part.counts = None  # not confirmed by the summary: the chunk is read to count its messages
         # no checksum covers the times in a chunk's header: they are used only if equal to the summary's
-        promised = self.summary.chunks.values() if self.summary else ()
-        times = sorted((entry.first, entry.last) for entry in promised)
+        times = sorted((entry.first, entry.last) for entry in self.promised.values())
         if sorted(part.span for part in self.found.parts) == times:
             sort_by_time(self.found.parts)
         return self.found
@@ -385,74 +323,74 @@ class _SurveyWalk:
         if len(head) < rec.RECORD.size:
             return self._skip_damage(at, "the file is cut off inside a record")
         opcode, length = rec.RECORD.unpack_from(head)
-        if self._is_end(at, opcode, length):
-            self._check_data_crc(at, opcode)
-            return None
         end: int = at + rec.RECORD.size + length
+        if self._is_end(end, opcode, length):
+            if opcode == rec.DATA_END:
+                self._check_data_crc(at)
+            return None
         try:
             if not (0 < opcode < rec.DATA_END or opcode >= rec.PRIVATE) or opcode == rec.FOOTER:
                 raise DamagedError("bytes that are no record")
-            if opcode != rec.CHUNK and self.summary and at in self.summary.chunks:
+            if opcode != rec.CHUNK and at in self.promised:
                 raise DamagedError("no chunk where the index promises one")
             if opcode != rec.MESSAGE_INDEX and at < self.index_end:
                 raise DamagedError("no message index where the chunk index promises one")
             if end > self.data.size and opcode != rec.CHUNK:
                 raise DamagedError("a record reaches beyond the end of the file")
-            if (handler := self.HANDLERS.get(opcode)) is not None:
-                end = handler(self, at, length) or end
+            return min(self._add(opcode, at, end), self.data.size)
         except DamagedError as problem:
-            self._drop_last_index()
+            if self.found.parts and isinstance(chunk := self.found.parts[-1], ChunkRef):
+                chunk.index.clear()  # damage behind the chunk may have destroyed message indexes
+                chunk.counts = None
             return self._skip_damage(at, str(problem))
-        return min(end, self.data.size)
 
-    def _is_end(self, at: int, opcode: int, length: int) -> bool:
-        """Return whether the record at `at` is a DataEnd or Footer at a plausible offset.
+    def _add(self, opcode: int, at: int, end: int) -> int:
+        """Add the record from `at` to `end` to the result; return the offset from which to read on."""
+        start = at + rec.RECORD.size
+        if opcode == rec.MESSAGE:
+            return self._unchunked(at, end)
+        if opcode == rec.CHUNK:
+            return self._chunk(at, end)
+        if opcode in {rec.SCHEMA, rec.CHANNEL}:
+            if end - start > MAX_CHUNK:
+                raise DamagedError(f"a record claims more than {MAX_CHUNK >> 20} MiB")
+            self.found.define(opcode, self.data.read(start, end - start))
+        elif opcode == rec.ATTACHMENT:
+            self.found.attachments.append((start, end - start))
+        elif opcode == rec.MESSAGE_INDEX and self.found.parts and isinstance(self.found.parts[-1], ChunkRef):
+            chunk = self.found.parts[-1]
+            ident, n_bytes, _ = rec.values(self.data.read(start, 6), "HI")
+            if n_bytes != end - start - 6 or n_bytes % 16:
+                raise DamagedError("a message index that contradicts itself")
+            chunk.index[ident] = (start, end - start)
+            if not chunk.cut_off:
+                chunk.counts = (chunk.counts or {}) | {ident: n_bytes // 16}
+        return end
+
+    def _is_end(self, end: int, opcode: int, length: int) -> bool:
+        """Return whether the record that ends at `end` is a DataEnd or Footer at a plausible offset.
 
         At any other offset such a record comes from a flipped bit.
         """
         if opcode == rec.FOOTER:
-            return at + rec.RECORD.size + length + len(rec.MAGIC) == self.data.size
+            return end + len(rec.MAGIC) == self.data.size
         if opcode != rec.DATA_END or length != 4:
             return False
-        end = at + rec.RECORD.size + length
         if self.summary and self.summary.start:
             return end == self.summary.start
-        return 0 < self.data.read(end, 1)[:1][0] <= rec.DATA_END if end < self.data.size else True
+        return end >= self.data.size or 0 < self.data.read(end, 1)[0] <= rec.DATA_END
 
-    def _check_data_crc(self, at: int, opcode: int) -> None:
+    def _check_data_crc(self, at: int) -> None:
         """Check the data section's CRC-32, if it has one and some messages are outside chunks."""
         value = self.data.read(at + rec.RECORD.size, 4)
-        whole = opcode == rec.DATA_END and len(value) == 4  # the file may be cut off inside the checksum
-        if whole and any(not isinstance(part, ChunkRef) for part in self.found.parts):
-            crc = int.from_bytes(value, "little")
-            if crc and self.data.crc32(0, at) != crc:
-                self.data.lose("the file fails its checksum: values may be wrong", 0, 0)
+        crc = int.from_bytes(value, "little") if len(value) == 4 else 0  # the file may be cut off inside it
+        unchunked = any(not isinstance(part, ChunkRef) for part in self.found.parts)
+        if crc and unchunked and self.data.crc32(0, at) != crc:
+            self.data.lose("the file fails its checksum: values may be wrong", 0, 0)
 
-    def _drop_unconfirmed_counts(self) -> None:
-        """Drop message counts that the summary does not confirm; those chunks are read to count messages."""
-        promised = self.summary.chunks if self.summary else {}
-        for part in self.found.parts:
-            if isinstance(part, ChunkRef):
-                entry = promised.get(part.offset)
-                if entry is None or entry.channels != part.index.keys():
-                    part.counts = None
-
-    def _drop_last_index(self) -> None:
-        """Drop the index and counts of the last chunk: damage after it may have destroyed message indexes."""
-        if self.found.parts and isinstance(chunk := self.found.parts[-1], ChunkRef):
-            chunk.index.clear()
-            chunk.counts = None
-
-    def _define(self, at: int, length: int) -> None:
-        """Add a Schema or Channel record."""
-        if length > MAX_CHUNK:
-            raise DamagedError(f"a record claims more than {MAX_CHUNK >> 20} MiB")
-        content = self.data.read(at, rec.RECORD.size + length)
-        self.found.define(content[0], content[rec.RECORD.size :])
-
-    def _unchunked(self, at: int, length: int) -> int:
+    def _unchunked(self, at: int, end: int) -> int:
         """Add consecutive messages outside chunks as a part; return their end offset."""
-        n_bytes = max(rec.RECORD.size + length, RUN_BYTES)
+        n_bytes = max(end - at, RUN_BYTES)
         if n_bytes > MAX_CHUNK:
             self.data.lose(f"a message is larger than {MAX_CHUNK >> 20} MiB", at, n_bytes, 1)
             return at + n_bytes
@@ -468,52 +406,73 @@ class _SurveyWalk:
         self.found.parts.append(Part(at, at, found.end, counts=counts, span=span))
         return at + found.end
 
-    def _chunk(self, at: int, length: int) -> int | None:
+    def _chunk(self, at: int, end: int) -> int:
+        """Add a chunk; return the offset from which to read on."""
         chunk = chunk_at(at, self.data)
         declared, chunk.size = chunk.size, min(chunk.size, max(self.data.size - chunk.start, 0))
         chunk.cut_off = chunk.size < declared
         if chunk.cut_off and self._next_readable(at + 1) is not None:
             raise DamagedError("a chunk reaches beyond the end of the file")
-        if not chunk.compression and declared > LARGE_CHUNK_BYTES:
-            return self._enter_large_chunk(chunk)
-        self.chunked = True
-        if self.summary and at in self.summary.chunks:
-            self.index_end = at + rec.RECORD.size + length + self.summary.chunks[at].index_length
-        self.found.parts.append(chunk)
-        return None
-
-    def _enter_large_chunk(self, chunk: ChunkRef) -> int:
-        """Return the offset of an uncompressed large chunk's content, to read its messages like unchunked ones."""
-        end = chunk.start + chunk.size
-        if not chunk.cut_off and chunk.crc and self.data.crc32(chunk.start, end) != chunk.crc:
+        if not chunk.compression and declared > LARGE_CHUNK_BYTES:  # read its messages like unchunked ones
+            if chunk.cut_off or not chunk.crc or self.data.crc32(chunk.start, end) == chunk.crc:
+                return chunk.start
             self.data.lose("a chunk fails its checksum", chunk.start, chunk.size)
             return end
-        return chunk.start
-
-    def _message_index(self, at: int, length: int) -> None:
-        chunk = self.found.parts[-1] if self.found.parts else None
-        if isinstance(chunk, ChunkRef):
-            ident, n_bytes, _ = rec.values(self.data.read(at + rec.RECORD.size, 6), "HI")
-            if n_bytes != length - 6 or n_bytes % 16:
-                raise DamagedError("a message index that contradicts itself")
-            chunk.index[ident] = (at + rec.RECORD.size, length)
-            if not chunk.cut_off:
-                chunk.counts = (chunk.counts or {}) | {ident: n_bytes // 16}
-
-    def _attachment(self, at: int, length: int) -> None:
-        self.found.attachments.append((at + rec.RECORD.size, length))
-
-    HANDLERS = {  # noqa: RUF012
-        rec.SCHEMA: _define,
-        rec.CHANNEL: _define,
-        rec.MESSAGE: _unchunked,
-        rec.CHUNK: _chunk,
-        rec.MESSAGE_INDEX: _message_index,
-        rec.ATTACHMENT: _attachment,
-    }
+        self.chunked = True
+        if at in self.promised:
+            self.index_end = end + self.promised[at].index_length
+        self.found.parts.append(chunk)
+        return end
 
     def _next_readable(self, at: int) -> int | None:
-        return self.resync.next(at, self.chunked, self.found.channels.keys())
+        """Return the offset of the next chunk at or after `at`, in an unchunked file of the next message.
+
+        It is found by the chunk index, or else by a search of the bytes. None if there is none.
+        """
+        if self._starts:
+            i = bisect_left(self._starts, at)
+            return self._starts[i] if i < len(self._starts) else None
+        end = self.summary.start if self.summary else self.data.size
+        while at + rec.RECORD.size <= end:
+            if at not in self._window or self.chunked != self._chunks_only:
+                window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
+                n = len(window) - rec.RECORD.size + 1
+                wanted = (window[:n] == rec.CHUNK) | ((window[:n] == rec.MESSAGE) & (not self.chunked))
+                wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # upper half of the length: below 4 GiB
+                self._window, self._chunks_only = range(at, at + n), self.chunked
+                self._places = np.flatnonzero(wanted) + at
+            for i in range(int(np.searchsorted(self._places, at)), len(self._places)):
+                place = int(self._places[i])
+                if self._is_chunk(place) or (not self.chunked and self._are_records(place)):
+                    return place
+            at = self._window.stop
+        return None
+
+    def _is_chunk(self, at: int) -> bool:
+        try:
+            chunk = chunk_at(at, self.data)
+        except DamagedError:
+            return False
+        return chunk.start + chunk.size <= self.data.size and chunk.compression in CODECS
+
+    def _are_records(self, at: int) -> bool:
+        """Return whether three plausible records in a row begin here, with messages of known channels only."""
+        for _ in range(3):
+            head = self.data.read(at, rec.RECORD.size + 2)
+            if len(head) < rec.RECORD.size + 2:
+                return False
+            opcode, length = rec.RECORD.unpack_from(head)
+            if (
+                opcode == rec.MESSAGE
+                and int.from_bytes(head[rec.RECORD.size :], "little") not in self.found.channels
+            ):
+                return False
+            if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
+                return False
+            if opcode == rec.DATA_END:
+                return True
+            at += rec.RECORD.size + length
+        return True
 
     def _skip_damage(self, at: int, reason: str) -> int:
         """Record the bytes up to the next readable record as lost; return its offset."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +16,9 @@ import numpy as np
 from locfuse.formats.columns import Bytes
 from locfuse.fusion.data import LocfuseError
 
-from .chunked import ChunkedSource, Part, Records, most_records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
-from .source import ChannelInfo, Messages, by_channel
+from .source import ChannelInfo, ChunkedSource, Messages, Part, Records, by_channel, most_records
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
@@ -43,20 +43,22 @@ class BagRecord(NamedTuple):
         """The offset of the next record."""
         return self.start + self.length
 
-    def number(self, name: bytes) -> int:
-        """Return a 4-byte header field as an integer."""
-        return int(self._values(name, UINT32)[0])
-
-    def time_ns(self, name: bytes) -> int:
-        """Return a time field of the header, ns."""
-        seconds, nanoseconds = self._values(name, TIME)
-        return int(seconds) * 10**9 + int(nanoseconds)
-
-    def _values(self, name: bytes, layout: struct.Struct) -> tuple[int, ...]:
+    def numbers(self, name: bytes, layout: struct.Struct = UINT32) -> tuple[int, ...]:
+        """Return the integers in a header field. Raises DamagedError if the field is missing."""
         value = self.fields.get(name, b"")
         if len(value) != layout.size:
             raise DamagedError("a record without its fields")
         return layout.unpack(value)
+
+    @property
+    def connection(self) -> int:
+        """The connection id in the header."""
+        return self.numbers(b"conn")[0]
+
+    def time_ns(self, name: bytes) -> int:
+        """Return a time field of the header, ns."""
+        seconds, nanoseconds = self.numbers(name, TIME)
+        return seconds * 10**9 + nanoseconds
 
 
 def read_entry(read: Callable[[int, int], bytes | memoryview], at: int) -> BagRecord:
@@ -113,10 +115,10 @@ def scan_chunk(data: Bytes, most: int) -> Records:
             if entry.end > len(buffer):
                 break
             if entry.op == MESSAGE:
-                rows.append((entry.number(b"conn"), entry.time_ns(b"time"), entry.start, entry.length))
+                rows.append((entry.connection, entry.time_ns(b"time"), entry.start, entry.length))
             elif entry.op == CONNECTION:
-                ident, content = entry.number(b"conn"), bytes(buffer[entry.start : entry.end])
-                connections[ident] = ident, entry.fields, content
+                content = bytes(buffer[entry.start : entry.end])
+                connections[entry.connection] = entry.connection, entry.fields, content
             else:
                 break
         except DamagedError:
@@ -132,7 +134,7 @@ def scan_chunk(data: Bytes, most: int) -> Records:
 CUT_OFF = "the bag was not closed: the recording was cut off"
 WINDOW_BYTES = 1 << 20
 CHUNK_FIELD = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # a field in the header of every chunk
-FIELD_OFFSETS = range(4, 64)  # bytes from the chunk record's start to this field
+MAX_FIELD_OFFSET = 64  # bytes from the chunk record's start to this field
 
 
 class BagSource(ChunkedSource):
@@ -161,85 +163,64 @@ class BagSource(ChunkedSource):
                 entry = read_entry(self.data.read, at)
                 if entry.end > self.data.size and entry.op != CHUNK:
                     raise DamagedError("a record reaches beyond the end of the file")
-                closed = self._add_record(entry) or closed
-            except DamagedError as problem:
-                at = self._skip_damage(at, str(problem))
-            else:
+                self._add_record(entry)
+                closed |= entry.op == CHUNK_INFO
                 at = min(entry.end, self.data.size)
+            except DamagedError as problem:
+                following = self._next_chunk(at + 1)
+                self.data.lose(str(problem), at, following - at)
+                at = following
+                if self.parts:
+                    self.parts[-1].counts = None  # a part of the chunk's index may be lost
         if not closed:
             self.data.lose(CUT_OFF, 0, 0)
 
-    def _add_record(self, entry: BagRecord) -> bool:
-        """Add one top-level record; return whether it is a ChunkInfo, which only a closed bag has."""
+    def _add_record(self, entry: BagRecord) -> None:
+        last = self.parts[-1] if self.parts else Part(0, 0, 0, plain=0)
         if entry.op == BAG_HEADER:
             if entry.fields.get(b"encryptor"):
                 raise LocfuseError(f"{self.path}: the bag is encrypted")
         elif entry.op == CHUNK:
-            self._add_chunk(entry)
-        elif entry.op == INDEX and self.parts:
-            chunk = self.parts[-1]
-            chunk.counts = (chunk.counts or {}) | {entry.number(b"conn"): entry.number(b"count")}
+            name = entry.fields.get(b"compression", b"").decode("utf-8", "replace")
+            available = min(entry.length, self.data.size - entry.start)
+            plain = entry.numbers(b"size")[0] or None  # 0 if the recorder crashed inside the chunk
+            part = Part(entry.at, entry.start, available, "" if name == "none" else name, plain)
+            part.cut_off = available < entry.length
+            if part.size:
+                self.parts.append(part)
+        elif entry.op == INDEX:
+            last.counts = (last.counts or {}) | {entry.connection: entry.numbers(b"count")[0]}
         elif entry.op == CONNECTION:
             data = self.data.read(entry.start, entry.length)
-            self._connections.setdefault(entry.number(b"conn"), (entry.fields, data))
+            self._connections.setdefault(entry.connection, (entry.fields, data))
         elif entry.op == MESSAGE:
-            self._add_unchunked(entry)
-        elif entry.op == CHUNK_INFO:
+            # messages outside chunks occur after a crash, which leaves the header of the last chunk incomplete
+            if last.plain is None and last.start + last.size == entry.at and last.size < WINDOW_BYTES:
+                last.size = entry.end - last.start
+            else:
+                self.parts.append(Part(entry.at, entry.at, entry.end - entry.at))
+        elif entry.op == CHUNK_INFO:  # only a closed bag has these
             self._extend_span(entry.time_ns(b"start_time"), entry.time_ns(b"end_time"))
-            return True
-        return False
-
-    def _add_chunk(self, entry: BagRecord) -> None:
-        name = entry.fields.get(b"compression", b"").decode("utf-8", "replace")
-        available = min(entry.length, self.data.size - entry.start)
-        plain = entry.number(b"size") or None  # 0 if the recorder crashed inside the chunk
-        part = Part(entry.at, entry.start, available, "" if name == "none" else name, plain)
-        part.cut_off = available < entry.length
-        if part.size:
-            self.parts.append(part)
-
-    def _add_unchunked(self, entry: BagRecord) -> None:
-        """Add a message outside a chunk to the last part if it follows it directly, else as a new part.
-
-        Such messages occur after a crash, which leaves the header of the last chunk incomplete.
-        """
-        before = self.parts[-1] if self.parts else None
-        follows = before is not None and before.plain is None and before.start + before.size == entry.at
-        if before is not None and follows and before.size < WINDOW_BYTES:
-            before.size = entry.end - before.start
-        else:
-            self.parts.append(Part(entry.at, entry.at, entry.end - entry.at))
 
     def _extend_span(self, first: int, last: int) -> None:
         if self.time_span_ns is not None:
             first, last = min(first, self.time_span_ns[0]), max(last, self.time_span_ns[1])
         self.time_span_ns = first, last
 
-    def _skip_damage(self, at: int, reason: str) -> int:
-        """Record the bytes up to the next chunk (or the end) as lost; return its offset."""
-        following = self._next_chunk(at + 1)
-        self.data.lose(reason, at, following - at)
-        if self.parts:
-            self.parts[-1].counts = None  # a part of the chunk's index may be lost
-        return following
-
     def _next_chunk(self, at: int) -> int:
+        """Return the offset of the next chunk at or after `at`, or the size of the file."""
         while at < self.data.size:
             window = self.data.read(at, WINDOW_BYTES)
             for field in CHUNK_FIELD.finditer(window):
-                starts = (field.start() - back for back in FIELD_OFFSETS if back <= field.start())
-                headed = (at + i for i in starts if _spans_field(window, i, field.end()))
-                if (start := next(filter(self._is_chunk, headed), None)) is not None:
-                    return start
-            at += WINDOW_BYTES - 2 * FIELD_OFFSETS.stop if len(window) == WINDOW_BYTES else len(window)
+                for i in range(max(field.start() - MAX_FIELD_OFFSET, 0), field.start() - 3):
+                    end = i + UINT32.size + int(UINT32.unpack_from(window, i)[0])  # of a header that begins here
+                    if field.end() <= end <= i + 2 * MAX_FIELD_OFFSET:
+                        with suppress(DamagedError):
+                            entry = read_entry(self.data.read, at + i)
+                            if entry.op == CHUNK and entry.end <= self.data.size:
+                                return entry.at
+            at += WINDOW_BYTES - 2 * MAX_FIELD_OFFSET if len(window) == WINDOW_BYTES else len(window)
         return self.data.size
-
-    def _is_chunk(self, at: int) -> bool:
-        try:
-            entry = read_entry(self.data.read, at)
-        except DamagedError:
-            return False
-        return entry.op == CHUNK and entry.end <= self.data.size
 
     def _complete_counts(self) -> None:
         """Get missing connections and message counts from the content of the parts."""
@@ -266,12 +247,3 @@ class BagSource(ChunkedSource):
             text = described.get(b"message_definition", b"")
             found[ident] = ChannelInfo(topic, msgtype, "ros1", "ros1msg", text, counts[ident])
         return found
-
-
-def _spans_field(window: bytes, start: int, end: int) -> bool:
-    """Return whether a short record header begins at `start` and contains the field that ends at `end`.
-
-    `start` and `end` are offsets in `window`. A header is short up to 2 * FIELD_OFFSETS.stop bytes.
-    """
-    length = int(UINT32.unpack_from(window, start)[0])
-    return end <= start + UINT32.size + length <= start + 2 * FIELD_OFFSETS.stop

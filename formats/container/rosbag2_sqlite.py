@@ -309,51 +309,38 @@ def definition(msgtype: str, sample: bytes = b"") -> str | None:
     returned that gives the message `sample` of the bag its actual length. If no definition does, the result is the
     newest one for a standard type, and None for another type.
     """
-    if texts := _texts(msgtype.replace("/msg/", "/")):
-        return next((text for text in texts if not sample or _fits(_store(msgtype, text), msgtype, sample)), None)
-    known = _definitions(msgtype)
-    if len(known) < 2 or not sample or len(sample) > MAX_SAMPLE:
-        return next(iter(known), None)
-    return next((text for text, store in known.items() if _fits(store, msgtype, sample)), next(iter(known)))
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    known: dict[str, Any] = {}  # ros2msg text -> type store, newest first
+    common = _texts(msgtype.replace("/msg/", "/"))
+    for text in common:
+        known[text] = get_typestore(Stores.EMPTY)
+        known[text].register(get_types_from_msg(text, msgtype))
+    for release in () if common else RELEASES:
+        store = get_typestore(Stores[release])
+        if msgtype in store.types:
+            known.setdefault(str(store.generate_msgdef(msgtype, ros_version=2)[0]), store)
+    newest = next(iter(known), None)
+    if not sample or (not common and (len(known) < 2 or len(sample) > MAX_SAMPLE)):
+        return newest
+    return next((t for t, store in known.items() if _fits(store, msgtype, sample)), None if common else newest)
 
 
 @cache
-def _fields() -> dict[str, list[str]]:
-    """Return the field definitions of every type in known_types.toml, one field per line, newest first."""
+def _known_types() -> dict[str, list[str]]:
     table = tomllib.loads((files(__package__) / "known_types.toml").read_text(encoding="utf-8"))
     return {name: [re.sub(r",\s+", "\n", text) + "\n" for text in texts] for name, texts in table.items()}
 
 
 def _texts(name: str) -> list[str]:
     """Return the ros2msg texts of a type in known_types.toml, with all types that it uses, newest first."""
-    table = _fields()
+    table = _known_types()  # type -> its field definitions, one field per line, newest first
     used = [name] if name in table else []
     for one in used:
         used += [other for text in table[one] for other in NESTED_TYPE.findall(text) if other not in used]
     versions = max((len(table[one]) for one in used), default=0)
     chosen = [[table[one][min(i, len(table[one]) - 1)] for one in used] for i in range(versions)]
     return [f"\n{DIVIDER}\n".join([own, *map("MSG: {}\n{}".format, used[1:], rest)]) for own, *rest in chosen]
-
-
-def _store(msgtype: str, text: str) -> Any:
-    """Return a `rosbags` type store with the message type of a ros2msg text."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(text, msgtype))
-    return store
-
-
-def _definitions(msgtype: str) -> dict[str, Any]:
-    """Return the different definitions of a type in RELEASES, newest first: ros2msg text -> type store."""
-    from rosbags.typesys import Stores, get_typestore
-
-    found: dict[str, Any] = {}
-    for release in RELEASES:
-        store = get_typestore(Stores[release])
-        if msgtype in store.types:
-            found.setdefault(str(store.generate_msgdef(msgtype, ros_version=2)[0]), store)
-    return found
 
 
 def _fits(store: Any, msgtype: str, sample: bytes) -> bool:

@@ -34,20 +34,9 @@ class Url(msgspec.Struct, frozen=True, order=True):
             raise UsageError(f"{self.text}: which bucket or server? Write it like s3://bucket/drive.mcap")
 
     @property
-    def _parts(self) -> re.Match[str]:
-        found = ADDRESS.fullmatch(self.text)
-        assert found is not None
-        return found
-
-    @property
     def scheme(self) -> str:
         """The scheme: "s3", "https", ..."""
-        return self._parts["scheme"]
-
-    @property
-    def host(self) -> str:
-        """The name of the bucket or server."""
-        return self._parts["place"]
+        return self.text.partition("://")[0]
 
     @property
     def root(self) -> str:
@@ -55,9 +44,14 @@ class Url(msgspec.Struct, frozen=True, order=True):
         return f"{self.scheme}://{self.host}"
 
     @property
+    def host(self) -> str:
+        """The name of the bucket or server."""
+        return re.split(r"[/?#]", self.text.partition("://")[2])[0]
+
+    @property
     def key(self) -> str:
         """The path of the object in its bucket or server, without a leading "/"."""
-        key = self._parts["key"].lstrip("/")
+        key = self.text.removeprefix(self.root).lstrip("/")
         return unquote(key) if self.scheme in WEB else key
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -113,24 +112,22 @@ def _bands(judged: Evaluation) -> list[Panel]:
     """Return a configuration's panels: x and y in one unit, and heading if the truth has it."""
     in_unit = metres([judged.deviation, np.minimum(BAND_SIGMAS * judged.sigma[:, :2], 10.0)])
     units = (in_unit, in_unit, (180.0 / np.pi, "°"))
-    return [_band(judged, i, c, units[i]) for i, c in enumerate(_components(judged))]
-
-
-def _band(judged: Evaluation, column: int, deviation: Array, in_unit: tuple[float, str]) -> Panel:
-    what, sigma = COMPONENTS[column], BAND_SIGMAS * judged.sigma[:, column]
-    scale, unit = in_unit
-    return Panel(
-        name=f"band_{judged.name}_{what}",
-        title=f"{judged.name}: deviation in {what} with 3 sigma",
-        y_label=f"{what}, {unit}",
-        x_label=TIME,
-        marks=(
-            Band(judged.name, judged.t, -scale * sigma, scale * sigma),
-            Curve(judged.name, judged.t, scale * deviation),
-        ),
-        summary=f"Deviation of {judged.name} in {what} over time, in the band of its 3 sigma.",
-        x_range=(0.0, float(judged.t[-1])),
-    )
+    panels = []
+    for i, deviation in enumerate(_components(judged)):
+        what, (scale, unit) = COMPONENTS[i], units[i]
+        reach, curve = scale * (BAND_SIGMAS * judged.sigma[:, i]), scale * deviation
+        panels.append(
+            Panel(
+                name=f"band_{judged.name}_{what}",
+                title=f"{judged.name}: deviation in {what} with 3 sigma",
+                y_label=f"{what}, {unit}",
+                x_label=TIME,
+                marks=(Band(judged.name, judged.t, -reach, reach), Curve(judged.name, judged.t, curve)),
+                summary=f"Deviation of {judged.name} in {what} over time, in the band of its 3 sigma.",
+                x_range=(0.0, float(judged.t[-1])),
+            )
+        )
+    return panels
 
 
 def uncertainty(scene: Scene) -> Section:
@@ -183,7 +180,11 @@ def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str)
     """Return the panel of histograms of one kind of error, a lane per configuration; None without errors."""
     if not any(len(e) for e in errors.values()):
         return None
-    edges = _bins(np.concatenate(list(errors.values())))
+    every = np.concatenate(list(errors.values()))
+    high = np.ceil(BINS_PER_DECADE * np.log10(every.max()) + 1e-9)
+    low = np.floor(BINS_PER_DECADE * np.log10(every.min()) - 1e-9)
+    low = max(low, high - MAX_DECADES * BINS_PER_DECADE)  # smaller errors are left out
+    edges = 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE)
     shares = {name: np.histogram(e, edges)[0] / max(1, len(e)) for name, e in errors.items()}
     tallest = max(float(s.max()) for s in shares.values())
     x = scale * np.repeat(edges, 2)[1:-1]
@@ -210,14 +211,6 @@ def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str)
     )
 
 
-def _bins(errors: Array) -> Array:
-    """Return logarithmic bin edges that cover all errors, or the upper MAX_DECADES decades of them."""
-    high = np.ceil(BINS_PER_DECADE * np.log10(errors.max()) + 1e-9)
-    low = np.floor(BINS_PER_DECADE * np.log10(errors.min()) - 1e-9)
-    low = max(low, high - MAX_DECADES * BINS_PER_DECADE)
-    return 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE)
-
-
 # --- Effect of each sensor on the position error: alone, added to the others, and on average
 
 EFFECTS = {"alone": 0.28, "leave_one_out": 0.55, "credit": 0.82}  # effect -> y in a sensor's lane
@@ -237,8 +230,11 @@ def credit(scene: Scene) -> Section:
     for lane, (sensor, values) in enumerate(sensors.items()):
         kinds = [kind for kind in EFFECTS if values.get(kind)]
         for kind in kinds:
-            place = EFFECTS[kind] if len(kinds) > 1 else 0.5
-            marks += _effect(sensor, kind, lane + place, values[kind])
+            y = lane + (EFFECTS[kind] if len(kinds) > 1 else 0.5)
+            low, high, factor = (values[kind][k] for k in ("low", "high", "factor"))
+            ends = [[float(np.clip(v, *FACTOR_LIMITS)), y] for v in (low, high) if v is not None]
+            marks += [Strokes(sensor, np.array([ends]))] if ends else []
+            marks.append(Spots(kind, np.clip([factor], *FACTOR_LIMITS), np.array([y])))
     if not marks:
         return Section("credit", "", "", ())
     n = len(sensors)
@@ -259,9 +255,3 @@ def credit(scene: Scene) -> Section:
         legend=WORDS,
     )
     return Section("credit", "Credit", "", (panel,))
-
-
-def _effect(sensor: str, kind: str, y: float, found: Mapping[str, Any]) -> list[Mark]:
-    ends = [[float(np.clip(found[k], *FACTOR_LIMITS)), y] for k in ("low", "high") if found[k] is not None]
-    interval = [Strokes(sensor, np.array([ends]))] if ends else []
-    return [*interval, Spots(kind, np.clip([found["factor"]], *FACTOR_LIMITS), np.array([y]))]

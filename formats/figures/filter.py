@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Evaluation
+from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates
 
 from .panels import TIME, Band, Curve, Dots, Mark, Panel, Scene, Section
 
@@ -19,22 +19,18 @@ def consistency(scene: Scene) -> Section:
     panels = []
     judged = [j for _, j in scene.shown() if np.isfinite(j.nees).any()]
     if judged:
-        panels.append(_nees(judged, scene.nees_bounds, span))
+        curves = [Curve(j.name, *means(j.t, j.nees, MAX_NEES_STRETCHES)) for j in judged]
+        words = ", ".join(f"{j.name} {value:.2f}" for j in judged if (value := j.figures.get("anees")) is not None)
+        low, high = (np.full(2, bound) for bound in scene.nees_bounds)
+        band = Band("bounds", np.array(span), low, high)
+        summary = f"Normalised estimation error squared over time; means: {words}."
+        panels.append(_ratios("nees", "NEES", "", band, curves, summary, span))
     panels += [p for s in scene.drive.measurements if (p := _nis(scene, s, span)) is not None]
     text = (
         "1 is right; above: overconfident; below: underconfident. Grey: where 95 % should lie. "
         "NIS near 1 alone proves nothing."
     )
     return Section("consistency", "Consistency over time", text, tuple(panels))
-
-
-def _nees(judged: list[Evaluation], bounds: tuple[float, float], span: tuple[float, float]) -> Panel:
-    curves = [Curve(j.name, *means(j.t, j.nees, MAX_NEES_STRETCHES)) for j in judged]
-    words = ", ".join(f"{j.name} {value:.2f}" for j in judged if (value := j.figures.get("anees")) is not None)
-    low, high = (np.full(2, b) for b in bounds)
-    band = Band("bounds", np.array(span), low, high)
-    summary = f"Normalised estimation error squared over time; means: {words}."
-    return _ratios("nees", "NEES", "", band, curves, summary, span)
 
 
 def _nis(scene: Scene, sensor: str, span: tuple[float, float]) -> Panel | None:
@@ -55,9 +51,11 @@ def _ratios(
     name: str, what: str, of: str, band: Band, curves: list[Curve], summary: str, span: tuple[float, float]
 ) -> Panel:
     """Return a panel of NEES or NIS over time with its bounds, with a logarithmic y axis."""
-    limits = (float(np.nanmin(band.low)), float(np.nanmax(band.high)))
+    values = np.concatenate([*(c.y for c in curves), [np.nanmin(band.low), np.nanmax(band.high)]])
+    values = values[np.isfinite(values) & (values > 0)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.1, 10.0)
+    y_range = max(low / 1.5, 1e-2), min(max(high * 1.5, 2.0), 1e6)
     title, label = f"{of}{what} per degree of freedom", f"{of}{what} / dof"
-    y_range = _log_range([c.y for c in curves], limits)
     return Panel(name, title, label, TIME, (band, *curves), summary, log=True, x_range=span, y_range=y_range)
 
 
@@ -89,6 +87,9 @@ def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -
     if refused.any():
         marks.append(Dots("gate", t[refused], y[refused]))
     marks.append(Dots(used, t[accepted], y[accepted]))
+    # 99.5 % of the accepted values are shown; the largest rejected ones may be outside
+    shown = [(y[accepted], 99.5), (sigma[np.isfinite(sigma)], 95.0), (y[refused], 80.0)]
+    most = 1.15 * max([1e-9, *(float(np.nanpercentile(np.abs(v), share)) for v, share in shown if len(v))])
     return Panel(
         f"innovation_{sensor}_{i}",
         f"{sensor}: innovation of {c.name}",
@@ -97,7 +98,7 @@ def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -
         tuple(marks),
         f"{int(accepted.sum())} accepted, and those that were compared and rejected.",
         x_range=(0.0, float(e.t[-1])),
-        y_range=_robust(y[accepted], sigma, y[refused]),
+        y_range=(-most, most),
         keys=("gate",) if refused.any() else (),
     )
 
@@ -180,25 +181,3 @@ def means(t: Array, values: Array, count: int) -> tuple[Array, Array]:
     n = np.bincount(place, minlength=count)
     total = np.bincount(place, weights=values[good], minlength=count)
     return 0.5 * (edges[1:] + edges[:-1]), np.where(n > 0, total / np.maximum(n, 1), np.nan)
-
-
-def _log_range(curves: list[Array], bounds: tuple[float, float]) -> tuple[float, float]:
-    """Return y limits of a logarithmic axis that show bounds and curves, within 1e-2 and 1e6."""
-    positive = [c[np.isfinite(c) & (c > 0)] for c in (*curves, np.array(bounds))]
-    values = np.concatenate(positive)
-    low, high = (float(values.min()), float(values.max())) if len(values) else (0.1, 10.0)
-    return max(low / 1.5, 1e-2), min(max(high * 1.5, 2.0), 1e6)
-
-
-def _robust(y: Array, sigma: Array, refused: Array) -> tuple[float, float]:
-    """Return symmetric y limits that show 99.5 % of the accepted values.
-
-    The largest rejected values may be outside.
-    """
-    most = max(
-        float(np.nanpercentile(np.abs(y), 99.5)) if len(y) else 0.0,
-        float(np.nanpercentile(sigma, 95)) if np.isfinite(sigma).any() else 0.0,
-        float(np.nanpercentile(np.abs(refused), 80)) if len(refused) else 0.0,
-        1e-9,
-    )
-    return -1.15 * most, 1.15 * most

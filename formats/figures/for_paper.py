@@ -6,12 +6,14 @@ Equal input gives equal bytes: no date, ids from a fixed salt. Text stays text, 
 from __future__ import annotations
 
 import io
+import tomllib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
-from locfuse.formats.thin import extremes
+from locfuse.formats.geometry import extremes
 from locfuse.fusion.data import Colour
 
 from . import palette
@@ -26,46 +28,11 @@ HEIGHT_IN_COLUMN = 1.45  # inches per panel in a column of panels
 COLUMN = {"top": 0.88, "bottom": 0.12, "hspace": 0.12}
 LANES_AREA = (0.24, 0.19, 0.73, 0.66)
 MAX_LEGEND_SPOT = 5.0  # points; symbols in the legend are enlarged up to this size
-LEGEND: dict[str, Any] = {
-    "ncols": 4,
-    "loc": "lower left",
-    "bbox_to_anchor": (-0.12, 1.0),
-    "columnspacing": 0.9,
-    "handlelength": 1.3,
-    "handletextpad": 0.4,
-    "labelspacing": 0.25,
-    "markerscale": 4.0,
-    "borderpad": 0.1,
-}
 MAX_CURVE_POINTS = 1600  # more than 3.5 inches at 300 dpi can show
 TRUTH_DASH = (0, (1, 2))
 DASHES = {"dash": (0, (4, 2)), "over": (0, (7, 3))}
 WIDE_PT = 1.8
-SPOTS: dict[str, dict[str, Any]] = {
-    "dot": {"marker": "o", "ms": 1.6, "mew": 0},
-    "ring": {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 0.9},
-    "square": {"marker": "s", "ms": 4.0, "mew": 0},
-    "target": {"marker": "*", "ms": 6.5, "mew": 0},
-    "cross": {"marker": "x", "ms": 2.6, "mew": 0.6},
-}
-STYLE: dict[Any, Any] = {
-    "svg.hashsalt": "locfuse",
-    "svg.fonttype": "none",
-    "pdf.fonttype": 42,
-    "font.size": 7.0,
-    "axes.linewidth": 0.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.linewidth": 0.3,
-    "grid.color": "#dddfe3",
-    "lines.linewidth": 0.9,
-    "legend.frameon": False,
-    "legend.fontsize": 5.8,
-    "xtick.major.width": 0.5,
-    "ytick.major.width": 0.5,
-    "path.simplify": True,
-}
+LOOK = tomllib.loads((files(__package__) / "print.toml").read_text(encoding="utf-8"))
 
 
 def paper_figures(
@@ -103,10 +70,12 @@ def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mappi
 def draw(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]) -> tuple[bytes, bytes]:
     """Return a panel, or a column of panels with a common x axis, drawn as (SVG, PDF)."""
     from matplotlib import rc_context
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     first, n = panels[0], len(panels)
-    with rc_context(STYLE):
+    with rc_context(LOOK["style"]):
         if n == 1:
             figure = Figure(figsize=SQUARE_SIZE_IN if first.equal else PANEL_SIZE_IN)
             axes = [figure.add_axes(LANES_AREA if first.lanes else AXES_AREA)]
@@ -122,66 +91,57 @@ def draw(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]
         for own in axes[:-1]:
             own.set_xlabel("")
             own.tick_params(labelbottom=False)
-        return _saved(figure)
-
-
-def _fill(axes: Any, panel: Panel, inks: dict[str, str], looks: Mapping[str, str]) -> None:
-    for mark in panel.marks:
-        _mark(axes, panel, mark, inks, looks)
-    _finish_axes(axes, panel)
-
-
-def _saved(figure: Any) -> tuple[bytes, bytes]:
-    from matplotlib.backends.backend_pdf import FigureCanvasPdf
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    svg, pdf = io.BytesIO(), io.BytesIO()
-    to_svg: Any = FigureCanvasSVG(figure)
-    to_pdf: Any = FigureCanvasPdf(figure)
-    to_svg.print_svg(svg, metadata={"Date": None, "Creator": "locfuse"})
-    to_pdf.print_pdf(pdf, metadata={"CreationDate": None, "Creator": "locfuse", "Producer": None})
+        svg, pdf = io.BytesIO(), io.BytesIO()
+        to_svg: Any = FigureCanvasSVG(figure)
+        to_pdf: Any = FigureCanvasPdf(figure)
+        to_svg.print_svg(svg, metadata={"Date": None, "Creator": "locfuse"})
+        to_pdf.print_pdf(pdf, metadata={"CreationDate": None, "Creator": "locfuse", "Producer": None})
     return svg.getvalue(), pdf.getvalue()
 
 
-def _finish_axes(axes: Any, panel: Panel) -> None:
-    """Set limits, labels and the legend."""
-    x, y = ranges(panel)
+def _fill(axes: Any, panel: Panel, inks: dict[str, str], looks: Mapping[str, str]) -> None:
+    """Draw the marks of a panel, then set limits, ticks, labels and the legend, as on the page."""
+    for mark in panel.marks:
+        _mark(axes, panel, mark, inks, looks)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     else:
-        _scales(axes, panel, x, y)
+        x, y = ranges(panel)
+        if panel.log:
+            axes.set_yscale("log")
+        if panel.x_log:
+            axes.set_xscale("log")
+        axes.set(xlim=x, ylim=y)
+        if not panel.lanes:
+            axes.set_yticks(*map(list, zip(*ticks(*y, panel.log), strict=True)))
+            axes.minorticks_off()
     if panel.lanes:
         axes.set_yticks([i + 0.5 for i in range(len(panel.lanes))], panel.lanes)
         axes.grid(visible=False, axis="y")
     handles, labels = axes.get_legend_handles_labels()
     if len(handles) > 1 or panel.keys:
-        legend = axes.legend(handles, labels, **LEGEND)
+        legend = axes.legend(handles, labels, **LOOK["legend"])
         for handle in legend.legend_handles:
             if getattr(handle, "get_markersize", lambda: 0.0)() > MAX_LEGEND_SPOT:
                 handle.set_markersize(MAX_LEGEND_SPOT)
 
 
-def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Set scales, limits and ticks, as on the page."""
-    if panel.log:
-        axes.set_yscale("log")
-    if panel.x_log:
-        axes.set_xscale("log")
-    axes.set_xlim(*x)
-    axes.set_ylim(*y)
-    if not panel.lanes:
-        axes.set_yticks(*map(list, zip(*ticks(*y, panel.log), strict=True)))
-        axes.minorticks_off()
-
-
 def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapping[str, str]) -> None:
-    ink, label = inks[mark.of], _label(axes, panel, mark)
+    name = panel.legend.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
+    known = name == "bounds" or name in axes.get_legend_handles_labels()[1]
+    ink, label = inks[mark.of], None if known else name
     if isinstance(mark, Curve):
-        _curve(axes, mark, ink, label, DASHES.get(looks.get(mark.of, ""), "solid"))
+        dash = TRUTH_DASH if mark.of == "truth" else DASHES.get(looks.get(mark.of, ""), "solid")
+        grows = bool((np.diff(mark.x) >= 0).all())
+        kept = extremes(mark.y, MAX_CURVE_POINTS) if grows else np.arange(len(mark.x))
+        width = WIDE_PT if mark.wide else None
+        axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, lw=width, label=label)
     elif isinstance(mark, Spots):
-        axes.plot(mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **SPOTS[palette.SHAPES[mark.of]])
+        axes.plot(
+            mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **LOOK["spots"][palette.SHAPES[mark.of]]
+        )
     elif isinstance(mark, Band):
         kept = extremes(np.stack((mark.low, mark.high), axis=-1), MAX_CURVE_POINTS)
         alpha = 1.0 if mark.solid else 0.18
@@ -192,18 +152,3 @@ def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapp
     elif isinstance(mark, Strokes):
         for i, (a, b) in enumerate(mark.ends):
             axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)
-
-
-def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> None:
-    dash = TRUTH_DASH if mark.of == "truth" else broken
-    grows = bool((np.diff(mark.x) >= 0).all())
-    kept = extremes(mark.y, MAX_CURVE_POINTS) if grows else np.arange(len(mark.x))
-    width = {"lw": WIDE_PT} if mark.wide else {}
-    axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, label=label, **width)
-
-
-def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:
-    """Return the legend text of a mark; None if the legend already has this text."""
-    taken = set(axes.get_legend_handles_labels()[1])
-    name = panel.legend.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
-    return None if name in taken or name == "bounds" else name

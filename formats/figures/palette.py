@@ -112,14 +112,13 @@ def looks_of(traces: Mapping[str, Trace]) -> dict[str, str]:
 
 def colours(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, Colour]:
     """Return the colour of every result, sensor and role by name; `sensors` has the colours of all sensors."""
-    return {**sensors, **{name: _colour(trace, sensors) for name, trace in traces.items()}, **ROLES}
-
-
-def _colour(trace: Trace, sensors: Mapping[str, Colour]) -> Colour:
-    if trace.configuration in {*BASES, "all"}:
-        return ODOMETRY if trace.configuration in BASES else ALL
-    if len(trace.sensors) == 1 and trace.sensors[0] in sensors:
-        return sensors[trace.sensors[0]]
-    order = list(sensors)
-    places = [order.index(s) if s in sensors else len(order) for s in trace.sensors]
-    return SETS[sum(2**p for p in places) % len(SETS)]
+    order, found = list(sensors), {**sensors}
+    for name, trace in traces.items():
+        if trace.configuration in {*BASES, "all"}:
+            found[name] = ODOMETRY if trace.configuration in BASES else ALL
+        elif len(trace.sensors) == 1 and trace.sensors[0] in sensors:
+            found[name] = sensors[trace.sensors[0]]
+        else:
+            places = [order.index(s) if s in sensors else len(order) for s in trace.sensors]
+            found[name] = SETS[sum(2**p for p in places) % len(SETS)]
+    return {**found, **ROLES}

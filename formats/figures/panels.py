@@ -210,7 +210,8 @@ def linear_ticks(low: float, high: float, most: int = 6) -> list[tuple[float, st
         step = nice_step(step / 2.5)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return [(k * step, _tick_label(k * step, decimals)) for k in range(first, last + 1)]
+    labels = {k: f"{k * step:.{decimals}f}" for k in range(first, last + 1)}
+    return [(k * step, text.replace("-", "−" if float(text) else "")) for k, text in labels.items()]
 
 
 def ticks(low: float, high: float, log: bool, most: int = 6) -> list[tuple[float, str]]:
@@ -239,11 +240,6 @@ def log_ticks(low: float, high: float, most: int = 6) -> list[tuple[float, str]]
         return [(s, _log_tick_label(s)) for s in steps if low <= s <= high]
     every = math.ceil((last - first + 1) / most)
     return [(10.0**p, _log_tick_label(10.0**p)) for p in range(first, last + 1, every)]
-
-
-def _tick_label(value: float, decimals: int) -> str:
-    text = f"{value:.{decimals}f}"
-    return text.replace("-", "−") if float(text) else text.replace("-", "")
 
 
 def _log_tick_label(value: float) -> str:

@@ -13,11 +13,11 @@ from html import escape
 import msgspec
 import numpy as np
 
-from locfuse.formats.thin import extremes
-from locfuse.fusion.data import REFUSED, Array, Event, stretches
+from locfuse.formats.geometry import extremes
+from locfuse.fusion.data import REFUSED, Array, stretches
 
 from .palette import EVENTS, SHAPES
-from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, TimedPlaces, ranges, ticks
+from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, ranges, ticks
 
 MAX_OFF_LINE_PX = 0.1  # a point nearer to the line between its neighbours is dropped
 MAX_PASSES = 8
@@ -80,14 +80,6 @@ def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
     r = round(10 * CROSS_PX)
     stroke = f"m{-r} {-r}l{2 * r} {2 * r}m0 {-2 * r}l{-2 * r} {2 * r}" if crossed else "h0"
     return "".join(f"M{a} {b}{stroke}" for a, b in tenths.astype(np.int64).tolist())
-
-
-def places(x: Array, y: Array) -> str:
-    """Return points x, y (n,) rounded to px as text "x y dx dy ...": the first point, then the steps."""
-    limit = MAX_COORDINATE_PX
-    whole = np.rint(np.clip(np.stack((x, y), axis=-1), -limit, limit)).astype(np.int64)
-    steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), np.int64))
-    return " ".join(map(str, steps.ravel().tolist()))
 
 
 def straightened(points: Array) -> Array:
@@ -173,7 +165,9 @@ def svg(
     attribute `data-axes` is for the page's script (see `_axes`).
     """
     (x0, x1), (y0, y1) = ranges(panel)
-    left = _left(panel, y0, y1)
+    labels = panel.lanes or [label for _, label in ticks(y0, y1, panel.log)]
+    left = 12 + CHARACTER_WIDTH_PX * max(map(len, labels), default=1)
+    left = left if panel.lanes else round(left)
     inner_width = width - left - RIGHT_PX
     if panel.equal:
         x0, x1, y0, y1, height = _equal(x0, x1, y0, y1, inner_width, height)
@@ -190,13 +184,27 @@ def svg(
         "</clipPath>",
         _frame(panel, x, y),
         f'<g clip-path="url(#{ident}-c)"><g>',
-        *(_shade(event, x, y, slugs) for event in panel.events),
-        '<g transform="scale(.1)">',
-        *(_mark(mark, x, y, slugs, looks or {}) for mark in panel.marks),
-        *(_track(track, x, y, slugs) for track in panel.tracks),
-        "</g></g></g></svg>",
     ]
-    return "".join(parts)
+    for event in panel.events:
+        start, end = x.px(np.array([event.start, event.end])).tolist()
+        top = y.start - SHADE_FOOT if event.kind == REFUSED else y.end
+        box = f'x="{start:.1f}" y="{top:g}" width="{max(end - start, MIN_SHADE):.1f}" height="{y.start - top:g}"'
+        words = f"<title>{escape(event.words)}</title>"
+        parts.append(f'<rect class="shade {slugs[EVENTS[event.kind]]}" {box}>{words}</rect>')
+    parts.append('<g transform="scale(.1)">')
+    for mark in panel.marks:
+        kind, d = _drawn(mark, x, y)
+        look = "truth" if mark.of == "truth" else (looks or {}).get(mark.of, "") if isinstance(mark, Curve) else ""
+        classes = " ".join(c for c in (kind, look, slugs[mark.of]) if c)
+        parts.append(f'<path class="{classes}" d="{d}"><title>{escape(mark.of)}</title></path>' if d else "")
+        parts.append(f'<path class="spot hole" d="{d}"/>' if d and kind in {"spot ring", "spot target"} else "")
+    for track in panel.tracks:  # invisible: positions at even times for the page's cursor, x y dx dy ... in px
+        points = np.stack((x.px(track.x), y.px(track.y)), axis=-1)
+        whole = np.rint(np.clip(points, -MAX_COORDINATE_PX, MAX_COORDINATE_PX)).astype(np.int64)
+        at = " ".join(map(str, np.diff(whole, axis=0, prepend=np.zeros((1, 2), np.int64)).ravel().tolist()))
+        data = f'data-at="{track.start:.9g} {track.end:.9g} {at}"'
+        parts.append(f'<path class="here {slugs[track.of]}" {data}><title>{escape(track.of)}</title></path>')
+    return "".join([*parts, "</g></g></g></svg>"])
 
 
 def _axes(panel: Panel, x: Axis, y: Axis) -> str:
@@ -207,13 +215,6 @@ def _axes(panel: Panel, x: Axis, y: Axis) -> str:
     kind = "map" if panel.equal else "lanes" if panel.lanes else "time" if panel.x_label == TIME else "other"
     ends = (f"{a.low:.9g} {a.high:.9g} {a.start:.5g} {a.end:.5g} {int(a.log)}" for a in (x, y))
     return f"{' '.join(ends)} {kind}"
-
-
-def _left(panel: Panel, y0: float, y1: float) -> float:
-    """Return the left margin [px] for the y labels."""
-    if panel.lanes:
-        return 12 + CHARACTER_WIDTH_PX * max(len(lane) for lane in panel.lanes)
-    return round(12 + CHARACTER_WIDTH_PX * max((len(label) for _, label in ticks(y0, y1, panel.log)), default=1))
 
 
 def _equal(
@@ -250,33 +251,6 @@ def _frame(panel: Panel, x: Axis, y: Axis) -> str:
         for axis, lines, labels in (("xt", up, below), ("yt", across, beside))
     )
     return "".join((*ticked, *words))
-
-
-def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[str, str]) -> str:
-    kind, d = _drawn(mark, x, y)
-    if not d:
-        return ""
-    look = "truth" if mark.of == "truth" else looks.get(mark.of, "") if isinstance(mark, Curve) else ""
-    classes = " ".join(c for c in (kind, look, slugs[mark.of]) if c)
-    drawn = f'<path class="{classes}" d="{d}"><title>{escape(mark.of)}</title></path>'
-    hole = f'<path class="spot hole" d="{d}"/>' if kind in {"spot ring", "spot target"} else ""
-    return drawn + hole
-
-
-def _track(track: TimedPlaces, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return an invisible path with positions at evenly spaced times, for the time cursor of the page."""
-    at = places(x.px(track.x), y.px(track.y))
-    name = f"<title>{escape(track.of)}</title>"
-    return f'<path class="here {slugs[track.of]}" data-at="{track.start:.9g} {track.end:.9g} {at}">{name}</path>'
-
-
-def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return an event as a shaded interval of full height; for rejected readings it is low, at the bottom."""
-    start, end = x.px(np.array([event.start, event.end])).tolist()
-    width = max(end - start, MIN_SHADE)
-    top = y.start - SHADE_FOOT if event.kind == REFUSED else y.end
-    box = f'x="{start:.1f}" y="{top:g}" width="{width:.1f}" height="{y.start - top:g}"'
-    return f'<rect class="shade {slugs[EVENTS[event.kind]]}" {box}><title>{escape(event.words)}</title></rect>'
 
 
 def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:

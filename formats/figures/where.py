@@ -159,8 +159,17 @@ class Route(NamedTuple):
 
 def where(scene: Scene) -> Section:
     """Return the section with a map per configuration, its path coloured by its error."""
-    routes = [_route(e, j, scene.has_truth) for e, j in scene.shown()]
-    routes = [r for r in routes if np.isfinite(r.value).any()]
+    routes = []
+    for e, judged in scene.shown():
+        refused = [e.t[audit.instant[audit.verdict == RowVerdict.GATE]] for audit in e.audits.values()]
+        times = np.unique(np.concatenate([np.zeros(0), *refused]))
+        if scene.has_truth:
+            t, xy, value = judged.t, judged.estimate_xy, np.hypot(*judged.deviation.T)
+        else:
+            t, xy = timed_path(e, judged)
+            value = np.sqrt(np.maximum(e.triangles[:, 0] + e.triangles[:, 3], 0.0))
+        if np.isfinite(value).any():
+            routes.append(Route(e.name, t, xy, value, times))
     if not routes:
         return Section("where", "", "", ())
     what = "position error" if scene.has_truth else "claimed sigma of the position"
@@ -174,15 +183,6 @@ def where(scene: Scene) -> Section:
         f"{f' Crosses: a reading of “{scene.best.name}” was rejected.' if crosses else ''}"
     )
     return Section("where", f"Where: {what} along the path", text, panels, columns=3)
-
-
-def _route(e: Estimates, judged: Evaluation, has_truth: bool) -> Route:
-    refused = [e.t[audit.instant[audit.verdict == RowVerdict.GATE]] for audit in e.audits.values()]
-    times = np.unique(np.concatenate([np.zeros(0), *refused]))
-    if has_truth:
-        return Route(e.name, judged.t, judged.estimate_xy, np.hypot(*judged.deviation.T), times)
-    t, xy = timed_path(e, judged)
-    return Route(e.name, t, xy, np.sqrt(np.maximum(e.triangles[:, 0] + e.triangles[:, 3], 0.0)), times)
 
 
 def _edges(routes: Sequence[Route]) -> Array:
@@ -209,8 +209,12 @@ def _words(edges: Array) -> list[str]:
 
 def _panel(scene: Scene, route: Route, edges: Array, what: str, legend: dict[str, str]) -> Panel:
     marks: list[Mark] = list(_coloured(route, edges))
-    crosses = _crosses(route)
-    marks += [Spots("gate", *crosses.T)] if len(crosses) else []
+    crosses = interpolate(route.refused, route.t, route.xy)
+    crosses = crosses[np.isfinite(crosses).all(axis=1)]
+    if len(crosses):  # at most one in each cell of the map
+        cell = max(float(np.nanmax(np.ptp(route.xy, axis=0))), TINY_M) * REFUSAL_CELL
+        _, first = np.unique(np.floor(crosses / cell), axis=0, return_index=True)
+        marks.append(Spots("gate", *crosses[np.sort(first)].T))
     marks += landmarks(scene)
     marks += spots(route.t, route.xy)
     rms = float(np.sqrt(np.nanmean(route.value**2)))
@@ -237,28 +241,10 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
         if np.isfinite(stretch).any():
             level = int(np.searchsorted(edges, np.sqrt(np.nanmean(stretch**2)), side="right"))
             kept = first + evenly(last + 1 - first, MAX_POINTS_ON_SMALL_MAP // COLOURED_STRETCHES)
-            _extend(pieces.setdefault(level, []), route.xy[kept])
+            found, points = pieces.setdefault(level, []), route.xy[kept]
+            if found and (found[-1][-1] == points[0]).all():
+                found.append(points[1:])
+            else:  # a row of NaN breaks the curve
+                found += [np.full((1, 2), np.nan), points] if found else [points]
     paths = {level: np.concatenate(found) for level, found in sorted(pieces.items())}
     return [Curve(f"level {level}", xy[:, 0], xy[:, 1], wide=True) for level, xy in paths.items()]
-
-
-def _extend(found: list[Array], stretch: Array) -> None:
-    """Append points to a curve; the curve is a list of pieces.
-
-    A NaN row breaks the curve first, unless the new points begin at the end point of the curve.
-    """
-    if found and (found[-1][-1] == stretch[0]).all():
-        found.append(stretch[1:])
-    else:
-        found += [np.full((1, 2), np.nan), stretch] if found else [stretch]
-
-
-def _crosses(route: Route) -> Array:
-    """Return the positions (k, 2) [m] on the path at the times of rejected readings, at most one per map cell."""
-    places = interpolate(route.refused, route.t, route.xy)
-    places = places[np.isfinite(places).all(axis=1)]
-    if len(places) == 0:
-        return places
-    cell = max(float(np.nanmax(np.ptp(route.xy, axis=0))), TINY_M) * REFUSAL_CELL
-    _, first = np.unique(np.floor(places / cell), axis=0, return_index=True)
-    return places[np.sort(first)]

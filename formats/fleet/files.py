@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from locfuse.formats.report import json_report, summary as over
-from locfuse.formats.report.render import csv_text
+from locfuse.formats.report.table import csv_text
 from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Colour
 

@@ -25,8 +25,7 @@ from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Section
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.html import page_of, section_drawings
-from locfuse.formats.report.render import SIGNS, Swatches, html
-from locfuse.formats.report.table import Cell, Column, Table, of_rows
+from locfuse.formats.report.table import SIGNS, Cell, Column, Swatches, Table, html, of_rows
 from locfuse.formats.report.tables import RMSE
 from locfuse.fusion.data import Array, Colour
 
@@ -122,17 +121,13 @@ def _log(entry: Entry, best: str, names: Sequence[str]) -> tuple[Cell, ...]:
     folder = PurePosixPath(entry.name, entry.report["configurations"][best]["cell"].replace(" ", ","))
     errors = [_error(entry, name) for name in names]
     least = min((e for e in errors if e), default=0.0)
-    shown = (Cell(e, tint=_tint(e, least)) for e in errors)
-    return (Cell(entry.name, link=f"{quote(str(folder))}/report.html"), Cell(entry.robot), *shown)
-
-
-def _tint(error: float | None, least: float) -> str:
-    """Return the CSS colour of a cell: green for the log's smallest error `least`, redder for larger ones."""
-    if not error or not least:
-        return ""
-    share = min(math.log(error / least) / math.log(MAX_TINT_RATIO), 1.0)
-    colour = f"var(--bad) {MAX_TINT_PERCENT * share:.0f}%" if error > least else f"var(--good) {MAX_TINT_PERCENT}%"
-    return f"color-mix(in srgb,{colour},transparent)"
+    cells = [Cell(entry.name, link=f"{quote(str(folder))}/report.html"), Cell(entry.robot)]
+    for error in errors:  # green for the log's smallest error, redder for larger ones
+        share = min(math.log(error / least) / math.log(MAX_TINT_RATIO), 1.0) if error else 0.0
+        percent = MAX_TINT_PERCENT * share if share else MAX_TINT_PERCENT
+        colour = f"var(--{'bad' if share else 'good'}) {percent:.0f}%"
+        cells.append(Cell(error, tint=f"color-mix(in srgb,{colour},transparent)" if error else ""))
+    return tuple(cells)
 
 
 def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
@@ -198,17 +193,14 @@ def matrix(entries: Sequence[Entry]) -> Table:
         counts = {s: Counter(v for e in own if (v := e.report["verdicts"].get(s))) for s in sensors}
         rows.append((-sum(c["hurts"] for c in counts.values()) / len(own), robot, counts))
     rows.sort(key=lambda row: row[:2])
-    columns = (ROBOT, *(Column(f"of {s}", s, kind="text") for s in sensors))
-    shown = ({"robot": robot, **{f"of {s}": _counted(c) for s, c in counts.items()}} for _, robot, counts in rows)
-    return of_rows(columns, shown)
-
-
-def _counted(verdicts: Counter[str]) -> str | None:
-    """Return "▲ helps" if all logs agree, else each verdict with its number of logs; None without verdicts."""
-    if len(verdicts) == 1:
-        verdict = next(iter(verdicts))
-        return f"{SIGNS.get(verdict, '●')} {verdict}"
-    return ", ".join(f"{SIGNS.get(v, '●')} {v} {n}" for v, n in verdicts.most_common()) or None
+    shown: list[dict[str, str | None]] = []
+    for _, robot, counts in rows:
+        shown.append({"robot": robot})
+        for s, verdicts in counts.items():
+            signed = [(f"{SIGNS.get(v, '●')} {v}", n) for v, n in verdicts.most_common()]
+            numbered = [words if len(signed) == 1 else f"{words} {n}" for words, n in signed]  # if not all agree
+            shown[-1][f"of {s}"] = ", ".join(numbered) or None
+    return of_rows((ROBOT, *(Column(f"of {s}", s, kind="text") for s in sensors)), shown)
 
 
 def findings(entries: Sequence[Entry]) -> Table:

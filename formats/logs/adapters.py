@@ -51,10 +51,19 @@ DRIVERS = ("left_wheel", "right_wheel")
 
 def as_joints(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Convert DynamicJointState columns to JointState; missing values are NaN."""
-    names = cast("list[tuple[str, ...]]", columns["joint_names"])
+    names, interfaces = (cast("list[tuple[str, ...]]", columns[key]) for key in ("joint_names", INTERFACES))
+    values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
     first = totals([len(row) for row in names], np.int64)
-    made = {field: Ragged(_interface(columns, names, field), first) for field in fields if field != "name"}
-    return {"name": names, **made}
+    made = {field: [np.empty(0)] for field in fields if field != "name"}
+    places: dict[tuple[object, ...], Ints] = {}  # joints, names and numbers of their values, field -> places
+    for i, row in enumerate(names):
+        numbers = np.append(values[i].astype(np.float64), np.nan)  # at place -1: missing
+        for field, pieces in made.items():
+            key = (row, interfaces[i], lengths[i].tobytes(), field)
+            if key not in places:
+                places[key] = _places(len(row), interfaces[i], lengths[i], field)
+            pieces.append(numbers[places[key]])
+    return {"name": names, **{field: Ragged(np.concatenate(pieces), first) for field, pieces in made.items()}}
 
 
 def joints_of_foxglove(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
@@ -67,23 +76,6 @@ def joints_of_feedback(columns: Columns, fields: tuple[str, ...], frame_id: str)
     travel, rate = (_ragged(columns, name) for name in OF_FEEDBACK)
     names = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
     return {"position": travel, "velocity": rate, "name": names}
-
-
-def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Array:
-    """Return the values of `field` ("position", ...) of all joints in all messages, as one array.
-
-    `names` are the joints of each message. A missing value is NaN.
-    """
-    interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
-    values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
-    places: dict[tuple[object, ...], Ints] = {}
-    out = [np.empty(0)]
-    for i, row in enumerate(names):
-        key = (row, interfaces[i], lengths[i].tobytes())
-        if key not in places:
-            places[key] = _places(len(row), interfaces[i], lengths[i], field)
-        out.append(np.append(values[i].astype(np.float64), np.nan)[places[key]])
-    return np.concatenate(out)
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
@@ -265,14 +257,12 @@ def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id
         "point_step": step,
         "fields.datatype": Ragged(packed, kinds.first),
     }
-    place, turn = _stacked(columns, PLACE), _stacked(columns, TURN)
-    return _as_scans(len(step), lambda i: _moved(points(cloud, i), place[i], turn[i]), fields, frame_id)
-
-
-def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
-    """Return points (n, 3) [m] transformed by a pose: position (3,) [m], quaternion x, y, z, w (4,)."""
-    valid = 0.0 < float(quaternion @ quaternion) < np.inf  # else use the identity
-    return (rotated_3d(quaternion[None], xyz) if valid else xyz) + np.nan_to_num(place)
+    place, turn = np.nan_to_num(_stacked(columns, PLACE)), _stacked(columns, TURN)
+    squares = np.square(turn).sum(axis=1)
+    turn[~((squares > 0.0) & (squares < np.inf))] = 0.0, 0.0, 0.0, 1.0  # an invalid rotation is left out
+    return _as_scans(
+        len(step), lambda i: rotated_3d(turn[i : i + 1], points(cloud, i)) + place[i], fields, frame_id
+    )
 
 
 def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
@@ -363,7 +353,15 @@ PRESENTED: Mapping[str, Presented] = {
         FOXGLOVE_ODOMETRY, Presented(ODOMETRY, "odometry", OF_FOXGLOVE_ODOMETRY, odometry_of_foxglove)
     ),
     SPORT_STATE: Presented(ODOMETRY, "odometry", OF_SPORT_STATE, odometry_of_sport_state, frame=lambda _: "odom"),
-    **dict.fromkeys(FOXGLOVE_JOINTS, Presented(JOINTS, "joints", OF_FOXGLOVE_JOINTS, joints_of_foxglove)),
+    **dict.fromkeys(
+        FOXGLOVE_JOINTS,
+        Presented(
+            JOINTS,
+            "joints",
+            OF_FOXGLOVE_JOINTS,
+            lambda columns, fields, _: {name: columns[f"joints.{name}"] for name in fields},
+        ),
+    ),
     **dict.fromkeys(FEEDBACK, Presented(JOINTS, "joints", OF_FEEDBACK, joints_of_feedback)),
     VEHICLE_ODOMETRY: Presented(ODOMETRY, "odometry", OF_ODOMETRY, odometry_of_vehicle, frame=lambda _: "odom"),
     LOCAL_POSITION: Presented(ODOMETRY, "odometry", OF_POSITION, odometry_of_position, frame=lambda _: "odom"),

@@ -11,7 +11,7 @@ recording times of messages without stamps are then converted to the clock of th
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -183,21 +183,12 @@ def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
     weights, _ = credibility(stamp)
     backwards = ~never_decreasing(stamp, cauchy(deviations) * weights)
     recorded, _ = credibility(log_time)
-    steady = (weights < recorded) & ~_in_bursts(log_time)
-    return backwards, steady & (deviations > MIN_OFF_DEVIATIONS) & ~backwards
-
-
-def _in_bursts(log_time: Ints) -> Mask:
-    """Return the mask (n,) of messages that were recorded in quick succession, such as after a stall.
-
-    Their recording times are unreliable.
-    """
+    # recording times in quick succession, such as after a stall, are unreliable
     steps = np.diff(log_time)
     close = steps < 0.25 * np.median(steps) if len(steps) else np.zeros(0, bool)
-    marked = np.zeros(len(log_time), bool)
-    marked[1:] |= close
-    marked[:-1] |= close
-    return marked
+    in_burst = np.append(close, False) | np.append(False, close)
+    steady = (weights < recorded) & ~in_burst
+    return backwards, steady & (deviations > MIN_OFF_DEVIATIONS) & ~backwards
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
@@ -238,12 +229,6 @@ def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
     if abs(delay) <= MAX_DELAY_S:
         return ()
     return (f"header stamps and log times differ by {delay:.1f} s: two clocks; header stamps are used",)
-
-
-def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[str]:
-    """Return up to MAX_TOPICS topics of small messages with headers, to find the clock of the stamps."""
-    found = [t for kind in SMALL_TYPES for t in sorted(types) if types[t] == kind and counts[t] >= MIN_MESSAGES]
-    return found[:MAX_TOPICS]
 
 
 def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None:

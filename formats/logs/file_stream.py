@@ -80,9 +80,7 @@ def _tum(path: Path) -> MadeStream:
     if len({len(row) for row in rows}) > 1:
         raise LocfuseError(f"{path}: its lines differ in length")
     values = np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 7))
-    position, q = values[:, :2], values[:, 3:7]
-    if unknown:
-        return _points(path, times, position)
+    position, q = values[:, :2], None if unknown else values[:, 3:7]
     if values.shape[1] != 28:
         return _poses(path, times, position, q, None)
     P = np.zeros((len(rows), 6, 6))
@@ -109,8 +107,16 @@ def _csv(path: Path) -> MadeStream:
 
     times = [_ns(path, number, row[at[time]]) for number, row in body]
     if "id" in at and ("range" in at or "bearing" in at):
-        idents = [_ident(path, number, row[at["id"]]) for number, row in body]
-        return _detections(path, times, idents, at, column)
+        idents = column("id")
+        for (number, row), ident in zip(body, idents.tolist(), strict=True):
+            if not abs(ident) < MAX_IDENT or ident != round(ident):
+                word = row[at["id"]].strip()[:40]
+                raise LocfuseError(f"{path}: line {number}: {word!r} is no id: whole numbers are read")
+        missing = np.full(len(times), np.nan)
+        measured = {name: column(name) if name in at else missing for name in ("range", "bearing")}
+        kind = DETECTIONS if "bearing" in at else RANGES
+        data = {"id": idents.astype(np.int64), **measured}
+        return in_time_order(str(path), kind, np.array(times, np.int64), data)
     if not {"x", "y"} <= at.keys():
         read = "x and y of poses, or id, range and bearing of landmarks are read"
         raise LocfuseError(f"{path}: {read}, not {_few(names)}")
@@ -120,16 +126,6 @@ def _csv(path: Path) -> MadeStream:
 def _few(names: Sequence[str]) -> str:
     """Return the first 12 column names as one line."""
     return ", ".join(visible(name[:40]) for name in names[:12])
-
-
-def _detections(
-    path: Path, times: Sequence[int], idents: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
-) -> MadeStream:
-    missing = np.full(len(times), np.nan)
-    measured = {name: column(name) if name in at else missing for name in ("range", "bearing")}
-    data: dict[str, Column] = {"id": np.array(idents, np.int64), **measured}
-    kind = DETECTIONS if "bearing" in at else RANGES
-    return in_time_order(str(path), kind, np.array(times, np.int64), data)
 
 
 def _table_of_poses(
@@ -142,7 +138,7 @@ def _table_of_poses(
         q = np.stack([column(name) if name in at else none for name in parts], -1)
         return _poses(path, times, position, q, None)
     if heading is None:
-        return _points(path, times, position)
+        return _poses(path, times, position, None, None)
     theta = column(heading)
     if _are_degrees(position, theta):
         most = float(np.nanmax(np.abs(theta)))
@@ -169,11 +165,11 @@ def _are_degrees(xy: Array, theta: Array) -> bool:
     return bool(in_degrees > MIN_ALONG and in_radians < MAX_ACROSS)
 
 
-def _points(path: Path, times: Sequence[int], xy: Array) -> MadeStream:
-    return in_time_order(str(path), POINT, np.array(times, np.int64), {"point.x": xy[:, 0], "point.y": xy[:, 1]})
-
-
-def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | None) -> MadeStream:
+def _poses(path: Path, times: Sequence[int], xy: Array, q: Array | None, P: Array | None) -> MadeStream:
+    """Return a stream of poses, or of points if the rotations q (n, 4) are None."""
+    t_ns = np.array(times, np.int64)
+    if q is None:
+        return in_time_order(str(path), POINT, t_ns, {"point.x": xy[:, 0], "point.y": xy[:, 1]})
     finite = q[np.isfinite(q).all(axis=1)]
     x, *others = np.square(finite[:, :3]).sum(axis=0).tolist()
     if sum(others) < MAX_OTHER_AXES * x and np.ptp(finite[:, 3]) > MIN_TURNED:
@@ -182,7 +178,7 @@ def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | Non
     data: dict[str, Column] = {"pose.pose.position.x": xy[:, 0], "pose.pose.position.y": xy[:, 1]}
     data |= {f"pose.pose.orientation.{axis}": column for axis, column in zip("xyzw", q.T, strict=True)}
     data["pose.covariance"] = np.zeros((len(xy), 36)) if P is None else P.reshape(len(P), 36)
-    return in_time_order(str(path), POSE, np.array(times, np.int64), data)
+    return in_time_order(str(path), POSE, t_ns, data)
 
 
 def _number(path: Path, line: int, word: str) -> float:
@@ -192,14 +188,6 @@ def _number(path: Path, line: int, word: str) -> float:
         return float(word)
     except ValueError:
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no number") from None
-
-
-def _ident(path: Path, line: int, word: str) -> int:
-    """Return the id of a landmark. Raises LocfuseError if it is not an integer."""
-    value = _number(path, line, word)
-    if not abs(value) < MAX_IDENT or value != round(value):
-        raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no id: whole numbers are read")
-    return round(value)
 
 
 def _ns(path: Path, line: int, word: str) -> int:

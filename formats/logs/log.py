@@ -13,12 +13,18 @@ from msgspec.structs import replace
 
 from locfuse.formats.caps import MAX_TOPICS, refuse_above
 from locfuse.formats.columns import Bytes
-from locfuse.formats.container.decompress import unpack
 from locfuse.formats.container.file_bytes import Losses
-from locfuse.formats.container.source import ChannelInfo, Messages, Source
+from locfuse.formats.container.source import ChannelInfo, Messages, Source, unpack
 from locfuse.formats.container.url import Place
-from locfuse.formats.messages.fields import NUMBER as A_NUMBER, NUMBERS, FieldError, check_kind, kind_of, resolve
-from locfuse.formats.messages.schema import SchemaError
+from locfuse.formats.messages.schema import (
+    NUMBER as A_NUMBER,
+    NUMBERS,
+    FieldError,
+    SchemaError,
+    check_kind,
+    kind_of,
+    resolve,
+)
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
@@ -26,9 +32,8 @@ from locfuse.fusion.progress import report_progress
 
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
-from .channels import Topic, by_topic
 from .file_stream import RANGES, is_file_topic, read_file
-from .files import Identity, files_of, identity_of, log_name, open_source
+from .files import Identity, Topic, by_topic, files_of, identity_of, log_name, open_source
 from .stream import (
     NUMBER,
     LogStream,
@@ -157,20 +162,19 @@ class Log:
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
-        if (topic, order) not in self._streams:
-            self._streams[topic, order] = self._new_stream(topic, order)
-        return self._streams[topic, order]
-
-    def _new_stream(self, topic: str, order: str) -> AnyStream:
+        if (topic, order) in self._streams:
+            return self._streams[topic, order]
         self.find(topic)
         if topic in self._derived:
             try:
-                return self._derived[topic](order)
+                stream = self._derived[topic](order)
             except LocfuseError as problem:
                 unreadable = clocks.UnreadableStream(topic, self.topics[topic].msgtype, problem)
-                return cast("clocks.MadeStream", unreadable)
-        self._check(topic)
-        return self._stream_of(topic, order)
+                stream = cast("clocks.MadeStream", unreadable)
+        else:
+            self._check(topic)
+            stream = LogStream(self, topic, self.topics[topic].msgtype, order)
+        return self._streams.setdefault((topic, order), stream)
 
     def streams(self, wants: Mapping[str, Sequence[str]], order: str = "auto") -> dict[str, AnyStream]:
         """Return the streams of several topics; reads the named fields of all in one pass over the log."""
@@ -304,11 +308,14 @@ class Log:
     @cached_property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
         """Log times and stamps (n,) of a topic, if stamps and recording use different clocks; else None."""
-        readable = {name: t for name, t in self.topics.items() if self.recorded(name) and not t.problem}
-        types = {name: topic.msgtype for name, topic in readable.items()}
-        counts = {name: topic.count for name, topic in readable.items()}
+        stamped = [
+            name
+            for msgtype in clocks.SMALL_TYPES
+            for name, t in sorted(self.topics.items())
+            if t.msgtype == msgtype and t.count >= clocks.MIN_MESSAGES and self.recorded(name) and not t.problem
+        ]
         pairs = []
-        for name in clocks.stamped_topics(types, counts):
+        for name in stamped[: clocks.MAX_TOPICS]:
             with suppress(LocfuseError):  # unreadable topics are reported elsewhere
                 table = self.read({name: ()})[name]
                 if table.stamp is not None and table.log_time is not None and len(table.log_time):
@@ -373,7 +380,9 @@ class Log:
                 wanted = {ident: (topic, decoder) for topic, of in readers for ident, decoder in of.items()}
                 for ident, data, messages in _unpacked(source, wanted.keys()):
                     topic, decoder = wanted[ident]
-                    _report_progress(messages, span)
+                    if span is not None and span[0] < span[1] and len(messages.log_time):
+                        share = (int(messages.log_time[0]) - span[0]) / (span[1] - span[0])
+                        report_progress(min(1.0, max(0.0, share)))
                     yield topic, plausibly_recorded(Raw(data, messages, decoder))
         finally:  # also if the caller stops early
             report_progress(None)
@@ -460,9 +469,3 @@ def _at_first(edge: FrameEdge) -> transforms.Transform:
 
 def _is_static_tf(name: str, topic: Topic) -> bool:
     return name.rpartition("/")[2] == "tf_static" and topic.msgtype in TF_TYPES and not topic.problem
-
-
-def _report_progress(messages: Messages, span: tuple[int, int] | None) -> None:
-    """Report the share of the log's time span that was read."""
-    if span is not None and span[0] < span[1] and len(messages.log_time):
-        report_progress(min(1.0, max(0.0, (int(messages.log_time[0]) - span[0]) / (span[1] - span[0]))))

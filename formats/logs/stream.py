@@ -17,8 +17,7 @@ from msgspec.structs import replace
 from locfuse.formats.caps import MAX_LONG
 from locfuse.formats.columns import Bytes, Growing, GrowingArray, n_bytes
 from locfuse.formats.container.source import Messages
-from locfuse.formats.messages.fields import frame_path, stamp_path
-from locfuse.formats.messages.schema import Decoded, MessageDecoder
+from locfuse.formats.messages.schema import Decoded, MessageDecoder, frame_path, stamp_path
 from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, Mask, Ragged
 from locfuse.fusion.streams import concat, take
 
@@ -155,7 +154,9 @@ class TopicTable:
         They must after the first pass over the topic, if several messages have the same log time.
         """
         collected, self._pass = self._pass, Pass((), 0)
-        columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
+        none = np.empty(0, np.int64)
+        empty = self.decoder.decode(np.empty(0, np.uint8), none, none, collected.fields).columns
+        columns = {name: column.column(empty[name]) for name, column in collected.columns.items()}
         log_time, sequence = collected.log_time.array(), collected.sequence.array()
         if self.known:
             if len(log_time) != self._n:
@@ -168,13 +169,6 @@ class TopicTable:
         self._times = log_time, sequence
         ordered = log_time if (np.diff(log_time) >= 0).all() else np.sort(log_time)
         return bool((np.diff(ordered) == 0).any())
-
-    def _finished(self, name: str, growing: Growing) -> Column:
-        column = growing.column()
-        if column is None:
-            none = np.empty(0, np.int64)
-            column = self.decoder.decode(np.empty(0, np.uint8), none, none, (name,)).columns[name]
-        return column
 
     def tied(self) -> Ints:
         """Return the log times (k,) [ns] that occur in several messages."""
@@ -254,30 +248,19 @@ NUMBER = "std_msgs/msg/Float64"  # message type of a topic derived from a numeri
 BLOCK_BYTES = 32 * 1024 * 1024
 
 
-class Reader(Protocol):
-    """The part of a log that a stream uses (formats.logs.log.Log)."""
-
-    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
-        """Return the topics' tables with these fields."""
-
-    def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
-        """Yield the messages of one topic batch by batch, for the decoding of `fields`."""
-
-    def frame_ids(self, topic: str) -> list[str]:
-        """Return the frame_ids of some messages of one topic, in file order."""
-
-    def left_out(self, topic: str) -> Mapping[str, int]:
-        """Return reason -> number of messages that have another type or definition than the topic."""
-
+class _LogReader(Protocol):  # the part of formats.logs.log.Log that a stream uses
+    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]: ...
+    def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]: ...
+    def frame_ids(self, topic: str) -> list[str]: ...
+    def left_out(self, topic: str) -> Mapping[str, int]: ...
     @property
-    def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps (n,) of a topic, if stamps and recording use different clocks; else None."""
+    def stamps_clock(self) -> tuple[Ints, Ints] | None: ...
 
 
 class LogStream:
     """A recorded topic with chosen times, and fields as columns on request (fusion.data.Stream)."""
 
-    def __init__(self, log: Reader, topic: str, msgtype: str, order: str) -> None:
+    def __init__(self, log: _LogReader, topic: str, msgtype: str, order: str) -> None:
         self.topic = self._recorded = topic
         self.msgtype = msgtype
         self.order = order
@@ -294,7 +277,13 @@ class LogStream:
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
         clock = clocks.settle(table.log_time, stamp, self.order, lambda: self._log.stamps_clock)
-        return replace(clock, notes=(*clock.notes, _jittered(table.jittered))) if table.jittered else clock
+        if not table.jittered:
+            return clock
+        note = (
+            f"recording times jitter: {table.jittered} run backwards or are off the beat; the order of the "
+            "messages in the file is kept, and those are dated evenly between their neighbours"
+        )
+        return replace(clock, notes=(*clock.notes, note))
 
     @property
     def t_ns(self) -> Ints:
@@ -347,7 +336,11 @@ class LogStream:
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row occurs exactly once."""
-        row_of = self._row_of_file()
+        row_of = self._table.row  # of every readable message in file order; -1 for a dropped one
+        if self.clock.rows is not None:
+            row = np.full(len(row_of) + 1, -1, np.int64)  # index -1: the last entry
+            row[self.clock.rows] = np.arange(len(self.clock.rows))
+            row_of = row[row_of]
         waiting: list[Block] = []
         room, size, at = rows, 0, 0
         for raw in self._log.raw(self._recorded, fields):
@@ -367,23 +360,6 @@ class LogStream:
                     waiting, room, size = [], rows, 0
         if room < rows:
             yield _joined(waiting)
-
-    def _row_of_file(self) -> Ints:
-        """Return the row of every readable message in file order (n,); -1 for a dropped message."""
-        recorded = self._table.row
-        if self.clock.rows is None:
-            return recorded
-        row = np.full(len(recorded) + 1, -1, np.int64)  # index -1: the last entry
-        row[self.clock.rows] = np.arange(len(self.clock.rows))
-        return row[recorded]
-
-
-def _jittered(n: int) -> str:
-    """Return a note that n recording times were replaced because the recording times jitter."""
-    return (
-        f"recording times jitter: {n} run backwards or are off the beat; the order of the messages in the file "
-        "is kept, and those are dated evenly between their neighbours"
-    )
 
 
 def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:
@@ -473,7 +449,13 @@ def path_in(name: str, source: LogStream) -> clocks.MadeStream:
     SLAM software publishes the path up to now again and again, each time longer and corrected; so only the last
     message is used. Raises LocfuseError if the poses have no times of their own, as in a planned path.
     """
-    last = _last_message(source)
+    last: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
+    latest = -1
+    for rows, columns in source.blocks(*OF_PATH, rows=16):
+        i = int(np.argmax(rows))
+        if len(rows) and rows[i] > latest:
+            latest = int(rows[i])
+            last = {name: cast("Ragged", column)[i] for name, column in columns.items()}
     stamps: Ints = np.asarray(last.pop(OF_PATH[0]), np.int64)
     if len(stamps) < 2 or np.ptp(stamps) == 0:
         raise LocfuseError(
@@ -482,15 +464,3 @@ def path_in(name: str, source: LogStream) -> clocks.MadeStream:
         )
     poses = {field.removeprefix("poses."): column for field, column in last.items()}
     return replace(in_time_order(name, POSE, stamps, poses, "stamps of its poses"), frame_id=source.frame_id)
-
-
-def _last_message(source: LogStream) -> dict[str, Column]:
-    """Return the columns of the poses in the last message of a topic."""
-    found: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
-    latest = -1
-    for rows, columns in source.blocks(*OF_PATH, rows=16):
-        i = int(np.argmax(rows))
-        if len(rows) and rows[i] > latest:
-            latest = int(rows[i])
-            found = {name: cast("Ragged", column)[i] for name, column in columns.items()}
-    return found

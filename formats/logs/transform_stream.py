@@ -27,7 +27,7 @@ from locfuse.formats.robot.transforms import (
     path_between,
     quaternions_of,
 )
-from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Mask, Ragged, interpolate
+from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged, interpolate
 
 from . import clock as clocks
 
@@ -218,7 +218,8 @@ def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTr
     recorded, stamps = (np.concatenate([getattr(e, name) for e in edges]) for name in ("log_time", "stamp"))
     ids = np.concatenate([np.full(len(e.stamp), number_of(e.child)) for e in edges])
     places = in_optical_axes(np.concatenate([e.values for e in edges])[:, :3], camera, static)
-    repeated = np.concatenate([_repeats(e) for e in edges])
+    first = np.zeros(1, bool)
+    repeated = np.concatenate([np.append(first, (np.diff(e.values, axis=0) == 0).all(axis=1)) for e in edges])
     by_record = np.argsort(recorded, kind="stable")
     by_record = by_record[~repeated[by_record]]
     clock = clocks.settle(recorded[by_record], stamps[by_record], order)
@@ -241,10 +242,3 @@ def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[Fra
         if parent == camera and number_of(child) is not None and (edge.moves or len(edge.stamp) == 1)
     ]
     return [edge for edge in found if named_as_tag(edge.child)] or found
-
-
-def _repeats(edge: FrameEdge) -> Mask:
-    """Return the mask (n,) of transforms that exactly equal the previous one."""
-    same = np.zeros(len(edge.stamp), dtype=bool)
-    same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
-    return same

@@ -24,8 +24,7 @@ from locfuse.formats.columns import Bytes, nested, view
 from locfuse.fusion.data import Column, Ints, Mask, Ragged, totals
 from locfuse.fusion.streams import concat, take
 
-from .fields import FieldPart, resolve
-from .schema import Decoded, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text
+from .schema import Decoded, FieldPart, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text, resolve
 
 UINT32 = struct.Struct("<I")
 
@@ -109,18 +108,16 @@ class _LayoutWalk:
         self.tail: Tail | None = None  # the last sequence of numbers
         self.tail_end = -1
         self.nested = 0  # number of arrays around the current position
-        self.little = self._encapsulation() if rules.header else True
+        self.little = True  # byte order of the numbers
+        if rules.header:
+            kind = bytes(payload[:2])
+            if len(payload) < rules.header:
+                raise MalformedError("shorter than its type")
+            if kind not in {b"\x00\x00", b"\x00\x01"}:
+                raise MalformedError("not plain CDR")
+            self.spots.append(0)
+            self.little = kind == b"\x00\x01"
         self.word = struct.Struct("<I" if self.little else ">I")
-
-    def _encapsulation(self) -> bool:
-        """Read the CDR header; return whether the numbers are little-endian."""
-        kind = bytes(self.payload[:2])
-        if len(self.payload) < self.rules.header:
-            raise MalformedError("shorter than its type")
-        if kind not in {b"\x00\x00", b"\x00\x01"}:
-            raise MalformedError("not plain CDR")
-        self.spots.append(0)
-        return kind == b"\x00\x01"
 
     def room(self, n: int) -> None:
         """Raise MalformedError if fewer than n bytes remain."""
@@ -276,7 +273,12 @@ class Decoder(MessageDecoder):
 
     def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
-        request = self._request(tuple(fields))
+        key = tuple(fields)
+        if key not in self._requests:
+            resolved = {path: resolve(self.message, path) for path in key}
+            paths = [part.path for parts in resolved.values() for part in parts]
+            self._requests[key] = Request(resolved, nested(dict(zip(paths, paths, strict=True))))
+        request = self._requests[key]
         groups, bad = self._groups(data, start, length, request)
         good = np.zeros(len(start), bool)
         for group in groups:
@@ -284,42 +286,25 @@ class Decoder(MessageDecoder):
         columns = {name: _gather(data, start, groups, parts) for name, parts in request.fields.items()}
         return Decoded(good, columns, bad)
 
-    def _request(self, fields: tuple[str, ...]) -> Request:
-        if fields not in self._requests:
-            resolved = {path: resolve(self.message, path) for path in fields}
-            paths = [part.path for parts in resolved.values() for part in parts]
-            self._requests[fields] = Request(resolved, nested(dict(zip(paths, paths, strict=True))))
-        return self._requests[fields]
-
     def _groups(
         self, data: Bytes, start: Ints, length: Ints, request: Request
     ) -> tuple[list[Group], Counter[str]]:
-        """Return the messages in groups of equal layout, and reason -> number of malformed messages."""
-        rows = np.arange(len(start))
+        """Return the messages in groups of equal layout, and reason -> number of malformed messages.
+
+        First come the known layouts. Then the first message left is parsed, and all messages with its layout form
+        a group; this repeats with the other messages.
+        """
+        rows, spare = np.arange(len(start)), self.rules.spare
         groups: list[Group] = []
+        bad: Counter[str] = Counter()
         for layout in list(request.layouts):
-            if not len(rows):
-                break
-            same, tails = _same(data, start[rows], length[rows], layout, self.rules.spare)
+            same, tails = _same(data, start[rows], length[rows], layout, spare)
             if same.any():
                 groups.append(Group(rows[same], layout, tails[same]))
                 rows = rows[~same]
                 request.layouts.remove(layout)
                 request.layouts.insert(0, layout)
-        new, bad = self._new_groups(data, start, length, rows, request)
-        return groups + new, bad
-
-    def _new_groups(
-        self, data: Bytes, start: Ints, length: Ints, rows: Ints, request: Request
-    ) -> tuple[list[Group], Counter[str]]:
-        """Group messages `rows` of unknown layout; return the groups, and reason -> number of malformed messages.
-
-        The first message is parsed, and all messages with its layout form a group. This repeats with the other
-        messages.
-        """
-        groups: list[Group] = []
-        bad: Counter[str] = Counter()
-        i = 0
+        i, most = 0, len(groups) + MAX_GROUPS
         while i < len(rows):
             at, n = int(start[rows[i]]), int(length[rows[i]])
             try:
@@ -328,9 +313,9 @@ class Decoder(MessageDecoder):
                 bad[str(problem)] += 1
                 i += 1
                 continue
-            alone = len(groups) >= MAX_GROUPS
+            alone = len(groups) >= most
             rest = rows[i : i + 1] if alone else rows[i:]
-            same, tails = _same(data, start[rest], length[rest], layout, self.rules.spare)
+            same, tails = _same(data, start[rest], length[rest], layout, spare)
             groups.append(Group(rest[same], layout, tails[same]))
             if alone:
                 i += 1
@@ -365,19 +350,16 @@ def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) ->
 def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[FieldPart, ...]) -> Column:
     """Return one field of all messages as a column, in the order of the batch."""
     if len(parts) == 2:
-        return _nanoseconds(*(_gather(data, start, groups, (part,)) for part in parts))
+        seconds, nanoseconds = (_gather(data, start, groups, (part,)) for part in parts)
+        if isinstance(seconds, Ragged) and isinstance(nanoseconds, Ragged):
+            return Ragged(seconds.values.astype(np.int64) * 10**9 + nanoseconds.values, seconds.first)
+        total: Ints = np.asarray(seconds).astype(np.int64) * 10**9 + np.asarray(nanoseconds)
+        return total
     pieces = [_leaf(data, start[group.rows], group, parts[0]) for group in groups or (NO_MESSAGES,)]
     column = concat(pieces)
     if len(pieces) == 1:
         return column
     return take(column, np.argsort(np.concatenate([group.rows for group in groups]), kind="stable"))
-
-
-def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
-    if isinstance(seconds, Ragged):  # the nanoseconds are Ragged too
-        return Ragged(seconds.values.astype(np.int64) * 10**9 + cast("Ragged", nanoseconds).values, seconds.first)
-    total: Ints = np.asarray(seconds).astype(np.int64) * 10**9 + np.asarray(nanoseconds)
-    return total
 
 
 def _leaf(data: Bytes, start: Ints, group: Group, part: FieldPart) -> Column:
@@ -391,23 +373,17 @@ def _leaf(data: Bytes, start: Ints, group: Group, part: FieldPart) -> Column:
         return _rows(values) if part.inside else values[:, 0]
     if isinstance(node, LengthCounts):
         return _rows(np.tile(np.array(leaf.counts, np.int64), (len(start), 1)))
-    if isinstance(node, Many) and isinstance(node.element, Scalar) and part.inside:
-        return _arrays(data, start, group, leaf, node.element)
+    if isinstance(node, Many) and isinstance(node.element, Scalar) and part.inside:  # all inner arrays in a row
+        counts = np.array(leaf.counts, np.int64)
+        inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        offsets = np.repeat(np.array(leaf.offsets, np.int64), counts) + node.element.size * inside
+        return _rows(_numbers(data, start[:, None] + offsets, node.element.dtype, group.layout.little))
     if isinstance(node, Text) and not part.inside:
         texts = _text(data, start + leaf.offsets[0], leaf.counts[0])
         return texts * (len(start) // len(texts))
     if isinstance(node, Many) and isinstance(node.element, Scalar):
         return _array(data, start, group, leaf, part)
     return _texts(data, start, leaf)
-
-
-def _arrays(data: Bytes, start: Ints, group: Group, leaf: Leaf, element: Scalar) -> Column:
-    """Return for each message the numbers of all inner arrays of an array, concatenated."""
-    counts = np.array(leaf.counts, np.int64)
-    begin = np.repeat(np.array(leaf.offsets, np.int64), counts)
-    inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    offsets = begin + element.size * inside
-    return _rows(_numbers(data, start[:, None] + offsets, element.dtype, group.layout.little))
 
 
 def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: FieldPart) -> Column:
@@ -421,19 +397,14 @@ def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: FieldPart) 
         return [data[i : i + n].tobytes() for i, n in zip(at.tolist(), counts.tolist(), strict=True)]
     n = int(counts.max(initial=0)) if node.count is None else node.count
     if (counts == n).all():
-        values = _matrix(data, at, n, element, little)
+        values = np.empty((len(at), 0), element.dtype)
+        if n:
+            rows = view(data, f"V{n * element.size}", at).view(np.uint8).reshape(len(at), n * element.size)
+            values = _native(rows.view(_stored(element.dtype, little)), element.dtype)
         return _rows(values) if node.count is None else values
     first = totals(counts)
     inside = np.arange(first[-1]) - np.repeat(first[:-1], counts)
     return Ragged(_numbers(data, np.repeat(at, counts) + element.size * inside, element.dtype, little), first)
-
-
-def _matrix(data: Bytes, at: Ints, count: int, element: Scalar, little: bool) -> NDArray[Any]:
-    """Return `count` successive numbers at each byte offset (k,), (k, count)."""
-    if not count:
-        return np.empty((len(at), 0), element.dtype)
-    rows = view(data, f"V{count * element.size}", at).view(np.uint8).reshape(len(at), count * element.size)
-    return _native(rows.view(_stored(element.dtype, little)), element.dtype)
 
 
 def _numbers(data: Bytes, at: Ints, dtype: str, little: bool) -> NDArray[Any]:

@@ -21,10 +21,10 @@ from locfuse.formats.columns import Bytes
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import Column, Ints, Ragged, totals
 
-from .fields import FieldPart, resolve
 from .schema import (
-    TIMES,
+    TIME_TYPES,
     Decoded,
+    FieldPart,
     LengthCounts,
     Many,
     MessageDecoder,
@@ -34,52 +34,46 @@ from .schema import (
     Structure,
     Text,
     refuse_large,
+    resolve,
 )
 
 NUMBER = Scalar("f8", 8)
 WHOLE = Scalar("i8", 8)
-TIME = Structure(min(TIMES - {"builtin_interfaces/msg/Duration"}), {"sec": WHOLE, "nanosec": WHOLE})
+TIME = Structure(min(TIME_TYPES - {"builtin_interfaces/msg/Duration"}), {"sec": WHOLE, "nanosec": WHOLE})
 NANOSECONDS = ("nsec", "nanosec", "nsecs")
 NAN = float("nan")
 
 
 def column(objects: list[dict[str, Any]], path: str, parts: tuple[FieldPart, ...]) -> Column:
-    """Return one field of all messages as a column; `parts` is the resolved `path`."""
-    inside = parts[0].inside
-    if inside and isinstance(parts[0].node, Many | LengthCounts):
-        return _nested(parts[0], objects)
-    path = parts[0].path.rpartition(".")[0] if len(parts) == 2 else parts[0].path
-    values = [_at(one, path.split(".")) for one in objects]
-    node = TIME if len(parts) == 2 else parts[0].node
-    if inside:
-        rows = [_flat(value, parts[0].depth) if isinstance(value, list) else [] for value in values]
-        if isinstance(node, Text):
-            return [tuple(_text(v) for v in row) for row in rows]
-        return _ragged([_scalars(node, row) for row in rows], _dtype(node))
-    if isinstance(node, Many):
-        return _many(node, values)
-    return [_text(v) for v in values] if isinstance(node, Text) else _scalars(node, values)
+    """Return one field of all messages as a column; `parts` is the resolved `path`.
 
-
-def _nested(part: FieldPart, objects: list[dict[str, Any]]) -> Column:
-    """Return the inner arrays of an array as a column: all their numbers or strings of a message in one row.
-
-    For a field "PATH.length", return the lengths of the inner arrays.
+    The inner arrays of an array become one row of a message; for a field "PATH.length", the row has their lengths.
     """
-    found = [_at(one, part.path.split(".")) for one in objects]
-    rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
-    if isinstance(part.node, LengthCounts):
-        return _ragged([np.array([len(v) for v in row], np.int64) for row in rows], "i8")
-    if isinstance(part.node, Many) and isinstance(part.node.element, Text):
-        return [tuple(_text(v) for inner in row for v in inner) for row in rows]
-    return _ragged([_floats([v for inner in row for v in inner]) for row in rows], "f8")
+    part = parts[0]
+    path = part.path.rpartition(".")[0] if len(parts) == 2 else part.path
+    values = [_at(one, path.split(".")) for one in objects]
+    node = TIME if len(parts) == 2 else part.node
+    many = isinstance(node, Many)
+    if not part.inside and not many:
+        return [_text(v) for v in values] if isinstance(node, Text) else _scalars(node, values)
+    if isinstance(node, Many):
+        node = node.element
+    if not part.inside and isinstance(node, Scalar) and node.dtype == "u1":
+        return [_bytes(value) for value in values]
+    rows = [_listed(value) for value in values]
+    if isinstance(node, LengthCounts):
+        return _ragged([np.array([len(_listed(v)) for v in row], np.int64) for row in rows], "i8")
+    for _ in range(part.depth - (not many)):  # lists in lists become one list
+        rows = [[v for one in row for v in _listed(one)] for row in rows]
+    if isinstance(node, Text):
+        return [tuple(_text(v) for v in row) for row in rows]
+    if many:
+        return _ragged([_floats(row) for row in rows], "f8")
+    return _ragged([_scalars(node, row) for row in rows], _dtype(node))
 
 
-def _flat(values: list[Any], depth: int) -> list[Any]:
-    """Return the values of lists nested `depth` deep as one list."""
-    for _ in range(depth - 1):
-        values = [v for one in values if isinstance(one, list) for v in one]
-    return values
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def _at(value: Any, names: Sequence[str]) -> Any:
@@ -125,13 +119,11 @@ def _text(value: Any) -> str:
     return writable(value) if isinstance(value, str) else ""  # JSON can contain half a surrogate pair
 
 
-def _many(node: Many, values: list[Any]) -> Column:
-    if isinstance(node.element, Scalar) and node.element.dtype == "u1":
-        return [_bytes(value) for value in values]
-    rows = [value if isinstance(value, list) else [] for value in values]
-    if isinstance(node.element, Text):
-        return [tuple(_text(v) for v in row) for row in rows]
-    return _ragged([_floats(row) for row in rows], "f8")
+def _bytes(value: Any) -> bytes:
+    try:
+        return value if isinstance(value, bytes) else base64.b64decode(value)
+    except (TypeError, ValueError, binascii.Error):
+        return b""
 
 
 def _floats(row: list[Any]) -> NDArray[Any]:
@@ -145,15 +137,6 @@ def _floats(row: list[Any]) -> NDArray[Any]:
 def _ragged(rows: list[NDArray[Any]], dtype: str) -> Ragged:
     first = totals([len(row) for row in rows], np.int64)
     return Ragged(np.concatenate([np.empty(0, dtype), *rows]).astype(dtype), first)
-
-
-def _bytes(value: Any) -> bytes:
-    if isinstance(value, bytes):
-        return value
-    try:
-        return base64.b64decode(value)
-    except (TypeError, ValueError, binascii.Error):
-        return b""
 
 
 # --- JSON messages, such as Foxglove's
@@ -203,21 +186,17 @@ class JsonDecoder(MessageDecoder):
     def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages data[start[i] : start[i] + length[i]] as columns."""
         places = zip(start.tolist(), length.tolist(), strict=True)
-        objects = [_object(data[at : at + n].tobytes()) for at, n in places]
-        found = [one for one in objects if one is not None]
-        good = np.array([one is not None for one in objects], bool)
+        objects: list[Any] = []
+        for at, n in places:
+            text = data[at : at + n].tobytes() if n <= MAX_MESSAGE else b""
+            try:
+                objects.append(msgspec.json.decode(text))
+            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                try:
+                    objects.append(json.loads(text))  # accepts NaN and Infinity, which some writers use
+                except (ValueError, RecursionError):
+                    objects.append(None)
+        good = np.array([isinstance(one, dict) for one in objects], bool)
+        found = [one for one in objects if isinstance(one, dict)]
         columns = {path: column(found, path, resolve(self.message, path)) for path in fields}
         return Decoded(good, columns, +Counter({"not a JSON object": len(objects) - len(found)}))
-
-
-def _object(text: bytes) -> dict[str, Any] | None:
-    value: Any = None
-    if len(text) <= MAX_MESSAGE:
-        try:
-            value = msgspec.json.decode(text)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            try:
-                value = json.loads(text)  # accepts NaN and Infinity, which some writers use against the standard
-            except (ValueError, RecursionError):
-                return None
-    return value if isinstance(value, dict) else None

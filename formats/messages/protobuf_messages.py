@@ -20,9 +20,19 @@ from locfuse.formats.columns import Bytes, nested
 from locfuse.fusion.data import Ints
 
 from .cdr import MalformedError
-from .fields import resolve
 from .json_messages import NUMBER, TIME, column
-from .schema import Decoded, Many, MessageDecoder, Node, Scalar, SchemaError, Structure, Text, refuse_many_fields
+from .schema import (
+    Decoded,
+    Many,
+    MessageDecoder,
+    Node,
+    Scalar,
+    SchemaError,
+    Structure,
+    Text,
+    refuse_many_fields,
+    resolve,
+)
 
 VARINT, FIXED_64, BYTES, FIXED_32 = 0, 1, 2, 5  # wire types
 FIXED_SIZE = {FIXED_64: 8, FIXED_32: 4}

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from .json_report import same_input
-from .render import escape, markdown
 from .summary import is_figure
-from .table import Column, Table, of_words, texts
+from .table import Table, escape, markdown, of_words, texts
 from .tables import MAIN
 
 Report = Mapping[str, Any]
@@ -19,13 +18,18 @@ def changes(before: Report, after: Report) -> dict[str, Any]:
     """Return the change of each error figure between two reports, and changed settings, inputs and versions."""
     a, b = before["configurations"], after["configurations"]
     was, now = dict(_flat(before["settings"])), dict(_flat(after["settings"]))
+    figures: dict[str, dict[str, Any]] = {name: {} for name in a if name in b}
+    for name, found in figures.items():
+        for key in (k for k in a[name] if k in b[name]):
+            if is_figure(key, a[name][key]) or is_figure(key, b[name][key]):
+                found[key] = _change(a[name][key], b[name][key])
     return {
         "same_input": same_input(before["input"], after["input"]),
         "inputs": [before["input"]["name"], after["input"]["name"]],
         "versions": [before["locfuse"], after["locfuse"]],
         "settings": {k: [was.get(k), now.get(k)] for k in sorted(was | now) if was.get(k) != now.get(k)},
         "judged_by": [judged_by(before), judged_by(after)],
-        "configurations": {name: _figures(a[name], b[name]) for name in a if name in b},
+        "configurations": figures,
         "only_before": [name for name in a if name not in b],
         "only_after": [name for name in b if name not in a],
     }
@@ -37,11 +41,6 @@ def judged_by(report: Report) -> str | None:
         return "truth"
     reference = report.get("reference")
     return None if reference is None else f"a reference of {'+'.join(reference['sensors'])}"
-
-
-def _figures(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
-    keys = [k for k in before if k in after and (is_figure(k, before[k]) or is_figure(k, after[k]))]
-    return {k: _change(before[k], after[k]) for k in keys}
 
 
 def _change(before: float | None, after: float | None) -> dict[str, float | None]:
@@ -62,22 +61,19 @@ def _flat(tables: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
 
 
 def table(found: Mapping[str, Any]) -> Table:
-    """Return the main error figures of both results, before and after, as a table."""
-    rows = (
-        (name, column.heading, *_before_after_change(column, figures[column.key]))
-        for name, figures in found["configurations"].items()
-        for column in MAIN
-        if column.key in figures and figures[column.key]["change"] is not None
-    )
+    """Return the main error figures of both results as a table: "0.12 m", "0.09 m", "-25.0%"."""
+    rows = []
+    for name, figures in found["configurations"].items():
+        for column in MAIN:
+            figure = figures.get(column.key, {"change": None})
+            if figure["change"] is not None:
+                share = figure["share"]
+                change = "=" if share == 0.0 else ""
+                if share:
+                    change = f"{share:+.1%}" if abs(share) < 10.0 else f"x {share + 1:.3g}"
+                both = column.with_unit(figure["before"]), column.with_unit(figure["after"])
+                rows.append((name, column.heading, *both, change))
     return of_words(COLUMNS, rows)
-
-
-def _before_after_change(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str, str]:
-    """Return an error figure before, after, and its relative change, as text: "0.12 m", "0.09 m", "-25.0%"."""
-    share, change = figure["share"], ""
-    if share is not None:
-        change = "=" if share == 0.0 else f"{share:+.1%}" if abs(share) < 10.0 else f"x {share + 1:.3g}"
-    return column.with_unit(figure["before"]), column.with_unit(figure["after"]), change
 
 
 def remarks(found: Mapping[str, Any]) -> list[str]:

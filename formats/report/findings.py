@@ -80,32 +80,22 @@ def sentence(finding: Mapping[str, Any], brief: bool = False) -> str:
 
 def in_parts(finding: Mapping[str, Any], brief: bool = False) -> tuple[str, str]:
     """Return a finding's sentence, and the command-line options of its fix; "" if it has none."""
-    words = finding["message"].rstrip(". ")
+    words, tried = finding["message"].rstrip(". "), finding["tried"]
     head = f"{finding['role']}: {CLAUSE_END.split(words)[0] if brief and finding['fixes'] else words}."
     if not finding["fixes"]:
-        return f"{head}{_failed_fixes(finding)}", ""
-    tried = finding["tried"]
+        failed = ", or ".join(" and ".join(fixes) for fixes in finding.get("alternatives", ()))
+        if failed and finding.get("harmless"):
+            head += f" With {failed} little changes on this drive."
+        elif failed:
+            head += f" No setting found that helps ({failed} could explain it, but the result gets no better)."
+        return head, ""
     if tried is None:
         return f"{head} Fix (not tried):", options(finding["fixes"])
-    which = "Fix for the covariance only" if _worse(tried) else "Fix"
+    before, after = tried["before"]["position_rmse_m"], tried["after"]["position_rmse_m"]
+    worse = before is not None and after is not None and after > 1.01 * before
+    which = "Fix for the covariance only" if worse else "Fix"
     with_what = "" if brief else f" with {tried['configuration']}"
     return f"{head} {which} (tried{with_what}: {effect_of(tried, brief)}):", options(finding["fixes"])
-
-
-def _worse(tried: Mapping[str, Any]) -> bool:
-    """Return whether the tried fix made the position error larger."""
-    before, after = tried["before"]["position_rmse_m"], tried["after"]["position_rmse_m"]
-    return before is not None and after is not None and after > 1.01 * before
-
-
-def _failed_fixes(finding: Mapping[str, Any]) -> str:
-    """Return a sentence on fixes that were tried and did not help; "" if there were none."""
-    tried = ", or ".join(" and ".join(fixes) for fixes in finding.get("alternatives", ()))
-    if not tried:
-        return ""
-    if finding.get("harmless"):
-        return f" With {tried} little changes on this drive."
-    return f" No setting found that helps ({tried} could explain it, but the result gets no better)."
 
 
 def counts(by_reason: Mapping[str, int]) -> str:
@@ -187,17 +177,23 @@ def title_of(report: Mapping[str, Any]) -> str:
 
 
 def notes_of(report: Mapping[str, Any]) -> list[str]:
-    """Return the notes of the log, then of the configurations (wheel slips, estimated track width)."""
+    """Return the notes of the log, then of the configurations (wheel slips, estimated track width).
+
+    Equal notes on several streams become one note with all stream names.
+    """
+    parted = (("", "", note) if ": " not in note else note.partition(": ") for note in report["notes"])
+    streams = _grouped((name, NUMBER.sub("#", words) if name else words, words) for name, _, words in parted)
+    of_log = [f"{', '.join(own)}: {_with_others(own)}" if "" not in own else own[""] for own in streams]
     runs = report["configurations"]
-    notes = ((name, _without_numbers(words), words) for name, values in runs.items() for words in values["notes"])
-    merged = (next(iter(own.values())) if len(runs) == 1 else _named(own) for own in _grouped(notes))
-    return [*_of_log(report["notes"]), *merged]
+    notes = ((name, NUMBER.sub("#", words), words) for name, values in runs.items() for words in values["notes"])
+    return [*of_log, *(next(iter(own.values())) if len(runs) == 1 else _named(own) for own in _grouped(notes))]
 
 
 def _grouped(notes: Iterable[tuple[str, str, str]]) -> Iterable[dict[str, str]]:
     """Group notes (source, form, words) by their form; return each group as source -> words.
 
-    If a source has several notes of one form, the k-th notes of all sources are one group.
+    The form is the words with "#" in place of each number. If a source has several notes of one form, the k-th
+    notes of all sources are one group.
     """
     found: dict[tuple[str, int], dict[str, str]] = {}
     times: Counter[tuple[str, str]] = Counter()
@@ -205,18 +201,6 @@ def _grouped(notes: Iterable[tuple[str, str, str]]) -> Iterable[dict[str, str]]:
         found.setdefault((form, times[source, form]), {})[source] = words
         times[source, form] += 1
     return found.values()
-
-
-def _without_numbers(words: str) -> str:
-    """Return the words with "#" in place of each number: notes that differ only in numbers become equal."""
-    return NUMBER.sub("#", words)
-
-
-def _of_log(notes: Sequence[str]) -> list[str]:
-    """Return the notes on the log; equal notes on several streams become one note with all stream names."""
-    parted = (("", "", note) if ": " not in note else note.partition(": ") for note in notes)
-    found = _grouped((name, _without_numbers(words) if name else words, words) for name, _, words in parted)
-    return [f"{', '.join(own)}: {_with_others(own)}" if "" not in own else own[""] for own in found]
 
 
 def _named(own: Mapping[str, str]) -> str:

@@ -25,9 +25,8 @@ from locfuse.fusion.data import BASES, REFUSED, Colour
 from . import tables
 from .findings import fingerprint, in_parts, notes_of, options, title_of, together, unwarned, warnings_of
 from .glossary import GLOSSARY
-from .render import SIGNS, Swatches, data, html, with_code
 from .summary import errors_of
-from .table import Path, Piece, written
+from .table import SIGNS, Path, Piece, Swatches, data, html, with_code, written
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -44,7 +43,12 @@ STRIP_WIDTH_PX = 200.0  # px, width of an effect strip
 
 def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapping[str, Colour]) -> str:
     """Return report.html. `sensors`: the colour of every sensor known to locfuse."""
-    names, bars = list(report["configurations"]), _bars(report)
+    names, errors = list(report["configurations"]), errors_of(report)
+    key, worst = tables.RMSE.key, max(errors.values(), default=0.0)
+    # path of each position rmse in report.json -> length of its bar, in % of the largest rmse
+    bars: dict[Path, float] = {
+        ("configurations", n, key): 100.0 * e / worst for n, e in errors.items() if worst > 0.0
+    }
     smoothed = {name for name, values in report["configurations"].items() if values.get("smoothed")}
     traces = palette.traces_in(report)
     swatches = Swatches(palette.colours(traces, sensors), {**palette.SHAPES, **palette.looks_of(traces)})
@@ -156,13 +160,6 @@ def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     # the keys of a colour scale come first, in order
     scale = {k: keys.pop(k) for k in sorted(keys) if k.startswith("level ")}
     return {"section": section, "rows": rows, "keys": scale | keys}
-
-
-def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
-    """Return the path of each position rmse in report.json -> length of its bar, in % of the largest rmse."""
-    key, errors = tables.RMSE.key, errors_of(report)
-    worst = max((v for v in errors.values() if v), default=0.0)
-    return {("configurations", name, key): 100.0 * v / worst for name, v in errors.items() if worst > 0.0}
 
 
 def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:

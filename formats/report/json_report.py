@@ -15,7 +15,7 @@ from msgspec.structs import asdict
 
 from locfuse.formats.versions import installed
 from locfuse.formats.visible import escaped, writable
-from locfuse.fusion.data import Drive, Evaluation, LocfuseError, Truth
+from locfuse.fusion.data import Drive, Evaluation, LocfuseError
 from locfuse.fusion.kernels.built import how
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
@@ -32,13 +32,35 @@ def report(
     version: str,
 ) -> dict[str, Any]:
     """Return the content of report.json as plain values, before verdicts and findings are added."""
+    judged = evaluations[0] if evaluations and len(evaluations[0].t) else None
+    truth = drive.truth and {
+        "topic": drive.truth.topic,
+        "stamps": len(drive.truth.t),
+        "used": 0 if judged is None else len(judged.t),
+        "heading": drive.truth.theta is not None,
+        "distance_m": None if judged is None else float(judged.distance[-1]),
+    }
     return {
         "schema_version": SCHEMA_VERSION,
         "locfuse": version,
         "made_with": made_with(),
         "input": {**source, "dropped": {k: dict(v) for k, v in drive.dropped.items() if v}},
-        "configurations": {e.name: _configuration(e) for e in evaluations},
-        "truth": None if drive.truth is None else _truth(drive.truth, evaluations),
+        "configurations": {
+            e.name: {
+                "configuration": e.configuration,
+                **e.figures,
+                "align": e.align,
+                "reference": None,  # errors are estimate - truth
+                "smoothed": e.smoothed,
+                "rates_hz": dict(e.rates),
+                "lost": [list(interval) for interval in e.lost],
+                "lost_share": e.lost_share,
+                "notes": list(e.notes),
+                "sensors": {name: asdict(s) for name, s in e.sensors.items()},
+            }
+            for e in evaluations
+        },
+        "truth": truth,
         "absent": drive.absent,
         "notes": list(drive.notes),
         "settings": dict(settings),
@@ -82,32 +104,6 @@ def readable(report: Mapping[str, Any], source: str) -> dict[str, Any]:
             f"{SCHEMA_VERSION}. Update locfuse, or make the report again with: locfuse compare LOG -o DIR"
         )
     return dict(report)
-
-
-def _configuration(evaluation: Evaluation) -> dict[str, Any]:
-    return {
-        "configuration": evaluation.configuration,
-        **evaluation.figures,
-        "align": evaluation.align,
-        "reference": None,  # errors are estimate - truth
-        "smoothed": evaluation.smoothed,
-        "rates_hz": dict(evaluation.rates),
-        "lost": [list(interval) for interval in evaluation.lost],
-        "lost_share": evaluation.lost_share,
-        "notes": list(evaluation.notes),
-        "sensors": {name: asdict(s) for name, s in evaluation.sensors.items()},
-    }
-
-
-def _truth(truth: Truth, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
-    used = len(evaluations[0].t) if evaluations else 0
-    return {
-        "topic": truth.topic,
-        "stamps": len(truth.t),
-        "used": used,
-        "heading": truth.theta is not None,
-        "distance_m": float(evaluations[0].distance[-1]) if used else None,
-    }
 
 
 def _finite(value: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 
 from . import tables
 from .findings import banner_of, counts, fingerprint, notes_of, sentence, title_of, together, unwarned
-from .render import SIGNS, code, escape, markdown
+from .table import SIGNS, code, escape, markdown
 
 CODE, ESCAPE = re.compile(r"\\`(.*?)\\`"), re.compile(r"\\(.)")  # in escaped text
 
@@ -32,7 +32,10 @@ def render(report: Mapping[str, Any]) -> str:
         f"# locfuse: {escape(title_of(report))}",
         _with_code(report.get("headline", "")),
         "\n".join(f"- {escape(line)}" for line in banner_of(report)),
-        _verdicts(report),
+        "\n".join(
+            f"- {SIGNS.get(v['verdict'], '●')} **{escape(sensor)} {v['verdict']}.** {escape(v['words'])}"
+            for sensor, v in report.get("verdicts", {}).items()
+        ),
         markdown(tables.configurations(report)),
         _truth_line(report),
         f"{escape(prediction['trust'])}\n\n{markdown(tables.ranking(report))}" if prediction else "",
@@ -49,13 +52,6 @@ def render(report: Mapping[str, Any]) -> str:
 def _with_code(words: str) -> str:
     """Return a text escaped for Markdown; parts between backticks stay code."""
     return CODE.sub(lambda found: code(ESCAPE.sub(r"\1", found[1])), escape(words))
-
-
-def _verdicts(report: Mapping[str, Any]) -> str:
-    return "\n".join(
-        f"- {SIGNS.get(v['verdict'], '●')} **{escape(sensor)} {v['verdict']}.** {escape(v['words'])}"
-        for sensor, v in report.get("verdicts", {}).items()
-    )
 
 
 def _truth_line(report: Mapping[str, Any]) -> str:

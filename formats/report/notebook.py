@@ -16,8 +16,7 @@ from locfuse.fusion.data import Colour
 from . import summary as over
 from .findings import banner_of, sentence, together, unwarned
 from .html import style_sheet
-from .render import Swatches, html, html_text
-from .table import of_words, texts
+from .table import Swatches, html, html_text, of_words, texts
 from .tables import configurations
 
 WIDTH_PX, HEIGHT_PX = 640, 420  # px of the figure of the paths

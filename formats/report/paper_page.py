@@ -15,8 +15,7 @@ from locfuse.fusion.data import Colour
 
 from .findings import length
 from .html import page_of, section_drawings
-from .render import Swatches, html, latex as latex_of
-from .table import Column, Table, of_values
+from .table import Column, Swatches, Table, html, latex as latex_of, of_values
 from .tables import CONFIGURATION
 
 COLUMNS = (

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping
 from statistics import fmean, median
 from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 
-from .findings import effect_of, options
-from .render import escape, markdown
-from .table import Column, Table, of_rows
+from .findings import counts, effect_of, options
+from .table import Column, Table, escape, markdown, of_rows
 from .tables import CONFIGURATION, DURATION, MAIN, RMSE
 
 OVER_LOGS = ("mean", "median", "p90", "worst")  # statistics of a figure over the logs
@@ -29,7 +29,7 @@ def summarise(reports: Reports) -> dict[str, Any]:
     names = list(dict.fromkeys(name for r in reports.values() for name in r["configurations"]))
     best = {log: best_of(report) for log, report in reports.items()}
     judged = [b for b in best.values() if b is not None]
-    configurations = {
+    configurations: dict[str, Any] = {
         name: {
             "logs": sum(name in r["configurations"] for r in reports.values()),
             "best_in": judged.count(name),
@@ -37,10 +37,18 @@ def summarise(reports: Reports) -> dict[str, Any]:
         }
         for name in names
     }
+    logs = {}
+    for log, report in reports.items():
+        first = next(iter(report["configurations"].values()))
+        known = {key: report["input"].get(key) for key in ("name", "sha256", "identity", "start")}
+        figures = {"duration_s": first["duration_s"], "figures": errors_of(report)}
+        logs[log] = {**known, **figures, "best": best[log]}
+    errors = {n: e for n, c in configurations.items() if (e := c["figures"].get(RMSE.key))}
+    everywhere = {n: e["mean"] for n, e in errors.items() if e["logs"] == len(judged)}  # an error in every log
     return {
-        "logs": {log: {**_log(report), "best": best[log]} for log, report in reports.items()},
+        "logs": logs,
         "judged": len(judged),
-        "best": _best_mean(configurations, len(judged)),
+        "best": min(everywhere, key=lambda name: everywhere[name]) if everywhere else None,
         "configurations": configurations,
     }
 
@@ -56,22 +64,6 @@ def errors_of(report: Mapping[str, Any]) -> dict[str, float]:
     return {n: v[RMSE.key] for n, v in report["configurations"].items() if v.get(RMSE.key) is not None}
 
 
-def _best_mean(configurations: Mapping[str, Any], judged: int) -> str | None:
-    """Return the configuration with the smallest mean position error; None if there is none.
-
-    Only configurations with a position error in all logs are compared; `judged` is the number of these logs.
-    """
-    known = {n: c["figures"][RMSE.key] for n, c in configurations.items() if RMSE.key in c["figures"]}
-    everywhere = {n: f["mean"] for n, f in known.items() if f["logs"] == judged}
-    return min(everywhere, key=lambda name: everywhere[name]) if everywhere else None
-
-
-def _log(report: Mapping[str, Any]) -> dict[str, Any]:
-    first = next(iter(report["configurations"].values()))
-    known = {key: report["input"].get(key) for key in ("name", "sha256", "identity", "start")}
-    return {**known, "duration_s": first["duration_s"], "figures": errors_of(report)}
-
-
 def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
     rows = {log: r["configurations"][name] for log, r in reports.items() if name in r["configurations"]}
     keys = dict.fromkeys(k for row in rows.values() for k, v in row.items() if is_figure(k, v))
@@ -80,25 +72,18 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
         values = {log: float(row[key]) for log, row in rows.items() if row.get(key) is not None}
         # a consistent filter has ANEES 1, so the worst ANEES is the one furthest from 1
         far = {log: max(v, 1.0 / v if v > 0 else v) if key == "anees" else v for log, v in values.items()}
+        order = sorted(values, key=lambda log: far[log])
+        nine_of_ten = values[order[round(0.9 * (len(order) - 1))]]
         worst = max(far, key=lambda log: far[log])
         found[key] = {
             "mean": fmean(values.values()),
             "median": median(values.values()),
-            "p90": float(np.quantile([*far.values()], 0.9)) if key != "anees" else _p90_anees(values, far),
+            "p90": nine_of_ten if key == "anees" else float(np.quantile([*values.values()], 0.9)),
             "worst": values[worst],
             "worst_log": worst,
             "logs": len(values),
         }
     return found
-
-
-def _p90_anees(values: Mapping[str, float], far: Mapping[str, float]) -> float:
-    """Return the 90 % quantile of ANEES over logs, sorted by max(ANEES, 1 / ANEES).
-
-    `values` maps a log to its ANEES, `far` maps it to max(ANEES, 1 / ANEES).
-    """
-    order = sorted(values, key=lambda log: far[log])
-    return values[order[round(0.9 * (len(order) - 1))]]
 
 
 def is_figure(key: str, value: Any) -> bool:
@@ -175,17 +160,17 @@ def headline(summary: Mapping[str, Any]) -> str:
     done = [log for log in summary["logs"].values() if log.get("state", "done") == "done"]
     if not done:
         return "No log could be compared."
-    unjudged = [log for log in done if log.get("best") is None]  # no truth, or void figures
+    unjudged = ["void" if log.get("void") else "without truth" for log in done if log.get("best") is None]
+    left_out = counts(Counter(sorted(unjudged)))  # "2 void, 1 without truth"
     if best is None:
-        void = any(log.get("void") for log in unjudged)
         without_truth = "None of these logs has a truth: error figures do not exist."
-        reason = f"No log has an error figure: {_left_out(unjudged)}." if void else without_truth
+        reason = f"No log has an error figure: {left_out}." if "void" in unjudged else without_truth
         return f"{reason}{not_done(summary)}"
     found = summary["configurations"][best]
     mean = found["figures"][RMSE.key]["mean"]
     rivals = {n: c["best_in"] for n, c in summary["configurations"].items() if n != best and c["best_in"]}
     others = "".join(f", {n} in {k}" for n, k in rivals.items())
-    left = f" {_left_out(unjudged)}." if unjudged else ""
+    left = f" {left_out}." if unjudged else ""
     rest = f"{left}{_ties(summary)}{not_done(summary)}"
     partly = any(summary["configurations"][n]["figures"][RMSE.key]["logs"] < judged for n in rivals)
     if partly and not found["best_in"]:
@@ -197,13 +182,6 @@ def headline(summary: Mapping[str, Any]) -> str:
         )
     wins = f"the best in {found['best_in']} of {judged} logs{others}."
     return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}{rest}"
-
-
-def _left_out(logs: Sequence[Mapping[str, Any]]) -> str:
-    """Return the causes of missing error figures: "2 void, 1 without truth"."""
-    void = sum(bool(log.get("void")) for log in logs)
-    counts = ((void, "void"), (len(logs) - void, "without truth"))
-    return ", ".join(f"{n} {what}" for n, what in counts if n)
 
 
 def _ties(summary: Mapping[str, Any]) -> str:
@@ -223,13 +201,12 @@ Line = tuple[str, str]  # text, and command-line options ("": none)
 
 def robots(summary: Mapping[str, Any]) -> list[Line]:
     """Return lines on each robot: values that differ from its settings in all of its logs, and the fix."""
-    return [line for robot in summary.get("robots") or () for line in _of_robot(robot)]
-
-
-def _of_robot(robot: Mapping[str, Any]) -> list[Line]:
-    name = f"{robot['robot']}: " if robot["robot"] else ""
-    values = [(f"{v['words']}.", "") for v in robot["values"] if v["off"] or v["value"] is None]
-    return [(f"{name}{words}", typed) for words, typed in (*values, *fix_of(robot))]
+    lines: list[Line] = []
+    for robot in summary.get("robots") or ():
+        name = f"{robot['robot']}: " if robot["robot"] else ""
+        values = [(f"{v['words']}.", "") for v in robot["values"] if v["off"] or v["value"] is None]
+        lines += [(f"{name}{words}", typed) for words, typed in (*values, *fix_of(robot))]
+    return lines
 
 
 def fix_of(robot: Mapping[str, Any]) -> list[Line]:

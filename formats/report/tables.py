@@ -10,8 +10,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from .findings import MAX_ANEES, fingerprint
-from .render import latex as latex_of, latex_text
-from .table import Cell, Column, Path, Table, of_values
+from .table import Cell, Column, Path, Table, latex as latex_of, latex_text, of_values
 
 Report = Mapping[str, Any]
 Rows = Iterator[tuple[dict[str, Any], Path]]
@@ -153,39 +152,39 @@ def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
-    """Yield (values, path in report.json) of each configuration, or of its sub-table `key`."""
+    """Yield (values, path in report.json) of each configuration, or of its sub-table `key`.
+
+    Added values: the sensors of the reference ("all", "camera", "compass+lrf"), with " *" if the judged result
+    uses some of them too, else with " ?" if it contradicts the reference of all sensors; "itself" if it is the
+    reference; and the number of crispness cells relative to the fewest ("x 1.20"), or "bad" if the revisit
+    agreement is low.
+    """
     runs = report["configurations"]
-    hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
-    fewest = min(filter(None, hit), default=0)
+    fewest = min(filter(None, (v.get("crispness_cells") for v in runs.values() if _agrees(v))), default=0)
     for name, values in runs.items():
-        own = values if key is None else values.get(key)
-        judged_by, crispness = _judged_by(values), _crispness(values, fewest)
+        judged_by, crispness = None, None if _agrees(values) else "bad"
+        if reference := values.get("reference"):
+            every = not reference["left_out"] and len(reference["sensors"]) > 1
+            mark = " *" if reference["shared"] else "" if reference["agrees"] else " ?"
+            judged_by = f"{'all' if every else '+'.join(reference['sensors'])}{mark}"
+            judged_by = "itself" if values.get("position_max_m") == 0.0 else judged_by
+        if fewest and not crispness and (cells := values.get("crispness_cells")):
+            crispness = f"x {cells / fewest:.2f}"
         more = {"configuration": name, JUDGED_BY.key: judged_by, CRISPNESS.key: crispness}
-        if own:
+        if own := values if key is None else values.get(key):
             yield {**own, **more}, ("configurations", name, *([key] if key else []))
 
 
 def _scan_quality(report: Report) -> list[Column]:
     """Return the columns revisit agreement and crispness; a column without any value is left out."""
-    runs = report["configurations"].values()
-    seen_twice = any(v.get(AGREEMENT.key) is not None for v in runs)
-    crisp = any(v.get("crispness_cells") for v in runs)
-    return [*([AGREEMENT] if seen_twice else []), *([CRISPNESS] if crisp else [])]
+    found, runs = {AGREEMENT.key: AGREEMENT, "crispness_cells": CRISPNESS}, report["configurations"].values()
+    return [column for key, column in found.items() if any(v.get(key) is not None for v in runs)]
 
 
 def _agrees(values: Mapping[str, Any]) -> bool:
     """Return whether the revisit agreement is at least MIN_AGREEMENT, or unknown."""
     agreement = values.get(AGREEMENT.key)
     return agreement is None or agreement >= MIN_AGREEMENT
-
-
-def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
-    """Return a configuration's number of crispness cells relative to `fewest`: "x 1.20"; None without cells.
-
-    If the revisit agreement of the configuration is low, return "bad".
-    """
-    cells = values.get("crispness_cells")
-    return "bad" if not _agrees(values) else f"x {cells / fewest:.2f}" if cells and fewest else None
 
 
 def jumps(report: Report) -> Table:
@@ -205,24 +204,6 @@ def jumps(report: Report) -> Table:
     rows = sorted(largest[:MAX_JUMPS], key=lambda row: (row[0]["configuration"], row[0]["t_s"]))
     words = "Jumps of the pose" if len(found) <= MAX_JUMPS else f"The largest {MAX_JUMPS} of {len(found)} jumps"
     return of_values(JUMPS, rows, words)
-
-
-def _judged_by(values: Mapping[str, Any]) -> str | None:
-    """Return the sensors of the reference as text: "all", "camera", "compass+lrf"; None without a reference.
-
-    For the result that is the reference, return "itself".
-
-    " *" is added if the judged result uses some of these sensors too. Else " ?" is added if this reference and the
-    reference of all sensors contradict each other.
-    """
-    reference = values.get("reference")
-    if reference is None:
-        return None
-    if values.get("position_max_m") == 0.0:
-        return "itself"
-    every = not reference["left_out"] and len(reference["sensors"]) > 1
-    mark = " *" if reference["shared"] else "" if reference["agrees"] else " ?"
-    return f"{'all' if every else '+'.join(reference['sensors'])}{mark}"
 
 
 def brief(report: Report, short: bool = False) -> Table:
@@ -327,16 +308,14 @@ def streams(report: Report) -> Table:
 
 def changed_settings(report: Report) -> Table:
     """Return the settings that differ from their defaults, with unit and source."""
-    changed = report["changed_settings"].items()
-    rows = (({**v, "key": k, "value": _number_or_text(v["value"])}, ("changed_settings", k)) for k, v in changed)
+    rows = []
+    for key, changed in report["changed_settings"].items():
+        value = changed["value"]
+        numbers = value if isinstance(value, list) else [value]
+        if not numbers or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
+            value = json.dumps(value).strip('"')
+        rows.append(({**changed, "key": key, "value": value}, ("changed_settings", key)))
     return of_values(CHANGED, rows, "Settings that were changed")
-
-
-def _number_or_text(value: Any) -> Any:
-    """Return a number or a list of numbers unchanged, everything else as text."""
-    numbers = value if isinstance(value, list) else [value]
-    plain = all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers)
-    return value if plain and numbers else json.dumps(value).strip('"')
 
 
 def everything(report: Report) -> Table:

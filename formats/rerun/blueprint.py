@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 from locfuse.formats.figures.panels import count_ticks
 from locfuse.fusion.data import Evaluation
 
-from . import drawing, series
+from . import drawing
 from .drawing import DRIVE, STEP, TIME, part
 from .map_view import ROOT
 from .scene import RerunScene
@@ -27,40 +27,39 @@ Range = tuple[float, float]
 
 
 def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
-    """Return the layout for a scene, without empty views; the tab with the name `tab` is active."""
-    left, right = _left(scene), _right(scene, tab)
+    """Return the layout for a scene, without empty views; the tab with the name `tab` is active.
+
+    Left: map, legend, and panorama if there are pictures. Right: scan and camera views in the robot's frame, above
+    the tabs with plots.
+    """
+    rows = [(_map_view(scene), 0.66)]
+    if len(drawing.legend_of(scene)) > 1:
+        share = LEGEND_SHARES[0] + LEGEND_SHARES[1] * drawing.legend_rows(scene)
+        x = (-0.5 * drawing.LEGEND_CELL, (drawing.LEGEND_COLUMNS - 0.5) * drawing.LEGEND_CELL)
+        y = (-0.2, drawing.legend_rows(scene) - 0.1)  # each row has height 1
+        rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", x, y), share))
+    sensor_views = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
+    if scene.picture_rows is not None:
+        rows.append((_view_2d("Panorama", f"/{drawing.PANORAMA}"), 0.24))
+        sensor_views.append(_view_2d("Omni image", f"/{drawing.OMNI}"))
+    views, shares = zip(*rows, strict=True)
+    root = rrb.Vertical(contents=views, row_shares=shares) if len(rows) > 1 else views[0]
+    right: list[Any] = [rrb.Horizontal(contents=sensor_views)] if sensor_views else []
+    if tabs := _tabs(scene):
+        first = tab if tab in tabs else "Result" if scene.table and "Deviation" not in tabs else next(iter(tabs))
+        front = list(tabs).index(first)
+        right.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
+    if right:
+        beside = rrb.Vertical(contents=right, row_shares=[0.26, 0.74]) if len(right) > 1 else right[0]
+        root = rrb.Horizontal(contents=[root, beside], column_shares=[0.54, 0.46])
     return rrb.Blueprint(
-        left if right is None else rrb.Horizontal(contents=[left, right], column_shares=[0.54, 0.46]),
+        root,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=DRIVE),
         auto_views=False,
         auto_layout=False,
     )
-
-
-def _left(scene: RerunScene) -> Any:
-    """Return the left column: map, legend, and panorama if there are pictures."""
-    rows = [(_map_view(scene), 0.66)]
-    if len(drawing.legend_of(scene)) > 1:
-        share = LEGEND_SHARES[0] + LEGEND_SHARES[1] * drawing.legend_rows(scene)
-        rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", *drawing.legend_ranges(scene)), share))
-    if scene.picture_rows is not None:
-        rows.append((_view_2d("Panorama", f"/{drawing.PANORAMA}"), 0.24))
-    views, shares = zip(*rows, strict=True)
-    return rrb.Vertical(contents=views, row_shares=shares) if len(rows) > 1 else views[0]
-
-
-def _right(scene: RerunScene, tab: str | None) -> Any | None:
-    """Return the right column: scan and camera views in the robot's frame, above the tabs with plots."""
-    sensor_views = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
-    sensor_views += [] if scene.picture_rows is None else [_view_2d("Omni image", f"/{drawing.OMNI}")]
-    parts: list[Any] = [rrb.Horizontal(contents=sensor_views)] if sensor_views else []
-    if tabs := _tabs(scene):
-        first = tab if tab in tabs else "Result" if scene.table and "Deviation" not in tabs else next(iter(tabs))
-        front = list(tabs).index(first)
-        parts.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
-    return rrb.Vertical(contents=parts, row_shares=[0.26, 0.74]) if len(parts) > 1 else next(iter(parts), None)
 
 
 def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = None, **more: Any) -> Any:
@@ -120,9 +119,9 @@ def _tabs(scene: RerunScene) -> dict[str, Any]:
         "NIS": stacked("NIS", [_nis(scene, s) for s in sensors]),
         "Innovation": stacked("Innovation", [view for s in sensors for view in _innovations(scene, s)]),
         "Gates": rrb.StateTimelineView(name="Gates", origin="/gate") if sensors else None,
-        "Events": rrb.TextLogView(name="Events", origin=f"/{series.EVENTS}") if scene.events else None,
+        "Events": rrb.TextLogView(name="Events", origin=f"/{drawing.EVENTS}") if scene.events else None,
         "Result": rrb.TextDocumentView(name="Result", origin="/result") if scene.table else None,
-        "Raw topics": stacked("Raw topics", [_plot(t.topic, f"/{series.raw_path(t.topic)}") for t in raw]),
+        "Raw topics": stacked("Raw topics", [_plot(t.topic, f"/{drawing.raw_path(t.topic)}") for t in raw]),
     }
     return {name: view for name, view in tabs.items() if view is not None}
 
@@ -134,7 +133,7 @@ def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: l
     """
     count = 2 if judged[0].heading is None else 3
     views = []
-    for i, (component, (unit, _)) in enumerate(list(series.DEVIATIONS.items())[:count]):
+    for i, (component, (unit, _)) in enumerate(list(drawing.DEVIATIONS.items())[:count]):
         origin = f"/deviation/{component}"
         shown = {part(e.name): rrb.EntityBehavior(visible=e.name == scene.best.name) for e in judged}
         bands = {f"{origin}/{name}/three_sigma": [behaviour] for name, behaviour in shown.items()}
@@ -151,9 +150,9 @@ def _deviation_range(scene: RerunScene, judged: list[Evaluation], i: int) -> Ran
 
     The 3-sigma band of the best configuration is included.
     """
-    scale = list(series.DEVIATIONS.values())[i][1]
+    scale = list(drawing.DEVIATIONS.values())[i][1]
     columns = [j.heading if i == 2 and j.heading is not None else j.deviation[:, i % 2] for j in judged]
-    bands = [series.DEVIATION_BAND_SIGMAS * j.sigma[:, i] for j in judged if j.name == scene.best.name]
+    bands = [drawing.DEVIATION_BAND_SIGMAS * j.sigma[:, i] for j in judged if j.name == scene.best.name]
     values = scale * np.concatenate([*columns, *bands, *(-b for b in bands)])
     values = values[np.isfinite(values)]
     return (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)

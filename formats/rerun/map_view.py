@@ -11,8 +11,7 @@ import numpy as np
 import rerun as rr
 from msgspec.structs import asdict
 
-from locfuse.formats.geometry import ellipses, quaternions, segments, wall_band, walls
-from locfuse.formats.thin import extremes
+from locfuse.formats.geometry import ellipses, extremes, quaternions, segments, wall_band, walls
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, MapLine, Measurements, evenly, matrices
 from locfuse.fusion.se2 import compose, transform
 
@@ -96,7 +95,13 @@ def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
     """
     if not e.first_map and not e.final_map:
         return
-    start, born = _first_matches(e)
+    began = [a.instant[0] for a in e.audits.values() if len(a.instant) and (a.landmark >= 0).any()]
+    start = float(e.t[min(began, default=0)])
+    born: dict[int, float] = {}  # line id -> time of its first match [s]
+    for audit in e.audits.values():
+        ids, at = np.unique(audit.landmark, return_index=True)
+        born |= dict(zip(ids.tolist(), e.t[audit.instant[at]].tolist(), strict=True))
+    born |= {line.id: start for line in e.first_map}
     first = walls(e.first_map)
     to.static(f"{root}/first_scan", ink.lines(ink.FIRST_WALL, 1.0, alpha=200))
     columns = rr.LineStrips2D.columns(strips=list(first))
@@ -108,17 +113,6 @@ def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
     to.send(f"{root}/refined", t, ends)
     to.static(f"{root}/three_sigma", ink.lines(ink.WALL, 0.5, alpha=110))
     to.send(f"{root}/three_sigma", t, rr.LineStrips2D.columns(strips=[wall_band(x) for x in final]))
-
-
-def _first_matches(e: Estimates) -> tuple[float, dict[int, float]]:
-    """Return the start time of the map [s], and line id -> time of the line's first match [s]."""
-    began = [a.instant[0] for a in e.audits.values() if len(a.instant) and (a.landmark >= 0).any()]
-    start = float(e.t[min(began, default=0)])
-    found: dict[int, float] = {}
-    for audit in e.audits.values():
-        ids, at = np.unique(audit.landmark, return_index=True)
-        found |= dict(zip(ids.tolist(), e.t[audit.instant[at]].tolist(), strict=True))
-    return start, found | {line.id: start for line in e.first_map}
 
 
 def _label(line: MapLine) -> str:

@@ -45,12 +45,15 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
     import rerun as rr
 
     from .blueprint import blueprint
-    from .drawing import TimelineRecorder, draw_legend, draw_pictures
+    from .drawing import TimelineRecorder, draw_legend, draw_pictures, draw_series
     from .map_view import draw_map
-    from .series import draw_series
 
     rr.set_strict_mode(True)  # raise instead of warn, so that no incomplete recording is written
-    stream = rr.RecordingStream(_application(scene), recording_id=identity)
+    # a viewer stores its layout under the application id: recordings with equal views have equal ids
+    names = [e.name for e in scene.estimates]
+    what = names[0] if len(names) == 1 else f"{len(names)} configurations"
+    pictures = "" if scene.picture_rows is None else " with pictures"
+    stream = rr.RecordingStream(f"locfuse {scene.name} - {what}{pictures}", recording_id=identity)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     to = TimelineRecorder(stream, scene.drive)
@@ -68,16 +71,6 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
         stream.flush()
     finally:
         stream.disconnect()
-
-
-def _application(scene: RerunScene) -> str:
-    """Return the application id, under which a viewer stores its layout.
-
-    Recordings with equal views have equal ids.
-    """
-    names = [e.name for e in scene.estimates]
-    what = names[0] if len(names) == 1 else f"{len(names)} configurations"
-    return f"locfuse {scene.name} - {what}{'' if scene.picture_rows is None else ' with pictures'}"
 
 
 def unfolded(table: str) -> str:

@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.geometry import walls
-from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
+from locfuse.formats.geometry import MAX_CURVE_POINTS, MAX_SCANS, walls
 from locfuse.fusion.data import VERDICTS, Array, Component, Drive, Estimates, Evaluation, Event, Ints
 
 Rgb = tuple[int, int, int]

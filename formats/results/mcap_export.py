@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
@@ -26,9 +26,8 @@ from locfuse.formats.container.mcap_write import CHUNK_BYTES, LogWriter, Standar
 from locfuse.formats.geometry import quaternions, spatial_covariance
 from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
-from locfuse.formats.messages.fields import resolve
-from locfuse.formats.messages.schema import Many, Node, Scalar, parse
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth, evenly
+from locfuse.formats.messages.schema import Many, Scalar, parse, resolve
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, evenly
 
 from .recovered_log import copy_messages
 from .trajectory import stamps, with_truth_rows
@@ -40,11 +39,6 @@ Columns = Mapping[str, NDArray[Any]]  # dotted path of a field -> numbers (n,), 
 def stamp_columns(path: str, t_ns: Ints) -> dict[str, Ints]:
     """Return the columns of a builtin_interfaces/Time field at `path`."""
     return {f"{path}.sec": t_ns // 1_000_000_000, f"{path}.nanosec": t_ns % 1_000_000_000}
-
-
-def _number(node: Node) -> np.dtype[Any]:
-    scalar = cast("Scalar", node.element if isinstance(node, Many) else node)
-    return np.dtype(scalar.dtype).newbyteorder("<")
 
 
 # --- Series of poses as messages: nav_msgs/Odometry, PoseStamped, PointStamped, Path, and /tf
@@ -73,8 +67,12 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
         message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
         paths = self.columns(slice(1)).keys()
         layout = read_layout(message, nested({path: path for path in paths}), memoryview(one), CDR)
-        types = {path: _number(resolve(message, path)[0].node) for path in paths}
-        return np.frombuffer(one, np.uint8), {p: (layout.leaves[p].offsets[0], types[p]) for p in paths}
+        places = {}
+        for path in paths:
+            node = resolve(message, path)[0].node
+            scalar = cast("Scalar", node.element if isinstance(node, Many) else node)
+            places[path] = layout.leaves[path].offsets[0], np.dtype(scalar.dtype).newbyteorder("<")
+        return np.frombuffer(one, np.uint8), places
 
     def messages(self, rows: slice) -> Bytes:
         """Return the messages of these rows as CDR bytes (k, size)."""
@@ -196,7 +194,14 @@ class Export(msgspec.Struct, frozen=True):
             for e in self.estimates:
                 self._estimates(topics, e)
             if self.drive.truth is not None:
-                _truth(topics, self.drive.truth, self.drive.epoch_ns)
+                truth = self.drive.truth
+                t_ns = np.array(stamps(self.drive.epoch_ns, truth.t), np.int64)
+                if truth.theta is None:
+                    topics.add(TRUTH_POINT, points(t_ns, truth.xy))
+                else:
+                    pose = np.column_stack((truth.xy, truth.theta))
+                    topics.add(TRUTH_POSE, poses(t_ns, pose))
+                    topics.once(TRUTH_PATH, t_ns, pose)
             topics.write()
             if self.log is not None:
                 copy_messages(out.writer, self.log)
@@ -220,23 +225,10 @@ class Export(msgspec.Struct, frozen=True):
         topics.add(f"/locfuse/{name}/odometry", odometry(t_ns, pose, triangles, twist, f"{name}/{BASE}"))
         topics.once(f"/locfuse/{name}/path", t_ns, pose)
         topics.add("/tf", transforms(t_ns, pose, f"{name}/{BASE}"))
-        if e is self.estimates[-1] and self._may_publish_base():
+        recorded = self.log.topics.items() if self.log is not None else ()
+        has_tf = any(t.msgtype in TF_TYPES and not name.endswith("tf_static") for name, t in recorded)
+        if e is self.estimates[-1] and not has_tf:
             topics.add("/tf", transforms(t_ns, pose, BASE))
-
-    def _may_publish_base(self) -> bool:
-        """Return whether the log has no /tf, so that a configuration may publish the frame base_link."""
-        topics = self.log.topics if self.log is not None else {}
-        return not any(t.msgtype in TF_TYPES and not name.endswith("tf_static") for name, t in topics.items())
-
-
-def _truth(topics: _Topics, truth: Truth, epoch_ns: int) -> None:
-    t_ns = np.array(stamps(epoch_ns, truth.t), np.int64)
-    if truth.theta is None:
-        topics.add(TRUTH_POINT, points(t_ns, truth.xy))
-        return
-    pose = np.column_stack((truth.xy, truth.theta))
-    topics.add(TRUTH_POSE, poses(t_ns, pose))
-    topics.once(TRUTH_PATH, t_ns, pose)
 
 
 class _Topics:
@@ -295,20 +287,16 @@ class ShownTopic(NamedTuple):
 
 def layouts(topics: Mapping[str, str]) -> dict[str, str]:
     """Return layout file name -> content; `topics` maps each topic of the export to its message type."""
-    shown = list(_shown(topics))
-    paths = [name for name, msgtype in topics.items() if msgtype.endswith("/Path")]
-    return {FOXGLOVE: _foxglove(shown, paths), PLOTJUGGLER: _plotjuggler(shown)}
-
-
-def _shown(topics: Mapping[str, str]) -> Iterator[ShownTopic]:
-    colours = cycle(COLOURS)
+    shown, colours = [], cycle(COLOURS)
     for topic, msgtype in topics.items():
         kind = msgtype.rpartition("/")[2]
         if kind in POSITION:
             fields = {axis: f"{POSITION[kind]}.{axis}" for axis in ("x", "y")}
             odometry = kind == "Odometry"
             fields |= {"turn rate": "twist.twist.angular.z"} if odometry else {}
-            yield ShownTopic(topic, fields, next(colours) if odometry else TRUTH)
+            shown.append(ShownTopic(topic, fields, next(colours) if odometry else TRUTH))
+    paths = [name for name, msgtype in topics.items() if msgtype.endswith("/Path")]
+    return {FOXGLOVE: _foxglove(shown, paths), PLOTJUGGLER: _plotjuggler(shown)}
 
 
 def _foxglove(shown: Sequence[ShownTopic], paths: Sequence[str]) -> str:

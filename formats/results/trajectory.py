@@ -147,16 +147,11 @@ def audit_csv(drive: Drive, estimates: Estimates) -> str:
 def _lines(times: list[str], sensor: str, audit: Audit) -> list[tuple[int, str]]:
     numbers = (audit.instant, audit.row, audit.verdict, audit.landmark, audit.nis, audit.threshold)
     rows = zip(*(column.tolist() for column in (*numbers, audit.y, audit.sigma)), strict=True)
-    return [
-        (k, f"{times[k]},{sensor},{row},{VERDICTS[v]},{'' if mark < 0 else mark},{_cells(nis, gate, y, sigma)}")
-        for k, row, v, mark, nis, gate, y, sigma in rows
-    ]
-
-
-def _cells(nis: float, gate: float, y: list[float], sigma: list[float]) -> str:
-    pairs = [value for pair in zip(y, sigma, strict=True) for value in pair]
-    return ",".join(_number(v) for v in (nis, gate, *pairs, *[math.nan] * (4 - len(pairs))))
-
-
-def _number(value: float) -> str:
-    return repr(value) if math.isfinite(value) else ""
+    lines = []
+    for k, row, v, mark, nis, gate, y, sigma in rows:
+        pairs = [value for pair in zip(y, sigma, strict=True) for value in pair]
+        cells = [repr(x) if math.isfinite(x) else "" for x in (nis, gate, *pairs, *[math.nan] * (4 - len(pairs)))]
+        lines.append(
+            (k, ",".join([times[k], sensor, str(row), VERDICTS[v], "" if mark < 0 else str(mark), *cells]))
+        )
+    return lines

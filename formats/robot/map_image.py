@@ -41,7 +41,12 @@ class MapImage(NamedTuple):
 def read(path: Path) -> MapImage:
     """Return the map of a map.yaml and its image. Raises LocfuseError for missing or invalid values."""
     keys = _keys(path)
-    image = _text(keys, "image", path)
+    image, origin = keys.get("image"), keys.get("origin")
+    if not isinstance(image, str) or not image or "\0" in image:
+        raise LocfuseError(f"{path} says no image: a map.yaml names image, resolution and origin")
+    numbers = origin if isinstance(origin, list) and len(origin) == 3 else [None]
+    if not all(isinstance(v, int | float) and abs(v) < MAX_MAGNITUDE for v in numbers):
+        raise LocfuseError(f"{path}: origin is {_described(origin)}, not [x, y, yaw] in m, m, rad")
     file = Path(image) if Path(image).is_absolute() else path.parent / image
     pixels, negate = _pixels(file), bool(_number(keys, "negate", path, 0.0))
     least = _number(keys, "occupied_thresh", path, OCCUPIED_SHARE)
@@ -55,7 +60,7 @@ def read(path: Path) -> MapImage:
     cell = _number(keys, "resolution", path)
     if not 0.0 < cell <= MAX_CELL_M:
         raise LocfuseError(f"{path}: resolution {cell:g} m: the side of a cell must be above 0 and at most 10 m")
-    return checked(MapImage(occupied[::-1], free[::-1], cell, _origin(keys, path)), str(path))
+    return checked(MapImage(occupied[::-1], free[::-1], cell, np.array(numbers, np.float64)), str(path))
 
 
 def of_message(data: Any, width: int, height: int, cell: float, origin: Array, name: str) -> MapImage:
@@ -92,13 +97,6 @@ def _keys(path: Path) -> dict[str, Any]:
     return keys
 
 
-def _text(keys: dict[str, Any], key: str, path: Path) -> str:
-    value = keys.get(key)
-    if not isinstance(value, str) or not value or "\0" in value:
-        raise LocfuseError(f"{path} says no {key}: a map.yaml names image, resolution and origin")
-    return value
-
-
 def _number(keys: dict[str, Any], key: str, path: Path, default: float | None = None) -> float:
     value = keys.get(key, default)
     if isinstance(value, bool | int | float) and abs(value) < MAX_MAGNITUDE:
@@ -109,14 +107,6 @@ def _number(keys: dict[str, Any], key: str, path: Path, default: float | None = 
 def _described(value: Any) -> str:
     """Return a YAML value for an error message: the first 40 characters of a text, else its type."""
     return repr(visible(value[:40])) if isinstance(value, str) else f"of type {type(value).__name__}"
-
-
-def _origin(keys: dict[str, Any], path: Path) -> Array:
-    value = keys.get("origin")
-    numbers = value if isinstance(value, list) and len(value) == 3 else []
-    if not numbers or not all(isinstance(v, int | float) and abs(v) < MAX_MAGNITUDE for v in numbers):
-        raise LocfuseError(f"{path}: origin is {_described(value)}, not [x, y, yaw] in m, m, rad")
-    return np.array(numbers, np.float64)
 
 
 def _pixels(file: Path) -> NDArray[Any]:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,33 +27,12 @@ X, Y, YAW, SPEED, TURN, ACCELERATION = 0, 1, 5, 6, 11, 12  # indices of the swit
 SWITCH_COUNT = 15
 INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
 INPUT_KEY = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
+KEYS = tomllib.loads((files(__package__) / "robot_localization.toml").read_text(encoding="utf-8"))
+USED, IDLE, UNUSED, IDLE_OF_INPUT = (KEYS[name] for name in ("used", "idle", "unused", "idle_of_input"))
 USED_OF_INPUT = ("config", "differential", "relative")
-IDLE_OF_INPUT = ("queue_size", "nodelay", "remove_gravitational_acceleration", "use_sim_time")
 REJECTING = ("", "pose_", "twist_", "linear_acceleration_")
 UNUSED_OF_INPUT = (*(f"{part}rejection_threshold" for part in REJECTING), "pose_use_child_frame")
 KNOWN_OF_INPUT = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
-USED = ("initial_state", "two_d_mode", "world_frame", "map_frame", "odom_frame", "base_link_frame")
-IDLE = (  # keys that have no effect outside a running ROS node
-    "frequency", "sensor_timeout", "transform_time_offset", "transform_timeout", "predict_to_current_time",
-    "print_diagnostics", "debug", "debug_out_file", "publish_tf", "publish_acceleration", "tf_prefix",
-    "permit_corrected_publication", "reset_on_time_jump", "use_sim_time", "qos_overrides", "history_length",
-    "disabled_at_startup", "base_link_frame_output", "smooth_lagged_data",
-)  # fmt: skip
-UNUSED = {
-    **dict.fromkeys(
-        ("use_control", "stamped_control", "control_config", "control_timeout"),
-        "commanded speeds are no measurement",
-    ),
-    **dict.fromkeys(
-        ("acceleration_limits", "deceleration_limits", "acceleration_gains", "deceleration_gains"),
-        "there are no accelerations in the state",
-    ),
-    "process_noise_covariance": "noise grows with the way: wheels.noise (locfuse calibrate and tune find it)",
-    "dynamic_process_noise_covariance": "noise grows with the way: wheels.noise",
-    "initial_estimate_covariance": "start.sigma_xy and start.sigma_theta_deg say how well the start is known",
-    "gravitational_acceleration": "accelerations are not used",
-    **dict.fromkeys(("alpha", "kappa", "beta"), "this filter is no unscented one"),
-}
 
 
 class Translated(NamedTuple):
@@ -61,32 +42,32 @@ class Translated(NamedTuple):
     notes: tuple[str, ...]  # one line per key or input without a counterpart
 
 
-class EkfInput(NamedTuple):
-    """One input of an ekf.yaml."""
-
-    name: str  # "odom0"
-    kind: str  # "odom"
-    topic: str
-    switches: tuple[bool, ...]
-    differential: bool
-    relative: bool
-
-
 def read(path: Path, topics: Sequence[str]) -> Translated:
-    """Translate an ekf.yaml for a log with these topics. Raises LocfuseError for another file."""
+    """Translate an ekf.yaml for a log with these topics. Raises LocfuseError for another file.
+
+    A topic of the file matches one of the log with and without its leading slash; if none does, with any namespace
+    before it.
+    """
     parameters, notes = _parameters(path)
-    inputs = (_source(path, name, parameters) for name in sorted(parameters) if INPUT.fullmatch(name))
-    sources = [source for source in inputs if source is not None]
-    if not sources:
+    named = {name: parameters[name] for name in sorted(parameters) if INPUT.fullmatch(name)}
+    inputs = {name: topic for name, topic in named.items() if isinstance(topic, str) and topic}
+    if not inputs:
         raise LocfuseError(f"{path} names no input (odom0, twist0, pose0, imu0): is it of robot_localization?")
     notes += _notes_on_keys(parameters)
     tables: dict[str, dict[str, Any]] = _start(path, parameters)
-    for source in sources:
-        topic = _in_log(source.topic, topics)
-        if topic is None:
-            notes.append(f"{source.name}: this log has no topic {visible(source.topic)}")
-            continue
-        notes += _assign(source._replace(topic=topic), tables)
+    for name, topic in inputs.items():
+        on = parameters.get(f"{name}_config")
+        if not isinstance(on, list) or [type(s) for s in on] != [bool] * SWITCH_COUNT:
+            raise LocfuseError(f"{path}: {name}_config is not {SWITCH_COUNT} times true or false")
+        bare = topic.strip("/")
+        near = [t for t in topics if t.strip("/") == bare] or [t for t in topics if t.endswith(f"/{bare}")]
+        if len(near) != 1:
+            notes.append(f"{name}: this log has no topic {visible(topic)}")
+        elif name.startswith("imu"):
+            notes += _assign_imu(name, near[0], on, tables)
+        else:
+            drifts = parameters.get(f"{name}_differential") is True
+            notes += _assign(name, near[0], on, drifts, tables)
     return Translated(tables, tuple(notes))
 
 
@@ -108,69 +89,44 @@ def _nodes(value: Any, name: str, depth: int) -> list[tuple[str, dict[str, Any]]
     return [node for key, part in parts for node in _nodes(part, key, depth + 1)]
 
 
-def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | None:
-    """Return the input `name`; None if it has no topic."""
-    topic, switches = parameters[name], parameters.get(f"{name}_config")
-    if not isinstance(topic, str) or not topic:
-        return None
-    if not isinstance(switches, list) or [type(s) for s in switches] != [bool] * SWITCH_COUNT:
-        raise LocfuseError(f"{path}: {name}_config is not {SWITCH_COUNT} times true or false")
-    differential, relative = (parameters.get(f"{name}_{key}") is True for key in ("differential", "relative"))
-    return EkfInput(name, name.rstrip("0123456789"), topic, tuple(switches), differential, relative)
+def _assign(name: str, topic: str, on: list[bool], drifts: bool, tables: dict[str, dict[str, Any]]) -> list[str]:
+    """Set the topic of an input with the switches `on` in the table of robot.toml: wheels, pose or twist.
 
-
-def _in_log(topic: str, topics: Sequence[str]) -> str | None:
-    """Return the topic of the log that matches a topic name in an ekf.yaml; None unless exactly one matches.
-
-    A name matches with and without its leading slash; if none does, with any namespace before it.
+    `drifts`: whether the file uses only differences of its poses. Returns notes on what fits into no table, and on
+    what the user must check.
     """
-    bare = topic.strip("/")
-    near = [t for t in topics if t.strip("/") == bare] or [t for t in topics if t.endswith(f"/{bare}")]
-    return near[0] if len(near) == 1 else None
-
-
-def _assign(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Set the topic of an input of an ekf.yaml in the suitable table of robot.toml.
-
-    Changes `tables` (wheels, pose, twist, compass or gyro). Returns notes on what fits into no table, and on what
-    the user must check.
-    """
-    if source.kind == "imu":
-        return _assign_imu(source, tables)
-    on = source.switches
     posed, moves = on[X] or on[Y] or on[YAW], on[SPEED] or on[TURN]
-    of_wheels = {"odom": posed or moves, "twist": moves}.get(source.kind, False)
+    of_wheels = (name.startswith("odom") and (posed or moves)) or (name.startswith("twist") and moves)
     if of_wheels and "wheels" not in tables:
-        tables["wheels"] = {"topic": source.topic}
+        tables["wheels"] = {"topic": topic}
         return []
     table = "pose" if posed else "twist" if moves else ""
     if not table:
-        return [f"{source.name}: of its switches none is of the plane"]
+        return [f"{name}: of its switches none is of the plane"]
     if table in tables:
-        return [f"{source.name}: [{table}] reads one topic, {tables[table]['topic']}"]
-    tables[table] = {"topic": source.topic}
-    if table == "twist":
-        return []
-    if not on[YAW]:
+        return [f"{name}: [{table}] reads one topic, {tables[table]['topic']}"]
+    tables[table] = {"topic": topic}
+    if table == "pose" and not on[YAW]:
         tables["pose"] |= {"frame": "map", "heading": False}
-        return [f"{source.name}: without yaw its frame must be the map (pose.frame); if it is not, leave it out"]
-    tables["pose"]["frame"] = "drift" if source.differential else "own"
+        return [f"{name}: without yaw its frame must be the map (pose.frame); if it is not, leave it out"]
+    if table == "pose":
+        tables["pose"]["frame"] = "drift" if drifts else "own"
     return []
 
 
-def _assign_imu(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
+def _assign_imu(name: str, topic: str, on: list[bool], tables: dict[str, dict[str, Any]]) -> list[str]:
     """Set an IMU's topic in the tables compass (if its yaw is used) and gyro (if its yaw rate is used).
 
     Returns notes on tables that have a topic already, and on accelerations, which are not used.
     """
-    on, notes = source.switches, []
+    notes = []
     for table, switch in (("compass", YAW), ("gyro", TURN)):
         if on[switch] and table not in tables:
-            tables[table] = {"topic": source.topic}
+            tables[table] = {"topic": topic}
         elif on[switch]:
-            notes.append(f"{source.name}: [{table}] reads one topic, {tables[table]['topic']}")
+            notes.append(f"{name}: [{table}] reads one topic, {tables[table]['topic']}")
     if any(on[ACCELERATION:]):
-        notes.append(f"{source.name}: accelerations are not used")
+        notes.append(f"{name}: accelerations are not used")
     return notes
 
 

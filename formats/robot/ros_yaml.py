@@ -68,15 +68,6 @@ class Setting(msgspec.Struct, frozen=True):
         """Whether the value replaces one in an existing file."""
         return self.value is not None and self.origin in {FOUND, SET}
 
-    def words_at(self, place: int | None) -> str:
-        """Return the comment on the list value with index `place`.
-
-        If the lines of the list have comments of their own, it is the comment of the value's line, else that of
-        the setting.
-        """
-        rows = isinstance(self.value, list) and self.row * len(self.row_words) == len(self.value)
-        return self.words if place is None or not rows else self.row_words[place // self.row]
-
 
 class NodeSection(NamedTuple):
     """The parameters of one node in a file; keys of nested parameters are joined by dots ("encoder.noise")."""
@@ -264,7 +255,9 @@ def changed(file: RosFile, section: NodeSection, settings: Sequence[Setting]) ->
             absent.append(setting)
             continue
         for place, node, value in _changed_values(file, section, setting):
-            new = _as_read_back(node, value)
+            # what parsing will give: numbers are rounded to the written digits, a value in quotes is text
+            new = value if isinstance(value, bool | str) else float(in_yaml(value))
+            new = in_yaml(value).strip('"') if node.style else new
             if _plain(node) != new:
                 spans |= _span(file, setting.key, node, value)
             if place is None:
@@ -293,7 +286,9 @@ def _update_comment(
     Only a comment that an earlier export wrote is replaced; a comment by the user is kept.
     """
     if own := OWN_COMMENT.match(file.text, _end(file, node)):
-        words = setting.words if own.span(1) in spans else setting.words_at(place)  # several rows may share a line
+        rows = isinstance(setting.value, list) and setting.row * len(setting.row_words) == len(setting.value)
+        alone = rows and place is not None and own.span(1) not in spans  # several rows may share a line
+        words = setting.row_words[place // setting.row] if alone and place is not None else setting.words
         spans[own.span(1)] = f"# {setting.label}{printable(words)}"
 
 
@@ -346,16 +341,6 @@ def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict
         raise LocfuseError(f"{file.path}: {_line(node)}: {key} has no plain value: write a number there first")
     new = in_yaml(value)
     return {(begin, end): f"{node.style}{new.strip(chr(34))}{node.style}" if node.style else new}
-
-
-def _as_read_back(node: Any, value: float | bool | str) -> float | bool | str:
-    """Return the value that parsing of the written file will give.
-
-    Numbers are rounded to the written digits; a value in quotes is text.
-    """
-    if node.style:
-        return in_yaml(value).strip('"')
-    return value if isinstance(value, bool | str) else float(in_yaml(value))
 
 
 def _line(node: Any) -> str:

@@ -86,8 +86,10 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
                 conflicts[Conflict(child, "a transform without a usable rotation is ignored")] = None
                 continue
             transform = Transform(parent, child, matrices_of(values)[0])
-            if child in edges and _conflict(edges[child], transform):
-                places = f"{_place(edges[child])} and {_place(transform)} contradict; the last one counts"
+            before = edges.get(child, transform)
+            off = np.abs(before.T_parent_child - transform.T_parent_child)
+            if before.parent != parent or off[:3, 3].max() > SAME_M or off[:3, :3].max() > SAME_RAD:
+                places = f"{_place(before)} and {_place(transform)} contradict; the last one counts"
                 conflicts[Conflict(child, places)] = None
             edges[child] = transform
             refuse_above("/tf_static: too many frames", len(edges), MAX_TRANSFORMS)
@@ -158,12 +160,6 @@ def quaternions_of(R: Array) -> Array:
     rows = products[np.arange(len(R)), np.argmax(squares, axis=1)]  # dividing by the largest is most exact
     found: Array = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     return found
-
-
-def _conflict(a: Transform, b: Transform) -> bool:
-    shift = np.abs(a.T_parent_child[:3, 3] - b.T_parent_child[:3, 3]).max()
-    turn = np.abs(a.T_parent_child[:3, :3] - b.T_parent_child[:3, :3]).max()
-    return bool(a.parent != b.parent or shift > SAME_M or turn > SAME_RAD)
 
 
 def _place(edge: Transform) -> str:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.formats.caps import MAX_JOINTS, MAX_TEXT
-from locfuse.fusion.data import Array
 from locfuse.fusion.se2 import rotation_3d
 
 from .transforms import StaticTransforms, Transform, ancestors
@@ -47,7 +46,14 @@ def wheel_geometry(text: str) -> WheelGeometry | None:
     if len(left) != 1 or len(right) != 1:
         return None
     connected = [joint for joint in robot.iter("joint") if _link(joint, "child")]
-    tree = StaticTransforms(tuple(Transform(_link(j, "parent"), _link(j, "child"), _origin(j)) for j in connected))
+    edges = []
+    for joint in connected:
+        T, origin = np.eye(4), joint.find("origin")
+        if origin is not None:
+            T[:3, :3] = rotation_3d(*map(math.degrees, _numbers(origin.get("rpy"))))
+            T[:3, 3] = _numbers(origin.get("xyz"))
+        edges.append(Transform(_link(joint, "parent"), _link(joint, "child"), T))
+    tree = StaticTransforms(tuple(edges))
     in_root = [ancestors(tree, _link(joints[name], "child")) for name in (left[0], right[0])]
     if not all(in_root):
         return None
@@ -62,16 +68,6 @@ def _link(joint: ET.Element, end: str) -> str:
     """Return the name of the "parent" or "child" link of a joint; "" if it has none."""
     found = joint.find(end)
     return "" if found is None else found.get("link", "")
-
-
-def _origin(joint: ET.Element) -> Array:
-    origin = joint.find("origin")
-    T = np.eye(4)
-    if origin is None:
-        return T
-    T[:3, :3] = rotation_3d(*map(math.degrees, _numbers(origin.get("rpy"))))
-    T[:3, 3] = _numbers(origin.get("xyz"))
-    return T
 
 
 def _numbers(text: str | None) -> Sequence[float]:

@@ -16,8 +16,8 @@ import locfuse as product
 from benchmarks.consistency import LATE_CLOCK, MOVING, OFFSET, SCENARIO
 from locfuse.cli.session.session import load
 from locfuse.fusion.data import UsageError
-from locfuse.sample_logs.load import load as scenario_of
-from locfuse.sample_logs.record import on_truth, write_log
+from locfuse.sample_logs.scenario import load as scenario_of
+from locfuse.sample_logs.simulate import on_truth, write_log
 
 FAULTS = ("compass.offset_deg=-60", "lrf.time_offset=0.1")
 PICTURES = "/omni/image/compressed"

@@ -15,7 +15,7 @@ from trap_logs import COMPASS, SCAN, TRUTH, WHEELS, Change, Drive, S, recorded, 
 from traps import changed, each, elsewhere, field, late, pitched_imu, short_metre, upside_down
 
 from locfuse.cli.analysis.load import start_error
-from locfuse.sample_logs.messages import RawMessage
+from locfuse.sample_logs.table import RawMessage
 
 
 @pytest.fixture(scope="module")

@@ -40,8 +40,8 @@ from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensors.camera import CameraSettings
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.sample_logs.load import load as scenario_of
-from locfuse.sample_logs.record import on_truth, write_log
+from locfuse.sample_logs.scenario import load as scenario_of
+from locfuse.sample_logs.simulate import on_truth, write_log
 
 LANDMARK = (1.0, 2.5)
 

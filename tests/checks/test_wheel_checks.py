@@ -21,8 +21,8 @@ from locfuse.fusion.data import Drive
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.sources import SPEEDS_ALONE
-from locfuse.sample_logs.load import load as scenario_of
-from locfuse.sample_logs.record import on_truth, write_log
+from locfuse.sample_logs.scenario import load as scenario_of
+from locfuse.sample_logs.simulate import on_truth, write_log
 
 
 def drawn(seed: int = 0, laps: float = 2.0, compass_noise_deg: float = 1.0) -> Drive:

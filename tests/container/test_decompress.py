@@ -16,10 +16,10 @@ import zstandard
 from bags import T0 as NS, database
 
 from locfuse.formats.caps import MAX_CHUNK
-from locfuse.formats.container import decompress as unpacking
-from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix, unpack, unpack_file
+from locfuse.formats.container import decompress as unpacking, source
+from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix, unpack_file
 from locfuse.formats.container.file_bytes import FileBytes, Losses
-from locfuse.formats.container.source import Messages
+from locfuse.formats.container.source import Messages, unpack
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError, Ragged
 
@@ -99,7 +99,7 @@ def unpacked(*contents: bytes) -> list[list[tuple[int, bytes]]]:
 
 
 def test_messages_that_were_packed_one_by_one_come_out_in_portions(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unpacking, "MAX_PORTION_BYTES", 250)
+    monkeypatch.setattr(source, "MAX_PORTION_BYTES", 250)
     plain = [bytes([i]) * 100 for i in range(7)]
     found = unpacked(*map(zstandard.compress, plain))
     assert [entry for portion in found for entry in portion] == list(enumerate(plain))
@@ -114,7 +114,7 @@ def test_messages_that_are_not_packed_are_handed_on_untouched() -> None:
 
 
 def test_a_message_that_does_not_unpack_or_is_too_long_comes_out_empty(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unpacking, "MAX_MESSAGE", 1000)
+    monkeypatch.setattr(source, "MAX_MESSAGE", 1000)
     packed = zstandard.compress(NOISE[:900])
     bad = (packed[:9] + b"\xff" * 90, zstandard.compress(bytes(1001)), packed[:-1], packed[:500])
     found = unpacked(b"plain", packed, *bad)

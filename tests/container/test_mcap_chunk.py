@@ -12,12 +12,11 @@ from bags import LIGHT, T0, Said, cdr, drive, real_log, write
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
-from locfuse.formats.container.chunked import Records, most_records
 from locfuse.formats.container.decompress import DamagedError, decompress
 from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_records import Index, records, scan
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.source import Messages
+from locfuse.formats.container.source import Messages, Records, most_records
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 
@@ -460,7 +459,7 @@ def test_a_file_of_loose_messages_that_is_cut_in_its_end_keeps_every_message(tmp
 
 
 def test_a_lone_giant_message_is_refused_and_others_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("locfuse.formats.container.chunked.MAX_CHUNK", 1_200_000)
+    monkeypatch.setattr("locfuse.formats.container.source.MAX_CHUNK", 1_200_000)
     said = drive(20)
     giant = Said(
         "/scan", "sensor_msgs/msg/LaserScan", cdr("sensor_msgs/msg/LaserScan", ranges=[1.0] * 400_000), T0

@@ -521,7 +521,7 @@ def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) 
 
 @pytest.mark.parametrize(("cap", "whole"), [(4 * 71, True), (4 * 71 - 1, False)])
 def test_a_chunk_may_fill_its_cap(tmp_path: Path, cap: int, whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("locfuse.formats.container.chunked.MAX_CHUNK", cap)
+    monkeypatch.setattr("locfuse.formats.container.source.MAX_CHUNK", cap)
     found, lost = lost_by(tmp_path, FRONT + A.all + END + NO_SUMMARY, {1, 2})
     assert found == (of(A) if whole else [])
     assert [reason for reason, *_ in lost] == ([] if whole else ["a chunk is larger than 0 MiB"])

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.field_paths import paths
-from locfuse.formats.logs.channels import make_decoder
+from locfuse.formats.logs.files import make_decoder
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError
 

@@ -9,8 +9,8 @@ from commands import counted_jobs, locfuse, ok
 
 import locfuse as api
 from benchmarks.advice_cases import OFFSET, SCENARIO
-from locfuse.sample_logs.load import load as scenario_of
-from locfuse.sample_logs.record import on_truth, write_log
+from locfuse.sample_logs.scenario import load as scenario_of
+from locfuse.sample_logs.simulate import on_truth, write_log
 
 pytestmark = pytest.mark.usefixtures("jobs_in_this_process")
 LIGHT = (*SCENARIO, "camera.enabled=false", "lrf.enabled=false")

@@ -16,8 +16,8 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
+from locfuse.sample_logs.scenario import load
+from locfuse.sample_logs.simulate import in_memory
 
 SCENARIO = (*EVERY, "camera.rate=2")
 IMU = "sensor_msgs/msg/Imu"

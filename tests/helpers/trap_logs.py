@@ -11,9 +11,9 @@ from pose_streams import reckoned
 
 from locfuse.formats.container.mcap_write import log_writer
 from locfuse.fusion.data import Array
-from locfuse.sample_logs import load
-from locfuse.sample_logs.messages import RawMessage
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation
+from locfuse.sample_logs.table import RawMessage
 
 Tables = dict[str, dict[str, Any]]
 Change = Callable[["Drive"], None]

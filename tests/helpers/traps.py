@@ -33,7 +33,7 @@ from trap_logs import (
 )  # fmt: skip
 
 from locfuse.fusion.data import Array
-from locfuse.sample_logs.messages import RawMessage
+from locfuse.sample_logs.table import RawMessage
 
 
 class Trap(NamedTuple):

@@ -38,7 +38,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "paper tune whole_drive",
     ),
     "formats": (
-        "caps columns geometry nearest thin versions visible",
+        "caps columns geometry nearest versions visible",
         "figures inputs",
         "report robot whole_files",
         "container fleet rerun",

@@ -21,7 +21,7 @@ from locfuse.cli.analysis.robot_tables import make_robot, table_types
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Evaluation
-from locfuse.sample_logs.load import load
+from locfuse.sample_logs.scenario import load
 
 TASKS = [(name, seed) for seed in (1, 2) for name in ("a", "b", "bad")]
 

@@ -30,7 +30,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.map.given_map import Grid, at_start, find_start, walls_of
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.sample_logs import load
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.building_scene import scene_of
 
 P = np.array([[1e-4, -3e-5], [-3e-5, 2e-5]])

@@ -17,31 +17,29 @@ from present import present
 from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
-from locfuse.formats.logs.channels import encoding_problem, make_decoder
-from locfuse.formats.messages import fields as kinds, schema
+from locfuse.formats.logs.files import encoding_problem, make_decoder
+from locfuse.formats.messages import schema, schema as kinds
 from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
-from locfuse.formats.messages.fields import (
-    FieldError,
-    check_kind,
-    expected,
-    frame_path,
-    kind_of,
-    resolve,
-    stamp_path,
-)
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
 from locfuse.formats.messages.protobuf_messages import ProtobufDecoder
 from locfuse.formats.messages.schema import (
+    FieldError,
     Many,
     Node,
     Scalar,
     SchemaError,
     Structure,
     Text,
+    check_kind,
     count_fields,
+    expected,
+    frame_path,
+    kind_of,
     parse,
     refuse_large,
+    resolve,
     signature,
+    stamp_path,
 )
 from locfuse.formats.robot.transforms import FIELDS as TF_FIELDS
 from locfuse.fusion.data import Column, Ragged
@@ -377,7 +375,7 @@ def test_every_field_read_is_of_the_expected_kind_in_its_standard_definition(msg
 
 
 def test_of_every_field_that_is_read_the_expected_kind_is_known() -> None:
-    """A new sensor that reads a field says in kinds.py what it takes."""
+    """A new sensor that reads a field says in kinds.toml what it takes."""
     assert [(kind, path) for kind, path in ALL_READ if not expected(kind, path)] == []
 
 

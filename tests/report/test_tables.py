@@ -12,7 +12,7 @@ import small_scene
 from commands import locfuse, ok
 
 from locfuse.cli.terminal import show, text_table
-from locfuse.formats.report import render, tables
+from locfuse.formats.report import table as render, tables
 from locfuse.formats.report.findings import notes_of
 from locfuse.formats.report.glossary import GLOSSARY, explained
 from locfuse.formats.report.table import Cell, Column, Table, of_values, of_words, records, text, texts

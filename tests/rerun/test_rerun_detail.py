@@ -14,14 +14,12 @@ from small_drive import drive as small_drive, robot as small_robot
 from locfuse.cli.rerun.scene import palette as shades
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
-from locfuse.formats.geometry import ellipses, segments, wall_band, walls
+from locfuse.formats.geometry import ellipses, extremes, segments, wall_band, walls
 from locfuse.formats.rerun import drawing as style
 from locfuse.formats.rerun.blueprint import ticked
-from locfuse.formats.rerun.drawing import STATES
+from locfuse.formats.rerun.drawing import STATES, reading_states, thinned_states
 from locfuse.formats.rerun.recording import save_recording, unfolded
 from locfuse.formats.rerun.scene import REJECTED, RawTopic, RerunScene, SensorLook
-from locfuse.formats.rerun.series import reading_states, thinned_states
-from locfuse.formats.thin import extremes
 from locfuse.fusion.data import (
     VERDICTS,
     Array,

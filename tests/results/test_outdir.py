@@ -270,7 +270,7 @@ def test_of_nothing_nothing_is_written(tmp_path: Path) -> None:
 
 
 def test_messages_of_gigabytes_are_held_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("locfuse.formats.container.decompress.MAX_PORTION_BYTES", 100_000)
+    monkeypatch.setattr("locfuse.formats.container.source.MAX_PORTION_BYTES", 100_000)
     plain = [bytes([i]) * 60_000 for i in range(20)]
 
     def packed(put: Put) -> Put:

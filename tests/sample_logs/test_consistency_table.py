@@ -14,7 +14,7 @@ from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.sample_logs.load import load
+from locfuse.sample_logs.scenario import load
 from locfuse.sample_logs.simulate import Simulation
 
 STRAIGHT = (*MOVING, "path.laps=0.1")  # 1.7 m, before its first corner

@@ -22,10 +22,9 @@ from locfuse import sample_logs
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.session.simulate import localise
 from locfuse.fusion.data import Array, ArrayStream, Ragged, UsageError
-from locfuse.sample_logs import load
-from locfuse.sample_logs.messages import RawMessage
-from locfuse.sample_logs.record import in_memory
-from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation, speed_stability
+from locfuse.sample_logs import scenario as load
+from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation, in_memory, speed_stability
+from locfuse.sample_logs.table import RawMessage
 
 NAMES = ["disturbed", "rounded_rectangle", "rounded_triangle"]
 IMAGES = 4  # of each log that are rendered again

@@ -11,33 +11,36 @@ import rooms
 
 from benchmarks.floor_plan import FREE, OCCUPIED, UNKNOWN, floor_plan, write
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.sample_logs import load
-from locfuse.sample_logs.building import (
-    Box,
-    Building,
-    Glass,
-    LeggedTable,
-    Opening,
-    Side,
-    Space,
-    SwivelChair,
-    Walker,
-)
-from locfuse.sample_logs.building_parts import bent, straight_walls
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.building_scene import (
     LEG_RADIUS_M,
     MIN_PERSON_RANGE_M,
     BuildingScene,
     Walk,
+    bent,
     cast_near,
     scene_of,
     stepped_aside,
+    straight_walls,
 )
-from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.paths import waypoints
-from locfuse.sample_logs.record import in_memory
-from locfuse.sample_logs.scenario import CameraSpec, Room, Scenario, Waypoints
-from locfuse.sample_logs.simulate import OBSTACLE_HEIGHT
+from locfuse.sample_logs.scenario import (
+    Box,
+    Building,
+    CameraSpec,
+    Glass,
+    LeggedTable,
+    Opening,
+    Room,
+    Scenario,
+    Side,
+    Space,
+    SwivelChair,
+    Walker,
+    Waypoints,
+)
+from locfuse.sample_logs.simulate import OBSTACLE_HEIGHT, in_memory
+from locfuse.sample_logs.table import streams
 from locfuse.sample_logs.world import Plan, cast, clearance
 
 NAMES = ("office", "hall")
@@ -267,7 +270,7 @@ def test_people_step_aside_for_the_robot() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_quick_ray_caster_finds_what_the_plain_one_finds(name: str) -> None:
-    plan = office_or_hall(name).solid(Z).opaque
+    plan = office_or_hall(name).solid(Z)
     rng = np.random.default_rng(6)
     for _ in range(20):
         n = 360

@@ -11,12 +11,11 @@ import pytest
 from present import present
 
 from locfuse.fusion.data import ArrayStream, Ragged
-from locfuse.sample_logs import faults, load
+from locfuse.sample_logs import faults, scenario as load
 from locfuse.sample_logs.camera import Painter
-from locfuse.sample_logs.messages import RawMessage
-from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.scenario import Leg, Legs, Scenario
-from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation
+from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation, in_memory
+from locfuse.sample_logs.table import RawMessage
 from locfuse.sample_logs.world import World
 
 Drive = tuple[dict[str, ArrayStream], Outcome]

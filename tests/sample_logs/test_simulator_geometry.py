@@ -9,12 +9,11 @@ import rooms
 
 from locfuse.fusion.data import Array
 from locfuse.sample_logs.camera import Painter, Surface, expose, rays, slope
-from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.robot import SimulatedRobot
 from locfuse.sample_logs.scenario import CameraSpec, Landmark, LrfSpec, Room, Scenario
 from locfuse.sample_logs.sensors import SimulatedLaser
-from locfuse.sample_logs.table import Pillar
-from locfuse.sample_logs.world import Plan, World, cast, clearance, rings
+from locfuse.sample_logs.table import Pillar, streams
+from locfuse.sample_logs.world import Plan, World, cast, clearance
 
 NOTHING = np.zeros((0, 3))
 PLACES = [(1.5, 1.5, 0.0), (5.0, 3.0, 1.2), (2.0, 4.5, -2.9), (6.1, 2.1, math.pi / 2), (7.0, 5.0, 3.1)]
@@ -219,10 +218,10 @@ def test_ranges_in_a_round_room_equal_the_closed_form() -> None:
 
 
 def test_a_round_wall_is_seen_from_inside_only_and_hides_nothing_before_it() -> None:
-    plan = Plan(np.zeros((0, 4)), np.array([[6.0, 4.0, 0.5]]), rings(ROUND))
+    plan = Plan(np.zeros((0, 4)), np.array([[6.0, 4.0, 0.5]]), World(Scenario(room=ROUND)).rings)
     origin = np.array([[4.0, 4.0], [4.0, 4.0], [9.0, 4.0]])
     assert cast(plan, origin, np.array([0.0, np.pi, np.pi])) == pytest.approx([1.5, 4.0, 2.5])
-    empty = Plan(np.zeros((0, 4)), np.zeros((0, 3)), rings(ROUND))
+    empty = Plan(np.zeros((0, 4)), np.zeros((0, 3)), World(Scenario(room=ROUND)).rings)
     assert np.isinf(cast(empty, np.array([[9.0, 4.0]]), np.array([np.pi]))).all()
 
 

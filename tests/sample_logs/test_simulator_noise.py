@@ -10,10 +10,7 @@ from present import present
 from scipy.stats import binom, chi2, kstest
 
 from locfuse.fusion.data import Array, ArrayStream, Ragged
-from locfuse.sample_logs import load
-from locfuse.sample_logs.equipment import beam_pattern, stated_start
-from locfuse.sample_logs.messages import streams
-from locfuse.sample_logs.record import in_memory
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.robot import SimulatedRobot
 from locfuse.sample_logs.scenario import (
     CompassSpec,
@@ -34,8 +31,11 @@ from locfuse.sample_logs.sensors import (
     SatelliteReceiver,
     SimulatedEncoders,
     SimulatedLaser,
+    beam_pattern,
+    stated_start,
 )
-from locfuse.sample_logs.simulate import Simulation
+from locfuse.sample_logs.simulate import Simulation, in_memory
+from locfuse.sample_logs.table import streams
 from locfuse.sample_logs.world import World
 
 HIGH = Landmark(bottom=1.0)  # a landmark above the laser's plane

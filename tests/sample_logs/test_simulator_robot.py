@@ -13,13 +13,19 @@ from present import present
 from locfuse.cli.commands.simulate import simulate
 from locfuse.cli.session.simulate import localise
 from locfuse.fusion.data import Array, LocfuseError, UsageError
-from locfuse.sample_logs import load
-from locfuse.sample_logs.messages import Pose, RawMessage, streams
+from locfuse.sample_logs import scenario as load
 from locfuse.sample_logs.paths import LegFollower, PathFollower, polygon, tour
-from locfuse.sample_logs.record import in_memory, on_truth
 from locfuse.sample_logs.robot import SimulatedRobot, Trail, decode, phases
 from locfuse.sample_logs.scenario import Leg, Motor, Polygon, Room, Scenario, Tour, WheelsSpec
-from locfuse.sample_logs.simulate import EPOCH_NS, OBSTACLE_HEIGHT, Simulation, speed_stability
+from locfuse.sample_logs.simulate import (
+    EPOCH_NS,
+    OBSTACLE_HEIGHT,
+    Simulation,
+    in_memory,
+    on_truth,
+    speed_stability,
+)
+from locfuse.sample_logs.table import Pose, RawMessage, streams
 from locfuse.sample_logs.world import World, clearance
 
 BLIND = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")

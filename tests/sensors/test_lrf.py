@@ -25,8 +25,8 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.sonar import Cone, Sonar, SonarSettings, likelier, nearest_echo
 from locfuse.fusion.streams import merged
-from locfuse.sample_logs import load as scenarios
-from locfuse.sample_logs.record import in_memory
+from locfuse.sample_logs import scenario as scenarios
+from locfuse.sample_logs.simulate import in_memory
 
 
 def test_map_lines_are_reported_about_the_origin() -> None:

@@ -25,7 +25,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.pose import PoseSettings, plane_covariance
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.twist import Twist, TwistModel, TwistSettings, chord_length
-from locfuse.sample_logs.messages import RawMessage
+from locfuse.sample_logs.table import RawMessage
 
 # --- a robot that drives round in a wide loop by noisy wheels, with its true poses: for sensors that see no walls
 

@@ -16,8 +16,7 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of, messages
 
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.logs.transform_stream import named_as_tag, number_of
-from locfuse.formats.messages.fields import resolve
-from locfuse.formats.messages.schema import Scalar, Structure
+from locfuse.formats.messages.schema import Scalar, Structure, resolve
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Ragged
 from locfuse.fusion.sensors.landmarks import NO_ID, CameraView, Sighted, sighted

@@ -47,11 +47,11 @@ def angles(duration: float = 20.0, rate: float = 50.0) -> tuple[Array, Array]:
     return t, angle
 
 
-def pose_of(angle: NDArray[np.floating[Any]]) -> Array:
+def pose_of(angle: NDArray[np.floating[Any]], radius: float = RADIUS, track: float = TRACK) -> Array:
     """Final pose of dead reckoning along arcs, the plainest way: (x, y, theta)."""
     x = y = theta = 0.0
-    for d_left, d_right in np.diff(angle, axis=0) * RADIUS:
-        ds, turn = (d_left + d_right) / 2, (d_right - d_left) / TRACK
+    for d_left, d_right in np.diff(angle, axis=0) * radius:
+        ds, turn = (d_left + d_right) / 2, (d_right - d_left) / track
         chord = ds * (np.sin(turn / 2) / (turn / 2) if turn else 1.0)
         x, y, theta = x + chord * np.cos(theta + turn / 2), y + chord * np.sin(theta + turn / 2), theta + turn
     return np.array([x, y, theta])

@@ -50,7 +50,7 @@ def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, senso
 
 def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared: Path, tmp_path: Path) -> None:
     log = rewritten(tmp_path / "shuffled.mcap", seed=3)
-    ok("compare", log, "--no-advice", "-o", tmp_path / "out")
+    ok("compare", log, "--no-advice", "--write", "json,tum", "-o", tmp_path / "out")
     assert report_in(tmp_path / "out")["configurations"] == report_in(compared)["configurations"]
     for name in ("odometry.tum", "all.tum", "truth.tum"):
         assert (tmp_path / "out" / name).read_bytes() == (compared / name).read_bytes()
@@ -59,7 +59,8 @@ def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared
 def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_path: Path) -> None:
     topic = report_in(compared)["truth"]["topic"]
     log = rewritten(tmp_path / "untrue.mcap", seed=None, without=topic)
-    done = ok("compare", log, "--no-advice", "--no-reference", "-v", "-o", tmp_path / "out")
+    how = ("--no-advice", "--no-reference", "--no-smooth", "--write", "json,tum")
+    done = ok("compare", log, *how, "-v", "-o", tmp_path / "out")
     assert "--set truth.topic=" in done.stderr
     ranking = report_in(tmp_path / "out")["prediction"]["ranking"]
     scores = {r["configuration"]: r["gain_nats"] for r in ranking if r["gain_nats"] is not None}

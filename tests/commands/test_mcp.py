@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from commands import refused
 
 from locfuse import sample_logs
+from locfuse.cli.commands import mcp as mcp_command
 from locfuse.cli.commands.mcp import Tools, served
 from locfuse.cli.inspect.json_schema import SCHEMAS
 from locfuse.fusion.data import LocfuseError
@@ -50,6 +52,12 @@ def tools(tmp_path_factory: pytest.TempPathFactory) -> Tools:
     return Tools([folder], tmp_path_factory.mktemp("results"))
 
 
+@pytest.fixture
+def nothing_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For questions that no fix answers: `compare` tries none."""
+    monkeypatch.setattr(mcp_command, "Asked", partial(mcp_command.Asked, advice=False))
+
+
 def test_the_logs_are_listed_and_what_is_in_one_is_valid(tools: Tools) -> None:
     listed = asked(tools, "info")["values"]["bytes"]
     assert {Path(name).stem for name in listed} == set(sample_logs.names())
@@ -58,6 +66,7 @@ def test_the_logs_are_listed_and_what_is_in_one_is_valid(tools: Tools) -> None:
     jsonschema.Draft7Validator(SCHEMAS["info"]()).validate(json.loads(Path(answer["files"][0]).read_text()))
 
 
+@pytest.mark.usefixtures("nothing_tried")
 def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
     answer = asked(tools, "compare", log="rounded_rectangle.mcap")
     assert answer["headline"].startswith("Keep the laser (lrf): 3.9 mm")
@@ -117,12 +126,14 @@ def test_clock_and_scale_are_findings_with_their_fix(real: Tools, question: str)
     assert float(found[key]) == pytest.approx(value, abs=tolerance)
 
 
+@pytest.mark.usefixtures("nothing_tried")
 def test_how_a_laser_is_yawed(real: Tools) -> None:
     answer = asked(real, "compare", log="strangers/pimouse.bag", sensors=["lrf"], smooth=False)
     (words,) = (note for note in answer["values"]["notes"] if "seems to sit" in note)
     assert float(re.findall(r"yaw_deg (-?[\d.]+)", words)[0]) == pytest.approx(-2.2, abs=0.2)
 
 
+@pytest.mark.usefixtures("nothing_tried")
 def test_which_sensor_is_kept_among_landmarks_and_how_its_ranges_are_meant(real: Tools) -> None:
     files = {"landmarks.file": "mrclam/detections.csv", "landmarks.map": "mrclam/landmarks.csv"}
     start = {"start.x": 1.426, "start.y": -3.905, "start.theta_deg": 134.8, "wheels.time_offset": 0.19}
@@ -131,6 +142,7 @@ def test_which_sensor_is_kept_among_landmarks_and_how_its_ranges_are_meant(real:
     assert any("depth" in note for note in answer["values"]["notes"])
 
 
+@pytest.mark.usefixtures("nothing_tried")
 def test_whether_a_causal_result_is_to_be_trusted_and_what_is_better(real: Tools) -> None:
     values = asked(real, "compare", log="halls/edmonton.mcap", sensors=["lrf"], smooth=True)["values"]
     assert not values["void"]

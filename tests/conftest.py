@@ -1,5 +1,6 @@
 """What holds for all tests: what programs print does not depend on the terminal, and they can be interrupted."""
 
+import gc
 import os
 import pickle
 import signal
@@ -26,6 +27,16 @@ hypothesis.settings.register_profile(
     "untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )
 hypothesis.settings.load_profile("untimed")
+
+
+# Importing the tests makes no garbage, and what they imported stays: it is never swept.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

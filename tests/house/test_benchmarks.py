@@ -175,7 +175,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize(
     ("cases", "words"),
-    [(8, ()), (20, ("--directed", "--deeds", "map_pictures,line_maps,detection_files,odd_values"))],
+    [(4, ()), (12, ("--directed", "--deeds", "map_pictures,line_maps,detection_files,odd_values"))],
 )
 def test_no_random_damage_breaks_the_promise(tmp_path: Path, cases: int, words: tuple[str, ...]) -> None:
     environment = {k: v for k, v in os.environ.items() if k != "LOCFUSE_DATA"}  # real logs take longer

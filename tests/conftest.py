@@ -2,10 +2,8 @@
 
 import gc
 import os
-import pickle
 import signal
-import threading
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,17 +47,11 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
 
 
 @pytest.fixture
-def jobs_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start no process for a fleet's jobs; a job still arrives as the bytes that a process would read."""
-    from locfuse.cli.fleet import process
+def jobs_in_this_process() -> Iterator[None]:
+    from commands import jobs_here
 
-    one_at_a_time = threading.Lock()
-
-    def here(job: Any, _folder: str) -> Any:
-        with one_at_a_time:
-            return process.outcome(pickle.loads(pickle.dumps(job)))
-
-    monkeypatch.setattr(process, "_in_a_process", here)
+    with jobs_here():
+        yield
 
 
 @pytest.hookimpl(wrapper=True)

@@ -94,7 +94,7 @@ def test_every_key_has_its_default_or_none_and_most_have_words() -> None:
 
 
 def test_real_reports_are_valid_with_and_without_truth(tmp_path: Path) -> None:
-    words = ("--sensors", "odometry", "--sensors", "compass", "--smooth")
+    words = ("--sensors", "odometry", "--sensors", "compass", "--smooth", "--to", "30")
     report = reported("compare", "rounded_triangle", *words).report
     assert problems("report", report) == []
     nameless = rewritten(tmp_path / "log.mcap", None, "/ground_truth/pose", "rounded_triangle")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from bags import S, drive, write
-from commands import locfuse, ok, refused
+from commands import jobs_here, locfuse, ok, refused
 from many_logs import LIGHT, THERE_AND_BACK, write_logs
 
 from locfuse.cli.analysis.grouping import logs_of, results_of
@@ -134,7 +134,8 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.fixture(scope="module")
 def summary(drives: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("summary") / "out"
-    done = ok("compare", *drives, "-o", out, "--write", "json,md,csv")
+    with jobs_here():
+        done = ok("compare", *drives, "-o", out, "--write", "json,md,csv")
     assert "Best is" in done.stdout
     assert "mean" in done.stdout
     return out

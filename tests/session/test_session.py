@@ -465,6 +465,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+@pytest.mark.usefixtures("jobs_in_this_process")
 def test_a_summary_writes_the_files_byte_for_byte(drives: list[Path], tmp_path: Path) -> None:
     for name, sensors, kinds in (("a", None, None), ("b", "odometry", "md,tum")):
         words = ("--sensors", sensors, "--write", kinds) if kinds else ()

@@ -249,7 +249,8 @@ def test_init_says_why_a_truth_does_not_tell_a_tricycle(
     assert says in done.stderr
     assert ("fill in wheels.radius" in done.stderr) == bool(says)
     if hint:
-        assert hint in locfuse("compare", log, *words, "--no-advice", "-o", tmp_path / "out").stdout
+        found = ("--no-advice", "--no-smooth", "--write", "json", "-o", tmp_path / "out")
+        assert hint in locfuse("compare", log, *words, *found).stdout
 
 
 def test_a_real_tricycle_calibrated_by_its_tracker_is_near_it_by_odometry(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import pytest
 from commands import refused
 
 from locfuse import sample_logs
+from locfuse.cli.analysis.settings import Asked
 from locfuse.cli.commands import mcp as mcp_command
 from locfuse.cli.commands.mcp import Tools, served
 from locfuse.cli.inspect.json_schema import SCHEMAS
@@ -55,7 +56,7 @@ def tools(tmp_path_factory: pytest.TempPathFactory) -> Tools:
 @pytest.fixture
 def nothing_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     """For questions that no fix answers: `compare` tries none."""
-    monkeypatch.setattr(mcp_command, "Asked", partial(mcp_command.Asked, advice=False))
+    monkeypatch.setattr(mcp_command, "Asked", partial(Asked, advice=False))
 
 
 def test_the_logs_are_listed_and_what_is_in_one_is_valid(tools: Tools) -> None:

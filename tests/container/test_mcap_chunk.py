@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from bags import LIGHT, T0, Said, cdr, drive, real_log, write
+from bags import LIGHT, T0, Said, cdr, delivered, drive, real_log, write
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
@@ -234,17 +234,7 @@ PLAIN: dict[str, Any] = {"enable_crcs": False, "chunk_size": 4000}
 
 def payloads(path: Path) -> list[tuple[str, int, bytes]]:
     """(topic, log time, bytes) of every message the source delivers."""
-    source = McapSource(FileBytes(path, Losses()))
-    return [
-        (
-            source.channels[ident].topic,
-            int(m.log_time[i]),
-            batch.data[m.start[i] : m.start[i] + m.length[i]].tobytes(),
-        )
-        for batch in source.batches(source.channels.keys())
-        for ident, m in batch.messages.items()
-        for i in range(len(m.start))
-    ]
+    return [(topic, t, data) for topic, t, _, data in delivered(McapSource(FileBytes(path, Losses())))]
 
 
 def whole(said: list[Said]) -> list[tuple[str, int, bytes]]:

@@ -18,6 +18,7 @@ from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import Array
 
 RADIUS, TRACK, TICKS = 0.05, 0.3, 1000.0
+SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 GEOMETRY = ("--set", f"wheels.radius={RADIUS}", "--set", f"wheels.track={TRACK}")
 ODOMETRY = "nav_msgs/msg/Odometry"
 CREATE = "irobot_create_msgs/msg/WheelTicks"
@@ -45,6 +46,11 @@ def angles(duration: float = 20.0, rate: float = 50.0) -> tuple[Array, Array]:
     right = np.interp(t, knots, [0, 0, 6, 8, 0, -5, -5, 0, -3, -3, 0])
     angle = np.stack((np.cumsum(left), np.cumsum(right)), axis=-1) / rate
     return t, angle
+
+
+def on_circle(turn: Array | float, radius: float = 2.0) -> Array:
+    """Poses (n, 3) along a circle from the origin, in closed form, by how far the robot has turned [rad]."""
+    return np.stack((radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn), axis=-1)
 
 
 def pose_of(angle: NDArray[np.floating[Any]], radius: float = RADIUS, track: float = TRACK) -> Array:

@@ -87,6 +87,11 @@ TERMINAL = {  # only here: click, rich, print
 CV2 = {"fusion/camera", "formats/robot/map_image.py", "fusion/checks/preview.py"}
 
 
+def teardown_module() -> None:
+    """A million nodes would make every later sweep for garbage slow."""
+    parsed.cache_clear()
+
+
 def files(folder: str) -> list[Path]:
     return sorted(path for path in (ROOT / folder).rglob("*.py"))
 

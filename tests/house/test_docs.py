@@ -35,6 +35,11 @@ KEYS = {name: {*table.__struct_fields__, *SCENARIO.get(name, ())} for name, tabl
 OPTION = re.compile(r"(?<![\w-])(--?[a-z][a-z-]*)")
 
 
+def teardown_module() -> None:
+    """A million nodes would make every later sweep for garbage slow."""
+    parsed.cache_clear()
+
+
 def typed(page: Path, what: str) -> Iterator[str]:
     """Lines to type that begin with `what`, and the same in backticks, without comments."""
     for line in page.read_text(encoding="utf-8").splitlines():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bags import Said, cdr, header, write
 from commands import locfuse, reported
-from wheel_bags import custom, odometry, stamps, turned
+from wheel_bags import RATE, SPEED, custom, odometry, on_circle, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
@@ -20,9 +20,8 @@ from locfuse.fusion.sensors.gyro import GyroSettings, up_rate
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import read_wheels
 
-SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)
-POSES = np.stack((2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1)
+POSES = on_circle(RATE * T)
 RADIUS, TRACK = 0.1, 0.5
 LINE = "=" * 80
 DRIVERS = (
@@ -119,7 +118,7 @@ def test_fixes_of_gpsd_are_fixes(tmp_path: Path) -> None:
 
 PATH = "nav_msgs/msg/Path"
 PATH_T = np.arange(0.0, 10.01, 0.1)
-PATH_POSES = np.stack((2.0 * np.sin(0.2 * PATH_T), 2.0 * (1.0 - np.cos(0.2 * PATH_T)), 0.2 * PATH_T), axis=-1)
+PATH_POSES = on_circle(RATE * PATH_T)
 
 
 def path(times: Array, poses: Array, at: int, planned: bool = False) -> Said:
@@ -175,7 +174,7 @@ def test_a_plan_is_no_way_that_was_driven(n: int, tmp_path: Path) -> None:
 # --- pX4's messages in north, east, down are read as those of ROS in east, north, up: a circle in closed form
 
 
-EAST, NORTH, YAW = 2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T  # from east, ENU
+EAST, NORTH, YAW = POSES.T  # from east, ENU
 HEADING = math.pi / 2 - YAW  # from north, clockwise
 VEHICLE = """uint64 timestamp
 uint8 pose_frame

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from collections import Counter
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -220,12 +221,6 @@ def test_compare_exports_every_configuration_under_a_name_that_ros_allows(tmp_pa
     layouts_name_what_is_there(tmp_path, topics, 4, 1)  # one of them smoothed
 
 
-def field(message: Any, path: str) -> Any:
-    for name in path.split("."):
-        message = getattr(message, name)
-    return message
-
-
 def layouts_name_what_is_there(folder: Path, topics: Topics, results: int, truth: int) -> None:
     """Every topic and field of both layouts is in the file, and no result is missing."""
     layout = json.loads((folder / "estimates.foxglove.json").read_text())
@@ -242,7 +237,7 @@ def layouts_name_what_is_there(folder: Path, topics: Topics, results: int, truth
         ):
             (topic,) = (name for name in topics if str(series).startswith(f"{name}/"))
             shown.append([topic, str(series).removeprefix(f"{topic}/").replace("/", ".")])
-    assert all(isinstance(field(topics[topic][0][0], path), float) for topic, path in shown)
+    assert all(isinstance(attrgetter(path)(topics[topic][0][0]), float) for topic, path in shown)
 
 
 def test_a_frame_has_one_parent_where_the_log_has_a_tf_of_its_own(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ from pose_streams import odometry_stream, pose_stream, reckoned
 from wheel_bags import (
     GEOMETRY,
     RADIUS,
+    RATE,
+    SPEED,
     TRACK,
     angles,
     custom,
@@ -21,6 +23,7 @@ from wheel_bags import (
     log_of,
     messages,
     odometry,
+    on_circle,
     pose_of,
     poses_in,
     stamps,
@@ -33,11 +36,9 @@ from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.read import read_wheels
 
-SPEED, RATE, DURATION = 0.4, 0.2, 20.0  # m/s, rad/s, s: a circle of 2 m radius
+DURATION = 20.0  # s
 T = np.arange(0.0, DURATION + 0.01, 0.05)
-CIRCLE = np.stack(
-    (SPEED / RATE * np.sin(RATE * T), SPEED / RATE * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1
-)  # closed form
+CIRCLE = on_circle(RATE * T)
 
 
 def tf(t: Array, poses: Array, parent: str = "odom", child: str = "base_link", more: Any = ()) -> list[Said]:

@@ -39,7 +39,8 @@ def test_compare_says_what_each_sensor_bought(compared: Path) -> None:
 
 @pytest.mark.parametrize("sensors", ["odometry", "compass", "lrf", "all"])
 def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, sensors: str) -> None:
-    ok("run", LOG, "--sensors", sensors, "--no-advice", "--write", "all", "-o", tmp_path / "out")
+    words = ("--sensors", sensors, "--no-advice", "--no-smooth", "--write", "tum,csv,json")
+    ok("run", LOG, *words, "-o", tmp_path / "out")
     a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / f"{sensors}.tum")
     np.testing.assert_allclose(a, b, atol=1e-9)
     one, other = (report_in(out)["configurations"][sensors] for out in (tmp_path / "out", compared))
@@ -345,6 +346,7 @@ def test_what_has_a_laser_is_smoothed_unasked() -> None:
         assert words[0] != "--no-smooth" or "--no-smooth" in done.report["repeat"]
 
 
+@pytest.mark.usefixtures("jobs_in_this_process")
 def test_a_fleet_and_a_sweep_are_not_smoothed_unasked(tmp_path: Path) -> None:
     words = ("--to", 10, "--sensors", "lrf", "--write", "json")
     ok("fleet", SMOOTH_LOG, *words, "--sweep", "lrf.sigma_range=0.02,0.03", "-o", tmp_path / "out")

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from commands import refused
+from hostile import write
 
 from locfuse import sample_logs
 from locfuse.cli.analysis.settings import Asked
@@ -77,9 +78,13 @@ def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
     jsonschema.Draft7Validator(SCHEMAS["report"]()).validate(json.loads(report.read_text()))
 
 
-def test_tuning_and_calibrating_write_files_that_are_valid(tools: Tools) -> None:
-    for name, words in (("calibrate", {}), ("tune", {"sensors": "compass"})):
-        answer = asked(tools, name, logs=["rounded_triangle.mcap"], **words)
+def test_tuning_and_calibrating_write_files_that_are_valid(tools: Tools, tmp_path: Path) -> None:
+    short = Tools([write(tmp_path / "short.mcap", seconds=5.0).parent], tmp_path / "results")
+    for name, of, log, words in (
+        ("calibrate", tools, "rounded_triangle.mcap", {}),
+        ("tune", short, "short.mcap", {"sensors": "compass"}),
+    ):
+        answer = asked(of, name, logs=[log], **words)
         robot, values = map(Path, answer["files"])
         jsonschema.Draft7Validator(SCHEMAS[name]()).validate(json.loads(values.read_text()))
         assert "[wheels]" in robot.read_text()

@@ -4,6 +4,7 @@ Rooms form floors. A room imports only from floors below its own, so data flows 
 """
 
 import ast
+import gc
 import re
 import runpy
 import sys
@@ -87,9 +88,14 @@ TERMINAL = {  # only here: click, rich, print
 CV2 = {"fusion/camera", "formats/robot/map_image.py", "fusion/checks/preview.py"}
 
 
+def setup_module() -> None:
+    gc.disable()
+
+
 def teardown_module() -> None:
     """A million nodes would make every later sweep for garbage slow."""
     parsed.cache_clear()
+    gc.enable()
 
 
 def files(folder: str) -> list[Path]:

@@ -189,7 +189,7 @@ def lines_of(room: Array | float, laser: LineSettings, reach: float) -> Lines:
     turned = ANGLES + rng.uniform(-math.pi, math.pi, (SCANS, 1))
     aimed = turned + rng.normal(0.0, laser.sigma_angle, turned.shape)
     places = np.column_stack((rng.uniform(-reach, reach, (SCANS, 2)), np.zeros(SCANS)))
-    see = partial(in_circle if isinstance(room, float) else scan, room)
+    see = partial(in_circle, room) if isinstance(room, float) else partial(scan, room)
     d = np.array([see(p, a) for p, a in zip(places, aimed, strict=True)])
     return extract_lines(d + rng.normal(0.0, laser.sigma_range, d.shape), ANGLES, laser)
 

@@ -47,6 +47,14 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
 
 
 @pytest.fixture
+def unswept() -> Iterator[None]:
+    """Look for no garbage: where much is made and kept that takes most of the time."""
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.fixture
 def jobs_in_this_process() -> Iterator[None]:
     from commands import jobs_here
 

@@ -4,7 +4,6 @@ Rooms form floors. A room imports only from floors below its own, so data flows 
 """
 
 import ast
-import gc
 import re
 import runpy
 import sys
@@ -18,6 +17,7 @@ from typing import Any
 import pytest
 from sources import parsed
 
+pytestmark = pytest.mark.usefixtures("unswept")
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("fusion", "formats", "sample_logs", "robots", "cli")
 STANDARD = set(sys.stdlib_module_names)
@@ -88,14 +88,9 @@ TERMINAL = {  # only here: click, rich, print
 CV2 = {"fusion/camera", "formats/robot/map_image.py", "fusion/checks/preview.py"}
 
 
-def setup_module() -> None:
-    gc.disable()
-
-
 def teardown_module() -> None:
     """A million nodes would make every later sweep for garbage slow."""
     parsed.cache_clear()
-    gc.enable()
 
 
 def files(folder: str) -> list[Path]:

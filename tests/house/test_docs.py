@@ -129,6 +129,7 @@ def test_every_page_is_in_the_index() -> None:
     ] == []
 
 
+@pytest.mark.usefixtures("unswept")
 def test_every_printed_line_that_is_explained_is_printed_by_some_code() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
     shown = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
@@ -253,6 +254,7 @@ def test_pages_use_plain_words() -> None:
     assert [line for line in lines if BANNED.search(line[1])] == []
 
 
+@pytest.mark.usefixtures("unswept")
 def test_messages_and_help_use_plain_words() -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}: {text}"
@@ -294,6 +296,7 @@ def wrong(call: ast.Call) -> str | None:
     return None
 
 
+@pytest.mark.usefixtures("unswept")
 def test_no_setting_has_to_be_read_out_of_an_error() -> None:
     found = {path: [words for call in raised(path.read_text()) if (words := wrong(call))] for path in RAISING}
     assert {path: words for path, words in found.items() if words} == {}

@@ -16,6 +16,7 @@ import pytest
 from commands import locfuse, ok, refused
 from recordings import read
 from small_drive import drive as small_drive, robot as small_robot
+from trap_logs import Drive
 
 from locfuse.cli.rerun import viewer
 from locfuse.formats.rerun.recording import check, save_recording
@@ -184,7 +185,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_log_becomes_a_recording_of_the_configurations_asked_for(tmp_path: Path) -> None:
     words = ("--sensors", "odometry", "--sensors", "compass", "--images", "none")
-    ok("view", LOG, *words, "--save", tmp_path / "drive.rrd", "--tab", "nis")
+    log = Drive(pictures=True).record(tmp_path / "drive.mcap")
+    ok("view", log, *words, "--save", tmp_path / "drive.rrd", "--tab", "nis")
     entities = read(tmp_path / "drive.rrd")
     assert {"world/odometry/pose", "world/compass/pose", "nis/compass/compass"} <= set(entities)
     assert "world/lrf/pose" not in entities

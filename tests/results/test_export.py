@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -286,35 +287,24 @@ def test_without_truth_or_with_a_smoothed_estimate(tmp_path: Path, word: str, es
 # --- exports of logs whose recording clock is none of ROS' times
 
 
-def test_a_recording_clock_below_zero_is_written_as_zero(tmp_path: Path) -> None:
-    """A sixth of the messages were recorded at log time 2: the clock comes out below zero at the start."""
-    n = 0
+@pytest.mark.parametrize(
+    "clock", [lambda n, ns, first: 2 if n % 6 == 0 else ns, lambda n, ns, first: max(ns - first - S, 0)],
+    ids=["a sixth at log time 2", "from zero a second after the stamps"],
+)  # fmt: skip
+def test_a_recording_clock_below_zero_is_written_as_zero(clock: Callable[..., int], tmp_path: Path) -> None:
+    seen: list[int] = []
 
-    def some(put: Put) -> Put:
-        nonlocal n
-        n += 1
-        return put._replace(log_time=2) if n % 6 == 0 else put
+    def changed(put: Put) -> Put:
+        seen.append(put.log_time)
+        return put._replace(log_time=clock(len(seen), put.log_time, seen[0]))
 
-    log = sample_write(tmp_path / "f.mcap", some)
+    log = sample_write(tmp_path / "f.mcap", changed)
     done = locfuse("run", log, "--no-advice", "-o", tmp_path / "o", "--export", "mcap")
     assert done.exit_code in {0, 3}, done.stderr
     with (tmp_path / "o" / "estimates.mcap").open("rb") as file:
         times = [m.log_time for _, _, m in make_reader(file, validate_crcs=True).iter_messages()]
     assert times
     assert min(times) >= 0
-
-
-def test_a_clock_that_starts_at_zero_a_second_after_the_stamps_is_exported(tmp_path: Path) -> None:
-    first: list[int] = []
-
-    def simulated(put: Put) -> Put:
-        first.append(put.log_time)
-        return put._replace(log_time=max(put.log_time - first[0] - 10**9, 0))
-
-    log = sample_write(tmp_path / "f.mcap", simulated)
-    done = locfuse("run", log, "--no-advice", "-o", tmp_path / "o", "--export", "mcap")
-    assert done.exit_code in {0, 3}, done.stderr
-    assert (tmp_path / "o" / "estimates.mcap").exists()
 
 
 def test_times_that_no_ros_stamp_holds_are_refused_in_one_line(tmp_path: Path) -> None:

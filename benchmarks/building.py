@@ -52,11 +52,11 @@ EXTRA_RANGE, DROPPED = 0.008, 0.02  # m of extra range noise, share of scans dro
 EPOCH_S = 1e9  # s: the stamps of a relation plus this are those of the logs in docs/maps.md
 
 
-def work(name: str, number: int, smooth: bool, sets: tuple[str, ...], scenario_sets: tuple[str, ...]) -> Row:
+def work(name: str, number: int, smooth: bool, sets: tuple[str, ...]) -> Row:
     """Fuse a drive of a building, smoothed too if `smooth`, and return the figures of each run."""
     if name in SCENARIOS:
-        settings = ("compass.enabled=false", *scenario_sets)
-        drive, robot = experiment.simulated(scenario_of(name), settings, FIRST_SEED + number).measured(sets)
+        run = experiment.simulated(scenario_of(name), ("compass.enabled=false",), FIRST_SEED + number)
+        drive, robot = run.measured(sets)
     else:
         drive, robot = measured(name, number, sets)
     begin = time.process_time()
@@ -204,7 +204,6 @@ def table(rows: list[Row]) -> Iterator[str]:
 OPTIONS = (
     experiment.option("--smooth", is_flag=True, help="Also judge the smoothed drives."),
     experiment.option("--set", "sets", multiple=True, help="robot.toml key."),
-    experiment.option("--scenario-set", "scenario_sets", multiple=True, help="Scenario key."),
 )
 CASES = (*(RECORDED if are_there() else ()), *SCENARIOS)
 main = experiment.command(work, table, CASES, drives=1, first=0, options=OPTIONS)

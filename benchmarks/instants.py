@@ -61,10 +61,9 @@ def microseconds(kind: Kind, folder: Path) -> float:
 
 
 @click.command()
-@click.option("--folder", type=click.Path(file_okay=False, path_type=Path), help="Where logs are made, and kept.")
-def main(folder: Path | None) -> None:
+def main() -> None:
     """Print the table."""
-    where = folder or experiment.scratch()
+    where = experiment.scratch()
     make_log(where / "ten.mcap", 10)
     golden_cases.simulate(where, EVERY)
     lines = [(kind.name, f"{microseconds(kind, where):.1f}", kind.goal) for kind in KINDS]

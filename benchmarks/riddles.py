@@ -28,10 +28,9 @@ def docstrings() -> Iterator[tuple[str, str]]:
 
 @click.command()
 @click.option("--seed", default=1, show_default=True)
-@click.option("--count", default=100, show_default=True)
-def main(seed: int, count: int) -> None:
+def main(seed: int) -> None:
     """Print docstrings to mark."""
-    for number, (place, text) in enumerate(random.Random(seed).sample(sorted(docstrings()), count), 1):
+    for number, (place, text) in enumerate(random.Random(seed).sample(sorted(docstrings()), 100), 1):
         click.echo(f"{number:3} {place}\n    {text}")
 
 

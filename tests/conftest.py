@@ -1,10 +1,9 @@
 """What holds for all tests: what programs print does not depend on the terminal, and they can be interrupted."""
 
+import gc
 import os
-import pickle
 import signal
-import threading
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,18 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("untimed")
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Importing the tests makes no garbage, and what they imported stays: it is never swept."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
+
+
 @pytest.fixture(scope="session")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     """The sample log, compared without any option: what was printed, and the folder of its results."""
@@ -38,17 +49,19 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
 
 
 @pytest.fixture
-def jobs_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start no process for a fleet's jobs; a job still arrives as the bytes that a process would read."""
-    from locfuse.cli.fleet import process
+def unswept() -> Iterator[None]:
+    """Look for no garbage: where much is made and kept that takes most of the time."""
+    gc.disable()
+    yield
+    gc.enable()
 
-    one_at_a_time = threading.Lock()
 
-    def here(job: Any, _folder: str) -> Any:
-        with one_at_a_time:
-            return process.outcome(pickle.loads(pickle.dumps(job)))
+@pytest.fixture
+def jobs_in_this_process() -> Iterator[None]:
+    from commands import jobs_here
 
-    monkeypatch.setattr(process, "_in_a_process", here)
+    with jobs_here():
+        yield
 
 
 @pytest.hookimpl(wrapper=True)

@@ -201,8 +201,7 @@ def test_the_command_exits_with_4_and_one_line_per_gate_and_writes_its_results(t
     assert (out / "report.json").exists()
 
 
-@pytest.mark.parametrize("how", [(), ("--json",)])
-@pytest.mark.parametrize("both", [False, True])
+@pytest.mark.parametrize(("how", "both"), [((), True), (("--json",), False)])
 def test_gates_hold_although_the_reader_has_left(tmp_path: Path, how: tuple[str, ...], both: bool) -> None:
     """As with `| head -1`, or `2>&1 | head -1`, whose pipe closes early; here it is closed from the start."""
     read, write = os.pipe()

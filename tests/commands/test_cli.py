@@ -39,7 +39,8 @@ def test_compare_says_what_each_sensor_bought(compared: Path) -> None:
 
 @pytest.mark.parametrize("sensors", ["odometry", "compass", "lrf", "all"])
 def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, sensors: str) -> None:
-    ok("run", LOG, "--sensors", sensors, "--no-advice", "--write", "all", "-o", tmp_path / "out")
+    words = ("--sensors", sensors, "--no-advice", "--no-smooth", "--write", "tum,csv,json")
+    ok("run", LOG, *words, "-o", tmp_path / "out")
     a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / f"{sensors}.tum")
     np.testing.assert_allclose(a, b, atol=1e-9)
     one, other = (report_in(out)["configurations"][sensors] for out in (tmp_path / "out", compared))
@@ -50,7 +51,7 @@ def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, senso
 
 def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared: Path, tmp_path: Path) -> None:
     log = rewritten(tmp_path / "shuffled.mcap", seed=3)
-    ok("compare", log, "--no-advice", "-o", tmp_path / "out")
+    ok("compare", log, "--no-advice", "--write", "json,tum", "-o", tmp_path / "out")
     assert report_in(tmp_path / "out")["configurations"] == report_in(compared)["configurations"]
     for name in ("odometry.tum", "all.tum", "truth.tum"):
         assert (tmp_path / "out" / name).read_bytes() == (compared / name).read_bytes()
@@ -59,7 +60,8 @@ def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared
 def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_path: Path) -> None:
     topic = report_in(compared)["truth"]["topic"]
     log = rewritten(tmp_path / "untrue.mcap", seed=None, without=topic)
-    done = ok("compare", log, "--no-advice", "--no-reference", "-v", "-o", tmp_path / "out")
+    how = ("--no-advice", "--no-reference", "--no-smooth", "--write", "json,tum")
+    done = ok("compare", log, *how, "-v", "-o", tmp_path / "out")
     assert "--set truth.topic=" in done.stderr
     ranking = report_in(tmp_path / "out")["prediction"]["ranking"]
     scores = {r["configuration"]: r["gain_nats"] for r in ranking if r["gain_nats"] is not None}
@@ -344,6 +346,7 @@ def test_what_has_a_laser_is_smoothed_unasked() -> None:
         assert words[0] != "--no-smooth" or "--no-smooth" in done.report["repeat"]
 
 
+@pytest.mark.usefixtures("jobs_in_this_process")
 def test_a_fleet_and_a_sweep_are_not_smoothed_unasked(tmp_path: Path) -> None:
     words = ("--to", 10, "--sensors", "lrf", "--write", "json")
     ok("fleet", SMOOTH_LOG, *words, "--sweep", "lrf.sigma_range=0.02,0.03", "-o", tmp_path / "out")

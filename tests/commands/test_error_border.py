@@ -231,7 +231,14 @@ def test_names_and_encodings_that_cannot_hold_all_text_cost_no_result(tmp_path: 
     ok("run", log, "--no-advice", "-o", tmp_path / "p", "--save-map", tmp_path / "map.json")
     log = write(tmp_path / "f.mcap")
     done = start(
-        "compare", log, "--no-advice", "-o", tmp_path / "o", env={**os.environ, "PYTHONIOENCODING": "ascii"}
+        "compare",
+        log,
+        "--no-advice",
+        "--write",
+        "json",
+        "-o",
+        tmp_path / "o",
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
     )
     assert done.returncode == 0, done.stderr[-500:]
     assert rb"\xb0" in done.stdout  # the degree sign, in letters
@@ -241,7 +248,7 @@ def test_names_and_encodings_that_cannot_hold_all_text_cost_no_result(tmp_path: 
 def test_a_closed_stream_costs_no_result(tmp_path: Path, closed: int) -> None:
     log = write(tmp_path / "f.mcap")
     done = subprocess.run(
-        [*ENTRY, "run", str(log), "-o", str(tmp_path / "o")],
+        [*ENTRY, "run", str(log), "--no-advice", "-o", str(tmp_path / "o")],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         preexec_fn=lambda: os.close(closed),
@@ -256,7 +263,8 @@ def test_a_reader_who_has_gone_costs_neither_files_nor_exit_code(tmp_path: Path)
     for end, out in (("stdout", tmp_path / "o"), ("stderr", tmp_path / "e")):
         read, written = os.pipe()
         os.close(read)
-        done = subprocess.run([*ENTRY, "run", str(log), "-v", "-o", str(out)], check=False, **{end: written})  # type: ignore[call-overload]
+        command = [*ENTRY, "run", str(log), "-v", "--no-advice", "-o", str(out)]
+        done = subprocess.run(command, check=False, **{end: written})  # type: ignore[call-overload]
         os.close(written)
         assert done.returncode == 0
         assert (out / "run.json").is_file()

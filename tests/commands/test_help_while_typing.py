@@ -9,9 +9,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from click.shell_completion import BashComplete
 from commands import locfuse, ok, refused
+from hostile import write
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
+from locfuse.cli import main as cli
 from locfuse.formats.report.table import written
 
 LOG = "rounded_rectangle"
@@ -27,26 +30,17 @@ def test_a_mistyped_file_names_the_one_beside_it_and_a_sensor_is_explained(tmp_p
 
 def offered(*words: str) -> set[str]:
     """Return what bash would offer for the last of these words."""
-    asked = {
-        "_LOCFUSE_COMPLETE": "bash_complete",
-        "COMP_WORDS": shlex.join(words),
-        "COMP_CWORD": str(len(words) - 1),
-    }
-    done = subprocess.run(
-        [sys.executable, "-m", "locfuse"],
-        env={**os.environ, **asked},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return {line.partition(",")[2] for line in done.stdout.splitlines()}
+    shell = BashComplete(cli.locfuse, {}, "locfuse", "_LOCFUSE_COMPLETE")
+    return {item.value for item in shell.get_completions(list(words[1:-1]), words[-1])}
 
 
-def test_the_shell_completes_logs_sensors_keys_and_topics_of_the_log() -> None:
+def test_the_shell_completes_logs_sensors_keys_and_topics_of_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {"rounded_rectangle", "rounded_triangle"} <= offered("locfuse", "compare", "rou")
     assert {"compass,lrf", "compass,landmarks"} == offered("locfuse", "compare", LOG, "--sensors", "compass,l")
     assert "lrf.sigma_range=" in offered("locfuse", "compare", LOG, "--set", "lrf.sigma")
-    assert offered("locfuse", "compare", LOG, "--set", "lrf.topic=/s") == {"lrf.topic=/scan"}
+    words = ("locfuse", "compare", LOG, "--set", "lrf.topic=/s")
+    monkeypatch.setenv("COMP_WORDS", shlex.join(words))  # as the shell's script does
+    assert offered(*words) == {"lrf.topic=/scan"}
     assert "compare" in offered("locfuse", "com")
 
 
@@ -78,22 +72,22 @@ def test_open_without_a_page_or_a_browser_says_so(tmp_path: Path, monkeypatch: p
 
 
 def test_init_writes_a_file_and_never_over_one_that_is_there(tmp_path: Path) -> None:
-    file = tmp_path / "robot.toml"
-    printed = locfuse("init", LOG).stdout
-    ok("init", LOG, "-o", file)
+    file, log = tmp_path / "robot.toml", write(tmp_path / "short.mcap")
+    printed = locfuse("init", log).stdout
+    ok("init", log, "-o", file)
     assert file.read_text() == printed.replace("--robot robot.toml", f"--robot {file}")
-    assert locfuse("init", LOG, "-o", file).exit_code != 0
-    ok("init", LOG, "-o", file, "--overwrite")
+    assert locfuse("init", log, "-o", file).exit_code != 0
+    ok("init", log, "-o", file, "--overwrite")
 
 
 def test_init_adds_to_a_file_what_it_does_not_say(tmp_path: Path) -> None:
-    file = tmp_path / "robot.toml"
+    file, log = tmp_path / "robot.toml", write(tmp_path / "short.mcap")
     file.write_text("# mine\n[wheels]\nradius = 0.051  # by ruler\n")
-    ok("init", LOG, "--update", file, "-q")
+    ok("init", log, "--update", file, "-q")
     text = file.read_text()
     assert text.startswith("# mine\n[wheels]\nradius = 0.051  # by ruler\n")
     assert tomllib.loads(text)["lrf"]["topic"] == "/scan"
-    ok("init", LOG, "--update", file, "-q")
+    ok("init", log, "--update", file, "-q")
     assert file.read_text() == text
 
 

@@ -7,13 +7,17 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from commands import refused
+from hostile import write
 
 from locfuse import sample_logs
+from locfuse.cli.analysis.settings import Asked
+from locfuse.cli.commands import mcp as mcp_command
 from locfuse.cli.commands.mcp import Tools, served
 from locfuse.cli.inspect.json_schema import SCHEMAS
 from locfuse.fusion.data import LocfuseError
@@ -50,6 +54,12 @@ def tools(tmp_path_factory: pytest.TempPathFactory) -> Tools:
     return Tools([folder], tmp_path_factory.mktemp("results"))
 
 
+@pytest.fixture
+def nothing_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For questions that no fix answers: `compare` tries none."""
+    monkeypatch.setattr(mcp_command, "Asked", partial(Asked, advice=False))
+
+
 def test_the_logs_are_listed_and_what_is_in_one_is_valid(tools: Tools) -> None:
     listed = asked(tools, "info")["values"]["bytes"]
     assert {Path(name).stem for name in listed} == set(sample_logs.names())
@@ -58,6 +68,7 @@ def test_the_logs_are_listed_and_what_is_in_one_is_valid(tools: Tools) -> None:
     jsonschema.Draft7Validator(SCHEMAS["info"]()).validate(json.loads(Path(answer["files"][0]).read_text()))
 
 
+@pytest.mark.usefixtures("nothing_tried")
 def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
     answer = asked(tools, "compare", log="rounded_rectangle.mcap")
     assert answer["headline"].startswith("Keep the laser (lrf): 3.9 mm")
@@ -67,9 +78,13 @@ def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
     jsonschema.Draft7Validator(SCHEMAS["report"]()).validate(json.loads(report.read_text()))
 
 
-def test_tuning_and_calibrating_write_files_that_are_valid(tools: Tools) -> None:
-    for name, words in (("calibrate", {}), ("tune", {"sensors": "compass"})):
-        answer = asked(tools, name, logs=["rounded_triangle.mcap"], **words)
+def test_tuning_and_calibrating_write_files_that_are_valid(tools: Tools, tmp_path: Path) -> None:
+    short = Tools([write(tmp_path / "short.mcap", seconds=5.0).parent], tmp_path / "results")
+    for name, of, log, words in (
+        ("calibrate", tools, "rounded_triangle.mcap", {}),
+        ("tune", short, "short.mcap", {"sensors": "compass"}),
+    ):
+        answer = asked(of, name, logs=[log], **words)
         robot, values = map(Path, answer["files"])
         jsonschema.Draft7Validator(SCHEMAS[name]()).validate(json.loads(values.read_text()))
         assert "[wheels]" in robot.read_text()
@@ -117,12 +132,14 @@ def test_clock_and_scale_are_findings_with_their_fix(real: Tools, question: str)
     assert float(found[key]) == pytest.approx(value, abs=tolerance)
 
 
+@pytest.mark.usefixtures("nothing_tried")
 def test_how_a_laser_is_yawed(real: Tools) -> None:
     answer = asked(real, "compare", log="strangers/pimouse.bag", sensors=["lrf"], smooth=False)
     (words,) = (note for note in answer["values"]["notes"] if "seems to sit" in note)
     assert float(re.findall(r"yaw_deg (-?[\d.]+)", words)[0]) == pytest.approx(-2.2, abs=0.2)
 
 
+@pytest.mark.usefixtures("nothing_tried")
 def test_which_sensor_is_kept_among_landmarks_and_how_its_ranges_are_meant(real: Tools) -> None:
     files = {"landmarks.file": "mrclam/detections.csv", "landmarks.map": "mrclam/landmarks.csv"}
     start = {"start.x": 1.426, "start.y": -3.905, "start.theta_deg": 134.8, "wheels.time_offset": 0.19}
@@ -131,6 +148,7 @@ def test_which_sensor_is_kept_among_landmarks_and_how_its_ranges_are_meant(real:
     assert any("depth" in note for note in answer["values"]["notes"])
 
 
+@pytest.mark.usefixtures("nothing_tried")
 def test_whether_a_causal_result_is_to_be_trusted_and_what_is_better(real: Tools) -> None:
     values = asked(real, "compare", log="halls/edmonton.mcap", sensors=["lrf"], smooth=True)["values"]
     assert not values["void"]

@@ -257,6 +257,7 @@ def test_copies_leave_no_file_behind(
         open_log([Url(shelf.put("large.mcap.zstd", zstandard.compress(b"1" * 1000)))])
 
 
+@pytest.mark.usefixtures("jobs_in_this_process")
 def test_a_log_that_was_finished_is_not_run_again_until_its_tag_changes(
     logs: dict[str, Path], shelf: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

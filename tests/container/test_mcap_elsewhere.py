@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bags import Said, drive, write
+from bags import Said, delivered, drive, write
 from mcap.writer import CompressionType
 from present import present
 from range_server import Shelf, serving
@@ -36,19 +36,7 @@ def opened(shelf: Shelf, path: Path) -> tuple[McapSource, RemoteBytes, Losses]:
 
 
 def payloads(source: McapSource, *topics: str) -> list[tuple[str, int, int, bytes]]:
-    """(topic, log time, sequence, bytes) of the messages of some topics, in the order of their times."""
-    wanted = {ident for ident, channel in source.channels.items() if channel.topic in topics}
-    return sorted(
-        (
-            source.channels[ident].topic,
-            int(m.log_time[i]),
-            int(m.sequence[i]),
-            batch.data[m.start[i] : m.start[i] + m.length[i]].tobytes(),
-        )
-        for batch in source.batches(wanted)
-        for ident, m in batch.messages.items()
-        for i in range(len(m.start))
-    )
+    return sorted(delivered(source, *topics))
 
 
 def said_of(said: list[Said], *topics: str) -> list[tuple[str, int, int, bytes]]:

@@ -4,6 +4,7 @@ import io
 import math
 import subprocess
 import sys
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -58,12 +59,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def at(message: Any, path: str) -> Any:
-    for name in path.split("."):
-        message = getattr(message, name)
-    return message
-
-
 def same(read: Any, written: Any) -> bool:
     if isinstance(written, list) and written and isinstance(written[0], dict):
         return len(read) == 1 and read[0].header.frame_id == "base_link" and read[0].transform.rotation.w == 1.0
@@ -78,7 +73,7 @@ def same(read: Any, written: Any) -> bool:
 
 def check(msgtype: str, message: Any) -> None:
     for path, value in MESSAGES[msgtype].items():
-        assert same(at(message, path), value), f"{msgtype}.{path}"
+        assert same(attrgetter(path)(message), value), f"{msgtype}.{path}"
     if hasattr(message, "header"):
         assert message.header.frame_id == "f"
         assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP

@@ -256,11 +256,11 @@ def row(H: Any, y: float, r: float, columns: Any = (), own: Any = ()) -> Told:
     return Told((y,), H, ((r,),), columns, own)
 
 
-def correct_all(belief: JointBelief, local: list[Told], of_map: list[Told]) -> None:
-    """One instant: what is seen of the local pose, and what is seen of the pose in the map."""
+def correct_in_map(belief: JointBelief, *told: Told) -> None:
+    """One instant: what is seen of the pose in the map."""
     belief.begin()
     world = InMap(belief)
-    for seen in [*(s.judged(belief) for s in local), *(s.judged(world) for s in of_map)]:
+    for seen in [s.judged(world) for s in told]:
         belief.queue(seen)
     belief.correct()
 
@@ -274,7 +274,7 @@ def driven(belief: JointBelief) -> JointBelief:
     for y in (0.02, -0.03, 0.01):
         belief.predict(STEP, 0)
         correct(belief, row(((0.6, 0.8, -0.2),), y, 1e-4))
-        correct_all(belief, [], [row(COMPASS, y, 0.02, (at,), ((1.0,),)), row(NORTH, 4 * y, 0.03)])
+        correct_in_map(belief, row(COMPASS, y, 0.02, (at,), ((1.0,),)), row(NORTH, 4 * y, 0.03))
     return belief
 
 
@@ -456,7 +456,7 @@ def test_a_lost_pose_teaches_the_frame_nothing() -> None:
     belief.place(belief.pose(), 25.0, 3.0)
     before, G = belief.covariance.copy(), belief.state[frame].copy()
     belief.lost = True
-    correct_all(belief, [], [row(COMPASS, 0.4, 1e-4), row(NORTH, 1.0, 0.01)])
+    correct_in_map(belief, row(COMPASS, 0.4, 1e-4), row(NORTH, 1.0, 0.01))
     np.testing.assert_array_equal(belief.state[frame], G)
     np.testing.assert_array_equal(belief.covariance[frame, frame], before[frame, frame])
     assert belief.matrix()[2, 2] < 0.1  # and the pose takes all of it

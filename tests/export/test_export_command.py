@@ -170,7 +170,9 @@ REFUSED = {  # logs that no settings make run; all others in `bags` say nothing 
     "bags/rosbag2parquet/base_msgs_0.mcap": "/one_shot/twist has 1 usable readings of 1; two are the least",
 }
 MOVES = {"bags/evo/nav2_turtlebot.mcap", "bags/rosbags-rs/test_bag_mcap.mcap"}
-LOGS = real_logs(".mcap", ".bag", ".db3")
+TWINS = {"strangers/controller_twist.bag", "strangers/pimouse.bag", "aces/aces.mcap", "turtlebot4/tb4_mcap.mcap"}
+# of each kind that takes seconds one: scans alone, an odometry with a laser, a building, a turtlebot
+LOGS = [name for name in real_logs(".mcap", ".bag", ".db3") if name not in TWINS]
 
 
 @pytest.mark.parametrize("name", LOGS or [pytest.param("", marks=pytest.mark.skip("LOCFUSE_DATA is not set"))])

@@ -270,6 +270,7 @@ def test_words_and_combinations() -> None:
         swept(["a=1", "a=2"])
 
 
+@pytest.mark.usefixtures("jobs_in_this_process")
 def test_the_command_writes_a_folder_for_each_cell(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--write", "json,csv", "--sweep", "lrf.sigma_range=0.01,0.05", "--sweep", "compass.sigma_deg=2")

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.logs.log import Log
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -198,3 +199,13 @@ def database(path: Path, topic: str, msgtype: str, messages: Sequence[bytes]) ->
         made.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES(1, ?, ?)", stored)
         made.commit()
     return path
+
+
+def delivered(source: McapSource, *topics: str) -> Iterator[tuple[str, int, int, bytes]]:
+    """Yield (topic, log time, sequence, bytes) of every message of these topics, else of all."""
+    wanted = {ident for ident, channel in source.channels.items() if channel.topic in topics or not topics}
+    for batch in source.batches(wanted):
+        for ident, m in batch.messages.items():
+            for i in range(len(m.start)):
+                data = batch.data[m.start[i] : m.start[i] + m.length[i]].tobytes()
+                yield source.channels[ident].topic, int(m.log_time[i]), int(m.sequence[i]), data

@@ -1,7 +1,11 @@
 """Run the command line in this process: exit code, stdout, stderr, as a user would see them."""
 
 import json
+import pickle
 import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,6 +66,20 @@ def report_in(folder: Path) -> dict[str, Any]:
     (file,) = folder.glob("*[nt].json")
     found: dict[str, Any] = json.loads(file.read_text())
     return found
+
+
+@contextmanager
+def jobs_here() -> Iterator[None]:
+    """Start no process for a fleet's jobs; a job still arrives as the bytes that a process would read."""
+    one_at_a_time = threading.Lock()
+
+    def here(job: Job, _folder: str) -> JobOutcome:
+        with one_at_a_time:
+            return process.outcome(pickle.loads(pickle.dumps(job)))
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(process, "_in_a_process", here)
+        yield
 
 
 def counted_jobs(monkeypatch: pytest.MonkeyPatch) -> list[str]:

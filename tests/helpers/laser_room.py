@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from bags import Said, cdr, header
 from ring_drive import box, scan
-from wheel_bags import stamps
+from wheel_bags import on_circle, stamps
 
 from locfuse.fusion.data import Array, ArrayStream, Column, Ragged
 
@@ -17,8 +17,7 @@ ROOM = np.array(box(-4.0, -3.0, 4.5, 3.5) + box(1.0, 2.6, 2.2, 3.5) + box(-4.0, 
 def circle(duration: float = 12.0, radius: float = 1.2, rate: float = 0.35) -> tuple[Array, Array]:
     """Stamps (n,) and true poses (n, 3) along a circle, in closed form."""
     t = np.arange(0.0, duration, PERIOD)
-    turn = rate * t
-    return t, np.stack((radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn), axis=-1)
+    return t, on_circle(rate * t, radius)
 
 
 def ranges_of(pose: Array, segments: Array, rng: np.random.Generator) -> Array:

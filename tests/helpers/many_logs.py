@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
+import locfuse
 from locfuse.cli.session.summary import summarised
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import KINDS, summary_files
 from locfuse.fusion.sensors.registry import colours
 
-LOCFUSE = (sys.executable, "-m", "locfuse")
+LIGHT = ("camera.enabled=false", "lrf.enabled=false")
+THERE_AND_BACK = "path.legs=[{forward=1.5}, {turn_deg=180}, {forward=1.5}]"
 QUIET = ("--write", "json,csv,html", "-q")
 
 
@@ -77,14 +79,12 @@ def simulated_files(rows: int) -> dict[str, Any]:
     return dict(summary_files(summarised(entries), entries, KINDS, colours()))
 
 
-def write_logs(folder: Path, count: int, sets: Sequence[str]) -> list[Path]:
-    """Simulate logs that differ."""
+def write_logs(folder: Path, names: Sequence[str], sets: Sequence[str]) -> list[Path]:
+    """Simulate short drives that differ, each named."""
     folder.mkdir(parents=True, exist_ok=True)
-    logs = [folder / f"log_{seed}x.mcap" for seed in range(count)]
-    words = [w for s in sets for w in ("--set", s)]
+    logs = [folder / f"{name}.mcap" for name in names]
     for seed, log in enumerate(logs):
-        command = (*LOCFUSE, "simulate", "straight_runs", "-o", str(log), "--seed", str(seed), *words)
-        subprocess.run(command, check=True, capture_output=True)
+        locfuse.simulate("straight_runs", log, seed=seed, sets=sets)
     return logs
 
 
@@ -96,7 +96,7 @@ def tables(folder: Path) -> dict[str, bytes]:
 def killed(logs: Sequence[Path], folder: Path, times: int, seed: int = 0) -> tuple[dict[str, bytes], int]:
     """Return the files of a run that was killed so often, then left to end, and how often it was hit."""
     rng = random.Random(seed)
-    command = (*LOCFUSE, "fleet", *map(str, logs), "-o", str(folder), "--jobs", "2", *QUIET)
+    command = (sys.executable, "-m", "locfuse", "fleet", *map(str, logs), "-o", str(folder), "--jobs", "2", *QUIET)
     hits = 0
     for _ in range(times):
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:

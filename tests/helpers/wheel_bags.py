@@ -18,6 +18,7 @@ from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import Array
 
 RADIUS, TRACK, TICKS = 0.05, 0.3, 1000.0
+SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 GEOMETRY = ("--set", f"wheels.radius={RADIUS}", "--set", f"wheels.track={TRACK}")
 ODOMETRY = "nav_msgs/msg/Odometry"
 CREATE = "irobot_create_msgs/msg/WheelTicks"
@@ -47,11 +48,16 @@ def angles(duration: float = 20.0, rate: float = 50.0) -> tuple[Array, Array]:
     return t, angle
 
 
-def pose_of(angle: NDArray[np.floating[Any]]) -> Array:
+def on_circle(turn: Array | float, radius: float = 2.0) -> Array:
+    """Poses (n, 3) along a circle from the origin, in closed form, by how far the robot has turned [rad]."""
+    return np.stack((radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn), axis=-1)
+
+
+def pose_of(angle: NDArray[np.floating[Any]], radius: float = RADIUS, track: float = TRACK) -> Array:
     """Final pose of dead reckoning along arcs, the plainest way: (x, y, theta)."""
     x = y = theta = 0.0
-    for d_left, d_right in np.diff(angle, axis=0) * RADIUS:
-        ds, turn = (d_left + d_right) / 2, (d_right - d_left) / TRACK
+    for d_left, d_right in np.diff(angle, axis=0) * radius:
+        ds, turn = (d_left + d_right) / 2, (d_right - d_left) / track
         chord = ds * (np.sin(turn / 2) / (turn / 2) if turn else 1.0)
         x, y, theta = x + chord * np.cos(theta + turn / 2), y + chord * np.sin(theta + turn / 2), theta + turn
     return np.array([x, y, theta])

@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sources import parsed
 
+pytestmark = pytest.mark.usefixtures("unswept")
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("fusion", "formats", "sample_logs", "robots", "cli")
 STANDARD = set(sys.stdlib_module_names)
@@ -86,6 +88,11 @@ TERMINAL = {  # only here: click, rich, print
 CV2 = {"fusion/camera", "formats/robot/map_image.py", "fusion/checks/preview.py"}
 
 
+def teardown_module() -> None:
+    """A million nodes would make every later sweep for garbage slow."""
+    parsed.cache_clear()
+
+
 def files(folder: str) -> list[Path]:
     return sorted(path for path in (ROOT / folder).rglob("*.py"))
 
@@ -100,15 +107,10 @@ MODULES = {name_of(path): path for folder in FOLDERS for path in files(folder)}
 
 
 @cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
 def imports(path: Path) -> list[tuple[str, bool]]:
     """Return (module as "fusion.data" or "numpy", whether it is imported at module level)."""
     package = path.relative_to(ROOT).with_suffix("").parts[:-1]
-    tree = parsed(path)
+    tree = parsed(path.read_text(encoding="utf-8"))
     deferred = (ast.FunctionDef, ast.ClassDef)
     now = [n for n in tree.body if not isinstance(n, deferred) and not types_only(n)]
     top = set(ast.walk(ast.Module(now, [])))
@@ -193,7 +195,7 @@ def test_imports_follow_the_one_way_flow() -> None:
 def test_imports_are_relative_inside_a_room_and_absolute_across() -> None:
     for path in MODULES.values():
         own = "locfuse." + ".".join(path.relative_to(ROOT).parent.parts)
-        for node in ast.walk(parsed(path)):
+        for node in ast.walk(parsed(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.ImportFrom):
                 continue
             assert node.level <= 1, f"{path}:{node.lineno} climbs out of its room"
@@ -214,7 +216,7 @@ def test_a_room_says_what_it_is_for_and_exports_nothing_else() -> None:
         if room.name == "facade":
             continue
         assert not [d for d in room.iterdir() if d.is_dir() and d.name != "__pycache__"], "rooms hold no rooms"
-        tree = ast.parse((room / "__init__.py").read_text(encoding="utf-8"))
+        tree = parsed((room / "__init__.py").read_text(encoding="utf-8"))
         assert ast.get_docstring(tree), room
         assert len(tree.body) == 1, f"{room}: a room's __init__ is its docstring"
 
@@ -225,7 +227,8 @@ def test_only_the_terminal_prints_and_knows_click_and_rich() -> None:
         if any(where == t or where.startswith(t + "/") for t in TERMINAL):
             continue
         assert not {"click", "rich"} & {module.partition(".")[0] for module, _ in imports(path)}, where
-        calls = [n.func for n in ast.walk(parsed(path)) if isinstance(n, ast.Call)]
+        nodes = ast.walk(parsed(path.read_text(encoding="utf-8")))
+        calls = [n.func for n in nodes if isinstance(n, ast.Call)]
         assert not [f for f in calls if isinstance(f, ast.Name) and f.id == "print"], where
 
 
@@ -328,14 +331,15 @@ FILES = {
 }
 
 
-@cache
 def definitions(text: str) -> list[tuple[str, ast.AST]]:
     """Return (dotted name, definition) of every function and class, however deep it lies."""
     found: list[tuple[str, ast.AST]] = []
-    waiting: list[tuple[str, ast.AST]] = [("", ast.parse(text))]
+    waiting: list[tuple[str, ast.AST]] = [("", parsed(text))]
     while waiting:
         name, node = waiting.pop()
         for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.expr):  # holds none
+                continue
             below = f"{name}.{child.name}".removeprefix(".") if isinstance(child, Named) else name
             if isinstance(child, Named):
                 found.append((below, child))

@@ -240,10 +240,10 @@ def test_an_unwritable_output_folder_is_one_line(log: Path, tmp_path: Path, comm
 
 
 def test_disk_full_is_one_line_leaves_nothing_and_keeps_the_result_of_before(log: Path, tmp_path: Path) -> None:
-    ok("run", log, "-o", tmp_path / "old")
+    ok("run", log, "--no-advice", "-o", tmp_path / "old")
     before = {p.name: p.read_bytes() for p in (tmp_path / "old").iterdir()}
     for out in ("old", "new"):
-        with start(FULL, "run", log, "-o", tmp_path / out) as process:
+        with start(FULL, "run", log, "--no-advice", "-o", tmp_path / out) as process:
             _, stderr = process.communicate(timeout=300)
         assert process.returncode == 1
         assert one_line(stderr), stderr
@@ -256,7 +256,7 @@ def test_disk_full_is_one_line_leaves_nothing_and_keeps_the_result_of_before(log
 def test_ctrl_c_and_sigterm_end_with_their_code_one_line_and_no_half_file(
     log: Path, tmp_path: Path, number: signal.Signals, code: int, where: str
 ) -> None:
-    with start(HELD, where, "run", log, "-o", tmp_path / "out") as process:
+    with start(HELD, where, "run", log, "--no-advice", "-o", tmp_path / "out") as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "held\n"
         process.send_signal(number)

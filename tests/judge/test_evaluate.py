@@ -340,7 +340,7 @@ STOPS = np.where((T > 20.0) & (T < 25.0), 0.0, 1.0)  # the robot stands for five
 WINDING = 0.8 * np.sin(0.4 * T) + 0.3 * np.cos(1.1 * T)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     hz=st.floats(5.0, 250.0),
     noise=st.floats(0.0, 0.005),

@@ -33,7 +33,9 @@ TRANSLATE = """
 import runpy, setuptools, sys
 setuptools.setup = lambda **k: None
 build = runpy.run_path("setup.py")
-print(build["translated"](build["mirrored"]() / f"{sys.argv[1]}.py"))
+folder = build["mirrored"]()
+for name in sys.argv[1:]:
+    print(name, build["translated"](folder / f"{name}.py"))
 """
 
 
@@ -47,28 +49,32 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_no_number_of_a_compiled_kernel_is_an_object(name: str, sources: Path) -> None:
+def test_no_number_of_a_compiled_kernel_is_an_object(sources: Path) -> None:
     """Where Cython cannot tell a type it takes an object, silently: 20 times slower (`cython.locals` tells it)."""
     pytest.importorskip("Cython")
     code = subprocess.run(
-        [sys.executable, "-c", TRANSLATE, name], cwd=sources, capture_output=True, text=True, check=True
+        [sys.executable, "-c", TRANSLATE, *NAMES], cwd=sources, capture_output=True, text=True, check=True
     )
-    text = (sources / code.stdout.split()[-1]).read_text(encoding="utf-8")
-    source = re.escape(f'"locfuse/fusion/kernels/{name}.py"')
-    lines = (KERNELS / f"{name}.py").read_text(encoding="utf-8").splitlines()
-    line, inside, found = 0, False, set()
-    for row in text.splitlines():
-        if row.startswith(("static", "}")):
-            inside = "__pyx_f_" in row and row.endswith("{") and "unpickle" not in row and not BORDER.search(row)
-        elif at := re.match(rf" */\* {source}:(\d+)", row):
-            line = int(at[1])
-        elif inside and OBJECTS.search(row) and not re.match(MADE, lines[line - 1]):
-            found.add(lines[line - 1].strip())
-    assert line > 0
-    assert not found, found
-    # no exception ends in a warning on stderr, and a result that is none; methods only look for one of a subclass
-    assert not re.findall(r'__Pyx_WriteUnraisable\("(locfuse\.fusion\.kernels\.\w+\.[a-z]\w*)"', text)
+    written = dict(line.split() for line in code.stdout.splitlines() if line.startswith(tuple(NAMES)))
+    assert written.keys() == set(NAMES)
+    for name, file in written.items():
+        text = (sources / file).read_text(encoding="utf-8")
+        source = re.escape(f'"locfuse/fusion/kernels/{name}.py"')
+        lines = (KERNELS / f"{name}.py").read_text(encoding="utf-8").splitlines()
+        line, inside, found = 0, False, set()
+        for row in text.splitlines():
+            if row.startswith(("static", "}")):
+                inside = "__pyx_f_" in row and row.endswith("{") and "unpickle" not in row
+                inside = inside and not BORDER.search(row)
+            elif at := re.match(rf" */\* {source}:(\d+)", row):
+                line = int(at[1])
+            elif inside and OBJECTS.search(row) and not re.match(MADE, lines[line - 1]):
+                found.add(lines[line - 1].strip())
+        assert line > 0, name
+        assert not found, (name, found)
+        # no exception ends in a warning on stderr and no result; methods only look for one of a subclass
+        unraised = re.findall(r'__Pyx_WriteUnraisable\("(locfuse\.fusion\.kernels\.\w+\.[a-z]\w*)"', text)
+        assert not unraised, name
 
 
 def test_without_a_compiled_kernel_the_version_says_that_it_is_slower(sources: Path) -> None:
@@ -110,8 +116,8 @@ SETTINGS: dict[str, dict[str, Any]] = {"grow": {}, "consider": {"lrf.map": "cons
 
 def fused(which: str, folder: Path) -> None:
     """Write what a run of a sample log estimates."""
-    found = locfuse.load("disturbed", sets=SETTINGS[which]).run(["compass", "lrf"], advice=False).estimates
-    run = found["compass+lrf"]
+    session = locfuse.load("disturbed", sets=SETTINGS[which], between=(None, 40.0))
+    run = session.run(["compass", "lrf"], advice=False, smooth=False).filtered
     lines = [(line.rho, line.beta, *line.ends, *line.P.ravel()) for line in run.final_map]
     np.savez(folder / "run.npz", pose=run.pose, triangles=run.triangles, lines=np.array(lines))
 

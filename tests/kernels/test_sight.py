@@ -102,7 +102,7 @@ def by_matrices(
 def test_pairs_are_those_that_matrices_give(gate: float, states: bool, free: tuple[int, ...]) -> None:
     """Within the gate, or within the squared distance at which nothing is new."""
     count = flipped = 0
-    for seed in range(30):
+    for seed in range(20):
         found, lines, belief, _ = setting(seed, states, free, gate)
         expected = by_matrices(found, lines, belief, max(gate, ZONE), free)
         assert [(p.line, p.which) for p in found.pair_list] == sorted(expected)

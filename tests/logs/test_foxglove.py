@@ -3,7 +3,7 @@
 import base64
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import pytest
 from invented import Definition
 from mcap.writer import Writer
 from present import present
-from wheel_bags import custom, stamps, turned
+from wheel_bags import RATE, SPEED, custom, on_circle, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.mounts import mount_of, transforms_of
@@ -23,9 +23,8 @@ from locfuse.fusion.data import Array, Ragged
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.read import read_wheels
 
-SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)
-END = (2.0 * math.sin(RATE * T[-1]), 2.0 * (1.0 - math.cos(RATE * T[-1])), RATE * T[-1])
+END = on_circle(RATE * T[-1])
 NUMBER, TEXT, WHOLE = {"type": "number"}, {"type": "string"}, {"type": "integer"}
 NUMBERS = {"type": "array", "items": NUMBER}
 TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -105,20 +104,16 @@ def quaternion(theta: float) -> dict[str, float]:
     return {"x": 0.0, "y": 0.0, **turned(theta)}
 
 
-def circle(t: float) -> tuple[float, float, float]:
-    return 2.0 * math.sin(RATE * t), 2.0 * (1.0 - math.cos(RATE * t)), RATE * t
-
-
 def poses(topic: str, frame: str) -> list[Event]:
     found: list[Event] = []
     for ns, t in zip(stamps(T), T.tolist(), strict=True):
-        x, y, theta = circle(t)
+        x, y, theta = on_circle(RATE * t)
         pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": quaternion(theta)}
         found.append((ns, topic, "foxglove.PoseInFrame", {"timestamp": time(ns), "frame_id": frame, "pose": pose}))
     return found
 
 
-def edge(ns: int, parent: str, child: str, at: tuple[float, float, float]) -> dict[str, Any]:
+def edge(ns: int, parent: str, child: str, at: Sequence[float] | Array) -> dict[str, Any]:
     place = {"x": at[0], "y": at[1], "z": 0.2}
     return {"timestamp": time(ns), "parent_frame_id": parent, "child_frame_id": child, "translation": place,
             "rotation": quaternion(at[2])}  # fmt: skip
@@ -140,7 +135,10 @@ def end_of(log: Log, topic: str) -> Array:
 def test_transforms_of_foxglove_are_odometry_and_mounts(single: bool, written: Written, tmp_path: Path) -> None:
     events: list[Event] = []
     for ns, t in zip(stamps(T), T.tolist(), strict=True):
-        both = [edge(ns, "odom", "base_link", circle(t)), edge(ns, "base_link", "laser", (0.2, 0.1, math.pi / 2))]
+        both = [
+            edge(ns, "odom", "base_link", on_circle(RATE * t)),
+            edge(ns, "base_link", "laser", (0.2, 0.1, math.pi / 2)),
+        ]
         if single:
             events += [(ns, f"/transforms/{k}", "foxglove.FrameTransform", one) for k, one in enumerate(both)]
         else:

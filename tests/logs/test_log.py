@@ -235,15 +235,6 @@ def test_a_wrong_topic_or_field_is_a_line(tmp_path: Path, topic: str, fields: tu
         list(log.stream(topic).blocks(*fields))
 
 
-def test_a_wrong_encoding_names_topic_found_and_accepted(tmp_path: Path) -> None:
-    log = open_log([write(tmp_path / "log.mcap", drive(5), encoding="flatbuffer")])
-    with pytest.raises(
-        LocfuseError,
-        match="/scan cannot be read: its messages are encoded as 'flatbuffer'; cdr, ros1, json, protobuf are read",
-    ):
-        log.stream("/scan")
-
-
 def test_an_unknown_order_is_a_usage_error(tmp_path: Path) -> None:
     log = open_log([write(tmp_path / "log.mcap", drive(5))])
     with pytest.raises(UsageError, match="auto, stamp, recorded"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bags import Said, cdr, header, write
 from commands import locfuse, reported
-from wheel_bags import custom, odometry, stamps, turned
+from wheel_bags import RATE, SPEED, custom, odometry, on_circle, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
@@ -20,9 +20,8 @@ from locfuse.fusion.sensors.gyro import GyroSettings, up_rate
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import read_wheels
 
-SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)
-POSES = np.stack((2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1)
+POSES = on_circle(RATE * T)
 RADIUS, TRACK = 0.1, 0.5
 LINE = "=" * 80
 DRIVERS = (
@@ -119,7 +118,7 @@ def test_fixes_of_gpsd_are_fixes(tmp_path: Path) -> None:
 
 PATH = "nav_msgs/msg/Path"
 PATH_T = np.arange(0.0, 10.01, 0.1)
-PATH_POSES = np.stack((2.0 * np.sin(0.2 * PATH_T), 2.0 * (1.0 - np.cos(0.2 * PATH_T)), 0.2 * PATH_T), axis=-1)
+PATH_POSES = on_circle(RATE * PATH_T)
 
 
 def path(times: Array, poses: Array, at: int, planned: bool = False) -> Said:
@@ -175,7 +174,7 @@ def test_a_plan_is_no_way_that_was_driven(n: int, tmp_path: Path) -> None:
 # --- pX4's messages in north, east, down are read as those of ROS in east, north, up: a circle in closed form
 
 
-EAST, NORTH, YAW = 2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T  # from east, ENU
+EAST, NORTH, YAW = POSES.T  # from east, ENU
 HEADING = math.pi / 2 - YAW  # from north, clockwise
 VEHICLE = """uint64 timestamp
 uint8 pose_frame
@@ -193,42 +192,38 @@ def log_with(folder: Path, kind: str, text: str, rows: list[dict[str, Any]], top
     return open_log([custom(folder / f"{kind}.mcap", topic, f"px4_msgs/msg/{kind}", text, T, rows)])
 
 
-@pytest.mark.parametrize("body", [False, True], ids=["speeds in the world", "speeds of the body"])
-def test_the_odometry_of_a_vehicle(body: bool, tmp_path: Path) -> None:
-    rows = [
-        {
-            "timestamp": round(1e6 * t),
-            "position": [n, e, 0.0],
-            "q": [math.cos(h / 2), 0.0, 0.0, math.sin(h / 2)],
-            "velocity_frame": 3 if body else 1,
-            "velocity": [SPEED, 0.0, 0.0] if body else [SPEED * math.cos(h), SPEED * math.sin(h), 0.0],
-            "angular_velocity": [0.0, 0.0, -RATE],
-        }
-        for t, n, e, h in zip(T.tolist(), NORTH.tolist(), EAST.tolist(), HEADING.tolist(), strict=True)
-    ]
-    log = log_with(tmp_path, "VehicleOdometry", VEHICLE, rows, "/fmu/out/vehicle_odometry")
+@pytest.mark.parametrize("kind", ["speeds in the world", "speeds of the body", "local position"])
+def test_the_odometry_of_a_vehicle(kind: str, tmp_path: Path) -> None:
+    numbers = zip(T.tolist(), NORTH.tolist(), EAST.tolist(), HEADING.tolist(), strict=True)
+    if kind == "local position":
+        rows: list[dict[str, Any]] = [
+            {"x": n, "y": e, "heading": h, "vx": SPEED * math.cos(h), "vy": SPEED * math.sin(h)}
+            for _, n, e, h in numbers
+        ]
+        log = log_with(tmp_path, "VehicleLocalPosition", LOCAL, rows, "/vehicle")
+    else:
+        body = kind == "speeds of the body"
+        rows = [
+            {
+                "timestamp": round(1e6 * t),
+                "position": [n, e, 0.0],
+                "q": [math.cos(h / 2), 0.0, 0.0, math.sin(h / 2)],
+                "velocity_frame": 3 if body else 1,
+                "velocity": [SPEED, 0.0, 0.0] if body else [SPEED * math.cos(h), SPEED * math.sin(h), 0.0],
+                "angular_velocity": [0.0, 0.0, -RATE],
+            }
+            for t, n, e, h in numbers
+        ]
+        log = log_with(tmp_path, "VehicleOdometry", VEHICLE, rows, "/vehicle")
     choice = choose(log, make_robot({}))
-    assert choice.of("wheels") == ("/fmu/out/vehicle_odometry:odometry",)
-    stream = log.stream(choice.topics["wheels"])
+    assert choice.of("wheels") == ("/vehicle:odometry",)
+    stream = log.stream("/vehicle:odometry")
     end = read_wheels(stream, WheelSettings()).wheels.pose[-1]
     assert end == pytest.approx([EAST[-1], NORTH[-1], YAW[-1]], abs=1e-5)
     speed = stream.columns("twist.twist.linear.x", "twist.twist.angular.z")
     np.testing.assert_allclose(np.asarray(speed["twist.twist.linear.x"]), SPEED, atol=1e-6)
-    np.testing.assert_allclose(np.asarray(speed["twist.twist.angular.z"]), RATE, atol=1e-6)
-
-
-def test_the_local_position_of_a_vehicle(tmp_path: Path) -> None:
-    rows = [
-        {"x": n, "y": e, "heading": h, "vx": SPEED * math.cos(h), "vy": SPEED * math.sin(h)}
-        for n, e, h in zip(NORTH.tolist(), EAST.tolist(), HEADING.tolist(), strict=True)
-    ]
-    log = log_with(tmp_path, "VehicleLocalPosition", LOCAL, rows, "/fmu/out/vehicle_local_position")
-    stream = log.stream(choose(log, make_robot({})).topics["wheels"])
-    end = read_wheels(stream, WheelSettings()).wheels.pose[-1]
-    assert end == pytest.approx([EAST[-1], NORTH[-1], YAW[-1]], abs=1e-5)
-    np.testing.assert_allclose(
-        np.asarray(stream.columns("twist.twist.linear.x")["twist.twist.linear.x"]), SPEED, atol=1e-6
-    )
+    if kind != "local position":
+        np.testing.assert_allclose(np.asarray(speed["twist.twist.angular.z"]), RATE, atol=1e-6)
 
 
 def test_its_sensors_turn_and_weigh_as_an_imu_does(tmp_path: Path) -> None:

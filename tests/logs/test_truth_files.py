@@ -36,11 +36,20 @@ def error(log: Any, out: Path, *words: Any) -> float:
     return float(done.rows["odometry"]["position_rmse_m"])
 
 
-def test_the_truth_as_a_file_gives_what_the_truth_in_the_log_gives_and_what_evo_says(tmp_path: Path) -> None:
-    own = error(SAMPLE, tmp_path / "own")
-    truth = tmp_path / "own" / "truth.tum"
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, list[str]]:
+    """The error by the truth in the log, and the lines of its truth.tum."""
+    out = tmp_path_factory.mktemp("own") / "out"
+    return error(SAMPLE, out), (out / "truth.tum").read_text().splitlines()
+
+
+def test_the_truth_as_a_file_gives_what_the_truth_in_the_log_gives_and_what_evo_says(
+    tmp_path: Path, own: tuple[float, list[str]]
+) -> None:
+    truth = tmp_path / "truth.tum"
+    truth.write_text("\n".join(own[1]) + "\n")
     by_file = error(SAMPLE, tmp_path / "file", "--truth", truth)
-    assert by_file == pytest.approx(own, abs=1e-9)
+    assert by_file == pytest.approx(own[0], abs=1e-9)
     reference = file_interface.read_tum_trajectory_file(str(truth))
     estimate = file_interface.read_tum_trajectory_file(str(tmp_path / "file" / "odometry.tum"))
     ape = metrics.APE(metrics.PoseRelation.translation_part)
@@ -48,14 +57,13 @@ def test_the_truth_as_a_file_gives_what_the_truth_in_the_log_gives_and_what_evo_
     assert by_file == pytest.approx(ape.get_statistic(metrics.StatisticsType.rmse), abs=1e-9)
 
 
-def test_a_csv_of_poses_says_the_same_as_the_tum_file(tmp_path: Path) -> None:
-    own = error(SAMPLE, tmp_path / "own")
-    rows = [line.split() for line in (tmp_path / "own" / "truth.tum").read_text().splitlines()]
+def test_a_csv_of_poses_says_the_same_as_the_tum_file(tmp_path: Path, own: tuple[float, list[str]]) -> None:
+    rows = [line.split() for line in own[1]]
     named = tmp_path / "truth.csv"
     heading = [2.0 * math.atan2(float(r[6]), float(r[7])) for r in rows]
     lines = [f"{r[0]},{r[1]},{r[2]},{h!r}" for r, h in zip(rows, heading, strict=True)]
     named.write_text("\n".join(("# t,x,y,theta", *lines)) + "\n")
-    assert error(SAMPLE, tmp_path / "csv", "--truth", named) == pytest.approx(own, abs=1e-9)
+    assert error(SAMPLE, tmp_path / "csv", "--truth", named) == pytest.approx(own[0], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -104,15 +112,17 @@ def test_quaternions_that_begin_with_qw_are_refused(tmp_path: Path) -> None:
             assert len(read_file(str(path)).t_ns) == len(turn)
 
 
-def test_a_tum_of_another_clock_is_refused_and_the_offset_that_it_names_fits(tmp_path: Path) -> None:
-    own = error(SAMPLE, tmp_path / "own")
-    rows = [line.split() for line in (tmp_path / "own" / "truth.tum").read_text().splitlines()]
+def test_a_tum_of_another_clock_is_refused_and_the_offset_that_it_names_fits(
+    tmp_path: Path, own: tuple[float, list[str]]
+) -> None:
+    rows = [line.split() for line in own[1]]
     zero = float(rows[0][0])
     path = tmp_path / "gt.tum"
     path.write_text("".join(f"{float(r[0]) - zero:.9f} {' '.join(r[1:])}\n" for r in rows))
     refusal = refused("compare", SAMPLE, "--no-advice", "-o", tmp_path / "out", "--truth", path)
     offset = refusal.split("--set ")[1].strip()
-    assert error(SAMPLE, tmp_path / "shifted", "--truth", path, "--set", offset) == pytest.approx(own, rel=0.01)
+    shifted = error(SAMPLE, tmp_path / "shifted", "--truth", path, "--set", offset)
+    assert shifted == pytest.approx(own[0], rel=0.01)
 
 
 T = np.arange(0.0, 10.0, 0.1)
@@ -206,9 +216,10 @@ def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path:
     np.testing.assert_allclose(truth.xy[1], [-meridian * math.pi / 10800, 0.0], rtol=2e-4, atol=0.01)
 
 
-def test_a_truth_file_with_times_in_whole_seconds_judges_no_sensor(tmp_path: Path) -> None:
-    error(SAMPLE, tmp_path / "own")
-    rows = [line.partition(" ") for line in (tmp_path / "own" / "truth.tum").read_text().splitlines()]
+def test_a_truth_file_with_times_in_whole_seconds_judges_no_sensor(
+    tmp_path: Path, own: tuple[float, list[str]]
+) -> None:
+    rows = [line.partition(" ") for line in own[1]]
     (tmp_path / "truth.tum").write_text("".join(f"{t.partition('.')[0]} {pose}\n" for t, _, pose in rows))
     done = locfuse("info", SAMPLE, "--check", "--no-advice", "--truth", tmp_path / "truth.tum")
     assert done.exit_code == 3

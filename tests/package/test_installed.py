@@ -150,7 +150,7 @@ def test_a_comparison_with_gates_needs_nothing_else(tmp_path: Path) -> None:
     log = rewritten(tmp_path / "log.mcap", None, "/omni/image/compressed", "rounded_triangle")
     out = tmp_path / "out"
     gates = ("--fail-if", "all.position_rmse_m > 0.5", "--write", "json,md", "-o", str(out))
-    done = run("compare", str(log), "--sensors", "all", "--sensors", "compass", *gates)
+    done = run("compare", str(log), "--to", "20", "--sensors", "all", "--sensors", "compass", *gates)
     assert done.returncode == 0, done.stderr
     assert "all" in json.loads((out / "report.json").read_text())["configurations"]
 
@@ -166,7 +166,7 @@ def test_what_it_lacks_is_said_with_the_pip_command(tmp_path: Path) -> None:
 
 ACTION: dict[str, Any] = YAML(typ="safe").load((ROOT / "action.yml").read_text(encoding="utf-8"))
 WORKFLOWS = sorted((ROOT / ".github").rglob("*.yml"))
-FAST = "--sensors odometry --sensors compass --write json,md --no-advice"
+FAST = "--sensors odometry --sensors compass --to 10 --write json,md --no-advice"
 
 
 class Ran(NamedTuple):

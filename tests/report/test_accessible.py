@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from commands import ok
+from commands import jobs_here, ok
 
 from locfuse.formats.fleet.page import MAX_TINT_PERCENT
 
@@ -113,9 +113,9 @@ class Outline(HTMLParser):
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     out: Path = tmp_path_factory.mktemp("fleet") / "out"
-    logs = ("rounded_rectangle", "rounded_triangle", "labyrinth")
     words = ("--sensors", "odometry", "--sensors", "all", "-o", out, "--write", "html,json", "-q")
-    ok("fleet", *logs, *words)
+    with jobs_here():
+        ok("fleet", "rounded_rectangle", "labyrinth", "--to", "30", *words)
     places = {"fleet": out / "summary.html", "report": out / "rounded_rectangle" / "report.html"}
     return {name: path.read_text(encoding="utf-8") for name, path in places.items()}
 

@@ -287,8 +287,8 @@ def test_only_what_is_asked_for_loads_its_packages(tmp_path: Path, write: str, h
     code = (
         "import sys\n"
         "from locfuse.cli.main import main\n"
-        f"words = ['compare', 'rounded_rectangle', '--sensors', 'compass', '--no-advice', '--write', '{write}']\n"
-        f"words += ['-o', {str(tmp_path / 'o')!r}]\n"
+        "words = ['compare', 'rounded_rectangle', '--to', '5', '--sensors', 'compass', '--no-advice']\n"
+        f"words += ['--write', '{write}', '-o', {str(tmp_path / 'o')!r}]\n"
         "try:\n    main(words)\nexcept SystemExit as e:\n    assert not e.code\n"
         f"assert not {heavy} & set(sys.modules)\n"
     )

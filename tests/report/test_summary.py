@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 from bags import S, drive, write
-from commands import locfuse, ok, refused
+from commands import jobs_here, locfuse, ok, refused
+from many_logs import LIGHT, THERE_AND_BACK, write_logs
 
 from locfuse.cli.analysis.grouping import logs_of, results_of
 from locfuse.cli.session.summary import summarised
@@ -18,8 +19,6 @@ from locfuse.formats.fleet.files import csv, fleet_table
 from locfuse.formats.report import changes as sides, summary as over
 from locfuse.formats.report.table import records
 from locfuse.fusion.data import UsageError
-
-LIGHT = ("camera.enabled=false", "lrf.enabled=false", "path.legs=[{forward=1.5}, {turn_deg=180}, {forward=1.5}]")
 
 
 def report(rmse: dict[str, float | None], anees: float = 1.0, sha: str = "00", **settings: Any) -> dict[str, Any]:
@@ -128,18 +127,15 @@ def test_a_figure_that_only_one_result_has_is_no_change() -> None:
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Three short drives that begin at the same instant, named as the parts of a split recording are."""
-    folder = tmp_path_factory.mktemp("drives")
-    logs = [folder / f"drive_{seed}.mcap" for seed in range(3)]
-    sets = [w for s in LIGHT for w in ("--set", s)]
-    for seed, log in enumerate(logs):
-        ok("simulate", "straight_runs", "-o", log, "--seed", seed, *sets)
-    return logs
+    names = [f"drive_{seed}" for seed in range(3)]
+    return write_logs(tmp_path_factory.mktemp("drives"), names, (*LIGHT, THERE_AND_BACK))
 
 
 @pytest.fixture(scope="module")
 def summary(drives: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("summary") / "out"
-    done = ok("compare", *drives, "-o", out, "--write", "json,md,csv")
+    with jobs_here():
+        done = ok("compare", *drives, "-o", out, "--write", "json,md,csv")
     assert "Best is" in done.stdout
     assert "mean" in done.stdout
     return out

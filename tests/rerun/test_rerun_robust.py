@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import socketserver
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 from commands import locfuse, ok, refused
 from recordings import read
 from small_drive import drive as small_drive, robot as small_robot
+from trap_logs import Drive
 
 from locfuse.cli.rerun import viewer
 from locfuse.formats.rerun.recording import check, save_recording
@@ -183,7 +185,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_log_becomes_a_recording_of_the_configurations_asked_for(tmp_path: Path) -> None:
     words = ("--sensors", "odometry", "--sensors", "compass", "--images", "none")
-    ok("view", LOG, *words, "--save", tmp_path / "drive.rrd", "--tab", "nis")
+    log = Drive(pictures=True).record(tmp_path / "drive.mcap")
+    ok("view", log, *words, "--save", tmp_path / "drive.rrd", "--tab", "nis")
     entities = read(tmp_path / "drive.rrd")
     assert {"world/odometry/pose", "world/compass/pose", "nis/compass/compass"} <= set(entities)
     assert "world/lrf/pose" not in entities
@@ -222,11 +225,12 @@ def test_a_run_folder_keeps_its_covariances_and_what_was_smoothed_beside_what_wa
     )
 
 
-def test_a_recording_beside_the_results_is_used_while_it_is_not_older(results: Path, tmp_path: Path) -> None:
-    words = ("--sensors", "compass", "--images", "none", "--save", results / "recording.rrd")
-    ok("view", LOG, *words)
+def test_a_recording_beside_the_results_is_used_while_it_is_not_older(
+    results: Path, recording: Path, tmp_path: Path
+) -> None:
+    shutil.copy(recording, results / "recording.rrd")
     ok("view", results, "--save", tmp_path / "fresh.rrd")
-    assert (tmp_path / "fresh.rrd").read_bytes() == (results / "recording.rrd").read_bytes()
+    assert (tmp_path / "fresh.rrd").read_bytes() == recording.read_bytes()
     os.utime(results / "recording.rrd", (1.0, 1.0))
     ok("view", results, "--save", tmp_path / "new.rrd")
     assert "world/lrf/pose" in read(tmp_path / "new.rrd")

@@ -8,7 +8,6 @@ import pytest
 import rooms
 from msgspec.structs import replace
 from present import present
-from textbook import numeric_jacobian
 from worlds import ROOM, World
 
 from benchmarks import experiment
@@ -16,7 +15,7 @@ from benchmarks.accuracy import LOCK_STEP
 from locfuse.cli.analysis.configurations import for_comparison, parse
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.checks.examine import examine
-from locfuse.fusion.data import Array, ArrayStream, Drive, MapLine, UsageError
+from locfuse.fusion.data import Array, ArrayStream, Drive, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -27,23 +26,6 @@ from locfuse.fusion.sensors.sonar import Cone, Sonar, SonarSettings, likelier, n
 from locfuse.fusion.streams import merged
 from locfuse.sample_logs import scenario as scenarios
 from locfuse.sample_logs.simulate import in_memory
-
-
-def test_map_lines_are_reported_about_the_origin() -> None:
-    belief = JointBelief((0.0, 0.0, 0.0), (0.0,) * 6)
-    lines = LineMap()
-    P = np.array([[1e-4, 2e-5], [2e-5, 1e-5]])
-    lines.append(np.array([3.0, 4.0]), np.array([0.1, 0.5]), P, -1, (-1.0, 2.0), 0)
-    line: MapLine = lines.lines(belief)[0]
-    n, tangent = np.array([math.cos(0.5), math.sin(0.5)]), np.array([-math.sin(0.5), math.cos(0.5)])
-    assert line.rho == pytest.approx(0.1 + n @ [3.0, 4.0])
-    assert line.ends == pytest.approx((tangent @ [3.0, 4.0] - 1.0, tangent @ [3.0, 4.0] + 2.0))
-    G = numeric_jacobian(
-        lambda v: np.array([v[0] + np.array([math.cos(v[1]), math.sin(v[1])]) @ [3.0, 4.0], v[1]]),
-        np.array([0.1, 0.5]),
-    )
-    np.testing.assert_allclose(line.P, G @ P @ G.T, atol=1e-9)
-
 
 # two walls 0.2 m apart, seen one after the other through a doorway in a cross wall
 PARALLEL = (
@@ -212,14 +194,6 @@ def test_the_jacobian_agrees_with_finite_differences(frozen: bool, heading: floa
         step = np.zeros(n)
         step[k] = 1e-6
         assert (distance(step) - distance(-step)) / 2e-6 == pytest.approx(H[k], abs=1e-6)
-
-
-def walls(*of: tuple[float, float, float, float]) -> LineMap:
-    """Lines through a point (x, 0) with a direction beta of their normal, from `low` to `high` along them."""
-    lines = LineMap()
-    for x, beta, low, high in of:
-        lines.append(np.array([x, 0.0]), np.array([0.0, beta]), np.diag([1e-6, 1e-6]), -1, (low, high), 1)
-    return lines
 
 
 @pytest.mark.parametrize(("distance", "sigma"), [(2.0, 0.03), (0.5, 0.1), (0.12, 0.1), (0.08, 0.1), (1e-3, 0.1)])

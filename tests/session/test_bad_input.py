@@ -36,7 +36,7 @@ def session() -> locfuse.Session:
 
 @pytest.fixture(scope="module")
 def result(session: locfuse.Session) -> locfuse.Comparison:
-    return session.compare(["odometry", "compass"])
+    return session.compare(["odometry", "compass"], advice=False)
 
 
 @pytest.mark.parametrize("name", ["nosuch.mcap", "text.mcap", "empty.mcap", "folder", "wheelless.mcap"])

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from commands import locfuse as command, ok
 from hostile import write
+from many_logs import LIGHT, THERE_AND_BACK, write_logs
 
 import locfuse
 from locfuse.cli.analysis import load
@@ -120,8 +121,8 @@ def test_without_audits_the_files_are_the_same(session: locfuse.Session, by_comm
 
 def test_a_run_writes_the_commands_files_byte_for_byte(session: locfuse.Session, tmp_path: Path) -> None:
     files = ("--audit", tmp_path / "a.csv", "--save-map", tmp_path / "a.json", "-o", tmp_path / "a")
-    ok("run", LOG, "--to", TO, "--sensors", "compass,lrf", "--smooth", *files)
-    run = session.run(["compass", "lrf"], smooth=True)
+    ok("run", LOG, "--to", TO, "--sensors", "compass,lrf", "--smooth", "--no-advice", *files)
+    run = session.run(["compass", "lrf"], smooth=True, advice=False)
     run.write(tmp_path / "b")
     run.write_audit(tmp_path / "b.csv")
     run.save_map(tmp_path / "b.json")
@@ -133,9 +134,9 @@ def test_a_run_writes_the_commands_files_byte_for_byte(session: locfuse.Session,
 def test_settings_are_those_of_the_command(tmp_path: Path) -> None:
     (tmp_path / "robot.toml").write_text("[compass]\nsigma_deg = 7.0\n[lrf]\nsigma_range = 0.05\n")
     how = ("--robot", tmp_path / "robot.toml", "--set", "lrf.topic=/scan", "--set", "lrf.sigma_range=0.04")
-    ok("run", LOG, "--sensors", "odometry", *how, "--order", "stamp", "-o", tmp_path / "a")
+    ok("run", LOG, "--to", 2, "--sensors", "odometry", *how, "--order", "stamp", "-o", tmp_path / "a")
     sets = {"lrf": {"topic": "/scan"}, "lrf.sigma_range": np.float64(0.04)}
-    session = locfuse.load(LOG, robot=str(tmp_path / "robot.toml"), sets=sets, order="stamp")
+    session = locfuse.load(LOG, robot=str(tmp_path / "robot.toml"), sets=sets, order="stamp", between=(None, 2.0))
     session.run("odometry").write(tmp_path / "b")
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
@@ -279,7 +280,9 @@ def test_losses_are_those_of_the_command(tmp_path: Path) -> None:
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     sets = {"wheels.radius": 0.05, "wheels.track": 0.6}
     words = [w for k, v in sets.items() for w in ("--set", f"{k}={v}")]
-    done = command("run", tmp_path / "cut.mcap", "--sensors", "odometry", *words, "-o", tmp_path / "out")
+    done = command(
+        "run", tmp_path / "cut.mcap", "--sensors", "odometry", *words, "--no-advice", "-o", tmp_path / "out"
+    )
     assert done.exit_code == 3, done.stderr
     run = locfuse.load(tmp_path / "cut.mcap", sets=sets).run("odometry", advice=False)
     assert [f"lost: {line}" for line in run.losses()] == [x for x in done.stderr.splitlines() if "lost:" in x]
@@ -310,20 +313,14 @@ def three(session: locfuse.Session) -> locfuse.Comparison:
     return session.compare(["odometry", "compass", "lrf"])
 
 
-def test_info_gives_what_the_command_prints_also_where_nothing_runs_yet() -> None:
-    sets = ("--set", "wheels.radius=-1")
-    for words, settings in (((), None), (sets, {"wheels.radius": -1})):
-        done = command("info", LOG, "--json", *words)
-        if done.exit_code in {0, 3}:
-            assert locfuse.info(LOG, sets=settings) == json.loads(done.stdout)
-        else:
-            with pytest.raises(locfuse.LocfuseError):
-                locfuse.info(LOG, sets=settings)
-    assert locfuse.load(LOG).info() == locfuse.info(LOG)
+def test_info_gives_what_the_command_prints_also_where_nothing_runs_yet(drives: list[Path]) -> None:
+    for words, sets in (((), {}), (("--set", "wheels.radius=-1"), {"wheels.radius": -1})):
+        assert locfuse.info(drives[0], sets=sets) == json.loads(ok("info", drives[0], "--json", *words).stdout)
+    assert locfuse.load(drives[0]).info() == locfuse.info(drives[0])
 
 
 def test_tuning_gives_the_commands_values_and_its_file(tmp_path: Path) -> None:
-    log, sets = write(tmp_path / "drive.mcap", seconds=10.0), ("--set", "compass.sigma_deg=9")
+    log, sets = write(tmp_path / "drive.mcap", seconds=5.0), ("--set", "compass.sigma_deg=9")
     done = ok("tune", log, "--sensors", "compass", *sets, "--json", "-o", tmp_path / "a.toml")
     found = locfuse.load(log).with_settings({"compass.sigma_deg": 9}).tune(sensors="compass")
     assert json.loads(done.stdout) == json.loads(json.dumps(found.values()))
@@ -459,32 +456,23 @@ def test_errors_speak_python_and_the_command_its_own_words(session: locfuse.Sess
 # --- several logs in Python and on the command line: the same files, one log at a time
 
 
-LIGHT = {
-    "camera.enabled": False,
-    "lrf.enabled": False,
-    "path.legs": [{"forward": 1.5}, {"turn_deg": 180}, {"forward": 1.5}],
-}
-
-
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    folder = tmp_path_factory.mktemp("drives")
-    for seed, name in enumerate(("monday", "tuesday")):
-        locfuse.simulate("straight_runs", folder / f"{name}.mcap", seed=seed, sets=LIGHT)
-    return [folder / "monday.mcap", folder / "tuesday.mcap"]
+    return write_logs(tmp_path_factory.mktemp("drives"), ("monday", "tuesday"), (*LIGHT, THERE_AND_BACK))
 
 
 def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-@pytest.mark.parametrize("write", [None, "md,tum"])
-def test_a_summary_writes_the_files_byte_for_byte(drives: list[Path], tmp_path: Path, write: str | None) -> None:
-    words = ("--write", write) if write else ()
-    ok("compare", *drives, "-o", tmp_path / "a", *words)
-    written = locfuse.compare(*drives).write(tmp_path / "b", write=write)
-    assert tree(tmp_path / "a") == tree(tmp_path / "b")
-    assert {p.name for p in written} == {p.name for p in (tmp_path / "a").iterdir() if p.is_file()}
+@pytest.mark.usefixtures("jobs_in_this_process")
+def test_a_summary_writes_the_files_byte_for_byte(drives: list[Path], tmp_path: Path) -> None:
+    for name, sensors, kinds in (("a", None, None), ("b", "odometry", "md,tum")):
+        words = ("--sensors", sensors, "--write", kinds) if kinds else ()
+        ok("compare", *drives, "-o", tmp_path / name, *words)
+        written = locfuse.compare(*drives, sensors=sensors).write(tmp_path / f"{name} too", write=kinds)
+        assert tree(tmp_path / name) == tree(tmp_path / f"{name} too")
+        assert {p.name for p in written} == {p.name for p in (tmp_path / name).iterdir() if p.is_file()}
 
 
 def test_a_summary_holds_every_logs_comparison_and_table(drives: list[Path]) -> None:

@@ -13,6 +13,8 @@ from pose_streams import odometry_stream, pose_stream, reckoned
 from wheel_bags import (
     GEOMETRY,
     RADIUS,
+    RATE,
+    SPEED,
     TRACK,
     angles,
     custom,
@@ -21,6 +23,7 @@ from wheel_bags import (
     log_of,
     messages,
     odometry,
+    on_circle,
     pose_of,
     poses_in,
     stamps,
@@ -33,11 +36,9 @@ from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.read import read_wheels
 
-SPEED, RATE, DURATION = 0.4, 0.2, 20.0  # m/s, rad/s, s: a circle of 2 m radius
+DURATION = 20.0  # s
 T = np.arange(0.0, DURATION + 0.01, 0.05)
-CIRCLE = np.stack(
-    (SPEED / RATE * np.sin(RATE * T), SPEED / RATE * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1
-)  # closed form
+CIRCLE = on_circle(RATE * T)
 
 
 def tf(t: Array, poses: Array, parent: str = "odom", child: str = "base_link", more: Any = ()) -> list[Said]:
@@ -229,14 +230,7 @@ def test_a_turtlebot_2_is_recognised_and_its_counters_of_16_bits_roll_over(tmp_p
     done = locfuse("init", log, "-o", tmp_path / "robot.toml")
     assert "this robot is a turtlebot2 (messages of kobuki_msgs)" in done.stderr
     pose, _ = final(log, "--robot", str(tmp_path / "robot.toml"))
-    ways = (counts - counts[0]) * 2 * math.pi / 2578.33
-    expected = np.zeros(3)
-    for d_left, d_right in np.diff(ways, axis=0) * 0.035:
-        way, turn = (d_left + d_right) / 2, (d_right - d_left) / 0.23
-        chord = way * (math.sin(turn / 2) / (turn / 2) if turn else 1.0)
-        angle_now = expected[2] + turn / 2
-        expected += [chord * math.cos(angle_now), chord * math.sin(angle_now), turn]
-    assert pose[:2] == pytest.approx(expected[:2], abs=1e-6)
+    assert pose[:2] == pytest.approx(pose_of(counts * 2 * math.pi / 2578.33, 0.035, 0.23)[:2], abs=1e-6)
 
 
 SIDES = [(SPEED + side * RATE * TRACK / 2) / RADIUS for side in (-1, 1)]  # rad/s of the left and the right wheel
@@ -295,33 +289,27 @@ def test_ticks_of_a_duckiebot_come_one_wheel_a_topic() -> None:
     np.testing.assert_allclose(pose, pose_of(ticks * 2 * math.pi / 135), atol=1e-9)
 
 
-def test_a_steering_angle_turns_by_speed_times_its_tangent_over_the_wheelbase() -> None:
-    kind, wheelbase = "ackermann_msgs/msg/AckermannDriveStamped", 0.33
-    data = {
-        "drive.speed": np.full(len(T), SPEED),
-        "drive.steering_angle": np.full(len(T), math.atan(RATE * wheelbase / SPEED)),
-    }
-    stream = ArrayStream("/drive", kind, np.array(stamps(T)), data)
-    pose = read_wheels(stream, WheelSettings(wheelbase=wheelbase)).wheels.pose[-1]
-    np.testing.assert_allclose(pose, CIRCLE[-1], atol=1e-9)
+def test_a_steering_angle_without_a_wheelbase_is_refused() -> None:
+    data = {"drive.speed": np.full(len(T), SPEED), "drive.steering_angle": np.full(len(T), 0.1)}
+    stream = ArrayStream("/drive", "ackermann_msgs/msg/AckermannDriveStamped", np.array(stamps(T)), data)
     with pytest.raises(LocfuseError, match=r"--set wheels\.wheelbase"):
         read_wheels(stream, WheelSettings())
 
 
 @pytest.mark.parametrize("backward", [1.0, -1.0])
-@pytest.mark.parametrize("steering", ["rate", "heading"])
-def test_where_a_steering_angle_should_be_may_be_a_turning_rate_or_a_heading(
-    steering: Literal["rate", "heading"], backward: float
+@pytest.mark.parametrize("steering", ["angle", "rate", "heading"])
+def test_a_steering_turns_by_its_tangent_over_the_wheelbase_or_is_a_turning_rate_or_a_heading(
+    steering: Literal["angle", "rate", "heading"], backward: float
 ) -> None:
     """A heading may begin anywhere and wraps at pi; a circle is the same driven ahead or, mirrored, back."""
-    held = np.full(len(T), RATE) if steering == "rate" else np.angle(np.exp(1j * (RATE * T + 2.0)))
-    stream = ArrayStream(
-        "/drive",
-        "ackermann_msgs/msg/AckermannDrive",
-        np.array(stamps(T)),
-        {"speed": np.full(len(T), backward * SPEED), "steering_angle": held},
-    )
-    pose = read_wheels(stream, WheelSettings(steering=steering)).wheels.pose[-1]
+    held = {
+        "angle": np.full(len(T), math.atan(backward * RATE * 0.33 / SPEED)),
+        "rate": np.full(len(T), RATE),
+        "heading": np.angle(np.exp(1j * (RATE * T + 2.0))),
+    }[steering]
+    data = {"drive.speed": np.full(len(T), backward * SPEED), "drive.steering_angle": held}
+    stream = ArrayStream("/drive", "ackermann_msgs/msg/AckermannDriveStamped", np.array(stamps(T)), data)
+    pose = read_wheels(stream, WheelSettings(steering=steering, wheelbase=0.33)).wheels.pose[-1]
     np.testing.assert_allclose(pose, CIRCLE[-1] * (backward, backward, 1.0), atol=1e-9)
 
 

@@ -10,7 +10,18 @@ from bags import Said, real_log
 from commands import locfuse, ok, reported
 from laser_room import ROOM, circle, ranges_of, scan_stream, scans_of
 from present import present
-from wheel_bags import chosen, joint_states, log_of, messages, odometry, poses_in, stamps, turned, twists
+from wheel_bags import (
+    chosen,
+    joint_states,
+    log_of,
+    messages,
+    odometry,
+    on_circle,
+    poses_in,
+    stamps,
+    turned,
+    twists,
+)
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.load import load
@@ -300,9 +311,7 @@ def wheels_and_laser(path: Path) -> Path:
     t = np.arange(0.0, 30.0, 0.02)
     rolled = 0.35 * t - 0.6 * (np.cos(0.4 * t) - 1.0)  # rad of the body's turn, at a radius of 1.2 m
     angle = np.stack((rolled * (1.2 - 0.15) / 0.05, rolled * (1.2 + 0.15) / 0.05), axis=-1)
-    turn = rolled[::10]
-    truth = np.stack((1.2 * np.sin(turn), 1.2 * (1.0 - np.cos(turn)), turn), axis=-1)
-    return log_of(path, joint_states(t, angle), scans_of(t[::10], truth))
+    return log_of(path, joint_states(t, angle), scans_of(t[::10], on_circle(rolled[::10], 1.2)))
 
 
 def test_wheels_whose_size_nobody_says_come_first_in_headline_and_next(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from present import present
 from wheel_bags import (
     GEOMETRY,
     RADIUS,
+    RATE,
+    SPEED,
     TICKS,
     TRACK,
     angles,
@@ -24,6 +26,7 @@ from wheel_bags import (
     messages,
     numbers,
     odometry,
+    on_circle,
     pose_of,
     turned,
     twists,
@@ -44,9 +47,8 @@ from locfuse.fusion.wheels.read import read_wheels
 from locfuse.fusion.wheels.sources import joint_names
 
 SCAN = "sensor_msgs/msg/LaserScan"
-SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)
-CIRCLE = np.stack((2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1)  # closed form
+CIRCLE = on_circle(RATE * T)
 STANDING = np.zeros_like(CIRCLE)
 
 
@@ -387,8 +389,8 @@ def counters_and_odometry(path: Path, t: Array) -> tuple[Any, Any]:
     """Both wheels by turns fast and slow, on a circle of 0.05 * 7.5 / 0.5 = 0.75 m: closed form."""
     rolled = 0.5 * t - 2.5 * (np.cos(0.2 * t) - 1.0)
     turn = 0.05 * 3.0 / 0.3 * rolled
-    poses = np.stack((0.75 * np.sin(turn), 0.75 * (1.0 - np.cos(turn)), turn), axis=-1)
-    log = opened(path, joint_states(t, np.stack((6.0 * rolled, 9.0 * rolled), axis=-1)), odometry(t, poses))
+    both = np.stack((6.0 * rolled, 9.0 * rolled), axis=-1)
+    log = opened(path, joint_states(t, both), odometry(t, on_circle(turn, 0.75)))
     return log.stream("/joint_states"), log.stream("/odom")
 
 

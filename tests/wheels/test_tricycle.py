@@ -14,6 +14,7 @@ from small_drive import drive, robot
 from wheel_bags import log_of, messages, numbers, odometry, poses_in
 
 from locfuse.fusion import se2
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.steering import STEERING, ZERO as ZERO_MOVES, of_steering
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
@@ -32,7 +33,7 @@ from locfuse.fusion.wheels.steered import read_encoders
 RADIUS, TICKS, TURN, BASE, ZERO = 0.1, 5000.0, 8192, 1.2, 300.0  # m, ticks a turn, of the steering, m, ticks
 GAIN = TURN / (2.0 * np.pi)  # ticks per radian
 T = np.arange(0.0, 120.0, 0.04)
-SPEED, ANGLE = 0.6 + 0.3 * np.sin(0.2 * T), 0.6 * np.sin(0.11 * T) + 0.2 * np.sin(0.37 * T)
+ANGLE = 0.6 * np.sin(0.11 * T) + 0.2 * np.sin(0.37 * T)
 
 
 def encoders() -> MergedStream:
@@ -56,6 +57,12 @@ def true_path() -> Array:
     x = np.append(0.0, np.cumsum(speed * np.cos(angle) * np.cos(theta) * dt)[:-1])
     y = np.append(0.0, np.cumsum(speed * np.cos(angle) * np.sin(theta) * dt)[:-1])
     return np.stack((x, y, theta), axis=-1)[::10]
+
+
+def tracked(path: Array, x: float = 0.0, y: float = 0.0) -> Truth:
+    """Every fifth of the poses (n, 3), as a tracker sees them of a point (x, y) on the robot."""
+    seen = se2.compose(path, np.broadcast_to([x, y, 0.0], path.shape))[::5]
+    return Truth("/tracker", T[::5], seen[:, :2], seen[:, 2], (0.0, 0.0))
 
 
 def settings(**given: Any) -> WheelSettings:
@@ -85,23 +92,19 @@ def test_what_is_not_known_of_the_encoders_is_asked_for(missing: str) -> None:
 
 
 def test_size_steering_and_the_tracked_point_are_found_from_nominal_values_far_off() -> None:
-    point = np.array([0.9, 0.1, 0.0])
     path = true_path()
-    seen = se2.compose(se2.compose(np.broadcast_to([2.0, -1.0, 0.7], path.shape), path),
-                       np.broadcast_to(point, path.shape))  # fmt: skip
-    rows = slice(0, None, 5)
-    truth = Truth("/tracker", T[rows], seen[rows, :2], seen[rows, 2], (0.0, 0.0))
+    truth = tracked(se2.compose(np.broadcast_to([2.0, -1.0, 0.7], path.shape), path), 0.9, 0.1)
     nominal = settings(servo_gain=5.0 * GAIN, servo_offset=0.0, wheelbase=1.0)
     found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, of_truth(truth), 0.0)
     assert found.rms < 0.02
+    assert not found.breaks
     assert found.wheels["radius"].value == pytest.approx(RADIUS, rel=0.01)
     assert_wheels(found, 0.01, 15.0)
-    assert [found.mount[key].value for key in "xy"] == pytest.approx(point[:2].tolist(), abs=0.03)
+    assert [found.mount[key].value for key in "xy"] == pytest.approx([0.9, 0.1], abs=0.03)
 
 
 def test_a_truth_tells_a_tricycle_of_which_nothing_is_known() -> None:
-    path = se2.compose(true_path(), np.broadcast_to([0.9, 0.1, 0.0], (len(T), 3)))[::5]
-    truth = of_truth(Truth("/tracker", T[::5], path[:, :2], path[:, 2], (0.0, 0.0)))
+    truth = of_truth(tracked(true_path(), 0.9, 0.1))
     start = nominal(encoders(), WheelSettings(), truth, 0.0)
     found = calibrate_tricycle(read_encoders(encoders(), start), start, truth, 0.0)
     assert found.rms < 0.02
@@ -111,11 +114,10 @@ def test_a_truth_tells_a_tricycle_of_which_nothing_is_known() -> None:
     assert_wheels(found, 0.01)
 
 
-@pytest.mark.parametrize("broken", ["truth", "counter", None])
-def test_a_truth_that_jumps_or_a_counter_that_stands_for_3_s_is_left_out(broken: str | None) -> None:
-    path = se2.compose(true_path(), np.broadcast_to([0.9, 0.1, 0.0], (len(T), 3)))
-    path += np.where((broken == "truth") & (T > 60.0), 0.5, 0.0)[:, None] * [1.0, 0.0, 0.0]
-    truth = of_truth(Truth("/tracker", T[::5], path[::5, :2], path[::5, 2], (0.0, 0.0)))
+@pytest.mark.parametrize(("broken", "middle"), [("truth", 60.0), ("counter", 41.5)])
+def test_a_truth_that_jumps_or_a_counter_that_stands_for_3_s_is_left_out(broken: str, middle: float) -> None:
+    jump = np.where((broken == "truth") & (T > 60.0), 0.5, 0.0)
+    truth = of_truth(tracked(true_path() + jump[:, None] * [1.0, 0.0, 0.0], 0.9, 0.1))
     nominal = settings(servo_gain=3.0 * GAIN, servo_offset=0.0, wheelbase=1.0)
     found = read_encoders(encoders(), nominal)
     if broken == "counter":
@@ -126,8 +128,16 @@ def test_a_truth_that_jumps_or_a_counter_that_stands_for_3_s_is_left_out(broken:
     assert calibrated.rms < 0.02
     assert calibrated.wheels["radius"].value == pytest.approx(RADIUS, rel=0.01)
     assert_wheels(calibrated, 0.015)
-    middle = {"truth": 60.0, "counter": 41.5, None: np.nan}[broken]
-    assert [a < middle < b for a, b in calibrated.breaks] == ([] if broken is None else [True])
+    ((begin, end),) = calibrated.breaks
+    assert begin < middle < end
+
+
+def findings(told: WheelSettings, path: Array, stream: MergedStream) -> list[Finding]:
+    """What the truth shows of the steering of encoders that are read with these settings."""
+    described = replace(robot(), wheels=replace(told, max_speed=5.0))
+    reading = read_wheels(stream, described.wheels)
+    one = replace(drive(0, robot(), ()), wheels=reading.wheels, truth=tracked(path), epoch_ns=reading.epoch_ns)
+    return list(of_steering(one, described, stream))
 
 
 @pytest.mark.parametrize(
@@ -138,14 +148,8 @@ def test_a_truth_that_jumps_or_a_counter_that_stands_for_3_s_is_left_out(broken:
 def test_wrong_steering_is_named_with_what_the_truth_shows(
     wrong: dict[str, float], mirrored: bool, code: str | None
 ) -> None:
-    path = true_path()[::5]
-    if mirrored:
-        path = path * [1.0, -1.0, -1.0]
-    described = replace(robot(), wheels=replace(settings(**wrong), max_speed=5.0))
-    reading = read_wheels(encoders(), described.wheels)
-    truth = Truth("/tracker", T[::5], path[:, :2], path[:, 2], (0.0, 0.0))
-    one = replace(drive(0, robot(), ()), wheels=reading.wheels, truth=truth, epoch_ns=reading.epoch_ns)
-    found = of_steering(one, described, encoders())
+    path = true_path() * ([1.0, -1.0, -1.0] if mirrored else 1.0)
+    found = findings(settings(**wrong), path, encoders())
     assert [f.code for f in found] == ([] if code is None else [code])
     fixes = dict(fix.split("=") for f in found for fix in f.fixes)
     if code == STEERING:
@@ -157,17 +161,12 @@ def test_wrong_steering_is_named_with_what_the_truth_shows(
 
 
 def test_a_zero_of_the_steering_that_moves_by_8_degrees_is_named_with_its_times() -> None:
-    described = replace(robot(), wheels=replace(settings(), max_speed=5.0))
-    path = true_path()[::5]
-    truth = Truth("/tracker", T[::5], path[:, :2], path[:, 2], (0.0, 0.0))
     traction, steering = encoders().parts
     ticks = (np.asarray(steering.columns("data")["data"]) + np.where(T > 60.0, 180.0, 0.0)) % TURN
     slipped = MergedStream(
         (traction, ArrayStream("/steering_ticks", steering.msgtype, steering.t_ns, {"data": ticks}))
     )
-    reading = read_wheels(slipped, described.wheels)
-    one = replace(drive(0, robot(), ()), wheels=reading.wheels, truth=truth, epoch_ns=reading.epoch_ns)
-    (found,) = of_steering(one, described, slipped)
+    (found,) = findings(settings(), true_path(), slipped)
     assert (found.code, found.fixes) == (ZERO_MOVES, ())
     off = [float(zero) for zero in re.findall(r"(-?[0-9.]+)° from", found.message)]
     assert off == pytest.approx([0.0, 0.0, -7.9, -7.9], abs=0.6)
@@ -250,7 +249,8 @@ def test_init_says_why_a_truth_does_not_tell_a_tricycle(
     assert says in done.stderr
     assert ("fill in wheels.radius" in done.stderr) == bool(says)
     if hint:
-        assert hint in locfuse("compare", log, *words, "--no-advice", "-o", tmp_path / "out").stdout
+        found = ("--no-advice", "--no-smooth", "--write", "json", "-o", tmp_path / "out")
+        assert hint in locfuse("compare", log, *words, *found).stdout
 
 
 def test_a_real_tricycle_calibrated_by_its_tracker_is_near_it_by_odometry(tmp_path: Path) -> None:

@@ -304,25 +304,32 @@ def assert_pose(found: Array, wanted: Array, atol: float) -> None:
     assert abs((found[2] - wanted[2] + np.pi) % (2 * np.pi) - np.pi) < 5 * atol
 
 
-@pytest.mark.parametrize("offset", [0, 2**31 - 300])
-def test_create_ticks_are_read_over_32_bits_too(tmp_path: Path, truth: tuple[Array, Array], offset: int) -> None:
+@pytest.mark.parametrize(
+    ("kind", "text", "fields", "a_turn", "offset"),
+    [
+        (CREATE, CREATE_TEXT, ("ticks_left", "ticks_right"), TICKS, 0),
+        (CREATE, CREATE_TEXT, ("ticks_left", "ticks_right"), TICKS, 2**31 - 300),
+        (TURTLE, TURTLE_TEXT, ("left_encoder", "right_encoder"), 4096, 0),
+    ],
+)
+def test_ticks_of_a_create_and_a_turtlebot3_are_read_over_32_bits_too(
+    tmp_path: Path,
+    truth: tuple[Array, Array],
+    kind: str,
+    text: str,
+    fields: tuple[str, str],
+    a_turn: float,
+    offset: int,
+) -> None:
     t, angle = truth
-    ticks = np.round(angle * TICKS / (2 * np.pi)).astype(np.int64) + offset
+    ticks = np.round(angle * a_turn / (2 * np.pi)).astype(np.int64) + offset
     wrapped = (ticks + 2**31) % 2**32 - 2**31
-    rows = [{"ticks_left": int(a), "ticks_right": int(b)} for a, b in wrapped.tolist()]
-    log = custom(tmp_path / "create.mcap", "/wheel_ticks", CREATE, CREATE_TEXT, t, rows)
-    _, pose, _ = run(log, *GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
-    assert_pose(pose, pose_of(ticks * 2 * np.pi / TICKS), 1e-6)
-
-
-def test_turtlebot3_encoders_are_read(tmp_path: Path, truth: tuple[Array, Array]) -> None:
-    t, angle = truth
-    ticks = np.round(angle * 4096 / (2 * np.pi)).astype(np.int64)
-    rows = [{"left_encoder": int(a), "right_encoder": int(b)} for a, b in ticks.tolist()]
-    log = custom(tmp_path / "tb3.mcap", "/sensor_state", TURTLE, TURTLE_TEXT, t, rows)
-    assert "--set wheels.ticks_per_revolution=4096" in refused("run", log, "-o", tmp_path / "no", *GEOMETRY)
-    _, pose, _ = run(log, *GEOMETRY, "--set", "wheels.ticks_per_revolution=4096")
-    assert_pose(pose, pose_of(ticks * 2 * np.pi / 4096), 1e-6)
+    rows = [dict(zip(fields, pair, strict=True)) for pair in wrapped.tolist()]
+    log = custom(tmp_path / "ticks.mcap", "/ticks", kind, text, t, rows)
+    if kind == TURTLE:
+        assert "--set wheels.ticks_per_revolution=4096" in refused("run", log, "-o", tmp_path / "no", *GEOMETRY)
+    _, pose, _ = run(log, *GEOMETRY, "--set", f"wheels.ticks_per_revolution={a_turn}")
+    assert_pose(pose, pose_of(ticks * 2 * np.pi / a_turn), 1e-6)
 
 
 @pytest.mark.parametrize(

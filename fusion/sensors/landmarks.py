@@ -51,7 +51,6 @@ from locfuse.fusion.streams import arrays, parts_of
 
 from .points import (
     MIN_JUDGED,
-    GrowingPoints,
     IdReadings,
     Point,
     PointsModel,
@@ -341,7 +340,7 @@ class Landmarks(Sensor):
 
     def model(self, settings: LandmarksSettings) -> Model:
         """Return the filter model of the landmarks for a new run."""
-        return GrowingModel(settings) if settings.grows else LandmarksModel(settings)
+        return LandmarksModel(settings)
 
 
 def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
@@ -401,12 +400,12 @@ class Ranging(NamedTuple):
 
 
 class LandmarksModel(PointsModel):
-    """Model of range and bearing from the detector to a landmark at a known position in the map."""
+    """Model of range and bearing from the detector to a landmark."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
-        self.places = settings.places
-        self.mount = settings.x, settings.y, math.radians(settings.yaw_deg)
         self.thresholds = [0.0, *(chi_square(settings.gate, d) for d in (1, 2))]  # by size of z
+        super().__init__(settings, self.thresholds[2])
+        self.mount = settings.x, settings.y, math.radians(settings.yaw_deg)
         self.given = settings.range_offset
         self.prior = settings.sigma_range_offset
         given = settings.file is None or settings.range_depth is not None  # k is unknown only for a file
@@ -421,9 +420,9 @@ class LandmarksModel(PointsModel):
         return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Return the innovations of reading i; store the landmark positions that its detections imply."""
+        """Return the innovations of reading i; note where its detections see the landmarks of a given map."""
         found = super().innovations(m, i, belief)
-        if not found or m.z.shape[1] == 1:
+        if self.joint or not found or m.z.shape[1] == 1:
             return found
         sigma = math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))  # m
         if sigma <= MAX_SIGMA_M:
@@ -431,7 +430,12 @@ class LandmarksModel(PointsModel):
             for seen in found:
                 angle, distance = z[seen.row, 0], z[seen.row, 1]
                 distance = (distance - ranging.offset) / ranging.share(1.0 - math.cos(angle))
-                self._note_place(seen.landmark, distance, angle, self._mount_of(m, seen.row), pose, sigma)
+                mount = self._mount_of(m, seen.row)
+                (x, y), (c, s) = detector_at(pose, mount), direction(pose[2] + mount[2] + angle)
+                spread = math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
+                place = x + distance * c, y + distance * s, spread
+                if math.isfinite(sum(place)):
+                    self._seen_at[seen.landmark].append(place)
         return found
 
     def compared(
@@ -482,17 +486,11 @@ class LandmarksModel(PointsModel):
         x, y, yaw = (m.plain[name][row] for name in LEVER)
         return x, y, yaw
 
-    def _note_place(
-        self, landmark: int, distance: float, bearing: float, mount: Row, pose: Row, sigma: float
-    ) -> None:
-        """Store the landmark position that a detection implies; `sigma` [m] is that of the robot's position."""
-        (x, y), (c, s) = detector_at(pose, mount), direction(pose[2] + mount[2] + bearing)
-        place = x + distance * c, y + distance * s, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
-        if math.isfinite(sum(place)):
-            self._seen_at[landmark].append(place)
-
     def notes(self, belief: Any) -> list[str]:
-        """Return notes on landmarks seen far from their map position, and on pairs with swapped ids."""
+        """Return notes on depths, on an estimated map and landmarks that move, or on errors of a given map."""
+        if self.joint:
+            made, *moving = self.map_notes("are the ranges in m and the bearings in rad?")
+            return [made, *self._depth_notes(belief), *moving]
         seen = {key: np.array(rows) for key, rows in self._seen_at.items()}
         return [*self._depth_notes(belief), *wrong_places(self.places, seen)]
 
@@ -508,14 +506,6 @@ class LandmarksModel(PointsModel):
             f"its ranges are depths along its axis, not distances: {share:.2f} of that (1 sigma: {sigma:.2g}; "
             "landmarks.range_depth=1)"
         ]
-
-
-class GrowingModel(GrowingPoints, LandmarksModel):
-    """Model of range and bearing to landmarks whose positions are states, in the local frame."""
-
-    def __init__(self, settings: LandmarksSettings) -> None:
-        LandmarksModel.__init__(self, settings)
-        GrowingPoints.__init__(self, settings.what, settings.table, self.thresholds[2])
 
     def append(self, m: Measurements, row: int, belief: Any) -> int:
         """Append l = s + r (cos, sin)(theta + yaw + bearing), a landmark's position, to the state."""
@@ -533,11 +523,6 @@ class GrowingModel(GrowingPoints, LandmarksModel):
         noise = J @ m.R[row] @ J.T
         column: int = belief.augment(np.array([x + r * c, y + r * s]), G, noise, ranging.columns)
         return column
-
-    def notes(self, belief: Any) -> list[str]:
-        """Return notes on the estimated map, on landmarks that move, and on ranges that are depths."""
-        made, *moving = self.map_notes("are the ranges in m and the bearings in rad?")
-        return [made, *self._depth_notes(belief), *moving]
 
 
 def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> list[str]:

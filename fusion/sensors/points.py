@@ -182,38 +182,24 @@ def predict(pose: Row, place: Point, mount: Row) -> tuple[Point, tuple[Row, Row]
 
 
 class PointsModel(Model):
-    """Filter model of points at known positions."""
+    """Filter model of points with ids: their places are given, or they are states in a local frame (`joint`).
 
-    places: dict[int, Point]
+    The local frame of a map that grows has an unknown origin and direction.
+    """
+
+    def __init__(self, settings: PointsSettings, gate: float) -> None:
+        """`gate` is the threshold that is recorded with the first reading of a point."""
+        self.joint = self.local = self.maps = settings.grows
+        self.places = settings.places
+        self._what, self._table, self._gate = settings.what, settings.table, gate
+        self._known: dict[int, int] = {}  # id of an estimated point -> readings
+        self._refused: dict[int, int] = defaultdict(int)
 
     def compared(
         self, m: Measurements, row: int, point: int, place: Point, at: tuple[int, ...], belief: Any
     ) -> Innovation | None:
         """Return the innovation of one reading; `at` holds the state columns of an estimated position."""
         raise NotImplementedError
-
-    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Return the innovations of all points in reading i."""
-        ids, found = m.plain["id"], []
-        for row in rows_of(m, i):
-            point = int(ids[row])
-            seen = self.compared(m, row, point, self.places[point], NO_COLUMNS, belief)
-            if seen is not None:
-                found.append(seen)
-        return found
-
-
-class GrowingPoints(PointsModel):
-    """Filter model of points whose positions are states, in a local frame of unknown origin and direction."""
-
-    joint = True
-    local = True
-    maps = True
-
-    def __init__(self, what: str, table: str, gate: float) -> None:
-        self._what, self._table, self._gate = what, table, gate
-        self._known: dict[int, int] = {}  # id -> readings
-        self._refused: dict[int, int] = defaultdict(int)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
         """Return whether reading i is the first with points: the local frame begins there."""
@@ -224,20 +210,22 @@ class GrowingPoints(PointsModel):
         ids, found = m.plain["id"], []
         for row in rows_of(m, i):
             point = int(ids[row])
-            if point not in self._known:
-                found.append(Innovation.unpredicted(row, RowVerdict.NEW, m.z.shape[1], self._gate))
-                continue
-            column = belief.column(state_of(point, self._table))
-            place = belief.value(column), belief.value(column + 1)
-            seen = self.compared(m, row, point, place, (column, column + 1), belief)
+            if not self.joint:
+                seen = self.compared(m, row, point, self.places[point], NO_COLUMNS, belief)
+            elif point in self._known:
+                column = belief.column(state_of(point, self._table))
+                place = belief.value(column), belief.value(column + 1)
+                seen = self.compared(m, row, point, place, (column, column + 1), belief)
+            else:
+                seen = Innovation.unpredicted(row, RowVerdict.NEW, m.z.shape[1], self._gate)
             if seen is not None:
                 found.append(seen)
-                self._refused[point] += seen.verdict != RowVerdict.ACCEPTED
+                self._refused[point] += seen.verdict not in (RowVerdict.ACCEPTED, RowVerdict.NEW)
         return found
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Append the points seen for the first time in reading i to the state."""
-        for row in rows_of(m, i):
+        """Append the points seen for the first time in reading i to the state of a map that grows."""
+        for row in rows_of(m, i) if self.joint else ():
             point = int(m.plain["id"][row])
             if point not in self._known:
                 belief.own_point(state_of(point, self._table), self.append(m, row, belief))

@@ -143,8 +143,10 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
     long step, and the values must span no more than it.
     """
     steps = np.diff(values)
-    if modulus is None:
-        modulus = _find_modulus(values, steps, likely)
+    if modulus is None and len(steps):
+        longest, span = float(np.abs(steps).max()), float(values.max() - values.min())
+        known = {*likely, 2.0 * math.pi, 360.0, *_powers(steps, longest)}
+        modulus = next((m for m in sorted(known) if _explains(m, steps, span, longest)), None)
     if not modulus:
         return Unrolled(values, None, 0)
     turns = np.rint(steps / modulus)
@@ -152,19 +154,6 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
     if not rollovers:
         return Unrolled(values, None, 0)
     return Unrolled(values - modulus * totals(turns), modulus, rollovers)
-
-
-def _find_modulus(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
-    """Return the smallest likely value at which the counter rolls over; None if there is none.
-
-    It must explain every long one of the `steps` (n-1,) between the `values` (n,) as a rollover.
-    """
-    if not len(steps):
-        return None
-    longest = float(np.abs(steps).max())
-    span = float(values.max() - values.min())
-    known = [*likely, 2.0 * math.pi, 360.0, *_powers(steps, longest)]
-    return next((m for m in sorted(set(known)) if _explains(m, steps, span, longest)), None)
 
 
 def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool:
@@ -220,18 +209,12 @@ def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
     least: Array = JUMP_SLACK_MPS * usual + MIN_JUMP_M
     suspects = np.flatnonzero(np.abs(steps) > least)
     out = least.copy()
-    out[suspects] += JUMP_FACTOR * _speeds(np.abs(steps) / usual, suspects) * usual[suspects]
+    if len(suspects):
+        speed, window = np.abs(steps) / usual, min(WINDOW_STEPS, len(steps))
+        begin = np.clip(suspects - WINDOW_STEPS // 2, 0, len(steps) - window)
+        present = np.median(speed[begin[:, None] + np.arange(window)], axis=1)
+        out[suspects] += JUMP_FACTOR * present * usual[suspects]
     return np.minimum(out, MAX_SPEED_MPS * usual)
-
-
-def _speeds(speed: Array, at: Ints) -> Array:
-    """Return the median of `speed` (n,) over the WINDOW_STEPS steps around each index `at` (k,)."""
-    if not len(at):
-        return np.zeros(0)
-    window = min(WINDOW_STEPS, len(speed))
-    begin = np.clip(at - WINDOW_STEPS // 2, 0, len(speed) - window)
-    median: Array = np.median(speed[begin[:, None] + np.arange(window)], axis=1)
-    return median
 
 
 def spikes(t: Array, values: Array, limit: Array) -> Mask:

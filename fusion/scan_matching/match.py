@@ -92,7 +92,6 @@ def match(
     counts = np.diff(sources.first)[j]
     parts = consecutive(np.cumsum(counts) // POINTS_AT_ONCE)
     return Matches.joined(*(_match(targets, i[at], sources, j[at], guess[at], prior[at], reach) for at in parts))
-    return Matches.joined(*parts)
 
 
 def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 import msgspec
 
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.kernels.sight import AuditColumns
+from locfuse.fusion.kernels.sight import SightLines
 
 from .data import Array, Colour, Component, Ints, Jump, LocfuseError, MapLine, Measurements, SeenAgain, Stream
 
@@ -65,24 +65,6 @@ class Equation(NamedTuple):
     columns: Ints  # (c,) of the state; a column may occur twice
     H: Array  # (m, c)
     R: Array  # (m, m)
-
-
-class Reading:
-    """Innovations of a reading with many rows, stored in columns for speed."""
-
-    row: int  # index of the first row in Measurements.z
-    lines: int  # number of rows in Measurements.z
-    accepted: int  # number of rows that correct the filter
-    first: int  # first row of their equation in the state's table
-    numbers: int  # number of rows of this equation
-
-    def write(self, audit: AuditColumns, at: int, instant: int, row: int) -> None:
-        """Write the verdicts of all rows into the columns of an audit, starting at index `at`."""
-        raise NotImplementedError
-
-    def rows_used(self) -> list[int]:
-        """Return the accepted rows of Measurements.z, in the order of their equations."""
-        raise NotImplementedError
 
 
 def positive(greatest: float) -> None:
@@ -180,8 +162,11 @@ class Model:
         """Return whether reading i starts a map of this sensor, so that the local frame may begin."""
         return False
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Reading:
-        """Return the innovations of reading i relative to the prior; those with verdict 0 correct the filter."""
+    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | SightLines:
+        """Return the innovations of reading i relative to the prior; those with verdict 0 correct the filter.
+
+        A scan of lines has many rows: it stores them in columns, for speed.
+        """
         raise NotImplementedError
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
@@ -446,8 +431,3 @@ class Sensor(ABC):
 
     locates: ClassVar[bool] = False
     """Whether the sensor observes the position, not only turns or motion."""
-
-    @property
-    def measures_metres(self) -> bool:
-        """Whether this sensor measures a length [m], and so shows the scale of wheel odometry."""
-        return any(c.unit == "m" for c in self.components)

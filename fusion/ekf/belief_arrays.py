@@ -17,7 +17,8 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.kernels import ekf
 from locfuse.fusion.kernels.ekf import Innovation, Steps
-from locfuse.fusion.sensor import Block, Equation, Reading, positive
+from locfuse.fusion.kernels.sight import SightLines
+from locfuse.fusion.sensor import Block, Equation, positive
 
 from .equations import eq6_noise
 from .events import (
@@ -172,11 +173,11 @@ class JointBelief(ekf.State):
             back = undone(before, self._before(), rows, spread, by_wheels)
         self.events.add(Moved(start, self.pose(), noise, coupling, back))
 
-    def queue(self, seen: Innovation | Reading, sensor: str = "") -> None:
+    def queue(self, seen: Innovation | SightLines, sensor: str = "") -> None:
         """Queue the accepted rows of a measurement for the next `correct`."""
         self.queue_rows(seen.first, seen.numbers)
         if self.events is not None:
-            rows = seen.rows_used() if isinstance(seen, Reading) else [seen.row]
+            rows = seen.rows_used() if isinstance(seen, SightLines) else [seen.row]
             self._sources += [(sensor, row, seen.numbers // len(rows)) for row in rows]
 
     def fit_of(self, begin: int, end: int) -> float:
@@ -212,7 +213,7 @@ class JointBelief(ekf.State):
         self.correct()
         self.begin()
 
-    def listen(self, seen: Sequence[Innovation | Reading]) -> None:
+    def listen(self, seen: Sequence[Innovation | SightLines]) -> None:
         """Correct only the blocks on which the innovations depend; all other states are considered."""
         at, _, count, *_ = self._rows
         kept = np.ones(self.n, bool)

@@ -21,7 +21,6 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import (
     LOOP_TAKEN,
     Array,
-    Ints,
     Jump,
     LocfuseError,
     MapLine,
@@ -53,7 +52,6 @@ from .line_map import (
     line_by_mount,
     merge_doubles,
     mount_states_of,
-    moved_mount,
     prune,
 )
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, find_closure, is_unknown
@@ -199,13 +197,14 @@ class LineTracker(Model):
         """Return the present scan in the base frame, by the estimated mount."""
         if self.mount is None:
             return Scan(self._rows)
-        return Scan(rows_in_base(self._rows, *moved_mount(self.mount, belief)))
+        from_configured = se2.carried(self.mount.now(belief), self.mount.configured, (0.0, 0.0, 0.0))
+        return Scan(rows_in_base(self._rows, *from_configured))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Update the map by scan i: extend matched lines, and add new lines (mode `grow`, or first scan)."""
         first, last = self._first[i], self._first[i + 1]
         if self.guard is not None and last > first:
-            self.guard.note_corrected(belief.pose())
+            self.guard.corrected = belief.pose()  # the wheels predict from here
         if i != self._asked:  # two scans at one update time: the association is that of the last one
             return
         found, self._found = self._found, None
@@ -361,7 +360,9 @@ class AtlasTracker(LineTracker):
             self._return_to(back, belief)
             return
         recent = np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
-        if not len(recent) or not self._may_begin_next(recent, belief):
+        x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
+        far = math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
+        if not len(recent) or not (far or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD):
             return  # no wall would connect both submaps, or the heading is too uncertain
         shared = shared_walls(self.map, recent, belief)
         self._leave(belief, connected=True)
@@ -384,16 +385,6 @@ class AtlasTracker(LineTracker):
                 self.guard.enter_map()
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
-
-    def _may_begin_next(self, recent: Ints, belief: JointBelief) -> bool:
-        """Return whether the robot may begin a submap here.
-
-        Its heading relative to the recent walls, with indices `recent` (k,), must be certain. Further than
-        MAX_REACH_FACTOR * REACH_M from the begin of the present submap, this is not required.
-        """
-        x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
-        far = math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
-        return far or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD
 
     def _neighbour(self, belief: JointBelief) -> FrozenMap | None:
         """Return the neighbouring frozen submap in which the robot is; None without one."""

@@ -7,7 +7,7 @@ NOWHERE measures the pose in the map: e = x_j - z.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -188,18 +188,6 @@ class Normal:
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
 
-class OtherTerms(Protocol):
-    """Terms of the least-squares problem that are not edges, such as sensor readings, with their own states."""
-
-    states: int
-
-    def rows(self, x: Array) -> list[Summands]:
-        """Return blocks of the normal equations at key poses x (n, 3) and at the present states of the terms."""
-
-    def move(self, step: Array) -> None:
-        """Add a step (states,) to the states of the terms."""
-
-
 def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
     """Return poses j (c,) relative to poses i (c,), (c, 3), and their covariances (c, 3, 3).
 
@@ -213,9 +201,12 @@ def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
 
 
 class Problem:
-    """Pose-graph problem for several solves: prior on the start, other sensors, and systematic errors."""
+    """Pose-graph problem for several solves: prior on the start, other sensors, and systematic errors.
 
-    def __init__(self, start: Edges | None = None, others: OtherTerms | None = None) -> None:
+    `others` (whole_drive.others) has terms that are not edges, with their own states.
+    """
+
+    def __init__(self, start: Edges | None = None, others: Any = None) -> None:
         self.start, self.others = Edges.none() if start is None else start, others
         self.systematic = np.zeros(len(SYSTEMATIC_SIGMAS))
 

@@ -248,18 +248,10 @@ def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candida
     sigma = np.sqrt(np.maximum(P[:, 0, 0] + P[:, 1, 1], 0.0))
     likely = apart < MAX_APART_M + np.minimum(2.0 * sigma, MAX_APART_M)
     at = np.flatnonzero(likely)
-    at = at[_nearest_visits(b[at], (apart + sigma)[at])]
+    at = at[np.lexsort(((apart + sigma)[at], b[at]))]
+    nth = np.arange(len(at)) - np.searchsorted(b[at], b[at])  # of each later submap, the nearest ones are kept
+    at = np.sort(at[nth < MAX_VISITS])
     return Candidates(a[at], b[at], guess[at], P[at])
-
-
-def _nearest_visits(b: Ints, cost: Array) -> Ints:
-    """Choose among c candidates: for each later submap, keep the MAX_VISITS with the lowest `cost` (c,).
-
-    b (c,) is the later submap of each candidate. Returns the indices of the kept candidates.
-    """
-    order = np.lexsort((cost, b))
-    first = np.searchsorted(b[order], b[order])
-    return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])
 
 
 def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple[Candidates, Array]:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import msgspec
 import numpy as np
 from msgspec import field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -219,18 +220,14 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
         counts = np.diff(self.first)[readings]
         first = totals(counts)
         rows = np.repeat(self.first[readings] - first[:-1], counts) + np.arange(first[-1])
-        return Measurements(
+        return replace(
+            self,
             t=self.t[readings],
             first=first,
             z=self.z[rows],
             R_unit=self.R_unit[rows],
-            scale=self.scale,
-            floor=self.floor,
             extra={k: v[rows] for k, v in self.extra.items()},
-            dropped=self.dropped,
             points=None if self.points is None else self.points.take(readings),
-            notes=self.notes,
-            seen=self.seen,
         )
 
 

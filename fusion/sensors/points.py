@@ -79,12 +79,23 @@ class IdReadings(NamedTuple):
 def used(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) -> tuple[Mask, list[str]]:
     """Return which readings (n,) are used, and notes on the map; count the others in `dropped` by reason.
 
-    Valid readings of ids in the map are used; if the map is estimated, those of ids that are often seen. Raises
-    LocfuseError if there are none.
+    Valid readings of ids in the map are used; if the map is estimated, those of ids that are often seen. Two
+    readings of one id by one detector at one time are both left out: a reflection, or two points with one id.
+    Raises LocfuseError if there are none.
     """
-    keep = _usable(seen, settings, dropped)
-    if len(seen.ids) and not keep.any():
-        found = ", ".join(map(str, sorted(set(seen.ids.tolist()))[:MAX_NAMED]))
+    ids, valid = seen.ids, seen.valid
+    unwanted = np.isin(ids, settings.ignore)
+    numbered = (ids >= 0) & ~unwanted
+    known = numbered if settings.grows else numbered & np.isin(ids, list(settings.places))
+    triples = np.stack((seen.t_ns, ids, seen.detector), axis=-1)
+    _, place, counts = np.unique(triples, axis=0, return_inverse=True, return_counts=True)
+    twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
+    count_dropped(dropped, nan_or_not_positive=~valid)
+    count_dropped(dropped, no_id=valid & (ids < 0), ignored=valid & unwanted)
+    count_dropped(dropped, not_in_map=valid & numbered & ~known, same_id=valid & known & twice)
+    keep: Mask = valid & known & ~twice
+    if len(ids) and not keep.any():
+        found = ", ".join(map(str, sorted(set(ids.tolist()))[:MAX_NAMED]))
         have = ", ".join(map(str, sorted(settings.places)[:MAX_NAMED])) or "none"
         of_map = "" if settings.grows else f" of the map's {settings.what}; the map has {have}"
         raise LocfuseError(f"{seen.topic} has no usable reading{of_map}: it sees ids {found}", role=settings.table)
@@ -98,24 +109,6 @@ def used(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) ->
         f"{settings.table}.map=FILE, a .csv of id, x, y, {settings.they} also say where the robot is in the room"
     )
     return keep, [no_map, *left_out]
-
-
-def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) -> Mask:
-    """Return which readings (n,) are valid, in the map, and unique in id and time; count the others by reason.
-
-    Two readings of one id by one detector at one time are both left out: a reflection, or two points with one id.
-    """
-    ids, valid = seen.ids, seen.valid
-    unwanted = np.isin(ids, settings.ignore)
-    numbered = (ids >= 0) & ~unwanted
-    known = numbered if settings.grows else numbered & np.isin(ids, list(settings.places))
-    triples = np.stack((seen.t_ns, ids, seen.detector), axis=-1)
-    _, place, counts = np.unique(triples, axis=0, return_inverse=True, return_counts=True)
-    twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
-    count_dropped(dropped, nan_or_not_positive=~valid)
-    count_dropped(dropped, no_id=valid & (ids < 0), ignored=valid & unwanted)
-    count_dropped(dropped, not_in_map=valid & numbered & ~known, same_id=valid & known & twice)
-    return valid & known & ~twice
 
 
 def _often_seen(

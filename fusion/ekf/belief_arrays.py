@@ -200,8 +200,12 @@ class JointBelief(ekf.State):
         if equation is not None:
             noted.add(Corrected(*equation, tuple(self._sources), self.state - before.x))
         self._sources.clear()
-        if self.frame_x or self.frame_y:
-            self._note_turn(self.frame_x, self.frame_y)
+        if self.frame_x or self.frame_y:  # the map frame was turned (State.turn_frame)
+            rows, G = np.array((self.frame, self.frame + 1)), np.zeros((2, self.n))
+            G[(0, 1), rows] = 1.0
+            G[:, self.frame + 2] = self.frame_y, -self.frame_x
+            back = Undone(rows, self.state[rows] - G @ self.state, G, np.zeros((2, 2)))
+            noted.add(FrameTurned(self.frame, self.frame_x, self.frame_y, back))
 
     def know(self, y: Sequence[float], R: Any, columns: Sequence[int], H: Any) -> None:
         """Correct by an equation between states without a reading, for example that two states are equal.
@@ -437,8 +441,14 @@ class JointBelief(ekf.State):
             self.frame = self.augment(self._x[:3].copy(), np.eye(3), np.zeros((3, 3)))
             if self.events is not None:
                 self.events.list[-1] = Added(self.frame, 3, frame=True)
-        else:
-            self._move_frame()
+        else:  # the frame's pose in the map, G, becomes G o q
+            if self.events is not None:
+                self.events.add(FrameMoved())
+            G, q = np.array(self.frame_pose()), self._x[:3].copy()
+            J = np.eye(6)
+            J[3:] = np.hstack((se2.rotation(G[2]), pose_by_frame(G[None], q[None])[0]))
+            at = np.concatenate((POSE, self._frame_columns()))
+            self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
         for column in sorted(self._clones):  # convert cloned headings, with their covariances, to the local frame
             turned = np.array([[1.0, 0.0], [-1.0, 1.0]])
             self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
@@ -465,16 +475,6 @@ class JointBelief(ekf.State):
         self._x[:n] += K @ step
         self._P[:n, :n] += K @ (P - own) @ K.T
         self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
-
-    def _move_frame(self) -> None:
-        """Move the map frame to the local pose q: its pose in the map, G, becomes G o q (composition)."""
-        if self.events is not None:
-            self.events.add(FrameMoved())
-        G, q = np.array(self.frame_pose()), self._x[:3].copy()
-        at = np.concatenate((np.arange(3), self._frame_columns()))
-        J = np.eye(6)
-        J[3:] = np.hstack((se2.rotation(G[2]), pose_by_frame(G[None], q[None])[0]))
-        self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
 
     def _into_frame(self, column: int, size: int) -> None:
         """Convert a cloned pose (three states) or a point (two states) to the new local frame."""
@@ -527,17 +527,6 @@ class JointBelief(ekf.State):
             back = by_others(self._before(), rows) if self.events.backward else None
             none = np.zeros((len(rows), len(rows)))
             self.events.add(Changed(rows, by, none if noise is None else noise, back))
-
-    def _note_turn(self, dx: float, dy: float) -> None:
-        """Record a correction of the map frame by (dx, dy) [m] and its rotation (State.turn_frame)."""
-        assert self.events is not None
-        first = self.frame
-        rows = np.array((first, first + 1))
-        G = np.zeros((2, self.n))
-        G[(0, 1), rows] = 1.0
-        G[:, first + 2] = dy, -dx
-        back = Undone(rows, self.state[rows] - G @ self.state, G, np.zeros((2, 2)))
-        self.events.add(FrameTurned(first, dx, dy, back))
 
     # ---- capacity ----
 

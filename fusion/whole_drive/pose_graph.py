@@ -131,14 +131,20 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
         """Return the notes for the user: closed loops with times, undecided loops, whether the graph was used."""
-        closed = len(self.closures)
+        closed, spans = len(self.closures), list[list[float]]()
+        for at in sorted(self.drive.t[self.keys][self.closures.j].tolist()):  # second visits, such as 12-30 s
+            if spans and at - spans[-1][1] < SPAN_GAP_S:
+                spans[-1][1] = at
+            else:
+                spans.append([at, at])
         if not closed:
             notes = ["no loop was closed: no place was recognised as seen before"]
         elif not used:
             words = f"the filter's own map holds its {closed} loops together; no loop had to be closed"
             return (f"smoothing: {words}",)
         else:
-            notes = [f"closed {closed} loops onto places seen before (at {self._when()})"]
+            when = ", ".join(f"{a:.0f}-{b:.0f} s" if b > a else f"{a:.0f} s" for a, b in spans)
+            notes = [f"closed {closed} loops onto places seen before (at {when})"]
         if used and self.lag:
             side = "behind" if self.lag < 0 else "ahead of"
             notes.append(f"the laser's stamps run {abs(self.lag):.2f} s {side} the wheels', which was allowed for")
@@ -146,17 +152,6 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
             n, why = len(self.loops.undecided), "; ".join(sorted(set(self.loops.undecided.values())))
             notes.append(f"{n} possible loops stayed open ({why})")
         return tuple(f"smoothing: {words}" for words in notes)
-
-    def _when(self) -> str:
-        """Return the time intervals of the second visits, such as "12-30 s, 95 s"."""
-        t = self.drive.t[self.keys]
-        spans: list[list[float]] = []
-        for at in sorted(t[self.closures.j].tolist()):
-            if spans and at - spans[-1][1] < SPAN_GAP_S:
-                spans[-1][1] = at
-            else:
-                spans.append([at, at])
-        return ", ".join(f"{a:.0f}-{b:.0f} s" if b > a else f"{a:.0f} s" for a, b in spans)
 
 
 def whole_drive(

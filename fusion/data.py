@@ -257,8 +257,7 @@ class Truth(msgspec.Struct, frozen=True):
 
     def spans(self, t: Array) -> Mask:
         """Return the mask (n,) of the times t (n,) [s] between the first and the last pose."""
-        inside: Mask = (t >= self.t[0]) & (t <= self.t[-1])
-        return inside
+        return np.asarray((t >= self.t[0]) & (t <= self.t[-1]))
 
 
 class Drive(msgspec.Struct, frozen=True):
@@ -458,8 +457,7 @@ class Estimates(msgspec.Struct, frozen=True):
 
 def plausible(values: Array) -> Mask:
     """Return a mask (any shape) of the values [m, rad or degrees] that are finite and below MAX_MAGNITUDE."""
-    small: Mask = np.abs(values) < MAX_MAGNITUDE  # false for NaN
-    return small
+    return np.asarray(np.abs(values) < MAX_MAGNITUDE)  # false for NaN
 
 
 PLANE_ROWS = (0, 1, 5)  # rows of x, y and yaw in a 6 x 6 covariance of x, y, z, roll, pitch, yaw

@@ -101,8 +101,7 @@ def block_means(values: Array, block: int) -> Array:
         starts = rng.integers(0, q, size=(len(some), count))
         for j, row in enumerate(sums):
             some[:, j] = (row[starts + block] - row[starts]).sum(axis=1)
-    means: Array = totals / (count * block)
-    return means
+    return np.asarray(totals / (count * block))
 
 
 def _correlation(deviation: Array, samples: Array) -> Array:

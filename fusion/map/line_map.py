@@ -254,9 +254,15 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
         found = next(((j, i) for j, i in zip(recent.tolist(), doubles, strict=True) if i is not None), None)
         if found is None:
             return
-        j, i = found
-        _join(lines, belief, min(i, j), max(i, j), R)
-        recent = recent[recent < j]
+        i, gone = sorted(found)  # the equality of both corrects the state; line i keeps the extent of both
+        y, H, lo, hi = _difference(lines, lines.values(belief), i, gone)
+        belief.know(y.tolist(), R.tolist(), lines.states(np.array([i, gone])).tolist(), H.tolist())
+        lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
+        lines.hits[i] += lines.hits[gone]
+        lines.seen[i] = max(lines.seen[i], lines.seen[gone])
+        lines.born[i] = min(lines.born[i], lines.born[gone])
+        belief.remove(lines.drop(np.array([gone])))
+        recent = recent[recent < found[0]]
 
 
 def _near(lines: LineMap, values: Array, which: Ints) -> Mask:
@@ -300,17 +306,6 @@ def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, A
     H = np.array([[-1.0, 0.0, 1.0, ay * c - ax * s], [0.0, -1.0, 0.0, 1.0]])
     along = ay * math.cos(values[i, 1]) - ax * math.sin(values[i, 1])
     return y, H, float(lines.lo[j] + along), float(lines.hi[j] + along)
-
-
-def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:
-    """Correct the state by the equality of lines i and j; keep line i with the extent of both."""
-    y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
-    belief.know(y.tolist(), R.tolist(), lines.states(np.array([i, j])).tolist(), H.tolist())
-    lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
-    lines.hits[i] += lines.hits[j]
-    lines.seen[i] = max(lines.seen[i], lines.seen[j])
-    lines.born[i] = min(lines.born[i], lines.born[j])
-    belief.remove(lines.drop(np.array([j])))
 
 
 # ---- the mount of the laser ----

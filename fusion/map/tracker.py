@@ -18,16 +18,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import (
-    LOOP_TAKEN,
-    Array,
-    Jump,
-    LocfuseError,
-    MapLine,
-    Measurements,
-    RowVerdict,
-    SeenAgain,
-)
+from locfuse.fusion.data import LOOP_TAKEN, Array, Jump, LocfuseError, MapLine, Measurements, RowVerdict, SeenAgain
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import pose_by_frame
 from locfuse.fusion.kernels.ekf import Innovation

@@ -63,8 +63,7 @@ class Edges(Columns, frozen=True):
     def chi2(self, x: Array, systematic: Array | None = None) -> Array:
         """Return the squared error e' Omega e of every edge, (m,)."""
         e = self.errors(x, systematic)
-        found: Array = np.einsum("ni,nij,nj->n", e, self.information, e)
-        return found
+        return np.asarray(np.einsum("ni,nij,nj->n", e, self.information, e))
 
     def weights(self, x: Array, systematic: Array | None = None, graduation: float = 1.0) -> Array:
         """Return Geman-McClure weights (m,); the kernel is convex for a large `graduation` (Yang et al. 2020)."""
@@ -90,8 +89,7 @@ def chi2_of(poses: Array, expected: Array, P: Array) -> Array:
     P (3, 3) or (n, 3, 3) are the covariances of the differences.
     """
     off = se2.difference(poses, expected)
-    found: Array = np.einsum("ni,nij,nj->n", off, np.broadcast_to(np.linalg.inv(P), (len(off), 3, 3)), off)
-    return found
+    return np.asarray(np.einsum("ni,nij,nj->n", off, np.broadcast_to(np.linalg.inv(P), (len(off), 3, 3)), off))
 
 
 class Summands(msgspec.Struct, frozen=True):
@@ -151,16 +149,14 @@ class Normal:
 
     def step(self) -> Array:
         """Return the Gauss-Newton step (n,) of the state."""
-        found: Array = self._lu.solve(self.g)
-        return found
+        return np.asarray(self._lu.solve(self.g))
 
     def columns(self, poses: Ints) -> Array:
         """Return the columns (n, 3 k) of the covariance that belong to the poses with indices (k,)."""
         at = (3 * poses[:, None] + np.arange(3)).ravel()
         unit = np.zeros((self.n, len(at)))
         unit[at, np.arange(len(at))] = 1.0
-        found: Array = self._lu.solve(unit)
-        return found
+        return np.asarray(self._lu.solve(unit))
 
     def joint(self, poses: Ints) -> Array:
         """Return the joint covariance (k, 3, k, 3) of the poses with indices (k,)."""

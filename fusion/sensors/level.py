@@ -167,5 +167,4 @@ def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
 
 def _angles_to(up: Array, middle: Array) -> Array:
     """Return the angles (n,) [rad] between unit vectors (n, 3) and one unit vector (3,)."""
-    found: Array = np.arctan2(np.linalg.norm(np.cross(up, middle), axis=1), up @ middle)
-    return found
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(up, middle), axis=1), up @ middle))

@@ -62,8 +62,7 @@ class Residuals(msgspec.Struct, frozen=True):
     def squares(self, scale: float, p: Array) -> Array:
         """Return the squared Mahalanobis distance of each piece (n,), for a noise scale and parameters p (p,)."""
         r = self.e - self.X @ p
-        distances: Array = np.einsum("ni,ni->n", r, np.linalg.solve(scale * self.Q + self.T, r[..., None])[..., 0])
-        return distances
+        return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(scale * self.Q + self.T, r[..., None])[..., 0]))
 
     def ln_likelihood(self, scale: float) -> float:
         """Return the log likelihood of a noise scale, up to a constant."""

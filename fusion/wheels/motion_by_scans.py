@@ -299,8 +299,7 @@ class Velocity(NamedTuple):
         A = self.P @ inverse(before.P) * np.exp(-dt / DECAY_S)
         M = np.linalg.solve(np.eye(3) - A, A @ self.P)
         values, vectors = np.linalg.eigh(dt * dt * (self.P + M + M.T))
-        out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        return out
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def initial_velocity() -> Velocity:

@@ -14,6 +14,7 @@ WINDOW_STEPS = 11  # steps whose median speed is the present speed
 # a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
 JUMP_FACTOR, JUMP_SLACK_MPS, MIN_JUMP_M = 8.0, 0.5, 0.02
 MAX_HELD_FACTOR = 4.0  # largest ratio of the speeds before, during and after a time with a constant counter
+SPEED_SETTING = "wheels.max_speed [m/s] limits a step"
 CAUGHT_UP = "stood still and then caught up"  # words of the note on such a time
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
@@ -59,8 +60,14 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     t, steps = side.t[keep], np.diff(rolled)
     restarts = np.abs(steps) > limits(t, steps, max_speed)
     distance = totals(without_restarts(t, steps[:, None], restarts)[:, 0])
-    jumps = steps[restarts] / metres
-    notes = _words(side.name, count, int(bad.sum()), jumps.tolist())
+    notes = []
+    if count.modulus is not None:
+        notes.append(
+            f"{side.name} counter rolled over {times(count.turns)}, taken as modulo {count.modulus:.10g}; "
+            f"if that is wrong, set wheels.rollover (0: it never does)"
+        )
+    jumps = [f"by {jump:+.6g}" for jump in (steps[restarts] / metres).tolist()]
+    notes += jump_notes(f"{side.name} counter", int(bad.sum()), "started anew", jumps)
     return Repaired(keep, distance, int(bad.sum()), (*notes, *still))
 
 
@@ -93,24 +100,18 @@ def held_readings(t: Array, rolled: Array, max_speed: float | None) -> Mask:
     return out
 
 
-def _words(name: str, count: Unrolled, spiked: int, jumps: Sequence[float]) -> list[str]:
+def jump_notes(what: str, spiked: int, jumped: str, jumps: Sequence[str]) -> list[str]:
+    """Return notes on readings of `what`: `spiked` ones that jumped away and returned, and `jumps` that stayed.
+
+    `jumped` says what such a jump is; the text of each jump is its time or its size.
+    """
     words = []
-    if count.modulus is not None:
-        words.append(
-            f"{name} counter rolled over {times(count.turns)}, taken as modulo {count.modulus:.10g}; "
-            f"if that is wrong, set wheels.rollover (0: it never does)"
-        )
     if spiked:
-        words.append(
-            f"{name} counter jumped away and returned (readings not used: {spiked}); "
-            "wheels.max_speed [m/s] limits a step"
-        )
+        words.append(f"{what} jumped away and returned (readings not used: {spiked}); {SPEED_SETTING}")
     if jumps:
-        sizes = ", ".join(f"{j:+.6g}" for j in jumps[:3])
-        words.append(
-            f"{name} counter started anew {times(len(jumps))} (by {sizes}{' ...' if len(jumps) > 3 else ''}); "
-            "the motion there is taken from around it; wheels.max_speed [m/s] limits a step"
-        )
+        shown = ", ".join(jumps[:3]) + (" ..." if len(jumps) > 3 else "")
+        around = "the motion there is taken from around it"
+        words.append(f"{what} {jumped} {times(len(jumps))} ({shown}); {around}; {SPEED_SETTING}")
     return words
 
 
@@ -265,5 +266,4 @@ def without_restarts(t: Array, steps: Array, jumps: Mask) -> Array:
 
 
 def _length(steps: Array) -> Array:
-    length: Array = np.hypot.reduce(steps, axis=-1)  # squares of absurd steps would overflow
-    return length
+    return np.asarray(np.hypot.reduce(steps, axis=-1))  # squares of absurd steps would overflow

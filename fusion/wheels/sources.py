@@ -143,8 +143,7 @@ def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
     last = np.append(t_ns[rows[1:]] > t_ns[rows[:-1]], True)
     same = (values[rows[1:]] == values[rows[:-1]]).all(axis=1) & ~last[:-1]
     count_dropped(dropped, repeat=same, same_stamp=~last[:-1] & ~same)
-    kept: Ints = rows[last]
-    return kept
+    return np.asarray(rows[last])
 
 
 def require_two(topic: str, found: int, n: int, dropped: Mapping[str, int] | None = None) -> None:

@@ -271,5 +271,4 @@ def between_instants(
 
 def _apply(M: Array, x: Array) -> Array:
     """Return M x for matrices M (n, 3, 3) and vectors x (n, 3)."""
-    product: Array = np.einsum("nij,nj->ni", M, x)
-    return product
+    return np.asarray(np.einsum("nij,nj->ni", M, x))

@@ -198,9 +198,9 @@ class Filter:
         """Return the estimates of the run, including predictions at the truth's stamps."""
         pose, triangles = self._track.recorded()
         blocks, variances = self._track.blocks(), self._track.blocks(variances=True)
-        maps = [m.lines(self._views[s]) for s, m in self.models.items()]
+        results = [m.results(self._views[s]) for s, m in self.models.items()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
-        loops = [loop for m in self.models.values() for loop in m.closed_loops()]
+        loops = [loop for found in results for loop in found.loops]
         return Estimates(
             configuration=name,
             sensors=self._sensors,
@@ -210,16 +210,14 @@ class Filter:
             audits={s: record.audit() for s, record in self._records.items()},
             blocks=blocks,
             block_sigmas={name: np.sqrt(np.maximum(v, 0.0)) for name, v in variances.items()},
-            first_map=[line for first, _ in maps for line in first],
-            final_map=[line for _, final in maps for line in final],
-            points=[point for s, m in self.models.items() for point in m.points(self._views[s])],
+            first_map=[line for found in results for line in found.first_map],
+            final_map=[line for found in results for line in found.final_map],
+            points=[point for found in results for point in found.points],
             truth_pose=truth_pose,
             truth_P=truth_P,
             notes=tuple(self._notes()),
-            jumps=tuple(sorted(jump for m in self.models.values() for jump in m.jumps())),
-            lost=tuple(
-                (a, min(b, float(drive.t[-1]))) for m in self.models.values() for a, b in m.lost_intervals()
-            ),
+            jumps=tuple(sorted(jump for found in results for jump in found.jumps)),
+            lost=tuple((a, min(b, float(drive.t[-1]))) for found in results for a, b in found.lost),
             loops=np.array([(loop.then, loop.now) for loop in loops]).reshape(-1, 2),
             loop_poses=np.array([loop.pose for loop in loops]).reshape(-1, 3),
         )

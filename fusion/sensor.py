@@ -12,7 +12,7 @@ import msgspec
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import SightLines
 
-from .data import Array, Colour, Component, Ints, Jump, LocfuseError, MapLine, Measurements, SeenAgain, Stream
+from .data import Array, Colour, Component, Ints, Jump, MapLine, Measurements, SeenAgain, Stream
 
 Row = tuple[float, ...]
 Matrix = tuple[Row, ...]
@@ -65,18 +65,6 @@ class Equation(NamedTuple):
     columns: Ints  # (c,) of the state; a column may occur twice
     H: Array  # (m, c)
     R: Array  # (m, m)
-
-
-def positive(greatest: float) -> None:
-    """Raise LocfuseError if an innovation covariance is singular, that is, `greatest` is not positive.
-
-    `greatest` is the largest variance, with a minus sign if the covariance is not positive definite.
-    """
-    if not greatest > 0.0:
-        raise LocfuseError(
-            f"an innovation covariance became singular (variances of up to {-greatest:.0e}): check the values of "
-            "sigma and floor in robot.toml"
-        )
 
 
 class Block(NamedTuple):
@@ -136,6 +124,17 @@ class Belief(Protocol):
         """
 
 
+class ModelResults(NamedTuple):
+    """Maps, landmarks, jumps and loops that a model found in a run."""
+
+    first_map: Sequence[MapLine] = ()  # after the first scan
+    final_map: Sequence[MapLine] = ()
+    points: Sequence[tuple[int, float, float]] = ()  # id, x, y [m, map frame] of the landmarks in an estimated map
+    jumps: Sequence[Jump] = ()  # corrections of the pose without motion, such as corrected slips
+    lost: Sequence[tuple[float, float]] = ()  # s: intervals in which the robot was reported as lost
+    loops: Sequence[SeenAgain] = ()  # loop closures, in order of time
+
+
 class Model:
     """Measurement model of one sensor in one run of the filter; it may also keep a map."""
 
@@ -178,25 +177,9 @@ class Model:
         Called after all readings of an update time, only for a model that `leads`.
         """
 
-    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan and the map at the end, for the report."""
-        return [], []
-
-    def points(self, belief: Any) -> list[tuple[int, float, float]]:
-        """Return id and position x, y [m, map frame] of every landmark in the estimated map."""
-        return []
-
-    def jumps(self) -> list[Jump]:
-        """Return the corrections of the pose without motion, such as corrected slips."""
-        return []
-
-    def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return the intervals (start, end) [s] in which this sensor reported the robot as lost."""
-        return []
-
-    def closed_loops(self) -> list[SeenAgain]:
-        """Return the loop closures, in order of time."""
-        return []
+    def results(self, belief: Any) -> ModelResults:
+        """Return maps, landmarks, jumps and loops of this run for the report; `belief` is the last one."""
+        return ModelResults()
 
     def notes(self, belief: Any) -> list[str]:
         """Return notes on this run for the report; `belief` is the last one."""

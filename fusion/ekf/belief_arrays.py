@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, LocfuseError
 from locfuse.fusion.kernels import ekf
 from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.kernels.sight import SightLines
-from locfuse.fusion.sensor import Block, Equation, positive
+from locfuse.fusion.sensor import Block, Equation
 
 from .equations import eq6_noise
 from .events import (
@@ -184,7 +184,7 @@ class JointBelief(ekf.State):
         """Return the joint NIS, y' S^-1 y, of the queued rows begin:end."""
         greatest = self.whiten(begin, end)
         if not greatest > 0.0:
-            positive(greatest)
+            self.not_positive(greatest)
         return self.fit(end - begin)
 
     def correct(self) -> None:
@@ -574,8 +574,11 @@ class JointBelief(ekf.State):
         self.keeps = len(kept) > 0
 
     def not_positive(self, greatest: float) -> None:
-        """Raise LocfuseError: an innovation covariance with variances up to `greatest` is not positive."""
-        positive(greatest)
+        """Raise LocfuseError: an innovation covariance with variances of up to -`greatest` is singular."""
+        raise LocfuseError(
+            f"an innovation covariance became singular (variances of up to {-greatest:.0e}): check the values of "
+            "sigma and floor in robot.toml"
+        )
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:

@@ -28,7 +28,7 @@ from locfuse.fusion.lines.scans import line_process_noise
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import beyond_wheels
 from locfuse.fusion.scan_matching.solve import NOWHERE
-from locfuse.fusion.sensor import Block, Model
+from locfuse.fusion.sensor import Block, Model, ModelResults
 
 from .anchors import Anchors, Edge, inverted
 from .guard import Guard, jump, pose_in_map
@@ -245,17 +245,10 @@ class LineTracker(Model):
 
     # ---- results ----
 
-    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan and the present map."""
-        return self._first_map, self.map.lines(belief)
-
-    def jumps(self) -> list[Jump]:
-        """Return the corrections of the pose by slips, relocalisations and loop closures."""
-        return self._jumps
-
-    def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return the time intervals in which the robot was lost, (start, end) [s]."""
-        return self.guard.intervals() if self.guard is not None else []
+    def results(self, belief: Any) -> ModelResults:
+        """Return the map after the first scan and the present one, jumps of the pose, and intervals when lost."""
+        lost = self.guard.intervals() if self.guard is not None else []
+        return ModelResults(self._first_map, self.map.lines(belief), jumps=self._jumps, lost=lost)
 
     def notes(self, belief: Any) -> list[str]:
         """Return notes for the user: slips and relocalisations, and the estimated mount of the laser."""
@@ -528,18 +521,13 @@ class AtlasTracker(LineTracker):
 
     # ---- results ----
 
-    def closed_loops(self) -> list[SeenAgain]:
-        """Return the recognised places, in order of time."""
-        return self.closed
-
-    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan, and the lines of all submaps at their present poses."""
-        first, now = super().lines(belief)
-        left: list[MapLine] = []
+    def results(self, belief: Any) -> ModelResults:
+        """Return also the lines of all submaps at their present poses, and the recognised places."""
+        found, left = super().results(belief), list[MapLine]()
         for old in self._frozen:
             pose, P = self._anchors.pose[old.anchor], self._anchors.covariance(old.anchor)
             left += old.lines.lines_in_map(pose, P)
-        return first, left + now
+        return found._replace(final_map=[*left, *found.final_map], loops=self.closed)
 
     def notes(self, belief: Any) -> list[str]:
         """Return notes for the user: also the number of submaps and of closed loops."""

@@ -124,14 +124,6 @@ READS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-class CameraView(NamedTuple):
-    """View of a camera: focal length and image centre, both horizontal [px], and downward tilt [rad]."""
-
-    fx: float | None
-    cx: float | None
-    down: float
-
-
 class Sighted(NamedTuple):
     """Detections of landmarks, m of them; the detections of one message are consecutive."""
 
@@ -141,8 +133,11 @@ class Sighted(NamedTuple):
     bearings: Array  # (m,) rad, counter-clockwise
 
 
-def sighted(stream: Stream, looks: CameraView) -> Sighted:
-    """Return the landmark detections of a stream. Raises LocfuseError for pixels without a focal length."""
+def sighted(stream: Stream, optics: tuple[float | None, float | None], down: float) -> Sighted:
+    """Return the landmark detections of a stream. Raises LocfuseError for pixels without a focal length.
+
+    `optics` are the camera's focal length and image centre, both horizontal [px]; it is tilted `down` [rad].
+    """
     if stream.msgtype == DETECTIONS:
         columns = arrays(stream, *READS[DETECTIONS])
         ranges: Array = np.asarray(columns["range"], np.float64)
@@ -151,7 +146,7 @@ def sighted(stream: Stream, looks: CameraView) -> Sighted:
         return Sighted(stream.t_ns, ids, given, np.asarray(columns["bearing"], np.float64))
     if stream.msgtype == TAGS:
         ids, x, y, z = (np.asarray(column) for column in stream.columns(*READS[TAGS]).values())
-        return _placed(stream.t_ns, ids.astype(np.int64), (x, y, z), looks)
+        return _placed(stream.t_ns, ids.astype(np.int64), (x, y, z), down)
     fields = FIELDS[stream.msgtype]
     raw = stream.columns(*READS[stream.msgtype])
     row, ids = _first_ids(raw[fields.ids], raw[fields.bundled]) if fields.bundled else _ids(raw[fields.ids])
@@ -162,21 +157,22 @@ def sighted(stream: Stream, looks: CameraView) -> Sighted:
     t_ns = stream.t_ns[row[alone]]
     x = _values(raw[fields.x], row, stream.topic)[alone]
     if stream.msgtype in PIXELS:
-        if looks.fx is None or looks.cx is None:
+        fx, cx = optics
+        if fx is None or cx is None:
             raise LocfuseError(
                 f"{stream.topic} says where tags are in the picture, and no CameraInfo says how the camera looks.",
                 role="landmarks",
                 hint="Give its matrix: --set landmarks.fx=<px> --set landmarks.cx=<px>",
             )
-        return Sighted(t_ns, ids[alone], None, np.arctan2(looks.cx - x, looks.fx))
+        return Sighted(t_ns, ids[alone], None, np.arctan2(cx - x, fx))
     y, z = (_values(raw[name], row, stream.topic)[alone] for name in (fields.y, fields.z))
-    return _placed(t_ns, ids[alone], (x, y, z), looks)
+    return _placed(t_ns, ids[alone], (x, y, z), down)
 
 
-def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], looks: CameraView) -> Sighted:
-    """Return detections with range and bearing, from positions x, y, z (m,) [m] in optical axes."""
+def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], down: float) -> Sighted:
+    """Return detections from x, y, z (m,) [m] in optical axes of a camera that is tilted `down` [rad]."""
     x, y, z = place
-    ahead = z * np.cos(looks.down) - y * np.sin(looks.down)
+    ahead = z * np.cos(down) - y * np.sin(down)
     return Sighted(t_ns, ids, np.hypot(x, ahead), np.arctan2(-x, ahead))
 
 
@@ -348,8 +344,8 @@ def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
     found = []
     for part in parts_of(stream):
         _, _, _, *down = (*settings.mounts.get(part.topic, (0.0, 0.0, 0.0)), settings.pitch_deg)
-        fx, cx = settings.optics.get(part.topic, (settings.fx, settings.cx))
-        found.append(sighted(part, CameraView(fx, cx, math.radians(down[0]))))
+        optics = settings.optics.get(part.topic, (settings.fx, settings.cx))
+        found.append(sighted(part, optics, math.radians(down[0])))
     if len(found) == 1:
         return found[0], np.zeros(len(found[0].ids), np.int64)
     if any(seen.ranges is None for seen in found) and any(seen.ranges is not None for seen in found):

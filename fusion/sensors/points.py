@@ -12,7 +12,7 @@ from locfuse.fusion.chi_square import clipped_rms
 from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, in_other_frame, sight, transform
-from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
+from locfuse.fusion.sensor import NO_COLUMNS, Model, ModelResults, SensorSettings
 from locfuse.fusion.streams import count_dropped, seconds
 
 Point = tuple[float, float]
@@ -228,15 +228,15 @@ class PointsModel(Model):
         """Append a point's position, computed from one reading, to the state; return its first column."""
         raise NotImplementedError
 
-    def points(self, belief: Any) -> list[tuple[int, float, float]]:
-        """Return id and place [m, map frame] of every point at the end of the run."""
+    def results(self, belief: Any) -> ModelResults:
+        """Return id and place [m, map frame] of every point of an estimated map."""
         G = belief.frame_pose() or (0.0, 0.0, 0.0)
         c, s = math.cos(G[2]), math.sin(G[2])
         found = []
         for point in sorted(self._known):
             _, (x, y) = belief.block(state_of(point, self._table))
             found.append((point, float(G[0] + c * x - s * y), float(G[1] + s * x + c * y)))
-        return found
+        return ModelResults(points=found)
 
     def map_notes(self, units: str) -> list[str]:
         """Return notes on the map: number of points, rarely seen points, and points that move."""

@@ -87,19 +87,16 @@ class Views(msgspec.Struct, frozen=True):
         Returns this count, and the number of all points of scan j in the view of scan i, (p,) each. `pose` (p, 3)
         is the pose of key j in the frame of key i.
         """
-        pieces = np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1)
-        counts = [self._counted(clouds, i[some], j[some], pose[some]) for some in pieces]
-        return np.concatenate([bad for bad, _ in counts]), np.concatenate([judged for _, judged in counts])
-
-    def _counted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
-        rows, of = clouds.rows(j)
-        at = se2.transform(pose[of], clouds.xy[rows]) - self.origin
-        bins, ranges = _polar(at)
-        seen = self.depth[i[of], bins]
-        judged = np.isfinite(seen)
-        with np.errstate(invalid="ignore"):
-            through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
-        return np.bincount(of, through, len(i)), np.bincount(of, judged, len(i))
+        bad, judged = [], []
+        for some in np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1):
+            rows, of = clouds.rows(j[some])
+            bins, ranges = _polar(se2.transform(pose[some][of], clouds.xy[rows]) - self.origin)
+            seen = self.depth[i[some][of], bins]
+            with np.errstate(invalid="ignore"):
+                through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
+            bad.append(np.bincount(of, through, len(some)))
+            judged.append(np.bincount(of, np.isfinite(seen), len(some)))
+        return np.concatenate(bad), np.concatenate(judged)
 
 
 def _polar(points: Array) -> tuple[Ints, Array]:

@@ -37,7 +37,7 @@ def directions(run: Filter, drive: Drive) -> Array:
     for k, due in enumerate(due_readings(drive, ["lrf"])):
         run.advance(k, steps, due, drive.measurements)
         if due:
-            wall = next(line for line in model.lines(run.belief)[1] if line.id == 0)
+            wall = next(line for line in model.results(run.belief).final_map if line.id == 0)
             rows.append((drive.t[k], math.degrees(math.sqrt(wall.P_map[1, 1]))))
     return np.array(rows)
 

@@ -55,14 +55,12 @@ def jackknife(estimate: Callable[[Ints], Any], n: int, parts: int) -> Array:
     found = [estimate(np.delete(rows, part)) for part in np.array_split(rows, parts)]
     if any(f is None for f in found):
         return np.array(math.inf)
-    errors: Array = np.std(found, axis=0) * math.sqrt(parts - 1)
-    return errors
+    return np.asarray(np.std(found, axis=0) * math.sqrt(parts - 1))
 
 
 def part_of(t: Array, count: int) -> Ints:
     """Return for times (n,), in order, the index of their part, with `count` parts of equal length."""
-    part: Ints = np.minimum((t - t[0]) / (t[-1] - t[0]) * count, count - 1).astype(np.int64)
-    return part
+    return np.asarray(np.minimum((t - t[0]) / (t[-1] - t[0]) * count, count - 1).astype(np.int64))
 
 
 def robust(A: NDArray[Any], y: NDArray[Any], least: float = 1e-4) -> tuple[NDArray[Any], Mask]:

@@ -47,13 +47,8 @@ def chi_square(confidence: float, dof: int) -> float:
         return -2.0 * math.log1p(-confidence)
     spread = 2.0 / (9.0 * dof)
     x = float(dof * max(1.0 - spread + NormalDist().inv_cdf(confidence) * math.sqrt(spread), 0.01) ** 3)
-    return x if dof > EXACT_DOF else _by_newton(x, confidence, dof)
-
-
-def _by_newton(x: float, confidence: float, dof: int) -> float:
-    """Return the quantile, computed from the initial value x by Newton's method."""
     half = 0.5 * dof
-    for _ in range(MAX_NEWTON_STEPS):
+    for _ in range(MAX_NEWTON_STEPS if dof <= EXACT_DOF else 0):
         density = 0.5 * math.exp((half - 1.0) * math.log(0.5 * x) - 0.5 * x - math.lgamma(half))
         step = (_upper_tail(x, dof) - (1.0 - confidence)) / density
         x = max(x + step, 0.1 * x)

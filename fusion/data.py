@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import msgspec
 import numpy as np
 from msgspec import field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -219,18 +220,14 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
         counts = np.diff(self.first)[readings]
         first = totals(counts)
         rows = np.repeat(self.first[readings] - first[:-1], counts) + np.arange(first[-1])
-        return Measurements(
+        return replace(
+            self,
             t=self.t[readings],
             first=first,
             z=self.z[rows],
             R_unit=self.R_unit[rows],
-            scale=self.scale,
-            floor=self.floor,
             extra={k: v[rows] for k, v in self.extra.items()},
-            dropped=self.dropped,
             points=None if self.points is None else self.points.take(readings),
-            notes=self.notes,
-            seen=self.seen,
         )
 
 
@@ -260,8 +257,7 @@ class Truth(msgspec.Struct, frozen=True):
 
     def spans(self, t: Array) -> Mask:
         """Return the mask (n,) of the times t (n,) [s] between the first and the last pose."""
-        inside: Mask = (t >= self.t[0]) & (t <= self.t[-1])
-        return inside
+        return np.asarray((t >= self.t[0]) & (t <= self.t[-1]))
 
 
 class Drive(msgspec.Struct, frozen=True):
@@ -461,8 +457,7 @@ class Estimates(msgspec.Struct, frozen=True):
 
 def plausible(values: Array) -> Mask:
     """Return a mask (any shape) of the values [m, rad or degrees] that are finite and below MAX_MAGNITUDE."""
-    small: Mask = np.abs(values) < MAX_MAGNITUDE  # false for NaN
-    return small
+    return np.asarray(np.abs(values) < MAX_MAGNITUDE)  # false for NaN
 
 
 PLANE_ROWS = (0, 1, 5)  # rows of x, y and yaw in a 6 x 6 covariance of x, y, z, roll, pitch, yaw

@@ -19,6 +19,7 @@ from locfuse.fusion.ekf.map_frame import InMap, Pose
 from locfuse.fusion.ekf.record import FIRST_CAPACITY, Record, Track
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.kernels.ekf import Innovation, State, Steps
+from locfuse.fusion.kernels.sight import SightLines
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
@@ -26,12 +27,12 @@ from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, RowVerdict, matrices
 from .progress import report_progress
 from .robot import Robot
-from .sensor import Model, Reading
+from .sensor import Model
 
 BLOCK_INSTANTS = 256
 Due = tuple[str, int]  # sensor, reading
 STAMPS_AT_ONCE = 4096  # stamps of the truth in one step, to limit memory
-Passed = tuple[Sequence[Innovation | Reading], int]  # accepted innovations of a reading, their number of rows
+Passed = tuple[Sequence[Innovation | SightLines], int]  # accepted innovations of a reading, their number of rows
 Fit = tuple[Record, int, float]  # for one reading: record of its sensor, degrees of freedom, joint NIS
 
 
@@ -134,18 +135,22 @@ class Filter:
             belief.correct()  # eq. 10-12, once
             for n, (record, numbers, nis) in enumerate(fits):  # the joint NIS of the first fit is known only now
                 record.joint.extend((nis if n else belief.fit(numbers), numbers))
-            self._learn(due, measurements)  # maps and clones
+            for sensor, i in due:
+                if sensor in self._learning:  # maps and clones
+                    self.models[sensor].learn(measurements[sensor], i, self._views[sensor])
+            for sensor in self._leads:
+                self.models[sensor].begin_next_map(belief)
         self._track.note(belief)
 
     def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:
         """Compute and record the innovations of reading i; return the accepted ones and the number of rows."""
         model = self.models[sensor]
         seen = model.innovations(m, i, self._views[sensor])
-        if sensor in self._inflates and not isinstance(seen, Reading):
+        if sensor in self._inflates and not isinstance(seen, SightLines):
             for innovation in seen:
                 inflate(innovation, self.belief)
         self._records[sensor].add(k, seen)
-        if isinstance(seen, Reading):
+        if isinstance(seen, SightLines):
             return (seen,), seen.accepted
         ones = [innovation for innovation in seen if innovation.verdict == 0]
         return ones, len(ones)
@@ -157,7 +162,7 @@ class Filter:
         these readings comes first in the equation, so that its whitened rows do not depend on other readings.
         """
         belief, fits = self.belief, list[Fit]()
-        listened: list[Innovation | Reading] = []
+        listened: list[Innovation | SightLines] = []
         order = list(range(len(due)))
         for n, (_, rows) in enumerate(passed):
             if self._joint and rows > 1:
@@ -178,14 +183,6 @@ class Filter:
             belief.listen(listened)
         return fits
 
-    def _learn(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Update each model with its readings; then start a new map if the present map is full."""
-        for sensor, i in due:
-            if sensor in self._learning:
-                self.models[sensor].learn(measurements[sensor], i, self._views[sensor])
-        for sensor in self._leads:
-            self.models[sensor].begin_next_map(self.belief)
-
     def _begin_frame(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Begin a local frame (fusion.ekf.map_frame) at the first reading of a sensor that builds a map."""
         for sensor, i in due if self._may_begin else ():
@@ -201,9 +198,9 @@ class Filter:
         """Return the estimates of the run, including predictions at the truth's stamps."""
         pose, triangles = self._track.recorded()
         blocks, variances = self._track.blocks(), self._track.blocks(variances=True)
-        maps = [m.lines(self._views[s]) for s, m in self.models.items()]
+        results = [m.results(self._views[s]) for s, m in self.models.items()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
-        loops = [loop for m in self.models.values() for loop in m.closed_loops()]
+        loops = [loop for found in results for loop in found.loops]
         return Estimates(
             configuration=name,
             sensors=self._sensors,
@@ -213,16 +210,14 @@ class Filter:
             audits={s: record.audit() for s, record in self._records.items()},
             blocks=blocks,
             block_sigmas={name: np.sqrt(np.maximum(v, 0.0)) for name, v in variances.items()},
-            first_map=[line for first, _ in maps for line in first],
-            final_map=[line for _, final in maps for line in final],
-            points=[point for s, m in self.models.items() for point in m.points(self._views[s])],
+            first_map=[line for found in results for line in found.first_map],
+            final_map=[line for found in results for line in found.final_map],
+            points=[point for found in results for point in found.points],
             truth_pose=truth_pose,
             truth_P=truth_P,
             notes=tuple(self._notes()),
-            jumps=tuple(sorted(jump for m in self.models.values() for jump in m.jumps())),
-            lost=tuple(
-                (a, min(b, float(drive.t[-1]))) for m in self.models.values() for a, b in m.lost_intervals()
-            ),
+            jumps=tuple(sorted(jump for found in results for jump in found.jumps)),
+            lost=tuple((a, min(b, float(drive.t[-1]))) for found in results for a, b in found.lost),
             loops=np.array([(loop.then, loop.now) for loop in loops]).reshape(-1, 2),
             loop_poses=np.array([loop.pose for loop in loops]).reshape(-1, 3),
         )
@@ -233,7 +228,9 @@ class Filter:
         if self._wheels.estimate:
             column, x = belief.block(WHEELS)
             P = belief.covariance[column : column + len(x), column : column + len(x)]
-            metric = {s: REGISTRY[s].scale_key for s in self._sensors if REGISTRY[s].measures_metres}
+            # sensors that measure lengths show the scale of the wheels
+            lengths = [s for s in self._sensors if any(c.unit == "m" for c in REGISTRY[s].components)]
+            metric = {s: REGISTRY[s].scale_key for s in lengths}
             yield from (f"wheels: {words}" for words in wheel_words(self._wheels, x, P, self._sensors, metric))
         for name, model in self.models.items():
             yield from (f"{name}: {words}" for words in model.notes(self._views[name]))

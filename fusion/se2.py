@@ -189,8 +189,7 @@ def rotated_3d(q: Array, v: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         axis, w = q[:, :3] / np.sqrt(n)[:, None], q[:, 3] / np.sqrt(n)
     t = 2.0 * np.cross(axis, v)
-    turned: Array = v + w[:, None] * t + np.cross(axis, t)
-    return turned
+    return np.asarray(v + w[:, None] * t + np.cross(axis, t))
 
 
 def exp(twist: Array) -> Array:

@@ -10,9 +10,9 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 import msgspec
 
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.kernels.sight import AuditColumns
+from locfuse.fusion.kernels.sight import SightLines
 
-from .data import Array, Colour, Component, Ints, Jump, LocfuseError, MapLine, Measurements, SeenAgain, Stream
+from .data import Array, Colour, Component, Ints, Jump, MapLine, Measurements, SeenAgain, Stream
 
 Row = tuple[float, ...]
 Matrix = tuple[Row, ...]
@@ -65,36 +65,6 @@ class Equation(NamedTuple):
     columns: Ints  # (c,) of the state; a column may occur twice
     H: Array  # (m, c)
     R: Array  # (m, m)
-
-
-class Reading:
-    """Innovations of a reading with many rows, stored in columns for speed."""
-
-    row: int  # index of the first row in Measurements.z
-    lines: int  # number of rows in Measurements.z
-    accepted: int  # number of rows that correct the filter
-    first: int  # first row of their equation in the state's table
-    numbers: int  # number of rows of this equation
-
-    def write(self, audit: AuditColumns, at: int, instant: int, row: int) -> None:
-        """Write the verdicts of all rows into the columns of an audit, starting at index `at`."""
-        raise NotImplementedError
-
-    def rows_used(self) -> list[int]:
-        """Return the accepted rows of Measurements.z, in the order of their equations."""
-        raise NotImplementedError
-
-
-def positive(greatest: float) -> None:
-    """Raise LocfuseError if an innovation covariance is singular, that is, `greatest` is not positive.
-
-    `greatest` is the largest variance, with a minus sign if the covariance is not positive definite.
-    """
-    if not greatest > 0.0:
-        raise LocfuseError(
-            f"an innovation covariance became singular (variances of up to {-greatest:.0e}): check the values of "
-            "sigma and floor in robot.toml"
-        )
 
 
 class Block(NamedTuple):
@@ -154,6 +124,17 @@ class Belief(Protocol):
         """
 
 
+class ModelResults(NamedTuple):
+    """Maps, landmarks, jumps and loops that a model found in a run."""
+
+    first_map: Sequence[MapLine] = ()  # after the first scan
+    final_map: Sequence[MapLine] = ()
+    points: Sequence[tuple[int, float, float]] = ()  # id, x, y [m, map frame] of the landmarks in an estimated map
+    jumps: Sequence[Jump] = ()  # corrections of the pose without motion, such as corrected slips
+    lost: Sequence[tuple[float, float]] = ()  # s: intervals in which the robot was reported as lost
+    loops: Sequence[SeenAgain] = ()  # loop closures, in order of time
+
+
 class Model:
     """Measurement model of one sensor in one run of the filter; it may also keep a map."""
 
@@ -180,8 +161,11 @@ class Model:
         """Return whether reading i starts a map of this sensor, so that the local frame may begin."""
         return False
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Reading:
-        """Return the innovations of reading i relative to the prior; those with verdict 0 correct the filter."""
+    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | SightLines:
+        """Return the innovations of reading i relative to the prior; those with verdict 0 correct the filter.
+
+        A scan of lines has many rows: it stores them in columns, for speed.
+        """
         raise NotImplementedError
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
@@ -193,25 +177,9 @@ class Model:
         Called after all readings of an update time, only for a model that `leads`.
         """
 
-    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan and the map at the end, for the report."""
-        return [], []
-
-    def points(self, belief: Any) -> list[tuple[int, float, float]]:
-        """Return id and position x, y [m, map frame] of every landmark in the estimated map."""
-        return []
-
-    def jumps(self) -> list[Jump]:
-        """Return the corrections of the pose without motion, such as corrected slips."""
-        return []
-
-    def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return the intervals (start, end) [s] in which this sensor reported the robot as lost."""
-        return []
-
-    def closed_loops(self) -> list[SeenAgain]:
-        """Return the loop closures, in order of time."""
-        return []
+    def results(self, belief: Any) -> ModelResults:
+        """Return maps, landmarks, jumps and loops of this run for the report; `belief` is the last one."""
+        return ModelResults()
 
     def notes(self, belief: Any) -> list[str]:
         """Return notes on this run for the report; `belief` is the last one."""
@@ -267,44 +235,25 @@ class Sensor(ABC):
 
     # ---- description of the sensor, and its topics ----
 
-    name: ClassVar[str]
-    """Name in `--sensors`, and of the table in robot.toml."""
-
-    Settings: ClassVar[type[SensorSettings]]
-    """Settings of that table, with their defaults."""
-
-    reads: ClassVar[Mapping[str, tuple[str, ...]]]
-    """Message type -> paths of the fields that `measure` reads."""
-
+    name: ClassVar[str]  # name in `--sensors`, and of the table in robot.toml
+    Settings: ClassVar[type[SensorSettings]]  # settings of that table, with their defaults
+    reads: ClassVar[Mapping[str, tuple[str, ...]]]  # message type -> paths of the fields that `measure` reads
+    # message type -> words, one of which the topic must contain, for types of bare numbers
     named: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """Message type -> words, one of which the topic must contain, for types of bare numbers."""
-
+    # message types that are used by default only if the log has none of the other types
     second_best: ClassVar[tuple[str, ...]] = ()
-    """Message types that are used by default only if the log has none of the other types."""
-
-    several: ClassVar[bool] = False
-    """Whether all topics of these types form one sensor, such as a ring of sonars."""
-
+    several: ClassVar[bool] = False  # whether all topics of these types form one sensor, such as a ring of sonars
+    # whether topics of one type with different frames form one sensor, such as several cameras
     several_frames: ClassVar[bool] = False
-    """Whether topics of one type with different frames form one sensor, such as several cameras."""
-
-    in_blocks: ClassVar[bool] = False
-    """Whether the readings are read in blocks, to save memory."""
-
-    costly: ClassVar[bool] = False
-    """Whether `locfuse info` leaves the sensor out because measuring takes long."""
-
+    in_blocks: ClassVar[bool] = False  # whether the readings are read in blocks, to save memory
+    costly: ClassVar[bool] = False  # whether `locfuse info` leaves the sensor out because measuring takes long
+    # why the sensor is used only if its topic is configured; "": it is used by default
     asked_only: ClassVar[str] = ""
-    """Why the sensor is used only if its topic is configured; "": it is used by default."""
-
+    # words of topics that come last if several fit; None: several topics are an error
     unlikely: ClassVar[tuple[str, ...] | None] = None
-    """Words of topics that come last if several fit; None: several topics are an error."""
-
-    extra: ClassVar[bool] = False
-    """Whether the sensor is left out, without an error, if its topic is unclear."""
-
+    extra: ClassVar[bool] = False  # whether the sensor is left out, without an error, if its topic is unclear
+    # sensor that this one depends on -> reason, such as "held against the map of lrf"
     needs: ClassVar[Mapping[str, str]] = {}
-    """Sensor that this one depends on -> reason, such as "held against the map of lrf"."""
 
     def carries(self, stream: Stream) -> bool:
         """Return whether a topic has readings of this sensor; called if several topics are possible."""
@@ -355,8 +304,8 @@ class Sensor(ABC):
         """
         return None
 
+    # whether an unchanged heading means that the turn is unknown (a scan that matches no line)
     heading_holds: ClassVar[bool] = False
-    """Whether an unchanged heading means that the turn is unknown (a scan that matches no line)."""
 
     def reversal(self, settings: Any, msgtype: str) -> Reversal:
         """Return the reason why this sensor may turn opposite to the wheels, and the settings that fix it."""
@@ -366,20 +315,13 @@ class Sensor(ABC):
 
     # ---- its noise and its errors ----
 
+    # settings of the noise of one reading; the first in the unit of the first component (deg, else SI)
     noise_keys: ClassVar[tuple[str, ...]]
-    """Settings of the noise of one reading; the first in the unit of the first component (deg, else SI)."""
-
-    measures_by_sigma: ClassVar[bool] = False
-    """Whether measurements depend on sigma, as lines of a scan do."""
-
-    bias: ClassVar[Bias | None] = None
-    """Setting that corrects a constant error."""
-
+    measures_by_sigma: ClassVar[bool] = False  # whether measurements depend on sigma, as lines of a scan do
+    bias: ClassVar[Bias | None] = None  # setting that corrects a constant error
+    # setting of the random walk of that error, per sqrt(s), if it is estimated
     drift_key: ClassVar[str | None] = None
-    """Setting of the random walk of that error, per sqrt(s), if it is estimated."""
-
-    scale_key: ClassVar[str | None] = None
-    """Setting that measured distances are multiplied by."""
+    scale_key: ClassVar[str | None] = None  # setting that measured distances are multiplied by
 
     def brings_covariance(self, m: Measurements) -> bool:
         """Return whether the readings contain their own covariance, so that no sigma has to be tuned.
@@ -399,8 +341,7 @@ class Sensor(ABC):
 
     # ---- its mount ----
 
-    placed: ClassVar[bool] = False
-    """Whether `locfuse info` warns if the mount on the base is unknown."""
+    placed: ClassVar[bool] = False  # whether `locfuse info` warns if the mount on the base is unknown
 
     def mount(self, settings: Any) -> tuple[float, float, float]:
         """Return the mount on the base: x [m], y [m], yaw [rad]; zeros for a sensor without these settings."""
@@ -410,44 +351,27 @@ class Sensor(ABC):
 
     # ---- texts of `locfuse init` and `locfuse info` ----
 
-    asks: ClassVar[Mapping[str, Ask]] = {}
-    """Setting -> how its owner can find its value."""
-
-    guesses: ClassVar[Mapping[str, str]] = {}
-    """Setting that no log contains -> meaning of its default."""
+    asks: ClassVar[Mapping[str, Ask]] = {}  # setting -> how its owner can find its value
+    guesses: ClassVar[Mapping[str, str]] = {}  # setting that no log contains -> meaning of its default
 
     def concerns(self, key: str, msgtype: str) -> bool:
         """Return whether a setting applies to messages of this type ("": no topic)."""
         return True
 
-    sees: ClassVar[str] = "value"
-    """Noun for one measurement: line, echo."""
-
-    blind_is_severe: ClassVar[bool] = False
-    """Whether readings without measurements mean wrong settings."""
+    sees: ClassVar[str] = "value"  # noun for one measurement: line, echo
+    blind_is_severe: ClassVar[bool] = False  # whether readings without measurements mean wrong settings
 
     # ---- display of the sensor ----
 
-    components: ClassVar[tuple[Component, ...]]
-    """Names, units and scales of the d numbers of a measurement (d,)."""
-
+    components: ClassVar[tuple[Component, ...]]  # names, units and scales of the d numbers of a measurement (d,)
+    # state block -> names, units and scales of its numbers
     states: ClassVar[Mapping[str, tuple[Component, ...]]] = {}
-    """State block -> names, units and scales of its numbers."""
-
-    colour: ClassVar[Colour]
-    """Colour of this sensor in all figures."""
-
+    colour: ClassVar[Colour]  # colour of this sensor in all figures
+    # picture of a measurement on the map: ray along the heading, ray to a landmark, wall segments; "": none
     drawn: ClassVar[Literal["heading", "bearing", "segments", ""]] = ""
-    """Picture of a measurement on the map: ray along the heading, ray to a landmark, wall segments; "": none."""
 
     def landmark(self, settings: Any) -> tuple[float, float] | None:
         """Return the position of the landmark (x, y) [m, map frame] for a sensor of one landmark, else None."""
         return None
 
-    locates: ClassVar[bool] = False
-    """Whether the sensor observes the position, not only turns or motion."""
-
-    @property
-    def measures_metres(self) -> bool:
-        """Whether this sensor measures a length [m], and so shows the scale of wheel odometry."""
-        return any(c.unit == "m" for c in self.components)
+    locates: ClassVar[bool] = False  # whether the sensor observes the position, not only turns or motion

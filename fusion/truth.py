@@ -109,7 +109,14 @@ def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) ->
     if stream.msgtype in SEVERAL:
         return _of_body(stream.topic, columns, settings.body, dropped)
     values = np.stack([np.asarray(column, np.float64) for column in columns.values()], axis=-1)
-    return _in_plane(values, settings) if stream.msgtype == FIX else values
+    if stream.msgtype != FIX:
+        return values
+    finite = values[plausible(values).all(axis=1)]
+    if settings.origin is not None and len(finite):
+        check_near(finite, settings.origin, "truth")
+    origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
+    xy = east_north(values[:, 0], values[:, 1], (origin[0], origin[1]))
+    return se2.rotated(np.array(math.radians(settings.east_deg)), xy)
 
 
 def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: dict[str, int]) -> Array:
@@ -148,16 +155,6 @@ def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str])
         if np.nanmax(away, initial=0.0) > MIN_MOVED_M:
             found.append(body)
     return found
-
-
-def _in_plane(where: Array, settings: TruthSettings) -> Array:
-    """Convert fixes (n, 2), latitude and longitude [deg], to x, y [m] in the map frame."""
-    finite = where[plausible(where).all(axis=1)]
-    if settings.origin is not None and len(finite):
-        check_near(finite, settings.origin, "truth")
-    origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
-    xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))
-    return se2.rotated(np.array(math.radians(settings.east_deg)), xy)
 
 
 def heading_notes(truth: Truth, msgtype: str) -> tuple[str, ...]:

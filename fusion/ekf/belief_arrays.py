@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, LocfuseError
 from locfuse.fusion.kernels import ekf
 from locfuse.fusion.kernels.ekf import Innovation, Steps
-from locfuse.fusion.sensor import Block, Equation, Reading, positive
+from locfuse.fusion.kernels.sight import SightLines
+from locfuse.fusion.sensor import Block, Equation
 
 from .equations import eq6_noise
 from .events import (
@@ -172,18 +173,18 @@ class JointBelief(ekf.State):
             back = undone(before, self._before(), rows, spread, by_wheels)
         self.events.add(Moved(start, self.pose(), noise, coupling, back))
 
-    def queue(self, seen: Innovation | Reading, sensor: str = "") -> None:
+    def queue(self, seen: Innovation | SightLines, sensor: str = "") -> None:
         """Queue the accepted rows of a measurement for the next `correct`."""
         self.queue_rows(seen.first, seen.numbers)
         if self.events is not None:
-            rows = seen.rows_used() if isinstance(seen, Reading) else [seen.row]
+            rows = seen.rows_used() if isinstance(seen, SightLines) else [seen.row]
             self._sources += [(sensor, row, seen.numbers // len(rows)) for row in rows]
 
     def fit_of(self, begin: int, end: int) -> float:
         """Return the joint NIS, y' S^-1 y, of the queued rows begin:end."""
         greatest = self.whiten(begin, end)
         if not greatest > 0.0:
-            positive(greatest)
+            self.not_positive(greatest)
         return self.fit(end - begin)
 
     def correct(self) -> None:
@@ -199,8 +200,12 @@ class JointBelief(ekf.State):
         if equation is not None:
             noted.add(Corrected(*equation, tuple(self._sources), self.state - before.x))
         self._sources.clear()
-        if self.frame_x or self.frame_y:
-            self._note_turn(self.frame_x, self.frame_y)
+        if self.frame_x or self.frame_y:  # the map frame was turned (State.turn_frame)
+            rows, G = np.array((self.frame, self.frame + 1)), np.zeros((2, self.n))
+            G[(0, 1), rows] = 1.0
+            G[:, self.frame + 2] = self.frame_y, -self.frame_x
+            back = Undone(rows, self.state[rows] - G @ self.state, G, np.zeros((2, 2)))
+            noted.add(FrameTurned(self.frame, self.frame_x, self.frame_y, back))
 
     def know(self, y: Sequence[float], R: Any, columns: Sequence[int], H: Any) -> None:
         """Correct by an equation between states without a reading, for example that two states are equal.
@@ -212,7 +217,7 @@ class JointBelief(ekf.State):
         self.correct()
         self.begin()
 
-    def listen(self, seen: Sequence[Innovation | Reading]) -> None:
+    def listen(self, seen: Sequence[Innovation | SightLines]) -> None:
         """Correct only the blocks on which the innovations depend; all other states are considered."""
         at, _, count, *_ = self._rows
         kept = np.ones(self.n, bool)
@@ -436,8 +441,14 @@ class JointBelief(ekf.State):
             self.frame = self.augment(self._x[:3].copy(), np.eye(3), np.zeros((3, 3)))
             if self.events is not None:
                 self.events.list[-1] = Added(self.frame, 3, frame=True)
-        else:
-            self._move_frame()
+        else:  # the frame's pose in the map, G, becomes G o q
+            if self.events is not None:
+                self.events.add(FrameMoved())
+            G, q = np.array(self.frame_pose()), self._x[:3].copy()
+            J = np.eye(6)
+            J[3:] = np.hstack((se2.rotation(G[2]), pose_by_frame(G[None], q[None])[0]))
+            at = np.concatenate((POSE, self._frame_columns()))
+            self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
         for column in sorted(self._clones):  # convert cloned headings, with their covariances, to the local frame
             turned = np.array([[1.0, 0.0], [-1.0, 1.0]])
             self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
@@ -464,16 +475,6 @@ class JointBelief(ekf.State):
         self._x[:n] += K @ step
         self._P[:n, :n] += K @ (P - own) @ K.T
         self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
-
-    def _move_frame(self) -> None:
-        """Move the map frame to the local pose q: its pose in the map, G, becomes G o q (composition)."""
-        if self.events is not None:
-            self.events.add(FrameMoved())
-        G, q = np.array(self.frame_pose()), self._x[:3].copy()
-        at = np.concatenate((np.arange(3), self._frame_columns()))
-        J = np.eye(6)
-        J[3:] = np.hstack((se2.rotation(G[2]), pose_by_frame(G[None], q[None])[0]))
-        self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
 
     def _into_frame(self, column: int, size: int) -> None:
         """Convert a cloned pose (three states) or a point (two states) to the new local frame."""
@@ -527,17 +528,6 @@ class JointBelief(ekf.State):
             none = np.zeros((len(rows), len(rows)))
             self.events.add(Changed(rows, by, none if noise is None else noise, back))
 
-    def _note_turn(self, dx: float, dy: float) -> None:
-        """Record a correction of the map frame by (dx, dy) [m] and its rotation (State.turn_frame)."""
-        assert self.events is not None
-        first = self.frame
-        rows = np.array((first, first + 1))
-        G = np.zeros((2, self.n))
-        G[(0, 1), rows] = 1.0
-        G[:, first + 2] = dy, -dx
-        back = Undone(rows, self.state[rows] - G @ self.state, G, np.zeros((2, 2)))
-        self.events.add(FrameTurned(first, dx, dy, back))
-
     # ---- capacity ----
 
     def _grow(self, k: int) -> slice:
@@ -584,8 +574,11 @@ class JointBelief(ekf.State):
         self.keeps = len(kept) > 0
 
     def not_positive(self, greatest: float) -> None:
-        """Raise LocfuseError: an innovation covariance with variances up to `greatest` is not positive."""
-        positive(greatest)
+        """Raise LocfuseError: an innovation covariance with variances of up to -`greatest` is singular."""
+        raise LocfuseError(
+            f"an innovation covariance became singular (variances of up to {-greatest:.0e}): check the values of "
+            "sigma and floor in robot.toml"
+        )
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Audit, Ints
 from locfuse.fusion.kernels import ekf, sight
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.sensor import Reading
 
 from .belief_arrays import JointBelief
 
@@ -46,26 +45,22 @@ class Record:
         self._kernel: sight.AuditColumns | None = None
         self.joint = array("d")  # in turn: joint NIS of a reading's accepted rows, its dof
 
-    def add(self, k: int, seen: Sequence[Innovation] | Reading) -> None:
+    def add(self, k: int, seen: Sequence[Innovation] | sight.SightLines) -> None:
         """Record the innovations of one reading at update k, with their verdicts."""
-        if isinstance(seen, Reading):
-            self._add_reading(k, seen)
+        if isinstance(seen, sight.SightLines):
+            self._write()
+            end = self._rows + seen.lines
+            if self._kernel is None or end > self._room:
+                self._make_room(end, 2)
+                self._kernel = sight.AuditColumns(*[self._columns[name] for name in COLUMNS][:4])
+                self._kernel.judged(*[self._columns[name] for name in COLUMNS][4:])
+            seen.write(self._kernel, self._rows, k)
+            self._rows = end
             return
         self._waiting += seen if len(seen) < 2 else sorted(seen, key=ROW)
         self._instants += [k] * len(seen)
         if len(self._waiting) > FIRST_CAPACITY:
             self._write()
-
-    def _add_reading(self, k: int, seen: Reading) -> None:
-        if self._waiting:
-            self._write()
-        end = self._rows + seen.lines
-        if self._kernel is None or end > self._room:
-            self._make_room(end, 2)
-            self._kernel = sight.AuditColumns(*[self._columns[name] for name in COLUMNS][:4])
-            self._kernel.judged(*[self._columns[name] for name in COLUMNS][4:])
-        seen.write(self._kernel, self._rows, k, seen.row)
-        self._rows = end
 
     def _write(self) -> None:
         waiting = self._waiting

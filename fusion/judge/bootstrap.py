@@ -48,27 +48,21 @@ class Errors(msgspec.Struct, frozen=True):
         return cls(deviation, ln_rms, samples, _correlation(deviation, samples), ln_blocks, block)
 
     def interval(self, weights: Array) -> tuple[float, float]:
-        """Return the confidence interval of sum(weights * ln_rmse), for weights (k,) that sum to zero."""
+        """Return the confidence interval of sum(weights * ln_rmse), for weights (k,) that sum to zero.
+
+        It is at least that of Gaussian errors: the errors x and y at the `samples` independent stamps count as
+        2 `samples` independent numbers.
+        """
         value = float(weights @ self.ln_rmse)
         tail = 50.0 * (1.0 - CONFIDENCE)
         low, high = np.percentile(self.resampled @ weights, (tail, 100.0 - tail))
-        least = self._gaussian(weights)
+        n, least = 2.0 * self.samples, 0.0
+        scaled, own = weights / np.sqrt(n), weights**2 / n
+        if own.any():
+            variance = 0.5 * float(scaled @ self.correlation**2 @ scaled)
+            freedom = float(own.sum() ** 2 / (own**2 / n).sum())  # Welch and Satterthwaite
+            least = math.asinh(student_t(max(1.0, freedom - 1.0)) * math.sqrt(max(variance, 0.0)))
         return min(float(low), value - least), max(float(high), value + least)
-
-    def _gaussian(self, weights: Array) -> float:
-        """Return the half width of the confidence interval of sum(weights * ln_rmse) if the errors were Gaussian.
-
-        The errors x and y at the `samples` independent stamps count as 2 `samples` independent numbers. For the
-        `weights` (k,), see `interval`.
-        """
-        n = 2.0 * self.samples
-        scaled = weights / np.sqrt(n)
-        variance = 0.5 * float(scaled @ self.correlation**2 @ scaled)
-        own = weights**2 / n
-        if not own.any():
-            return 0.0
-        freedom = float(own.sum() ** 2 / (own**2 / n).sum())  # Welch and Satterthwaite
-        return math.asinh(student_t(max(1.0, freedom - 1.0)) * math.sqrt(max(variance, 0.0)))
 
 
 def effective_samples(deviation: Array) -> float:
@@ -107,8 +101,7 @@ def block_means(values: Array, block: int) -> Array:
         starts = rng.integers(0, q, size=(len(some), count))
         for j, row in enumerate(sums):
             some[:, j] = (row[starts + block] - row[starts]).sum(axis=1)
-    means: Array = totals / (count * block)
-    return means
+    return np.asarray(totals / (count * block))
 
 
 def _correlation(deviation: Array, samples: Array) -> Array:
@@ -142,14 +135,7 @@ def by_chance(move: float, n: float) -> tuple[float, float]:
 
 def student_t(freedom: float) -> float:
     """Return the two-sided quantile of Student's t at CONFIDENCE, with `freedom` degrees of freedom."""
-    a, cosine = _quarter_turn()  # with x = sqrt(f) tan(a) the density is cos(a)^(f - 1) da
-    density = cosine ** (freedom - 1.0)
+    a = np.linspace(0.0, 0.5 * math.pi, 20001)  # with x = sqrt(f) tan(a) the density is cos(a)^(f - 1) da
+    density = np.cos(a) ** (freedom - 1.0)
     mass = totals(0.5 * (density[1:] + density[:-1]))
     return math.sqrt(freedom) * math.tan(float(np.interp(CONFIDENCE * mass[-1], mass, a)))
-
-
-@cache
-def _quarter_turn() -> tuple[Array, Array]:
-    """Return angles (20001,) from 0 to pi / 2 [rad], and their cosines."""
-    a = np.linspace(0.0, 0.5 * math.pi, 20001)
-    return a, np.cos(a)

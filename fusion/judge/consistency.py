@@ -97,7 +97,9 @@ def by_itself(sensor: str, settings: Any, o: OwnInnovations, floor: Sequence[flo
             f"{sensor}.time_offset, the mount, {scale}wheels.noise"
         )
         return Consistency("correlated", words)
-    factor = _on_sigma(o, floor)
+    # the factor on sigma that multiplies R = sigma^2 R_unit + floor by `o.scale`
+    parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
+    factor = max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
     if factor < MIN_SIGMA_FACTOR and o.share < MIN_NOISE_SHARE:
         # R is such a small part of S = H P H' + R that S does not show its size
         return Consistency("unclear", "noise cannot be judged: its residuals show the error of the prediction")
@@ -125,12 +127,6 @@ def by_memory(sensor: str, settings: Any, variance: float, repeats: float, perio
     if variance * repeats > MIN_MEAN_VARIANCE_RATIO * R:
         return correlated(sensor, settings, math.sqrt(variance), repeats, period)
     return by_scale(sensor, settings, min(1.0, math.sqrt(variance * repeats / R)))
-
-
-def _on_sigma(o: OwnInnovations, floor: Sequence[float]) -> float:
-    """Return the factor on sigma that multiplies R = sigma^2 R_unit + floor by `o.scale`."""
-    parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
-    return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
 
 
 def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
@@ -360,17 +356,13 @@ class NoiseEvidence:
                 return found
         run = self._purest(sensor)
         mine = None if run is None else run.own[sensor]
-        if run is None or mine is None or mine.compared < MIN_READINGS:
-            return self._unclear(sensor)
-        m = run.drive.measurements[sensor]
-        if (period := usual_period(m.t)) is None:
-            return self._unclear(sensor)
-        return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
-
-    def _unclear(self, sensor: str) -> Consistency:
+        if run is not None and mine is not None and mine.compared >= MIN_READINGS:
+            m = run.drive.measurements[sensor]
+            if (period := usual_period(m.t)) is not None:
+                return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
         own = [(s, o) for r in self.runs for s, o in r.own.items() if s != sensor]
-        found = {s for s, o in own if o and o.scale > MAX_REFERENCE_NIS_RATIO}
-        why = f"the noise of {' and '.join(sorted(found))} must be set first" if found else "too few measurements"
+        loud = sorted({s for s, o in own if o and o.scale > MAX_REFERENCE_NIS_RATIO})
+        why = f"the noise of {' and '.join(loud)} must be set first" if loud else "too few measurements"
         return Consistency("unclear", f"noise cannot be judged: {why}")
 
     def reference_runs(self, sensor: str) -> list[tuple[RunInnovations, ComparedReadings]]:
@@ -414,14 +406,14 @@ class NoiseEvidence:
 
         The other sensors must be healthy, or have noise that is less understated than that of `sensor`.
         """
-        using = [r for r in self.runs if sensor in r.estimates.sensors]
-        pure = [r for r in using if self._healthy(r, sensor) or self._worst(r) == sensor]
-        return min(pure, key=lambda r: len(r.estimates.sensors)) if pure else None
 
-    def _worst(self, run: RunInnovations) -> str:
-        """Return the sensor of a run whose R is understated most; "" if no sensor has innovation figures."""
-        scales = {s: o.scale for s in run.estimates.sensors if (o := run.own[s])}
-        return max(scales, key=lambda s: scales[s]) if scales else ""
+        def worst(run: RunInnovations) -> str | None:  # sensor whose R is understated most
+            scales = {s: o.scale for s in run.estimates.sensors if (o := run.own[s])}
+            return max(scales, key=lambda s: scales[s]) if scales else None
+
+        using = [r for r in self.runs if sensor in r.estimates.sensors]
+        pure = [r for r in using if self._healthy(r, sensor) or worst(r) == sensor]
+        return min(pure, key=lambda r: len(r.estimates.sensors)) if pure else None
 
     def _flag(self) -> None:
         """Set `flagged` (sensors with a biased mean) and `contradict` (sensors that contradict each other)."""

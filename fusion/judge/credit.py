@@ -209,25 +209,19 @@ class _Book(msgspec.Struct, frozen=True):
             i, j = self.sets.index(step.before), self.sets.index(step.after)
             w[i] += step.weight
             w[j] -= step.weight
-            worst, best = self._chance_range(i, j)
+            if self.expected is None:
+                continue
+            # A sensor that reduces the predicted variance moves the estimate by about the square root of the
+            # reduction. With few independent samples, the direction of this move alone may reduce or increase the
+            # error, which the bootstrap does not show: the moved error has the same shape as before. The number of
+            # samples is halved: errors of x, y and neighbouring samples are correlated through the heading.
+            moved = math.sqrt(abs(math.exp(2.0 * self.expected[i]) - math.exp(2.0 * self.expected[j])))
+            error, samples = math.exp(float(self.errors.ln_rmse[i])), float(self.errors.samples[[i, j]].min())
+            worst, best = by_chance(moved / error, max(1.0, 0.5 * samples))
             least, most = least + step.weight * worst, most + step.weight * best
         value, (low, high) = float(w @ self.errors.ln_rmse), self.errors.interval(w)
         expected = None if self.expected is None else float(w @ self.expected)
         return Effect(value, min(low, value - most), max(high, value - least), expected)
-
-    def _chance_range(self, i: int, j: int) -> tuple[float, float]:
-        """Return the interval of ln(RMSE before / after) by chance alone, from sensor subset i to subset j.
-
-        A sensor that reduces the predicted variance moves the estimate by about the square root of the reduction.
-        With few independent samples, the direction of this move alone may reduce or increase the error. The
-        bootstrap does not show this, since the moved error has the same shape as before. The number of samples is
-        halved, since errors of x, y and neighbouring samples are correlated through the heading.
-        """
-        if self.expected is None:
-            return 0.0, 0.0
-        moved = math.sqrt(abs(math.exp(2.0 * self.expected[i]) - math.exp(2.0 * self.expected[j])))
-        error = math.exp(float(self.errors.ln_rmse[i]))
-        return by_chance(moved / error, max(1.0, 0.5 * float(self.errors.samples[[i, j]].min())))
 
     def sensor(self, sensor: str, sensors: Sequence[str]) -> SensorCredit:
         every = frozenset(sensors)

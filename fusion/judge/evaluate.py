@@ -103,8 +103,7 @@ def directions(t: Array, xy: Array, segments: Ints) -> Array:
     if not len(moving):
         return np.zeros(len(t))
     last = moving[np.maximum(np.searchsorted(moving, np.arange(len(t)), side="right") - 1, 0)]
-    direction: Array = np.arctan2(both[last, 1], both[last, 0])
-    return direction
+    return np.asarray(np.arctan2(both[last, 1], both[last, 0]))
 
 
 def noise_of(t: Array, xy: Array, segments: Ints) -> float:

@@ -15,9 +15,9 @@ from locfuse.fusion.change import best_split
 from locfuse.fusion.chi_square import chi_square, mean_bounds, robust_sigma
 from locfuse.fusion.data import Array, Audit, Counts, Drive, Estimates, Ints, Measurements, RowVerdict, matrices
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.kernels.sight import SightLines
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap, wrap_all
-from locfuse.fusion.sensor import Reading
 from locfuse.fusion.sensors.registry import REGISTRY
 
 MAX_LAG_READINGS = 5
@@ -181,7 +181,7 @@ def compare_readings(drive: Drive, robot: Robot, run: Estimates, sensor: str) ->
     for i, pose, P in zip(readings.tolist(), poses, covariances, strict=True):
         belief.stand(pose, P)
         seen = model.innovations(m, i, belief)
-        assert not isinstance(seen, Reading)  # a Reading has several numbers
+        assert not isinstance(seen, SightLines)  # lines have several numbers
         if seen and seen[0].verdict != RowVerdict.DISTURBED:
             best = seen[0]
             R = float(belief.equation(seen[:1]).R[0, 0])

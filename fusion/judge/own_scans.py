@@ -86,7 +86,9 @@ class OwnScans(msgspec.Struct, frozen=True):
         pose = se2.compose(e.pose[self.instants], moved)
         scans = zip(pose, self.points, strict=True)
         placed = [se2.transform(np.broadcast_to(x, (len(p), 3)), p) for x, p in scans]
-        return self._agreement(pose, placed), *_cells(placed)
+        cells = [np.unique(np.floor(p / CELL_M).astype(np.int64) @ (1 << 32, 1)) for p in placed]
+        every = len(np.unique(np.concatenate([np.zeros(0, np.int64), *cells])))
+        return self._agreement(pose, placed), every, sum(len(c) for c in cells) / max(every, 1)
 
     def _agreement(self, pose: Array, placed: list[Array]) -> float | None:
         from scipy.spatial import cKDTree
@@ -103,13 +105,6 @@ class OwnScans(msgspec.Struct, frozen=True):
             distance, _ = cKDTree(np.concatenate(earlier)).query(scan, distance_upper_bound=SAME_M)
             agree, points, visits = agree + int(np.isfinite(distance).sum()), points + len(scan), visits + 1
         return agree / points if visits > MIN_REVISITS * len(placed) else None
-
-
-def _cells(placed: list[Array]) -> tuple[int, float]:
-    """Return the number of map cells that contain points, and the mean number of scans per cell."""
-    cells = [np.unique(np.floor(p / CELL_M).astype(np.int64) @ (1 << 32, 1)) for p in placed]
-    every = len(np.unique(np.concatenate([np.zeros(0, np.int64), *cells])))
-    return every, sum(len(c) for c in cells) / max(every, 1)
 
 
 def are_contradictory(a: Estimates, b: Estimates) -> bool:

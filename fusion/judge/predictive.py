@@ -105,7 +105,9 @@ def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
         m = drive.measurements[sensor]
         mine, theirs = log_density(e.audits[sensor], m.z), log_density(base.audits[sensor], m.z)
         counts = np.diff(m.first)
-        listened = np.repeat(flags[sensor], counts) & _later(base.audits[sensor], len(m.z))
+        listened, first = np.repeat(flags[sensor], counts), base.audits[sensor]
+        # the first reading only initialises the map or offset of the sensor
+        listened[first.row[first.instant == first.instant[:1]]] = False
         rows = np.flatnonzero(listened & np.isfinite(mine) & np.isfinite(theirs))
         if len(rows):
             gain = mine[rows] - theirs[rows]
@@ -163,14 +165,6 @@ def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tup
         and s.gain < -MIN_GAIN_NATS
     }
     return sorted((a, b) for a, b in pairs)
-
-
-def _later(audit: Audit, rows: int) -> Mask:
-    """Return flags of the rows after the first reading, which only initialises the map or offset of the sensor."""
-    out = np.ones(rows, dtype=bool)
-    if len(audit.instant):
-        out[audit.row[audit.instant == audit.instant[0]]] = False
-    return out
 
 
 def interval(values: Array, t: Array) -> tuple[float, float]:

@@ -67,7 +67,7 @@ cdef class State:
     cpdef double value(self, Py_ssize_t column)
     cpdef pose(self)
     cpdef pose_in_map(self)
-    cdef void locate(self)
-    cpdef void note(self, Py_ssize_t k, TrackColumns track)
+    @cython.locals(first=Py_ssize_t, at=Py_ssize_t, n=Py_ssize_t, G=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, j=Py_ssize_t, w=Py_ssize_t, x=double, y=double, theta=double, by_x=double, by_y=double, by_theta=double, e=double, c=double, s=double, rx=double, ry=double)
+    cpdef object note(self, Py_ssize_t k, TrackColumns track)
 
 cpdef double bent(double tt)

@@ -540,50 +540,33 @@ class State:
         )
         return x, y, self.mean[2] + self.mean[G + 2]
 
-    def locate(self) -> None:
-        """Compute pose and covariance triangle in the map.
-
-        p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + b r r', with
-        C = cov(q, G), J as in fusion.ekf.map_frame, r = position q in the axes of the map, b = bent(P[t, t]).
-        """
-        o, P, small = MAX_NUMBERS + 2, self.P, self.small
-        qx, qy, qt = self.mean[0], self.mean[1], self.mean[2]
-        if self.frame < 0:
-            small[o, 0], small[o, 1], small[o, 2] = qx, qy, qt
-            small[o, 3], small[o, 4], small[o, 5] = P[0, 0], P[0, 1], P[0, 2]
-            small[o, 6], small[o, 7], small[o, 8] = P[1, 1], P[1, 2], P[2, 2]
-            return
-        a, b, t = self.frame, self.frame + 1, self.frame + 2
-        c, s = cos(self.mean[t]), sin(self.mean[t])
-        rx, ry = c * qx - s * qy, s * qx + c * qy
-        small[o, 0] = self.mean[a] + c * qx - s * qy
-        small[o, 1], small[o, 2] = self.mean[b] + s * qx + c * qy, self.mean[t] + qt
-        cc, cs, ss, e = c * c, c * s, s * s, bent(P[t, t])
-        # J_q C, then times J_G': the columns of x and y take -ry and rx times the column of Th
-        at, bt, tt = c * P[0, t] - s * P[1, t], s * P[0, t] + c * P[1, t], P[2, t]
-        ax, ay = c * P[0, a] - s * P[1, a] - ry * at, c * P[0, b] - s * P[1, b] + rx * at
-        bx, by = s * P[0, a] + c * P[1, a] - ry * bt, s * P[0, b] + c * P[1, b] + rx * bt
-        tx, ty = P[2, a] - ry * tt, P[2, b] + rx * tt
-        gxt, gyt, gtt = P[a, t], P[b, t], P[t, t]
-        small[o, 3] = cc * P[0, 0] - 2.0 * cs * P[0, 1] + ss * P[1, 1] + 2.0 * ax
-        small[o, 3] += P[a, a] - 2.0 * ry * gxt + ry * ry * gtt + e * rx * rx
-        small[o, 4] = cs * (P[0, 0] - P[1, 1]) + (cc - ss) * P[0, 1] + ay + bx
-        small[o, 4] += P[a, b] + rx * gxt - ry * gyt - rx * ry * gtt + e * rx * ry
-        small[o, 5] = c * P[0, 2] - s * P[1, 2] + at + tx + gxt - ry * gtt
-        small[o, 6] = ss * P[0, 0] + 2.0 * cs * P[0, 1] + cc * P[1, 1] + 2.0 * by
-        small[o, 6] += P[b, b] + 2.0 * rx * gyt + rx * rx * gtt + e * ry * ry
-        small[o, 7] = s * P[0, 2] + c * P[1, 2] + bt + ty + gyt + rx * gtt
-        small[o, 8] = P[2, 2] + 2.0 * tt + gtt
-
     def note(self, k: int, track: TrackColumns) -> None:
-        """Write row k of a track: the pose in the map with its covariance, and the recorded states."""
-        self.locate()
-        o = MAX_NUMBERS + 2
-        for j in range(3):
-            track.pose[k, j] = self.small[o, j]
-        for j in range(6):
-            track.triangle[k, j] = self.small[o, 3 + j]
-        n = track.states.shape[0]
+        """Write row k of a track: the pose in the map, its covariance, and the recorded states.
+
+        The covariance is by the chain rule, from the rows of x, y, theta in the map. A large heading variance of
+        the map frame also spreads the position along its lever r from that frame: bent(P[Th, Th]) r r'.
+        """
+        first, at, n, G = self.written, 0, track.states.shape[0], self.frame
+        x, y, theta, rx, ry = self.mean[0], self.mean[1], self.mean[2], 0.0, 0.0
+        if G >= 0:
+            c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
+            rx, ry = c * x - s * y, s * x + c * y
+            x, y, theta = self.mean[G] + rx, self.mean[G + 1] + ry, theta + self.mean[G + 2]
+        track.pose[k, 0], track.pose[k, 1], track.pose[k, 2] = x, y, theta
+        self.room_for(3, 0)
+        for a in range(3):
+            by_x, by_y, by_theta = float(a == 0), float(a == 1), float(a == 2)
+            w = self.derive(first + a, by_x, by_y, by_theta, True)
+            self.row_count[first + a] = self.derive_frame(first + a, w, by_x, by_y, by_theta) if G >= 0 else w
+        for a in range(3):
+            for b in range(a, 3):
+                track.triangle[k, at] = self.covariance_of(first + a, first + b)
+                at += 1
+        if G >= 0:
+            e = bent(self.P[G + 2, G + 2])
+            track.triangle[k, 0] += e * rx * rx
+            track.triangle[k, 1] += e * rx * ry
+            track.triangle[k, 3] += e * ry * ry
         for j in range(n):
             track.values[k, j] = self.mean[track.states[j]]
             track.values[k, n + j] = self.P[track.states[j], track.states[j]]

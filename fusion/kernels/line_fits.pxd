@@ -13,6 +13,7 @@ cdef class Fit:
     cdef double[::1] error, foot, weight
     cdef Py_ssize_t count
     cdef double r, psi, sum_w, sum_wq, sum_wqq, sum_we, sum_wqe, sum_wee, sum_wqqq, sum_wqqqq, sum_wqqe
+    cdef double det, step_r, step_psi, rest
 
 cdef class Curves:
     cdef double[::1] joint, gains
@@ -41,21 +42,14 @@ cdef void rows_of(Segments segments, Py_ssize_t wall, Fit fit)
 cdef void residuals(Returns returns, Limits limits, Fit fit)
 cdef void keep(Fit fit, Py_ssize_t k, Py_ssize_t kept)
 cdef void leave_strays(Fit fit, double limit, double least)
-cdef void normal_equations(Fit fit)
+cdef bint solve(Fit fit)
 cdef void parabola(Fit fit)
-cdef double determinant(Fit fit)
-cdef bint singular(Fit fit)
-cdef double misfit_of(Fit fit)
-cdef double step_r(Fit fit)
-cdef double step_psi(Fit fit)
-cdef void take_step(Fit fit)
 cdef double foot_of(Returns returns, Py_ssize_t i, double r, double psi)
 cdef double stiffness(Fit fit)
 cdef double curvature(Fit fit)
-cdef double parabola_gain(Fit fit)
 cdef void find_curves(Returns returns, Limits limits, Segments segments, Fit fit, Curves curves)
 cdef Py_ssize_t joints(Returns returns, Segments segments, Curves curves)
 cdef double curvature_of(Curves curves, Py_ssize_t walls, bint closed, Py_ssize_t i)
 cdef double gain(Returns returns, Limits limits, Segments segments, Py_ssize_t wall, Fit fit, double bent)
-cdef void goes_on(Curves curves, Py_ssize_t walls, bint closed, Py_ssize_t i, Py_ssize_t step)
+cdef void goes_on(Curves curves, Py_ssize_t walls, Py_ssize_t i, Py_ssize_t step)
 cdef bint is_piece(Curves curves, Py_ssize_t walls, bint closed, Py_ssize_t i, double length)

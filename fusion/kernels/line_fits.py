@@ -42,7 +42,8 @@ class Fit:
     """Least-squares fit of a line (r, psi) to the `count` returns of one wall, with its weighted sums.
 
     The k-th return has index row[k], distance e = error[k] [m] from the line, position q = foot[k] [m] along it,
-    and weight w = weight[k]. `sum_wqe` is the sum of w q e over all returns, and so on.
+    and weight w = weight[k]. `sum_wqe` is the sum of w q e over all returns, and so on. `det` is the determinant
+    of the normal equations, `step_r` and `step_psi` are the Gauss-Newton step; `rest` [m^2] is left after it.
     """
 
     def __init__(self, beams: int) -> None:
@@ -51,6 +52,7 @@ class Fit:
         self.sum_w, self.sum_wq, self.sum_wqq = 0.0, 0.0, 0.0
         self.sum_we, self.sum_wqe, self.sum_wee = 0.0, 0.0, 0.0
         self.sum_wqqq, self.sum_wqqqq, self.sum_wqqe = 0.0, 0.0, 0.0
+        self.det, self.step_r, self.step_psi, self.rest = 0.0, 0.0, 0.0, 0.0
 
 
 class Curves:
@@ -126,15 +128,14 @@ def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fi
             keep(fit, k, kept)
             kept += 1
     fit.count = kept
-    normal_equations(fit)
-    if fit.count < least or singular(fit):
+    if fit.count < least or not solve(fit):
         return False
-    take_step(fit)
+    fit.r += fit.step_r
+    fit.psi += fit.step_psi
     if not abs(fit.psi) < MAX_PSI_RAD:
         return False
     residuals(returns, limits, fit)
     leave_strays(fit, stray, least)
-    normal_equations(fit)
     parabola(fit)
     return finish(returns, limits, fit, found)
 
@@ -146,17 +147,19 @@ def finish(returns: Returns, limits: Limits, fit: Fit, found: FoundLines) -> boo
     line is uncertain if sigma(psi) is above `max_sigma_psi`, or if the second-order error of r by a turn of
     sigma(psi) is above `max_swing` times the sigma(r) at exact psi.
     """
-    if singular(fit):
+    if not solve(fit):
         return False
-    line, det = found.count, determinant(fit)
-    chi2 = misfit_of(fit) / limits.variance / max(fit.count - 2, 1)
-    take_step(fit)
+    line, det = found.count, fit.det
+    chi2 = fit.rest / limits.variance / max(fit.count - 2, 1)
+    fit.r += fit.step_r
+    fit.psi += fit.step_psi
     if not (fit.r > 0.0 and abs(fit.psi) < MAX_PSI_RAD and chi2 <= limits.max_chi2):
         return False
     first, last = fit.row[0], fit.row[fit.count - 1]
     begin, end = foot_of(returns, first, fit.r, fit.psi), foot_of(returns, last, fit.r, fit.psi)
-    bow = abs(curvature(fit) * (end - begin)) / 4.0  # height / chord
-    if parabola_gain(fit) > limits.max_bend * limits.variance and bow > limits.max_bow:
+    bend = curvature(fit)
+    gained, bow = stiffness(fit) * bend * bend, abs(bend * (end - begin)) / 4.0  # [m^2], height / chord
+    if gained > limits.max_bend * limits.variance and bow > limits.max_bow:
         return False
     spread = fit.sum_w / det * limits.variance  # of psi [rad^2]
     most = limits.max_swing * sqrt(limits.variance / fit.sum_w)
@@ -180,7 +183,7 @@ def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: FoundLines) -> Non
     nx, ny = cos(found.z[line, 1]), sin(found.z[line, 1])
     across = ny * sweep.lever_x - nx * sweep.lever_y
     along = nx * sweep.ahead_x + ny * sweep.ahead_y
-    a, b, c, det = fit.sum_w, fit.sum_wq, fit.sum_wqq, determinant(fit)
+    a, b, c, det = fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.det
     for piece in range(sweep.pieces):
         s = sq = sqq = 0.0
         for k in range(fit.count):
@@ -257,8 +260,11 @@ def leave_strays(fit: Fit, limit: float, least: float) -> None:
     fit.count = kept
 
 
-def normal_equations(fit: Fit) -> None:
-    """Compute the weighted sums of a line fit, with weights w, positions q along the line, residuals e."""
+def solve(fit: Fit) -> bool:
+    """Compute the weighted sums and the Gauss-Newton step of a line fit; return whether there is a step.
+
+    There is none if all beams meet the line in one point, so that its direction is undefined.
+    """
     a = b = c = f = g = ee = 0.0
     for k in range(fit.count):
         e, q, w = fit.error[k], fit.foot[k], fit.weight[k]
@@ -270,6 +276,12 @@ def normal_equations(fit: Fit) -> None:
         g += wq * e
         ee += we * e
     fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_we, fit.sum_wqe, fit.sum_wee = a, b, c, f, g, ee
+    fit.det = a * c - b * b
+    if not fit.det > 1e-12 * a * c:
+        return False
+    fit.step_r, fit.step_psi = (c * f - b * g) / fit.det, (b * f - a * g) / fit.det
+    fit.rest = max(ee - fit.step_r * f + fit.step_psi * g, 0.0)
+    return True
 
 
 def parabola(fit: Fit) -> None:
@@ -284,37 +296,6 @@ def parabola(fit: Fit) -> None:
     fit.sum_wqqq, fit.sum_wqqqq, fit.sum_wqqe = cubic, quartic, qqe
 
 
-def determinant(fit: Fit) -> float:
-    """Return the determinant of the normal equations."""
-    return fit.sum_w * fit.sum_wqq - fit.sum_wq * fit.sum_wq
-
-
-def singular(fit: Fit) -> bool:
-    """Return whether all beams meet the line in one point, so that its direction is undefined."""
-    return not determinant(fit) > 1e-12 * fit.sum_w * fit.sum_wqq
-
-
-def misfit_of(fit: Fit) -> float:
-    """Return the weighted sum of squares [m^2] that remains after the Gauss-Newton step."""
-    return max(fit.sum_wee - step_r(fit) * fit.sum_we + step_psi(fit) * fit.sum_wqe, 0.0)
-
-
-def step_r(fit: Fit) -> float:
-    """Return the Gauss-Newton step of r [m]."""
-    return (fit.sum_wqq * fit.sum_we - fit.sum_wq * fit.sum_wqe) / determinant(fit)
-
-
-def step_psi(fit: Fit) -> float:
-    """Return the Gauss-Newton step of psi [rad]."""
-    return (fit.sum_wq * fit.sum_we - fit.sum_w * fit.sum_wqe) / determinant(fit)
-
-
-def take_step(fit: Fit) -> None:
-    """Add the Gauss-Newton step to (r, psi)."""
-    fit.r += step_r(fit)
-    fit.psi += step_psi(fit)
-
-
 def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
     """Return the position [m] along the line (r, psi) at which the beam of return i meets it."""
     nx, ny, ux, uy = cos(psi), sin(psi), returns.ux[i], returns.uy[i]
@@ -327,20 +308,14 @@ def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
 def stiffness(fit: Fit) -> float:
     """Return the information of the parabola's coefficient: weighted sum of squares of q^2 minus its line fit."""
     a, b, c, cubic = fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_wqqq
-    return fit.sum_wqqqq - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / determinant(fit)
+    return fit.sum_wqqqq - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / fit.det
 
 
 def curvature(fit: Fit) -> float:
     """Return the coefficient [1/m] of a parabola fitted in addition to the line; 0 if singular."""
     norm = stiffness(fit)
-    left = fit.sum_wqqe - step_r(fit) * fit.sum_wqq + step_psi(fit) * fit.sum_wqqq
+    left = fit.sum_wqqe - fit.step_r * fit.sum_wqq + fit.step_psi * fit.sum_wqqq
     return left / norm if norm > 0.0 else 0.0
-
-
-def parabola_gain(fit: Fit) -> float:
-    """Return the reduction of the weighted sum of squares [m^2] by a parabola in addition to the line."""
-    coefficient = curvature(fit)
-    return stiffness(fit) * coefficient * coefficient
 
 
 # ---- curves ----
@@ -415,15 +390,14 @@ def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: F
     rows_of(segments, wall, fit)
     fit.r, fit.psi = segments.r[wall], segments.psi[wall]
     residuals(returns, limits, fit)
-    normal_equations(fit)
-    if singular(fit):
+    if not solve(fit):
         return 0.0
     parabola(fit)
     height = -0.5 * bent  # coefficient of the parabola [1/m]; with positive curvature the ends are nearer
     return stiffness(fit) * height * (2.0 * curvature(fit) - height) / limits.variance
 
 
-def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None:
+def goes_on(curves: Curves, walls: int, i: int, step: int) -> None:
     """Follow a curve from wall i in direction `step` (1 or -1); sum the chi2 gains, and count its pieces."""
     sign = 0.0
     for _ in range(walls - 1):
@@ -444,6 +418,6 @@ def is_piece(curves: Curves, walls: int, closed: bool, i: int, length: float) ->
     if abs(bent) * length < MIN_CURVE_TURN_RAD or curves.gains[i] < MIN_PIECE_GAIN_CHI2:
         return False
     curves.saved, curves.pieces = curves.gains[i] - SPARED_PIECE_CHI2, 1.0
-    goes_on(curves, walls, closed, i, 1)
-    goes_on(curves, walls, closed, i, -1)
+    goes_on(curves, walls, i, 1)
+    goes_on(curves, walls, i, -1)
     return curves.pieces >= MIN_CURVE_PIECES and curves.saved > MIN_CURVE_GAIN_CHI2

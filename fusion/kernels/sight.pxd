@@ -52,6 +52,7 @@ cdef class SightLines:
     cdef double[::1] place
     cdef Py_ssize_t[::1] order
     cdef Py_ssize_t room_lines, room_walls
+    cdef public Py_ssize_t row
     cdef readonly Py_ssize_t lines, accepted, numbers, found, first, parts
 
     @cython.locals(n=Py_ssize_t, walls=Py_ssize_t)
@@ -76,13 +77,12 @@ cdef class SightLines:
     cpdef double share(self)
     cpdef Py_ssize_t matches(self)
     cpdef void refuse_alone(self)
-    cpdef bint is_matched(self, Py_ssize_t i)
     cpdef bint is_new(self, Py_ssize_t i)
     cpdef Py_ssize_t state_rows(self, State state) except? -1
     @cython.locals(mount_states=MountStates, a=Py_ssize_t, b=Py_ssize_t, v=Py_ssize_t, w=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, c_psi=double, s_psi=double)
     cdef void state_line(self, State state, Py_ssize_t i, Py_ssize_t p)
     cdef void share_noise(self, State state, Py_ssize_t i, Py_ssize_t p, Py_ssize_t a)
     @cython.locals(rules=Rules, nan=double, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, p=Py_ssize_t)
-    cpdef void write(self, AuditColumns out, Py_ssize_t at, Py_ssize_t instant, Py_ssize_t row)
+    cpdef void write(self, AuditColumns out, Py_ssize_t at, Py_ssize_t instant)
     @cython.locals(walls=WallColumns, i=Py_ssize_t, j=Py_ssize_t, p=Py_ssize_t)
     cpdef void extend(self, Py_ssize_t scan)

@@ -105,11 +105,11 @@ class AuditColumns:
 
 
 class SightLines:
-    """Lines of one scan, associated with the map."""
+    """Lines of one scan, associated with the map; `row` is the first one's row in Measurements.z."""
 
     def __init__(self, rules: Rules, mount_states: MountStates) -> None:
         self.rules, self.mount_states = rules, mount_states
-        self.lines = self.accepted = self.numbers = self.found = 0
+        self.lines = self.accepted = self.numbers = self.found = self.row = 0
         self.first = self.parts = 0
         self.room_lines = self.room_walls = -1
         self.mount, self.place, self.offset = floats(6, 3), floats(3), floats(3)
@@ -404,9 +404,13 @@ class SightLines:
         if self.pairs[p, D2] > LONE_D2 or turn > LONE_TURN_RAD or offset > LONE_OFFSET_M:
             self.match[alone] = -1
 
-    def is_matched(self, i: int) -> bool:
-        """Return whether line i matches a map line."""
-        return self.match[i] >= 0
+    def new(self) -> list[int]:
+        """Return the indices of the lines to add to the map: unmatched, and near no map line."""
+        return [i for i in range(self.lines) if self.is_new(i)]
+
+    def rows_used(self) -> list[int]:
+        """Return the rows of Measurements.z that hold the matched lines of this scan."""
+        return [self.row + i for i in range(self.lines) if self.match[i] >= 0]
 
     def is_new(self, i: int) -> bool:
         """Return whether line i is unmatched and near no map line."""
@@ -467,15 +471,12 @@ class SightLines:
                 for k in range(self.parts):
                     state.row_R[first + m, first + j] += self.G[m, k] * self.G[j, k]
 
-    def write(self, out: AuditColumns, at: int, instant: int, row: int) -> None:
-        """Write the verdicts on all lines to the audit, from its row `at` on.
-
-        `row` is the row of the first line in Measurements.z, `instant` the index of the update time.
-        """
+    def write(self, out: AuditColumns, at: int, instant: int) -> None:
+        """Write the verdicts on all lines to the audit, from its row `at` on, for the update time `instant`."""
         rules, nan = self.rules, float("nan")
         for i in range(self.lines):
             k, p = at + i, self.best[i]
-            out.instant[k], out.row[k], out.threshold[k] = instant, row + i, rules.gate
+            out.instant[k], out.row[k], out.threshold[k] = instant, self.row + i, rules.gate
             if p < 0 or self.is_new(i):
                 out.verdict[k], out.landmark[k] = rules.unmatched if self.near[i] else rules.new, -1
                 out.nis[k] = out.y[k, 0] = out.y[k, 1] = out.sigma[k, 0] = out.sigma[k, 1] = nan

@@ -308,16 +308,13 @@ class Gathered:
         rows = None
         if (np.diff(at) < 0).any():
             rows = np.repeat(first[at] - np.cumsum(counts) + counts, counts) + np.arange(first[-1])
-        self._sweep = _as_wide(self._sweep) or [np.empty((0, 2, 0), np.float32)]
+        # pieces without shared errors get zeros
+        widest = max([piece.shape[2] for piece in self._sweep], default=0)
+        wide: list[Array] = [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in self._sweep]
+        self._sweep = wide or [np.empty((0, 2, 0), np.float32)]
         columns = self._z, self._R_unit, self._ends, self._sweep
         z, R_unit, ends, sweep = (_joined(pieces, rows) for pieces in columns)
         return first, z, R_unit, ends, sweep
-
-
-def _as_wide(pieces: list[Array]) -> list[Array]:
-    """Return derivatives (m, 2, k) with one width k; arrays with k = 0 (no shared errors) become zeros."""
-    widest = max([piece.shape[2] for piece in pieces], default=0)
-    return [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in pieces]
 
 
 def _joined(pieces: list[Array], rows: Ints | None) -> Array:

@@ -98,14 +98,10 @@ class Guard:
         self._before_jump: Sequence[Seen] = ()  # last scans before the walls jumped
         self._jumped = False  # the walls jumped, and few have matched since
         self._now = 0.0  # s, time of the present scan
-        self._corrected: Pose | None = None  # pose after the correction by the last scan
+        self.corrected: Pose | None = None  # pose after the correction by the last scan
         self._wheels: Pose = (0.0, 0.0, 0.0)  # pose by wheel odometry alone
         self._tried = 0  # scans searched since the robot is lost
         self._unplaced_from: float | None = None  # s: since then the pose of the submap in the map is unknown
-
-    def note_corrected(self, pose: Pose) -> None:
-        """Store the pose after the correction by a scan; wheel odometry predicts from this pose."""
-        self._corrected = pose
 
     def _fits(self, present: PresentScan, share: float) -> bool:
         """Return whether enough of a scan matches the map to use the scan, and store the scan if so."""
@@ -177,7 +173,10 @@ class Guard:
 
         shown = slide.has_begun or any(more_matches(sigma) for sigma in SLIDE_SIGMAS_M)
         step = present.slipped() if shown else None
-        if step is None or abs(step[2]) > SLIP_SIGMA_RAD or not self._is_ahead(step, belief.pose()):
+        (x, y, _), (x0, y0, _) = belief.pose(), self.corrected or belief.pose()
+        least = max(MIN_SLIDE_M, MIN_SLIDE_SHARE * math.hypot(x - x0, y - y0))
+        ahead = step is not None and abs(step[0]) >= max(least, MIN_SLIDE_RATIO * abs(step[1]))
+        if step is None or not ahead or abs(step[2]) > SLIP_SIGMA_RAD:
             slide.reset()
             return False
         found = slide.add(step, present.lines.next_id)
@@ -187,22 +186,13 @@ class Guard:
         x, y = se2.rotated(np.array(belief.theta), off).tolist()
         _forget_since(first_line, present)
         belief.shift((x, y, 0.0), SLIP_SIGMA_M**2, 0.0)
-        self._note_slide(x, y)
-        return True
-
-    def _is_ahead(self, step: Array, pose: Pose) -> bool:
-        """Return whether a slip (3,) is mainly forward, and large beside the motion since the last scan."""
-        x, y, _ = self._corrected or pose
-        least = max(MIN_SLIDE_M, MIN_SLIDE_SHARE * math.hypot(pose[0] - x, pose[1] - y))
-        return bool(abs(step[0]) >= max(least, MIN_SLIDE_RATIO * abs(step[1])))
-
-    def _note_slide(self, x: float, y: float) -> None:
-        """Append a forward slip (x, y) [m, map] to the jumps; slips of consecutive scans count as one jump."""
         last = self._jumps[-1] if self._jumps else None
         if last is not None and last.kind == SLIP and not last.step[2] and self._now - last.t < MAX_GAP_S:
+            # slips of consecutive scans count as one jump
             x, y = x + last.step[0], y + last.step[1]
             self._jumps.pop()
         self._jumps.append(Jump(self._now, SLIP, (x, y, 0.0)))
+        return True
 
     def _suspected(self, present: PresentScan) -> float | None:
         """Search for a heading slip that explains a scan; return it [rad] if small and confirmed, else None.
@@ -271,14 +261,14 @@ class Guard:
         `here` is the pose predicted by the filter. The motion from the last corrected pose to `here` is that of
         the wheels.
         """
-        self._wheels = se2.carried(self._wheels, self._corrected or here, here)
-        self._corrected = here
+        self._wheels = se2.carried(self._wheels, self.corrected or here, here)
+        self.corrected = here
         return self._wheels
 
     def enter_map(self) -> None:
         """Continue in another submap; drop earlier scans, which are in the frame of the old one."""
         self._before.clear()
-        self._since = self._corrected = self._suspicion = None
+        self._since = self.corrected = self._suspicion = None
         self._slide.reset()
         self._jumped = False
 
@@ -298,11 +288,9 @@ class Guard:
 
     def begin_anew(self, t: float, belief: JointBelief) -> None:
         """Reset at the begin of a new submap. A lost robot counts as found: its pose in the submap is known."""
-        self._before.clear()
-        self._since = self._place = self._suspicion = None
-        self._slide.reset()
+        self.enter_map()
+        self._place = None
         self._trail.forget()
-        self._corrected = None
         if self._lost_from is not None or belief.lost:
             self._found(t, belief)
 
@@ -353,7 +341,7 @@ class Guard:
 
     def _has_moved(self, pose: Pose) -> bool:
         """Return whether the robot moved since the last scan, by wheel odometry."""
-        x, y, theta = self._corrected or (math.inf, math.inf, math.inf)
+        x, y, theta = self.corrected or (math.inf, math.inf, math.inf)
         return math.hypot(pose[0] - x, pose[1] - y) > MIN_MOVED_M or abs(pose[2] - theta) > MIN_TURNED_RAD
 
     def intervals(self) -> list[tuple[float, float]]:

@@ -25,12 +25,11 @@ by pose and line do not depend on the mount.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
 from msgspec import field
-from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, MapLine, Mask
@@ -38,7 +37,6 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.kernels import sight
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.sensor import Reading
 
 COLUMN_NAMES = ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born")
 NO_SHARES = np.zeros((0, 2, 0))
@@ -150,46 +148,44 @@ class LineMap(msgspec.Struct):
 
     def lines(self, belief: JointBelief) -> list[MapLine]:
         """Return all lines in the map frame, as (rho, beta) about its origin (paper's form)."""
-        frame = belief.frame_pose()
-        return [
-            self._line(j, v, P)
-            if frame is None
-            else self._framed(j, _placed(v, self.anchor[j], frame), P, self._joint_with_frame(j, P, belief))
-            for j, (v, P) in enumerate(zip(self.values(belief), self.covariances(belief), strict=True))
-        ]
+        values, P, frame = self.values(belief), self.covariances(belief), belief.frame_pose()
+        if frame is None:
+            return [self._in_map(j, values[j], P[j]) for j in range(len(self))]
+        return [self._in_map(j, values[j], P[j], frame, self._joint(j, P[j], belief)) for j in range(len(self))]
 
     def lines_in_map(self, frame: Array, P: Array) -> list[MapLine]:
         """Return the frozen lines in the map frame; their local frame has the pose `frame` (3,), covariance P."""
         x, y, theta = map(float, frame)
-        joint = np.zeros((5, 5))
-        joint[2:, 2:] = P
-        out = []
-        for j in range(len(self)):
-            joint[:2, :2] = self.P[j]
-            placed = _placed(self.value[j], self.anchor[j], (x, y, theta))
-            out.append(self._framed(j, placed, self.P[j], joint))
-        return out
+        joints = np.zeros((len(self), 5, 5))
+        joints[:, :2, :2], joints[:, 2:, 2:] = self.P, P
+        return [self._in_map(j, self.value[j], self.P[j], (x, y, theta), joints[j]) for j in range(len(self))]
 
-    def _line(self, j: int, value: Array, P: Array, anchor: Array | None = None) -> MapLine:
-        rho, beta = float(value[0]), float(value[1])
+    def _in_map(
+        self, j: int, value: Array, P: Array, frame: Pose | None = None, joint: Array | None = None
+    ) -> MapLine:
+        """Return line j, with `value` (rho, beta) of covariance P (2, 2), about the origin of the map.
+
+        About the map's origin, rho becomes rho + n.a, with the normal n = (c, s) and the anchor point a: a turn of
+        the line moves it by dn.a = a_y c - a_x s. `frame` is the pose (X, Y, Th) of the local frame in the map,
+        `joint` (5, 5) the covariance of (rho, beta, X, Y, Th), which gives P_free. The anchor point moves with X
+        and Y, and turns with Th about (X, Y).
+        """
+        rho, beta, (ax, ay) = float(value[0]), float(value[1]), self.anchor[j].tolist()
+        if frame is not None:
+            beta = se2.wrap(beta + frame[2])
+            ax, ay = se2.transform(np.array(frame), self.anchor[j]).tolist()
         c, s = math.cos(beta), math.sin(beta)
-        ax, ay = map(float, self.anchor[j] if anchor is None else anchor)
         along = ay * c - ax * s
         G = np.array([[1.0, along], [0.0, 1.0]])
         ends = (float(self.lo[j]) + along, float(self.hi[j]) + along)
-        return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
+        P_free = None
+        if frame is not None and joint is not None:
+            by_turn = along + (ax - frame[0]) * s - (ay - frame[1]) * c
+            P_free = se2.propagated(np.array([[1.0, along, c, s, by_turn], [0.0, 1.0, 0.0, 0.0, 1.0]]), joint)
+        rho += ax * c + ay * s
+        return MapLine(int(self.ids[j]), rho, beta, ends, G @ P @ G.T, int(self.hits[j]), P_free)
 
-    def _framed(self, j: int, placed: Placed, P: Array, joint: Array) -> MapLine:
-        """Return line j in the map frame, with the covariance P (2, 2) for an exact pose of the local frame.
-
-        Its `P_free` is the covariance for the uncertain pose of the local frame; `joint` (5, 5) is the covariance
-        of (rho, beta) and this pose.
-        """
-        line = self._line(j, placed.value, P, placed.anchor)
-        J = line_by_frame(line, placed.anchor, placed.frame)
-        return replace(line, P_free=J @ joint @ J.T)
-
-    def _joint_with_frame(self, j: int, P: Array, belief: JointBelief) -> Array:
+    def _joint(self, j: int, P: Array, belief: JointBelief) -> Array:
         """Return the joint covariance (5, 5) of (rho, beta) of line j and the local frame's pose."""
         out = np.zeros((5, 5))
         out[:2, :2], out[2:, 2:] = P, belief.frame_covariance()
@@ -200,32 +196,6 @@ class LineMap(msgspec.Struct):
         return out
 
 
-class Placed(NamedTuple):
-    """A line converted to the map frame, by the pose (X, Y, Th) of its local frame."""
-
-    value: Array  # (2,) rho about the anchor, beta in the map
-    anchor: Array  # (2,) m, map
-    frame: Pose  # of the local frame
-
-
-def _placed(value: Array, anchor: Array, frame: Pose) -> Placed:
-    at = np.asarray(se2.transform(np.array(frame), anchor))
-    return Placed(np.array([value[0], se2.wrap(float(value[1]) + frame[2])]), at, frame)
-
-
-def line_by_frame(line: MapLine, anchor: Array, frame: Pose) -> Array:
-    """Return the derivative (2, 5) of (rho, beta) in the map frame by (rho, beta, X, Y, Th).
-
-    The arguments are rho about the anchor point a, beta in the local frame, and the pose (X, Y, Th) of this frame.
-    About the map's origin, rho becomes rho + n.a. The anchor point moves with X, Y and turns with Th about (X, Y);
-    the normal n = (c, s) turns with beta and Th: dn.a = a_y c - a_x s.
-    """
-    c, s = math.cos(line.beta), math.sin(line.beta)
-    along = float(anchor[1] * c - anchor[0] * s)
-    gx, gy = anchor[0] - frame[0], anchor[1] - frame[1]
-    return np.array([[1.0, along, c, s, along + gx * s - gy * c], [0.0, 1.0, 0.0, 0.0, 1.0]])
-
-
 def about_middle(line: MapLine) -> tuple[Array, float, Array]:
     """Return the middle (2,) of a line, half its length [m], and the covariance (2, 2) about the middle."""
     c, s = math.cos(line.beta), math.sin(line.beta)
@@ -234,15 +204,8 @@ def about_middle(line: MapLine) -> tuple[Array, float, Array]:
     return np.array([line.rho * c - along * s, line.rho * s + along * c]), half, G @ line.P @ G.T
 
 
-class Association(sight.SightLines, Reading):
-    """Data association of one scan with the map: the map line of each measured line, or why there is none.
-
-    It is also a `Reading` of the filter: the accepted lines of the scan, as rows of the state's table.
-    """
-
-    def __init__(self, rules: sight.Rules, mount_states: sight.MountStates) -> None:
-        super().__init__(rules, mount_states)
-        self.row = 0  # of the first line in Measurements.z
+class Association(sight.SightLines):
+    """Data association of one scan with the map: the map line of each measured line, or why there is none."""
 
     def compare(self, belief: JointBelief, lines: LineMap, rows: Array, shared: Array = NO_SHARES) -> float:
         """Match the lines `rows` (n, 7) of a scan with the map; return the matched share of their length.
@@ -251,14 +214,6 @@ class Association(sight.SightLines, Reading):
         (lines.sweep).
         """
         return self.look(belief, lines.table(), rows, shared)
-
-    def new(self) -> list[int]:
-        """Return the indices of the lines to add to the map: unmatched, and near no map line."""
-        return list(filter(self.is_new, range(self.lines)))
-
-    def rows_used(self) -> list[int]:
-        """Return the rows of Measurements.z that hold the matched lines of this scan."""
-        return [self.row + i for i in range(self.lines) if self.is_matched(i)]
 
 
 def associate(
@@ -299,9 +254,15 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
         found = next(((j, i) for j, i in zip(recent.tolist(), doubles, strict=True) if i is not None), None)
         if found is None:
             return
-        j, i = found
-        _join(lines, belief, min(i, j), max(i, j), R)
-        recent = recent[recent < j]
+        i, gone = sorted(found)  # the equality of both corrects the state; line i keeps the extent of both
+        y, H, lo, hi = _difference(lines, lines.values(belief), i, gone)
+        belief.know(y.tolist(), R.tolist(), lines.states(np.array([i, gone])).tolist(), H.tolist())
+        lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
+        lines.hits[i] += lines.hits[gone]
+        lines.seen[i] = max(lines.seen[i], lines.seen[gone])
+        lines.born[i] = min(lines.born[i], lines.born[gone])
+        belief.remove(lines.drop(np.array([gone])))
+        recent = recent[recent < found[0]]
 
 
 def _near(lines: LineMap, values: Array, which: Ints) -> Mask:
@@ -347,17 +308,6 @@ def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, A
     return y, H, float(lines.lo[j] + along), float(lines.hi[j] + along)
 
 
-def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:
-    """Correct the state by the equality of lines i and j; keep line i with the extent of both."""
-    y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
-    belief.know(y.tolist(), R.tolist(), lines.states(np.array([i, j])).tolist(), H.tolist())
-    lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
-    lines.hits[i] += lines.hits[j]
-    lines.seen[i] = max(lines.seen[i], lines.seen[j])
-    lines.born[i] = min(lines.born[i], lines.born[j])
-    belief.remove(lines.drop(np.array([j])))
-
-
 # ---- the mount of the laser ----
 
 
@@ -378,13 +328,3 @@ def line_by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
     c, s = math.cos(psi), math.sin(psi)
     whole = np.array(((-c, -s, x * s - y * c), (0.0, 0.0, -1.0)))
     return whole[:, list(mount.free)]
-
-
-def moved_mount(mount: Mount, belief: JointBelief) -> Pose:
-    """Return the transform of lines in the base frame from the configured to the estimated mount.
-
-    It is x [m], y [m], yaw [rad].
-    """
-    (x, y, yaw), (x0, y0, yaw0) = mount.now(belief), mount.configured
-    c, s = math.cos(yaw - yaw0), math.sin(yaw - yaw0)
-    return x - c * x0 + s * y0, y - s * x0 - c * y0, yaw - yaw0

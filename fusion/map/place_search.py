@@ -403,16 +403,10 @@ class CandidateRuns:
         self._found[anchor] = found, looks + 1 if is_same else 1
         if not unknown:
             return self.count(anchor) >= AGREEING_LOOKS
-        return self.count(anchor) >= UNKNOWN_LOOKS and not self._has_rival(anchor, anchors)
-
-    def _has_rival(self, anchor: int, anchors: Anchors) -> bool:
-        """Return whether a candidate in another submap contradicts the candidate in the submap of `anchor`.
-
-        It does if the two positions of the present submap in the map differ by more than ELSEWHERE_M.
-        """
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()
-        return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
+        rival = any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
+        return self.count(anchor) >= UNKNOWN_LOOKS and not rival
 
 
 def is_unknown(P: Array) -> bool:

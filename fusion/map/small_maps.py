@@ -98,8 +98,13 @@ def frozen(anchor: int, lines: LineMap, path: SubmapPath, origin: Array, belief:
     own = {name: getattr(lines, name).copy() for name in COLUMN_NAMES if name != "P"}
     own |= {"column": np.full(len(lines), -1, np.int64), "value": np.array(lines.values(belief))}
     kept = LineMap(**own, next_id=lines.next_id, P=np.array(lines.covariances(belief)))
-    at = lines.states(np.s_[:])
-    return FrozenMap(anchor, kept, path, _box_of(kept, path), origin, belief.covariance[np.ix_(at, at)])
+    rho, beta = kept.value[:, :1], kept.value[:, 1]
+    n = np.stack((np.cos(beta), np.sin(beta)), axis=-1)
+    tangent, foot = np.stack((-n[:, 1], n[:, 0]), axis=-1), kept.anchor + rho * n
+    ends = (foot + extent[:, None] * tangent for extent in (kept.lo, kept.hi))
+    points = np.vstack((*ends, *(sight.pose[None, :2] for sight in path.sights)))
+    box, at = (points.min(axis=0), points.max(axis=0)), lines.states(np.s_[:])
+    return FrozenMap(anchor, kept, path, box, origin, belief.covariance[np.ix_(at, at)])
 
 
 def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
@@ -107,16 +112,6 @@ def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
     for name in ("ids", "anchor", "lo", "hi", "hits", "value", "P"):
         setattr(lines, name, getattr(kept, name).copy())
     lines.column = first_column + 2 * np.arange(len(kept))
-
-
-def _box_of(lines: LineMap, path: SubmapPath) -> tuple[Array, Array]:
-    """Return the least and the greatest x, y [m] of frozen lines and a path, (2,) each."""
-    rho, beta = lines.value[:, :1], lines.value[:, 1]
-    n = np.stack((np.cos(beta), np.sin(beta)), axis=-1)
-    tangent, foot = np.stack((-n[:, 1], n[:, 0]), axis=-1), lines.anchor + rho * n
-    ends = (foot + extent[:, None] * tangent for extent in (lines.lo, lines.hi))
-    points = np.vstack((*ends, *(sight.pose[None, :2] for sight in path.sights)))
-    return points.min(axis=0), points.max(axis=0)
 
 
 def as_scan(lines: LineMap) -> Scan:

@@ -138,15 +138,10 @@ def end_pose(steps: Array, matches: Edges) -> tuple[Array, Array]:
     edges = Edges.joined(loose, matches)
     x, normal = Problem(begin).solve(se2.chain(steps), edges, KERNEL_WIDTH_FACTORS, MIN_STEP)
     z, R = relative(x[[0, n]], normal.joint(np.array([0, n])), np.array([0]), np.array([1]))
-    drift = _end_with_drift(x) - z[0]
+    drifting = se2.between(x[:-1], x[1:])
+    drifting[:, 2] += DRIFT_RAD_PER_M * np.hypot(drifting[:, 0], drifting[:, 1])
+    drift = np.asarray(se2.compose(x[0], se2.chain(drifting)[-1])) - z[0]
     return z[0], R[0] + np.outer(drift, drift)
-
-
-def _end_with_drift(x: Array) -> Array:
-    """Return the last pose (3,) of a path x (n, 3), with a heading drift of DRIFT_RAD_PER_M added along it."""
-    steps = se2.between(x[:-1], x[1:])
-    steps[:, 2] += DRIFT_RAD_PER_M * np.hypot(steps[:, 0], steps[:, 1])
-    return np.asarray(se2.compose(x[0], se2.chain(steps)[-1]))
 
 
 def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None, belief: JointBelief) -> Equation:

@@ -18,17 +18,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import (
-    LOOP_TAKEN,
-    Array,
-    Ints,
-    Jump,
-    LocfuseError,
-    MapLine,
-    Measurements,
-    RowVerdict,
-    SeenAgain,
-)
+from locfuse.fusion.data import LOOP_TAKEN, Array, Jump, LocfuseError, MapLine, Measurements, RowVerdict, SeenAgain
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import pose_by_frame
 from locfuse.fusion.kernels.ekf import Innovation
@@ -38,7 +28,7 @@ from locfuse.fusion.lines.scans import line_process_noise
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import beyond_wheels
 from locfuse.fusion.scan_matching.solve import NOWHERE
-from locfuse.fusion.sensor import Block, Model
+from locfuse.fusion.sensor import Block, Model, ModelResults
 
 from .anchors import Anchors, Edge, inverted
 from .guard import Guard, jump, pose_in_map
@@ -53,7 +43,6 @@ from .line_map import (
     line_by_mount,
     merge_doubles,
     mount_states_of,
-    moved_mount,
     prune,
 )
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, find_closure, is_unknown
@@ -199,13 +188,14 @@ class LineTracker(Model):
         """Return the present scan in the base frame, by the estimated mount."""
         if self.mount is None:
             return Scan(self._rows)
-        return Scan(rows_in_base(self._rows, *moved_mount(self.mount, belief)))
+        from_configured = se2.carried(self.mount.now(belief), self.mount.configured, (0.0, 0.0, 0.0))
+        return Scan(rows_in_base(self._rows, *from_configured))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Update the map by scan i: extend matched lines, and add new lines (mode `grow`, or first scan)."""
         first, last = self._first[i], self._first[i + 1]
         if self.guard is not None and last > first:
-            self.guard.note_corrected(belief.pose())
+            self.guard.corrected = belief.pose()  # the wheels predict from here
         if i != self._asked:  # two scans at one update time: the association is that of the last one
             return
         found, self._found = self._found, None
@@ -255,17 +245,10 @@ class LineTracker(Model):
 
     # ---- results ----
 
-    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan and the present map."""
-        return self._first_map, self.map.lines(belief)
-
-    def jumps(self) -> list[Jump]:
-        """Return the corrections of the pose by slips, relocalisations and loop closures."""
-        return self._jumps
-
-    def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return the time intervals in which the robot was lost, (start, end) [s]."""
-        return self.guard.intervals() if self.guard is not None else []
+    def results(self, belief: Any) -> ModelResults:
+        """Return the map after the first scan and the present one, jumps of the pose, and intervals when lost."""
+        lost = self.guard.intervals() if self.guard is not None else []
+        return ModelResults(self._first_map, self.map.lines(belief), jumps=self._jumps, lost=lost)
 
     def notes(self, belief: Any) -> list[str]:
         """Return notes for the user: slips and relocalisations, and the estimated mount of the laser."""
@@ -361,7 +344,9 @@ class AtlasTracker(LineTracker):
             self._return_to(back, belief)
             return
         recent = np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
-        if not len(recent) or not self._may_begin_next(recent, belief):
+        x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
+        far = math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
+        if not len(recent) or not (far or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD):
             return  # no wall would connect both submaps, or the heading is too uncertain
         shared = shared_walls(self.map, recent, belief)
         self._leave(belief, connected=True)
@@ -384,16 +369,6 @@ class AtlasTracker(LineTracker):
                 self.guard.enter_map()
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
-
-    def _may_begin_next(self, recent: Ints, belief: JointBelief) -> bool:
-        """Return whether the robot may begin a submap here.
-
-        Its heading relative to the recent walls, with indices `recent` (k,), must be certain. Further than
-        MAX_REACH_FACTOR * REACH_M from the begin of the present submap, this is not required.
-        """
-        x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
-        far = math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
-        return far or heading_among(self.map, recent, belief) < MAX_HEADING_SIGMA_RAD
 
     def _neighbour(self, belief: JointBelief) -> FrozenMap | None:
         """Return the neighbouring frozen submap in which the robot is; None without one."""
@@ -546,18 +521,13 @@ class AtlasTracker(LineTracker):
 
     # ---- results ----
 
-    def closed_loops(self) -> list[SeenAgain]:
-        """Return the recognised places, in order of time."""
-        return self.closed
-
-    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan, and the lines of all submaps at their present poses."""
-        first, now = super().lines(belief)
-        left: list[MapLine] = []
+    def results(self, belief: Any) -> ModelResults:
+        """Return also the lines of all submaps at their present poses, and the recognised places."""
+        found, left = super().results(belief), list[MapLine]()
         for old in self._frozen:
             pose, P = self._anchors.pose[old.anchor], self._anchors.covariance(old.anchor)
             left += old.lines.lines_in_map(pose, P)
-        return first, left + now
+        return found._replace(final_map=[*left, *found.final_map], loops=self.closed)
 
     def notes(self, belief: Any) -> list[str]:
         """Return notes for the user: also the number of submaps and of closed loops."""

@@ -16,7 +16,6 @@ from locfuse.fusion.ekf.record import Record
 from locfuse.fusion.fuse import BLOCK_INSTANTS, configuration_name
 from locfuse.fusion.progress import report_progress
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.wheels.motion import Wheels
 
 from . import equations
 from .equations import PRINTED
@@ -54,23 +53,6 @@ def fuse_as_printed(
     return run.estimates(name or configuration_name(sensors, drive))
 
 
-class Counts:
-    """Distances that both wheels have rolled since the start, from encoder readings."""
-
-    def __init__(self, wheels: Wheels) -> None:
-        self.t = wheels.t
-        self.rolled = totals(wheels.rolled)  # (n, 2) left, right
-
-    def latest(self, t: Array) -> Array:
-        """Return the distances (..., 2) [m] from the newest reading before each time t (...) [s]."""
-        newest = np.searchsorted(self.t, t + MAX_STAMP_ROUNDING_S, side="right") - 1
-        return self.rolled[np.maximum(newest, 0)]
-
-    def interpolated(self, t: Array) -> Array:
-        """Return the distances (..., 2) [m], interpolated at times t (...) [s]."""
-        return interpolate(t, self.t, self.rolled)
-
-
 def _grid(end: float, period: float) -> Array:
     """Return the times (m,) [s] of the filter's steps. Raises LocfuseError for more than MAX_STEPS."""
     if end / period > MAX_STEPS:
@@ -89,8 +71,9 @@ class PrintedFilter:
     ) -> None:
         self.drive, self.listen = drive, listen
         self.grid = _grid(float(drive.t[-1]), PRINTED.period)
-        self.counts = Counts(drive.wheels)
-        self.rolled = np.diff(self.counts.latest(self.grid), axis=0, prepend=0.0)  # (m, 2) left, right by step
+        self.counts = totals(drive.wheels.rolled)  # (n, 2) m, left, right until each reading of the encoders
+        latest = np.searchsorted(drive.wheels.t, self.grid + MAX_STAMP_ROUNDING_S, side="right") - 1
+        self.rolled = np.diff(self.counts[np.maximum(latest, 0)], axis=0, prepend=0.0)  # (m, 2) by step
         self.L = float(drive.wheels.track)
         self.dt_R = PRINTED.period * (robot.wheels.radius or 1.0)  # odometry has no radius; any value cancels out
         self.x = np.array(robot.start.pose)
@@ -143,7 +126,8 @@ class PrintedFilter:
     def at(self, t: Array) -> tuple[Array, Array]:
         """Return pose (n, 3) and covariance (n, 3, 3) at times t (n,) [s], predicted from the step before."""
         k = np.clip(np.searchsorted(self.grid, t + MAX_STAMP_ROUNDING_S, side="right") - 1, 0, len(self.grid) - 1)
-        moved = self.counts.interpolated(t) - self.counts.interpolated(self.grid[k])
+        begin, end = (interpolate(at, self.drive.wheels.t, self.counts) for at in (self.grid[k], t))
+        moved = end - begin
         return self.predict(self._poses[k], self._covariances[k], moved)
 
     def estimates(self, name: str) -> Estimates:

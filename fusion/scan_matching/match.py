@@ -92,7 +92,6 @@ def match(
     counts = np.diff(sources.first)[j]
     parts = consecutive(np.cumsum(counts) // POINTS_AT_ONCE)
     return Matches.joined(*(_match(targets, i[at], sources, j[at], guess[at], prior[at], reach) for at in parts))
-    return Matches.joined(*parts)
 
 
 def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:
@@ -122,16 +121,10 @@ def _match(
     H, _ = last.normal_equations()
     pulled = np.einsum("nij,nj->ni", prior, se2.difference(pose, guess))
     alone = pose + np.linalg.solve(H + np.diag(1.0 / np.square(MAX_ALONE_SIGMAS)), pulled[..., None])[..., 0]
-    return Matches(pose, alone, floored(H), *last.quality(np.diff(sources.first)[j]))
-
-
-def floored(information: Array) -> Array:
-    """Return the information (p, 3, 3) after adding FLOOR_M^2 and FLOOR_RAD^2 to the variances of x, y and theta.
-
-    Singular matrices stay singular.
-    """
+    # the variances of x, y, theta grow by FLOOR_M^2 and FLOOR_RAD^2; a singular matrix stays singular
     floor = np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
-    return se2.symmetric(information @ np.linalg.inv(np.eye(3) + floor @ information))
+    information = se2.symmetric(H @ np.linalg.inv(np.eye(3) + floor @ H))
+    return Matches(pose, alone, information, *last.quality(np.diff(sources.first)[j]))
 
 
 class _PointPairs(msgspec.Struct, frozen=True):

@@ -91,24 +91,16 @@ def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Arr
     is used.
     """
     counts = end - begin
-    first = np.cumsum(counts) - counts
-    scans = np.arange(counts.sum()) + np.repeat(begin - first, counts)
-    cuts = np.arange(SCANS_AT_ONCE, len(scans), SCANS_AT_ONCE)
-    steps = np.concatenate([_scan_after(m, points, part) for part in np.split(scans, cuts)])
-    return np.stack([se2.chain(part)[-1] for part in np.split(steps, first[1:])])
-
-
-def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
-    """Return the pose (k, 3) of the next scan relative to each scan `scans` (k,).
-
-    It comes from matching, or from the wheels if the match is not reliable.
-    """
-    u = points.moved(m.t[scans], m.t[scans + 1])
-    readings, at = np.unique(np.concatenate((scans, scans + 1)), return_inverse=True)
-    clouds = clouds_of(m, readings)
-    i, j = at[: len(scans)], at[len(scans) :]
-    found = match(Targets(clouds), i, sources_of(clouds), j, u, by_wheels(u))
-    return np.where(good(found)[:, None], found.pose, u)
+    first, steps = np.cumsum(counts) - counts, []
+    every = np.arange(counts.sum()) + np.repeat(begin - first, counts)
+    for scans in np.split(every, np.arange(SCANS_AT_ONCE, len(every), SCANS_AT_ONCE)):
+        u = points.moved(m.t[scans], m.t[scans + 1])
+        readings, at = np.unique(np.concatenate((scans, scans + 1)), return_inverse=True)
+        clouds = clouds_of(m, readings)
+        i, j = at[: len(scans)], at[len(scans) :]
+        found = match(Targets(clouds), i, sources_of(clouds), j, u, by_wheels(u))
+        steps.append(np.where(good(found)[:, None], found.pose, u))
+    return np.stack([se2.chain(part)[-1] for part in np.split(np.concatenate(steps), first[1:])])
 
 
 _beyond: WeakKeyDictionary[Points, dict[tuple[int, int, float, float], Array | None]] = WeakKeyDictionary()
@@ -124,19 +116,10 @@ def beyond_wheels(m: Measurements, a: int, b: int) -> Array | None:
         return None
     known, key = _beyond.setdefault(m.points, {}), (a, b, float(m.t[a]), float(m.t[b]))
     if key not in known:
-        known[key] = _beyond_wheels(m, m.points, a, b)
+        u, clouds = m.points.moved(m.t[[a]], m.t[[b]]), clouds_of(m, np.array([a, b]))
+        found = next_scans(Targets(clouds), np.array([0]), sources_of(clouds), np.array([1]), u, by_wheels(u))
+        known[key] = se2.difference(found.pose, u)[0] if good(found)[0] else None
     return known[key]
-
-
-def _beyond_wheels(m: Measurements, points: Points, a: int, b: int) -> Array | None:
-    u = points.moved(m.t[[a]], m.t[[b]])
-    clouds = clouds_of(m, np.array([a, b]))
-    found = next_scans(Targets(clouds), np.array([0]), sources_of(clouds), np.array([1]), u, by_wheels(u))
-    if not good(found)[0]:
-        return None
-    more: Array = found.pose[0] - u[0]
-    more[2] = se2.wrap(float(more[2]))
-    return more
 
 
 # ---- key scans along a drive, and their matches with earlier key scans, computed once for all runs ----
@@ -164,14 +147,11 @@ class KeyScans(msgspec.Struct, frozen=True):
 
 def key_scans(m: Measurements) -> KeyScans:
     """Return the key scans among a laser's readings; they are computed once and cached."""
-    assert m.points is not None
-    known = _matched.get(m.points)
-    if known is None or not np.array_equal(known.t, m.t):
-        known = _matched[m.points] = _match_keys(m, m.points)
-    return known
-
-
-def _match_keys(m: Measurements, points: Points) -> KeyScans:
+    points = m.points
+    assert points is not None
+    known = _matched.get(points)
+    if known is not None and np.array_equal(known.t, m.t):
+        return known
     u = points.moved(m.t[:-1], m.t[1:])
     distance = totals(np.hypot(*u[:, :2].T))
     heading = totals(u[:, 2])
@@ -185,7 +165,9 @@ def _match_keys(m: Measurements, points: Points) -> KeyScans:
     i = np.concatenate([i for i, _ in found])
     j = i + np.repeat((1, *FURTHER_STEPS), [len(i) for i, _ in found])
     all_of = Matches.joined(*(matches for _, matches in found))
-    return KeyScans(m.t, readings, steps, Edges.of(i, j, all_of.pose, all_of.information, MATCH_WIDTH))
+    edges = Edges.of(i, j, all_of.pose, all_of.information, MATCH_WIDTH)
+    known = _matched[points] = KeyScans(m.t, readings, steps, edges)
+    return known
 
 
 def _next(

@@ -7,7 +7,7 @@ NOWHERE measures the pose in the map: e = x_j - z.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -63,8 +63,7 @@ class Edges(Columns, frozen=True):
     def chi2(self, x: Array, systematic: Array | None = None) -> Array:
         """Return the squared error e' Omega e of every edge, (m,)."""
         e = self.errors(x, systematic)
-        found: Array = np.einsum("ni,nij,nj->n", e, self.information, e)
-        return found
+        return np.asarray(np.einsum("ni,nij,nj->n", e, self.information, e))
 
     def weights(self, x: Array, systematic: Array | None = None, graduation: float = 1.0) -> Array:
         """Return Geman-McClure weights (m,); the kernel is convex for a large `graduation` (Yang et al. 2020)."""
@@ -90,8 +89,7 @@ def chi2_of(poses: Array, expected: Array, P: Array) -> Array:
     P (3, 3) or (n, 3, 3) are the covariances of the differences.
     """
     off = se2.difference(poses, expected)
-    found: Array = np.einsum("ni,nij,nj->n", off, np.broadcast_to(np.linalg.inv(P), (len(off), 3, 3)), off)
-    return found
+    return np.asarray(np.einsum("ni,nij,nj->n", off, np.broadcast_to(np.linalg.inv(P), (len(off), 3, 3)), off))
 
 
 class Summands(msgspec.Struct, frozen=True):
@@ -151,16 +149,14 @@ class Normal:
 
     def step(self) -> Array:
         """Return the Gauss-Newton step (n,) of the state."""
-        found: Array = self._lu.solve(self.g)
-        return found
+        return np.asarray(self._lu.solve(self.g))
 
     def columns(self, poses: Ints) -> Array:
         """Return the columns (n, 3 k) of the covariance that belong to the poses with indices (k,)."""
         at = (3 * poses[:, None] + np.arange(3)).ravel()
         unit = np.zeros((self.n, len(at)))
         unit[at, np.arange(len(at))] = 1.0
-        found: Array = self._lu.solve(unit)
-        return found
+        return np.asarray(self._lu.solve(unit))
 
     def joint(self, poses: Ints) -> Array:
         """Return the joint covariance (k, 3, k, 3) of the poses with indices (k,)."""
@@ -188,18 +184,6 @@ class Normal:
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
 
-class OtherTerms(Protocol):
-    """Terms of the least-squares problem that are not edges, such as sensor readings, with their own states."""
-
-    states: int
-
-    def rows(self, x: Array) -> list[Summands]:
-        """Return blocks of the normal equations at key poses x (n, 3) and at the present states of the terms."""
-
-    def move(self, step: Array) -> None:
-        """Add a step (states,) to the states of the terms."""
-
-
 def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
     """Return poses j (c,) relative to poses i (c,), (c, 3), and their covariances (c, 3, 3).
 
@@ -213,9 +197,12 @@ def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
 
 
 class Problem:
-    """Pose-graph problem for several solves: prior on the start, other sensors, and systematic errors."""
+    """Pose-graph problem for several solves: prior on the start, other sensors, and systematic errors.
 
-    def __init__(self, start: Edges | None = None, others: OtherTerms | None = None) -> None:
+    `others` (whole_drive.others) has terms that are not edges, with their own states.
+    """
+
+    def __init__(self, start: Edges | None = None, others: Any = None) -> None:
         self.start, self.others = Edges.none() if start is None else start, others
         self.systematic = np.zeros(len(SYSTEMATIC_SIGMAS))
 

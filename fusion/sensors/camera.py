@@ -63,8 +63,6 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
             raise ValueError(f"camera: outer = {self.outer} px must exceed inner = {self.inner} px, both positive")
         if (self.outer or 0.0) > MAX_PANORAMA_ROWS or inner > MAX_PANORAMA_ROWS:
             raise ValueError(f"camera: inner and outer must be at most {MAX_PANORAMA_ROWS} px")
-        if self.sigma_deg <= 0.0:
-            raise ValueError(f"camera.sigma_deg = {self.sigma_deg}, must be positive")
         if self.bearing == "absolute" and (self.sigma_x or self.sigma_y or self.sigma_yaw_deg):
             raise ValueError("camera.bearing = absolute knows no mount: sigma_x, sigma_y, sigma_yaw_deg must be 0")
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Ragged, Stream, plausible
+from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.geodesy import check_near, east_north
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
@@ -139,25 +139,17 @@ def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDAr
 
 def _covariance(columns: Mapping[str, Any], settings: GpsSettings) -> Array:
     """Return covariances of (east, north), (n, 2, 2) [m^2]: the receiver's if valid and wanted, else sigma^2 I."""
-    matrix = _flat_covariances(columns["position_covariance"])
+    column = columns["position_covariance"]
+    if isinstance(column, np.ndarray):
+        matrix = column.astype(np.float64).reshape(-1, 9)
+    else:  # from JSON: zeros where a message has not 9 numbers
+        whole, matrix = column.lengths == 9, np.zeros((len(column), 9))
+        matrix[whole] = column.values[column.first[:-1][whole][:, None] + np.arange(9)]
     own = matrix[:, [0, 1, 3, 4]].reshape(-1, 2, 2)
     known = (np.asarray(columns["position_covariance_type"]) > 0) & (settings.covariance == "message")
     known &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
     known &= np.linalg.det(np.where(known[:, None, None], own, np.eye(2))) > 0.0
     return np.where(known[:, None, None], se2.symmetric(own), settings.sigma**2 * np.eye(2))
-
-
-def _flat_covariances(column: Array | Ragged) -> Array:
-    """Return the 3 x 3 covariances of n messages as (n, 9); zeros where a message has not 9 numbers.
-
-    Such messages are possible in JSON.
-    """
-    if isinstance(column, np.ndarray):
-        return column.astype(np.float64).reshape(-1, 9)
-    whole = column.lengths == 9
-    matrix = np.zeros((len(column), 9))
-    matrix[whole] = column.values[column.first[:-1][whole][:, None] + np.arange(9)]
-    return matrix
 
 
 def fix(

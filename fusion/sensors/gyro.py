@@ -223,8 +223,7 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
     if not finite.any():
         says = "says 0" if len(finite) or not len(omega) else "has no finite angular velocity"
         raise LocfuseError(f"{topic} {says} in all {len(omega)} messages: no gyro writes there", role="gyro")
-    rate: Array = factor * (omega @ rotation_3d(settings.roll_deg, settings.pitch_deg, 0.0)[2])
-    return rate
+    return np.asarray(factor * (omega @ rotation_3d(settings.roll_deg, settings.pitch_deg, 0.0)[2]))
 
 
 def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings: GyroSettings) -> dict[str, Array]:

@@ -65,8 +65,7 @@ def plausible(field: Array) -> Array:
         strength = np.linalg.norm(field, axis=1)
     finite = np.isfinite(strength)
     usual = float(np.median(strength[finite])) if finite.any() else 0.0
-    good: Array = finite & (strength <= MAX_STRENGTH_RATIO * usual)
-    return good
+    return np.asarray(finite & (strength <= MAX_STRENGTH_RATIO * usual))
 
 
 def _start(m: Array) -> tuple[Array, Array]:

@@ -51,7 +51,6 @@ from locfuse.fusion.streams import arrays, parts_of
 
 from .points import (
     MIN_JUDGED,
-    GrowingPoints,
     IdReadings,
     Point,
     PointsModel,
@@ -125,14 +124,6 @@ READS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-class CameraView(NamedTuple):
-    """View of a camera: focal length and image centre, both horizontal [px], and downward tilt [rad]."""
-
-    fx: float | None
-    cx: float | None
-    down: float
-
-
 class Sighted(NamedTuple):
     """Detections of landmarks, m of them; the detections of one message are consecutive."""
 
@@ -142,8 +133,11 @@ class Sighted(NamedTuple):
     bearings: Array  # (m,) rad, counter-clockwise
 
 
-def sighted(stream: Stream, looks: CameraView) -> Sighted:
-    """Return the landmark detections of a stream. Raises LocfuseError for pixels without a focal length."""
+def sighted(stream: Stream, optics: tuple[float | None, float | None], down: float) -> Sighted:
+    """Return the landmark detections of a stream. Raises LocfuseError for pixels without a focal length.
+
+    `optics` are the camera's focal length and image centre, both horizontal [px]; it is tilted `down` [rad].
+    """
     if stream.msgtype == DETECTIONS:
         columns = arrays(stream, *READS[DETECTIONS])
         ranges: Array = np.asarray(columns["range"], np.float64)
@@ -152,7 +146,7 @@ def sighted(stream: Stream, looks: CameraView) -> Sighted:
         return Sighted(stream.t_ns, ids, given, np.asarray(columns["bearing"], np.float64))
     if stream.msgtype == TAGS:
         ids, x, y, z = (np.asarray(column) for column in stream.columns(*READS[TAGS]).values())
-        return _placed(stream.t_ns, ids.astype(np.int64), (x, y, z), looks)
+        return _placed(stream.t_ns, ids.astype(np.int64), (x, y, z), down)
     fields = FIELDS[stream.msgtype]
     raw = stream.columns(*READS[stream.msgtype])
     row, ids = _first_ids(raw[fields.ids], raw[fields.bundled]) if fields.bundled else _ids(raw[fields.ids])
@@ -163,21 +157,22 @@ def sighted(stream: Stream, looks: CameraView) -> Sighted:
     t_ns = stream.t_ns[row[alone]]
     x = _values(raw[fields.x], row, stream.topic)[alone]
     if stream.msgtype in PIXELS:
-        if looks.fx is None or looks.cx is None:
+        fx, cx = optics
+        if fx is None or cx is None:
             raise LocfuseError(
                 f"{stream.topic} says where tags are in the picture, and no CameraInfo says how the camera looks.",
                 role="landmarks",
                 hint="Give its matrix: --set landmarks.fx=<px> --set landmarks.cx=<px>",
             )
-        return Sighted(t_ns, ids[alone], None, np.arctan2(looks.cx - x, looks.fx))
+        return Sighted(t_ns, ids[alone], None, np.arctan2(cx - x, fx))
     y, z = (_values(raw[name], row, stream.topic)[alone] for name in (fields.y, fields.z))
-    return _placed(t_ns, ids[alone], (x, y, z), looks)
+    return _placed(t_ns, ids[alone], (x, y, z), down)
 
 
-def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], looks: CameraView) -> Sighted:
-    """Return detections with range and bearing, from positions x, y, z (m,) [m] in optical axes."""
+def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], down: float) -> Sighted:
+    """Return detections from x, y, z (m,) [m] in optical axes of a camera that is tilted `down` [rad]."""
     x, y, z = place
-    ahead = z * np.cos(looks.down) - y * np.sin(looks.down)
+    ahead = z * np.cos(down) - y * np.sin(down)
     return Sighted(t_ns, ids, np.hypot(x, ahead), np.arctan2(-x, ahead))
 
 
@@ -341,7 +336,7 @@ class Landmarks(Sensor):
 
     def model(self, settings: LandmarksSettings) -> Model:
         """Return the filter model of the landmarks for a new run."""
-        return GrowingModel(settings) if settings.grows else LandmarksModel(settings)
+        return LandmarksModel(settings)
 
 
 def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
@@ -349,8 +344,8 @@ def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
     found = []
     for part in parts_of(stream):
         _, _, _, *down = (*settings.mounts.get(part.topic, (0.0, 0.0, 0.0)), settings.pitch_deg)
-        fx, cx = settings.optics.get(part.topic, (settings.fx, settings.cx))
-        found.append(sighted(part, CameraView(fx, cx, math.radians(down[0]))))
+        optics = settings.optics.get(part.topic, (settings.fx, settings.cx))
+        found.append(sighted(part, optics, math.radians(down[0])))
     if len(found) == 1:
         return found[0], np.zeros(len(found[0].ids), np.int64)
     if any(seen.ranges is None for seen in found) and any(seen.ranges is not None for seen in found):
@@ -401,12 +396,12 @@ class Ranging(NamedTuple):
 
 
 class LandmarksModel(PointsModel):
-    """Model of range and bearing from the detector to a landmark at a known position in the map."""
+    """Model of range and bearing from the detector to a landmark."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
-        self.places = settings.places
-        self.mount = settings.x, settings.y, math.radians(settings.yaw_deg)
         self.thresholds = [0.0, *(chi_square(settings.gate, d) for d in (1, 2))]  # by size of z
+        super().__init__(settings, self.thresholds[2])
+        self.mount = settings.x, settings.y, math.radians(settings.yaw_deg)
         self.given = settings.range_offset
         self.prior = settings.sigma_range_offset
         given = settings.file is None or settings.range_depth is not None  # k is unknown only for a file
@@ -421,9 +416,9 @@ class LandmarksModel(PointsModel):
         return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Return the innovations of reading i; store the landmark positions that its detections imply."""
+        """Return the innovations of reading i; note where its detections see the landmarks of a given map."""
         found = super().innovations(m, i, belief)
-        if not found or m.z.shape[1] == 1:
+        if self.joint or not found or m.z.shape[1] == 1:
             return found
         sigma = math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))  # m
         if sigma <= MAX_SIGMA_M:
@@ -431,7 +426,12 @@ class LandmarksModel(PointsModel):
             for seen in found:
                 angle, distance = z[seen.row, 0], z[seen.row, 1]
                 distance = (distance - ranging.offset) / ranging.share(1.0 - math.cos(angle))
-                self._note_place(seen.landmark, distance, angle, self._mount_of(m, seen.row), pose, sigma)
+                mount = self._mount_of(m, seen.row)
+                (x, y), (c, s) = detector_at(pose, mount), direction(pose[2] + mount[2] + angle)
+                spread = math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
+                place = x + distance * c, y + distance * s, spread
+                if math.isfinite(sum(place)):
+                    self._seen_at[seen.landmark].append(place)
         return found
 
     def compared(
@@ -482,17 +482,11 @@ class LandmarksModel(PointsModel):
         x, y, yaw = (m.plain[name][row] for name in LEVER)
         return x, y, yaw
 
-    def _note_place(
-        self, landmark: int, distance: float, bearing: float, mount: Row, pose: Row, sigma: float
-    ) -> None:
-        """Store the landmark position that a detection implies; `sigma` [m] is that of the robot's position."""
-        (x, y), (c, s) = detector_at(pose, mount), direction(pose[2] + mount[2] + bearing)
-        place = x + distance * c, y + distance * s, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
-        if math.isfinite(sum(place)):
-            self._seen_at[landmark].append(place)
-
     def notes(self, belief: Any) -> list[str]:
-        """Return notes on landmarks seen far from their map position, and on pairs with swapped ids."""
+        """Return notes on depths, on an estimated map and landmarks that move, or on errors of a given map."""
+        if self.joint:
+            made, *moving = self.map_notes("are the ranges in m and the bearings in rad?")
+            return [made, *self._depth_notes(belief), *moving]
         seen = {key: np.array(rows) for key, rows in self._seen_at.items()}
         return [*self._depth_notes(belief), *wrong_places(self.places, seen)]
 
@@ -508,14 +502,6 @@ class LandmarksModel(PointsModel):
             f"its ranges are depths along its axis, not distances: {share:.2f} of that (1 sigma: {sigma:.2g}; "
             "landmarks.range_depth=1)"
         ]
-
-
-class GrowingModel(GrowingPoints, LandmarksModel):
-    """Model of range and bearing to landmarks whose positions are states, in the local frame."""
-
-    def __init__(self, settings: LandmarksSettings) -> None:
-        LandmarksModel.__init__(self, settings)
-        GrowingPoints.__init__(self, settings.what, settings.table, self.thresholds[2])
 
     def append(self, m: Measurements, row: int, belief: Any) -> int:
         """Append l = s + r (cos, sin)(theta + yaw + bearing), a landmark's position, to the state."""
@@ -533,11 +519,6 @@ class GrowingModel(GrowingPoints, LandmarksModel):
         noise = J @ m.R[row] @ J.T
         column: int = belief.augment(np.array([x + r * c, y + r * s]), G, noise, ranging.columns)
         return column
-
-    def notes(self, belief: Any) -> list[str]:
-        """Return notes on the estimated map, on landmarks that move, and on ranges that are depths."""
-        made, *moving = self.map_notes("are the ranges in m and the bearings in rad?")
-        return [made, *self._depth_notes(belief), *moving]
 
 
 def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> list[str]:

@@ -134,18 +134,12 @@ def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
     first = np.flatnonzero(np.diff(np.floor(t / STEP_S), prepend=-1.0))
     n = np.diff(np.append(first, len(t)))
     ts, a, w = t[first], np.add.reduceat(a[good], first) / n[:, None], np.add.reduceat(w[good], first) / n[:, None]
-    found = _complementary(ts, a, w - _bias(a, w), usual)
+    up, bias = np.median(a, axis=0), np.median(w, axis=0)  # the bias of the rates about horizontal axes
+    up /= max(float(np.linalg.norm(up)), 1e-9)
+    found = _complementary(ts, a, w - (bias - (bias @ up) * up), usual)
     out = np.full((len(t_ns), 3), np.nan)
     out[good] = interpolate(t, ts, found)
     return out
-
-
-def _bias(a: Array, w: Array) -> Array:
-    """Return the bias (3,) [rad/s] of the rates about horizontal axes: their median."""
-    up = np.median(a, axis=0)
-    up = up / max(float(np.linalg.norm(up)), 1e-9)
-    bias = np.median(w, axis=0)
-    return np.asarray(bias - (bias @ up) * up)
 
 
 def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
@@ -173,5 +167,4 @@ def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
 
 def _angles_to(up: Array, middle: Array) -> Array:
     """Return the angles (n,) [rad] between unit vectors (n, 3) and one unit vector (3,)."""
-    found: Array = np.arctan2(np.linalg.norm(np.cross(up, middle), axis=1), up @ middle)
-    return found
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(up, middle), axis=1), up @ middle))

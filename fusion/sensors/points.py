@@ -12,7 +12,7 @@ from locfuse.fusion.chi_square import clipped_rms
 from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, in_other_frame, sight, transform
-from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
+from locfuse.fusion.sensor import NO_COLUMNS, Model, ModelResults, SensorSettings
 from locfuse.fusion.streams import count_dropped, seconds
 
 Point = tuple[float, float]
@@ -79,12 +79,23 @@ class IdReadings(NamedTuple):
 def used(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) -> tuple[Mask, list[str]]:
     """Return which readings (n,) are used, and notes on the map; count the others in `dropped` by reason.
 
-    Valid readings of ids in the map are used; if the map is estimated, those of ids that are often seen. Raises
-    LocfuseError if there are none.
+    Valid readings of ids in the map are used; if the map is estimated, those of ids that are often seen. Two
+    readings of one id by one detector at one time are both left out: a reflection, or two points with one id.
+    Raises LocfuseError if there are none.
     """
-    keep = _usable(seen, settings, dropped)
-    if len(seen.ids) and not keep.any():
-        found = ", ".join(map(str, sorted(set(seen.ids.tolist()))[:MAX_NAMED]))
+    ids, valid = seen.ids, seen.valid
+    unwanted = np.isin(ids, settings.ignore)
+    numbered = (ids >= 0) & ~unwanted
+    known = numbered if settings.grows else numbered & np.isin(ids, list(settings.places))
+    triples = np.stack((seen.t_ns, ids, seen.detector), axis=-1)
+    _, place, counts = np.unique(triples, axis=0, return_inverse=True, return_counts=True)
+    twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
+    count_dropped(dropped, nan_or_not_positive=~valid)
+    count_dropped(dropped, no_id=valid & (ids < 0), ignored=valid & unwanted)
+    count_dropped(dropped, not_in_map=valid & numbered & ~known, same_id=valid & known & twice)
+    keep: Mask = valid & known & ~twice
+    if len(ids) and not keep.any():
+        found = ", ".join(map(str, sorted(set(ids.tolist()))[:MAX_NAMED]))
         have = ", ".join(map(str, sorted(settings.places)[:MAX_NAMED])) or "none"
         of_map = "" if settings.grows else f" of the map's {settings.what}; the map has {have}"
         raise LocfuseError(f"{seen.topic} has no usable reading{of_map}: it sees ids {found}", role=settings.table)
@@ -98,24 +109,6 @@ def used(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) ->
         f"{settings.table}.map=FILE, a .csv of id, x, y, {settings.they} also say where the robot is in the room"
     )
     return keep, [no_map, *left_out]
-
-
-def _usable(seen: IdReadings, settings: PointsSettings, dropped: dict[str, int]) -> Mask:
-    """Return which readings (n,) are valid, in the map, and unique in id and time; count the others by reason.
-
-    Two readings of one id by one detector at one time are both left out: a reflection, or two points with one id.
-    """
-    ids, valid = seen.ids, seen.valid
-    unwanted = np.isin(ids, settings.ignore)
-    numbered = (ids >= 0) & ~unwanted
-    known = numbered if settings.grows else numbered & np.isin(ids, list(settings.places))
-    triples = np.stack((seen.t_ns, ids, seen.detector), axis=-1)
-    _, place, counts = np.unique(triples, axis=0, return_inverse=True, return_counts=True)
-    twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
-    count_dropped(dropped, nan_or_not_positive=~valid)
-    count_dropped(dropped, no_id=valid & (ids < 0), ignored=valid & unwanted)
-    count_dropped(dropped, not_in_map=valid & numbered & ~known, same_id=valid & known & twice)
-    return valid & known & ~twice
 
 
 def _often_seen(
@@ -182,38 +175,24 @@ def predict(pose: Row, place: Point, mount: Row) -> tuple[Point, tuple[Row, Row]
 
 
 class PointsModel(Model):
-    """Filter model of points at known positions."""
+    """Filter model of points with ids: their places are given, or they are states in a local frame (`joint`).
 
-    places: dict[int, Point]
+    The local frame of a map that grows has an unknown origin and direction.
+    """
+
+    def __init__(self, settings: PointsSettings, gate: float) -> None:
+        """`gate` is the threshold that is recorded with the first reading of a point."""
+        self.joint = self.local = self.maps = settings.grows
+        self.places = settings.places
+        self._what, self._table, self._gate = settings.what, settings.table, gate
+        self._known: dict[int, int] = {}  # id of an estimated point -> readings
+        self._refused: dict[int, int] = defaultdict(int)
 
     def compared(
         self, m: Measurements, row: int, point: int, place: Point, at: tuple[int, ...], belief: Any
     ) -> Innovation | None:
         """Return the innovation of one reading; `at` holds the state columns of an estimated position."""
         raise NotImplementedError
-
-    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Return the innovations of all points in reading i."""
-        ids, found = m.plain["id"], []
-        for row in rows_of(m, i):
-            point = int(ids[row])
-            seen = self.compared(m, row, point, self.places[point], NO_COLUMNS, belief)
-            if seen is not None:
-                found.append(seen)
-        return found
-
-
-class GrowingPoints(PointsModel):
-    """Filter model of points whose positions are states, in a local frame of unknown origin and direction."""
-
-    joint = True
-    local = True
-    maps = True
-
-    def __init__(self, what: str, table: str, gate: float) -> None:
-        self._what, self._table, self._gate = what, table, gate
-        self._known: dict[int, int] = {}  # id -> readings
-        self._refused: dict[int, int] = defaultdict(int)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
         """Return whether reading i is the first with points: the local frame begins there."""
@@ -224,20 +203,22 @@ class GrowingPoints(PointsModel):
         ids, found = m.plain["id"], []
         for row in rows_of(m, i):
             point = int(ids[row])
-            if point not in self._known:
-                found.append(Innovation.unpredicted(row, RowVerdict.NEW, m.z.shape[1], self._gate))
-                continue
-            column = belief.column(state_of(point, self._table))
-            place = belief.value(column), belief.value(column + 1)
-            seen = self.compared(m, row, point, place, (column, column + 1), belief)
+            if not self.joint:
+                seen = self.compared(m, row, point, self.places[point], NO_COLUMNS, belief)
+            elif point in self._known:
+                column = belief.column(state_of(point, self._table))
+                place = belief.value(column), belief.value(column + 1)
+                seen = self.compared(m, row, point, place, (column, column + 1), belief)
+            else:
+                seen = Innovation.unpredicted(row, RowVerdict.NEW, m.z.shape[1], self._gate)
             if seen is not None:
                 found.append(seen)
-                self._refused[point] += seen.verdict != RowVerdict.ACCEPTED
+                self._refused[point] += seen.verdict not in (RowVerdict.ACCEPTED, RowVerdict.NEW)
         return found
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Append the points seen for the first time in reading i to the state."""
-        for row in rows_of(m, i):
+        """Append the points seen for the first time in reading i to the state of a map that grows."""
+        for row in rows_of(m, i) if self.joint else ():
             point = int(m.plain["id"][row])
             if point not in self._known:
                 belief.own_point(state_of(point, self._table), self.append(m, row, belief))
@@ -247,15 +228,15 @@ class GrowingPoints(PointsModel):
         """Append a point's position, computed from one reading, to the state; return its first column."""
         raise NotImplementedError
 
-    def points(self, belief: Any) -> list[tuple[int, float, float]]:
-        """Return id and place [m, map frame] of every point at the end of the run."""
+    def results(self, belief: Any) -> ModelResults:
+        """Return id and place [m, map frame] of every point of an estimated map."""
         G = belief.frame_pose() or (0.0, 0.0, 0.0)
         c, s = math.cos(G[2]), math.sin(G[2])
         found = []
         for point in sorted(self._known):
             _, (x, y) = belief.block(state_of(point, self._table))
             found.append((point, float(G[0] + c * x - s * y), float(G[1] + s * x + c * y)))
-        return found
+        return ModelResults(points=found)
 
     def map_notes(self, units: str) -> list[str]:
         """Return notes on the map: number of points, rarely seen points, and points that move."""

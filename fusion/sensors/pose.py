@@ -290,15 +290,14 @@ class KeptPoseModel(Model):
         columns = column, column + 1, column + 2
         u = seen_from(self._last, _pose_of(m, i))[0]
         moved, by_kept, by_pose = seen_from(tuple(map(belief.value, columns)), belief.pose())
-        R = self._drifted(u, m.floor) if m.plain["drifts"][i] else _turned(_covariance_of(m, i), -self._last[2])
+        if m.plain["drifts"][i]:  # by length and turn of the motion
+            distance = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(u[2]))
+            xy = self.drift[0] * distance + m.floor.item(0, 0)
+            R: Matrix = (xy, 0.0, 0.0), (0.0, xy, 0.0), (0.0, 0.0, self.drift[1] * distance + m.floor.item(2, 2))
+        else:
+            R = _turned(_covariance_of(m, i), -self._last[2])
         y = u[0] - moved[0], u[1] - moved[1], wrap(u[2] - moved[2])
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
-
-    def _drifted(self, u: Pose, floor: Array) -> Matrix:
-        """Return the covariance (3, 3) of a measured motion u (3,): drift by its length and turn, plus `floor`."""
-        distance = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(u[2]))
-        xy, theta = self.drift[0] * distance + floor.item(0, 0), self.drift[1] * distance + floor.item(2, 2)
-        return ((xy, 0.0, 0.0), (0.0, xy, 0.0), (0.0, 0.0, theta))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Prepare B for the next reading: clone the present pose if the frame drifts or at the first reading.

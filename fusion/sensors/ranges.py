@@ -30,17 +30,7 @@ from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import Ask, Bias, Block, FoundStart, Model, Sensor, WheelMotion, given_or_state
 from locfuse.fusion.streams import arrays, count_dropped, seconds
 
-from .points import (
-    GrowingPoints,
-    IdReadings,
-    Point,
-    PointsModel,
-    PointsSettings,
-    by_instant,
-    detector_at,
-    predict,
-    used,
-)
+from .points import IdReadings, Point, PointsModel, PointsSettings, by_instant, detector_at, predict, used
 
 STRETCHES_S = (5.0, 10.0, 20.0, 40.0, 80.0)  # initial parts of the drive: the shortest unambiguous one is used
 MIN_ROWS = 8
@@ -326,7 +316,7 @@ class Ranges(Sensor):
 
     def model(self, settings: RangesSettings) -> Model:
         """Return the filter model of the ranges for a new run."""
-        return GrowingRanges(settings) if settings.grows else RangesModel(settings)
+        return RangesModel(settings)
 
 
 def _refuse_other_units(
@@ -384,12 +374,12 @@ def _places_of(
 
 
 class RangesModel(PointsModel):
-    """Model of the range from the antenna s to an anchor a at a known position: |s - a| + offset."""
+    """Model of the range from the antenna s to an anchor a: |s - a| + offset."""
 
     def __init__(self, settings: RangesSettings) -> None:
-        self.places = settings.places
-        self.mount = settings.x, settings.y, 0.0
         self.threshold = chi_square(settings.gate, 1)
+        super().__init__(settings, self.threshold)
+        self.mount = settings.x, settings.y, 0.0
         self.given = settings.offset
         self.prior = settings.sigma_offset
 
@@ -422,14 +412,6 @@ class RangesModel(PointsModel):
         seen.landmark = anchor
         return seen
 
-
-class GrowingRanges(GrowingPoints, RangesModel):
-    """Model of ranges to anchors whose positions are states, in the local frame."""
-
-    def __init__(self, settings: RangesSettings) -> None:
-        RangesModel.__init__(self, settings)
-        GrowingPoints.__init__(self, settings.what, settings.table, self.threshold)
-
     def append(self, m: Measurements, row: int, belief: Any) -> int:
         """Append an anchor's position a = p + R(theta) g to the state, with g relative to the robot."""
         ahead, left, sigma = (m.plain[name][row] for name in (AHEAD, LEFT, SPREAD))
@@ -440,4 +422,4 @@ class GrowingRanges(GrowingPoints, RangesModel):
 
     def notes(self, belief: Any) -> list[str]:
         """Return notes on the map: the number of anchors, rarely seen anchors, and anchors that move."""
-        return self.map_notes("are the ranges in m?")
+        return self.map_notes("are the ranges in m?") if self.joint else []

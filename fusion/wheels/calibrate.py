@@ -62,8 +62,7 @@ class Residuals(msgspec.Struct, frozen=True):
     def squares(self, scale: float, p: Array) -> Array:
         """Return the squared Mahalanobis distance of each piece (n,), for a noise scale and parameters p (p,)."""
         r = self.e - self.X @ p
-        distances: Array = np.einsum("ni,ni->n", r, np.linalg.solve(scale * self.Q + self.T, r[..., None])[..., 0])
-        return distances
+        return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(scale * self.Q + self.T, r[..., None])[..., 0]))
 
     def ln_likelihood(self, scale: float) -> float:
         """Return the log likelihood of a noise scale, up to a constant."""
@@ -86,21 +85,17 @@ class Residuals(msgspec.Struct, frozen=True):
 
     def fit(self) -> tuple[Figure, float]:
         """Return the maximum-likelihood noise scale with its likelihood-ratio interval, and its log likelihood."""
-        scale, top = self.best()
-        low, high = (math.exp(self._interval_end(math.log(scale), math.log(end), top)) for end in S_BOUNDS)
-        return Figure(scale, low, high), top
-
-    def _interval_end(self, inside: float, outside: float, top: float) -> float:
-        """Return ln(scale) at the end of the likelihood interval, searched between `inside` and `outside`."""
         from scipy.optimize import brentq
 
+        scale, top = self.best()
         drop = 0.5 * chi_square(CONFIDENCE, 1)
-        if top - self.ln_likelihood(math.exp(outside)) <= drop:
-            return outside
-        edge: float = brentq(
-            lambda x: top - self.ln_likelihood(math.exp(x)) - drop, inside, outside, xtol=LN_S_TOLERANCE
-        )
-        return edge
+
+        def beyond(x: float) -> float:  # negative within the interval
+            return top - self.ln_likelihood(math.exp(x)) - drop
+
+        inside, ends = math.log(scale), [math.log(end) for end in S_BOUNDS]
+        edges = (brentq(beyond, inside, end, xtol=LN_S_TOLERANCE) if beyond(end) > 0.0 else end for end in ends)
+        return Figure(scale, *map(math.exp, edges)), top
 
 
 STRAIGHT, TURN = 0, 1
@@ -218,7 +213,9 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
     if truth is None:
         hint = "(--set truth.topic=/TOPIC names it)"
         raise LocfuseError("no truth to compare the wheels with", role="calibrate", hint=hint)
-    wheels = adjusted(drive.wheels, moved)
+    wheels: Wheels = drive.wheels
+    if moved.any():
+        wheels = wheels.rerolled(wheels.rolled * (1.0 + moved[:2]), wheels.track * (1.0 + float(moved[2])))
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
     theta = np.zeros(len(truth.t)) if truth.theta is None else truth.theta
     body = se2.compose(np.column_stack((truth.xy, theta)), np.array([*(-np.array(truth.point)), 0.0]))
@@ -229,11 +226,7 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
         kind, a, b = (column[kind == STRAIGHT] for column in (kind, a, b))
     motions = replace(wheels, noise=1.0).between(stamps[a], stamps[b], parameters=True)
     seen = se2.between(pose[a], pose[b])
-    if truth.theta is None:
-        e, T = _lengths(seen, motions.u, sigma)
-    else:
-        e = se2.difference(seen, motions.u)
-        T = _truth_noise(seen, sigma)
+    e, T = _errors(seen, motions.u, sigma, truth.theta is not None)
     # eq. 9: the variance of a wheel's distance in one period is delta (omega dt R)^2, so per metre delta v dt
     per_period = wheels.rolled**2 * (PAPER_PERIOD_S / np.diff(wheels.t))[:, None]
     return Pieces(
@@ -261,13 +254,6 @@ def without_outliers(pieces: Pieces) -> Pieces:
         limit = np.array([chi_square(OUTLIER_CONFIDENCE, d) for d in pieces.dof.tolist()])
         pieces = pieces.take(residuals.squares(scale, p) <= limit)
     return pieces
-
-
-def adjusted(wheels: Wheels, moved: Array) -> Wheels:
-    """Return the wheels with left scale, right scale and track changed by `moved` (3,), relative."""
-    if not moved.any():
-        return wheels
-    return wheels.rerolled(wheels.rolled * (1.0 + moved[:2]), wheels.track * (1.0 + float(moved[2])))
 
 
 def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
@@ -310,20 +296,19 @@ def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
     return max(MIN_RUNS[STRAIGHT], straight), max(MIN_RUNS[TURN], turn)
 
 
-def _truth_noise(seen: Array, sigma: Sigma) -> Array:
-    """Return covariances (n, 3, 3) of relative poses `seen` (n, 3) of the truth; both poses have noise `sigma`."""
-    T = np.zeros((len(seen), 3, 3))
-    lever = np.stack((seen[:, 1], -seen[:, 0], -np.ones(len(seen))), axis=-1)
-    T += sigma.theta**2 * lever[:, :, None] * lever[:, None, :]
-    T += np.diag([2.0 * sigma.xy**2, 2.0 * sigma.xy**2, sigma.theta**2])
-    return T
+def _errors(seen: Array, u: Array, sigma: Sigma, headings: bool) -> tuple[Array, Array]:
+    """Return errors (n, 3) of motions u (n, 3) against those of the truth, `seen` (n, 3), and its covariances.
 
-
-def _lengths(seen: Array, u: Array, sigma: Sigma) -> tuple[Array, Array]:
-    """Return errors and covariances of straight pieces for a truth without heading: only lengths are compared."""
+    Both poses of the truth have noise `sigma`. Without `headings`, only lengths of straight pieces are compared.
+    """
+    variance = 2.0 * sigma.xy**2
+    if headings:
+        lever = np.stack((seen[:, 1], -seen[:, 0], -np.ones(len(seen))), axis=-1)
+        T = sigma.theta**2 * lever[:, :, None] * lever[:, None, :]
+        return se2.difference(seen, u), T + np.diag([variance, variance, sigma.theta**2])
     e = np.zeros_like(u)
     e[:, 0] = np.sign(u[:, 0]) * (np.hypot(seen[:, 0], seen[:, 1]) - np.hypot(u[:, 0], u[:, 1]))
-    return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN_VARIANCE, UNSEEN_VARIANCE]), (len(u), 1, 1))
+    return e, np.tile(np.diag([variance, UNSEEN_VARIANCE, UNSEEN_VARIANCE]), (len(u), 1, 1))
 
 
 # ---- straight runs and turns on the spot ----

@@ -125,13 +125,9 @@ def _fit(rows: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
 
     Returns turn per metre of right and left wheel (2,) [rad/m], covariance (2, 2), explained share of the turns.
     """
-    own = np.concatenate([turn for turn, _ in rows])
-    by = np.zeros((len(own), 2 + len(rows)))
-    at = 0
-    for i, (turn, columns) in enumerate(rows):
-        by[at : at + len(turn), :2] = columns[:, :2]
-        by[at : at + len(turn), 2 + i] = columns[:, 2]
-        at += len(turn)
+    own, columns = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    drive = np.repeat(np.arange(len(rows)), [len(turn) for turn, _ in rows])
+    by = np.column_stack((columns[:, :2], columns[:, 2:3] * (drive[:, None] == np.arange(len(rows)))))
     x = np.linalg.lstsq(by, own, rcond=None)[0]
     rest = own - by @ x
     freedom = max(len(own) - by.shape[1], 1)

@@ -24,7 +24,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, spaced, totals
+from locfuse.fusion.data import Array, LocfuseError, Mask, spaced, totals
 
 from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE, Residuals
 from .motion import Wheels
@@ -88,7 +88,10 @@ class Intervals(msgspec.Struct, frozen=True):
     def of(cls, motion: ScanMotions) -> Intervals:
         """Cut a drive into intervals of INTERVAL_M or INTERVAL_RAD; leave out intervals at rest."""
         t, pose = motion.laser.t, motion.laser.pose
-        a, b = _cut(t, pose)
+        distance = totals(np.hypot(*np.diff(pose[:, :2], axis=0).T))
+        turn = totals(np.abs(np.diff(pose[:, 2])))
+        cuts = spaced((distance, INTERVAL_M), (turn, INTERVAL_RAD), (t, INTERVAL_S))
+        a, b = cuts[:-1], cuts[1:]
         inside = (t[a] + motion.delay > motion.wheels.t[0]) & (t[b] + motion.delay < motion.wheels.t[-1])
         moved = se2.between(pose[a], pose[b])
         turned = np.abs(moved[:, 2]) > MOVED_RAD
@@ -103,10 +106,6 @@ class Intervals(msgspec.Struct, frozen=True):
         u = wheels.relative(self.t_from + p[6], self.t_to + p[6])
         mount = np.broadcast_to(p[3:6], u.shape)
         return se2.between(mount, se2.compose(u, mount))
-
-    def errors(self, p: Array) -> Array:
-        """Return the laser's motions minus the predicted ones, (n, 3), for parameters p (7,)."""
-        return se2.difference(self.s, self.predicted(p))
 
     def derivative(self, p: Array) -> Array:
         """Return the derivative (n, 3, 7) of `predicted` by the parameters p, by central differences."""
@@ -201,7 +200,13 @@ def first_guess(every: Sequence[Intervals]) -> Array:
     R(yaw) s = b u + (R(turn) - 1) l with the wheels' translation u and its scale b: linear in (b, l, cos, sin).
     """
     s = np.concatenate([one.s for one in every])
-    delay = min(DELAYS_S, key=lambda delay: _turn_mismatch(every, s, delay))
+
+    def mismatch(delay: float) -> float:  # squares of the laser's turns that the wheels' turns do not explain
+        turn = _wheel_motions(every, delay)[:, 2]
+        rest = s[:, 2] - turn * (float(turn @ s[:, 2]) / max(float(turn @ turn), 1e-12))
+        return float(rest @ rest)
+
+    delay = min(DELAYS_S, key=mismatch)
     u = _wheel_motions(every, delay)
     if _on_the_spot(u):
         return np.append(np.zeros(6), delay)
@@ -234,25 +239,10 @@ def _straight(s: Array) -> bool:
     return bool(np.abs(s[:, 2]).mean() < MOVED_RAD)
 
 
-def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
-    """Return the sum of squares [rad^2] of laser turns in s (n, 3) that are not explained by the wheels' turns."""
-    turn = _wheel_motions(every, delay)[:, 2]
-    rest = s[:, 2] - turn * (float(turn @ s[:, 2]) / max(float(turn @ turn), 1e-12))
-    return float(rest @ rest)
-
-
-def _cut(t: Array, pose: Array) -> tuple[Ints, Ints]:
-    """Return the indices of the first and the last scan of every interval, (n,) each."""
-    distance = totals(np.hypot(*np.diff(pose[:, :2], axis=0).T))
-    turn = totals(np.abs(np.diff(pose[:, 2])))
-    cuts = spaced((distance, INTERVAL_M), (turn, INTERVAL_RAD), (t, INTERVAL_S))
-    return cuts[:-1], cuts[1:]
-
-
 def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
     """Return the least-squares problem linearised at parameters p (7,): errors, derivatives, covariances."""
     return Residuals(
-        np.concatenate([one.errors(p) for one in every]),
+        np.concatenate([se2.difference(one.s, one.predicted(p)) for one in every]),
         np.concatenate([one.derivative(p) for one in every]),
         np.concatenate([one.wheel_noise(p) for one in every]),
         np.concatenate([one.T for one in every]),

@@ -170,7 +170,10 @@ class Wheels(msgspec.Struct, frozen=True):
         chord = se2.rotated(middle, twist[:, :2])
         # derivative of the end pose by the turn: of the chord, and of the lever arm from the piece to the end
         by_turn = np.stack((-0.5 * chord[:, 1] - lever[:, 1], 0.5 * chord[:, 0] + lever[:, 0], one), axis=-1)
-        direction = middle + _travel_direction(ahead, left)
+        # the direction of travel is within +-pi/2 of the body's axis; 0 is straight
+        back = np.where(ahead < 0.0, -1.0, 1.0)
+        sideways = (left != 0.0) & np.isfinite(left) & np.isfinite(ahead)
+        direction = middle + np.where(sideways, np.arctan2(back * left, back * ahead + 0.0), 0.0)
         by_distance = np.stack((np.cos(direction), np.sin(direction), 0.0 * direction), axis=-1)
         half, turning = 0.5 * by_distance, by_turn / self.track
         by_wheels = np.stack((half - turning, half + turning), axis=-1)
@@ -190,13 +193,6 @@ class Wheels(msgspec.Struct, frozen=True):
             return noise, np.zeros((len(k), 3, 0))
         by_track = (-turned[:, None] * by_turn)[..., None]
         return noise, np.concatenate((by_wheels * rolled[:, None], by_track), axis=-1)
-
-
-def _travel_direction(ahead: Array, left: Array) -> Array:
-    """Return the direction of travel relative to the body's axis (n,) [rad], within +-pi/2; 0 is straight."""
-    back = np.where(ahead < 0.0, -1.0, 1.0)
-    sideways = (left != 0.0) & np.isfinite(left) & np.isfinite(ahead)
-    return np.where(sideways, np.arctan2(back * left, back * ahead + 0.0), 0.0)
 
 
 def _sums(pieces: Array, count: Ints) -> Array:

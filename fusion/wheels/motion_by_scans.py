@@ -101,19 +101,14 @@ def match_scans(stream: Stream, laser: Laser) -> MatchedScans:
         path = _matched(read_scans(stream, laser, _wheels(path, WheelSettings())))
     if path.blind[1:].all():
         raise LocfuseError(NO_RETURNS.format(topic=stream.topic), role="wheels")
-    return MatchedScans(path, int(stream.t_ns[0]), dict(stream.dropped), _notes(stream, path))
-
-
-def _notes(stream: Stream, path: _MatchedPath) -> tuple[str, ...]:
     words = [f"the motion is matched from scan to scan of {stream.topic}"]
-    blind = path.blind[1:]
-    if blind.any():
-        at = np.flatnonzero(blind) + 1
+    if path.blind[1:].any():
+        at = np.flatnonzero(path.blind[1:]) + 1
         words.append(
-            f"{len(at)} of {len(blind)} scans match none before them "
+            f"{len(at)} of {len(path.t) - 1} scans match none before them "
             f"(first at {path.t[at[0]] - path.t[0]:.1f} s): constant velocity is assumed there"
         )
-    return tuple(words)
+    return MatchedScans(path, int(stream.t_ns[0]), dict(stream.dropped), tuple(words))
 
 
 def _wheels(path: _MatchedPath, settings: WheelSettings, begin: float = 0.0) -> Wheels:
@@ -143,10 +138,14 @@ def _matched(scans: ThinnedScans) -> _MatchedPath:
 def _block(scans: ThinnedScans, rows: Ints, velocity: Velocity, path: _MatchedPath) -> tuple[Velocity, int]:
     """Match the scans `rows` (m,); return the velocity at the last key, and the index of this key in `rows`."""
     clouds = scans.clouds(rows)
-    if not np.isfinite(clouds.normal[:, 0]).any():
-        return _predict(velocity, scans.t[rows], path, rows)
-    targets, sources = Targets(clouds), sources_of(clouds)
     t = scans.t[rows]
+    if not np.isfinite(clouds.normal[:, 0]).any():  # no surfaces: the velocity decays
+        for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
+            velocity = velocity.after(span)
+            path.step[row], path.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
+            path.blind[row] = True
+        return velocity, len(rows) - 1
+    targets, sources = Targets(clouds), sources_of(clouds)
     ends = np.union1d(spaced((t, MIN_PAIR_S)), len(t) - 1)
     dt = np.diff(t[ends])
     velocities, spread, fits = _match_in_sequence(targets, sources, ends, dt, velocity)
@@ -161,18 +160,6 @@ def _block(scans: ThinnedScans, rows: Ints, velocity: Velocity, path: _MatchedPa
     path.blind[rows[1:]] = np.logical_not(fits)[pair]
     last = int(key[-1])
     return velocities[pair[last - 1]], (last or len(rows) - 1)
-
-
-def _predict(velocity: Velocity, t: Array, path: _MatchedPath, rows: Ints) -> tuple[Velocity, int]:
-    """Predict the motion through scans `rows` (m,) without surfaces by the decaying velocity; mark them blind.
-
-    Returns the velocity at the last of these scans, and the index of this scan in `rows`.
-    """
-    for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
-        velocity = velocity.after(span)
-        path.step[row], path.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
-        path.blind[row] = True
-    return velocity, len(rows) - 1
 
 
 def _match_in_sequence(
@@ -232,25 +219,20 @@ def constrained(information: Array) -> Array:
 
 
 def _keys(targets: Targets, sources: Clouds, chain: Array) -> Ints:
-    """Return the index of the key scan of each scan (m,): the last key with enough overlap."""
+    """Return the index of the key scan of each scan (m,): the last key with enough overlap.
+
+    The overlap of two scans is the share of points of each that lie on the other, multiplied: a laser that looks
+    forward sees all points of a later scan already in an earlier one, but not conversely.
+    """
     key, at, most = np.zeros(len(chain), dtype=np.int64), 0, 0.0
     for k in range(1, len(chain)):
         key[k] = at
-        shared = _mutual_overlap(targets, sources, chain, at, k)
+        i, j = np.array([at, k]), np.array([k, at])
+        shared = float(overlap(targets, i, sources, j, se2.between(chain[i], chain[j]), REACH_M / 2.0).prod())
         most = shared if k == at + 1 else most
         if shared < MIN_SHARED_RATIO * most or k - at >= MAX_KEY_SCANS:
             at = k
     return key
-
-
-def _mutual_overlap(targets: Targets, sources: Clouds, chain: Array, a: int, b: int) -> float:
-    """Return the overlap of scans a and b: the share of a's points that lie on b, times the share of b's on a.
-
-    A laser that looks forward sees all points of a later scan already in an earlier one, but not conversely.
-    """
-    i, j = np.array([a, b]), np.array([b, a])
-    pose = se2.between(chain[i], chain[j])
-    return float(overlap(targets, i, sources, j, pose, REACH_M / 2.0).prod())
 
 
 def _match_with_keys(
@@ -268,7 +250,10 @@ def _match_with_keys(
     same = key[:-1] == mine  # the scan before has the same key
     start = np.where((same & (later - 1 != mine))[:, None], of_key[:-1], 0.0)
     path.step[rows[1:]] = se2.between(start, pose)
-    path.P[rows[1:]] = _spread_evenly(C, mine, start)
+    # the covariance of a step is that of the key's last match, divided by the key's number of steps
+    _, at, counts = np.unique(mine, return_inverse=True, return_counts=True)
+    last = np.cumsum(counts) - 1
+    path.P[rows[1:]] = se2.turned_covariance((C[last] / counts[:, None, None])[at], -start[:, 2])
 
 
 def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
@@ -277,16 +262,6 @@ def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
     off = se2.difference(found.pose, guess)
     step = np.linalg.solve(prior + full, (full @ off[:, :, None]))[:, :, 0]
     return guess + step, inverse(prior + INFORMATION_SHARE * full)
-
-
-def _spread_evenly(C: Array, key: Ints, start: Array) -> Array:
-    """Return the covariance of each step: that of the key's last match, divided by the key's number of steps.
-
-    Scans are matched with their key, not with the scan before, so the covariance of a match is not that of a step.
-    """
-    _, at, counts = np.unique(key, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts) - 1
-    return se2.turned_covariance((C[last] / counts[:, None, None])[at], -start[:, 2])
 
 
 # ---- constant velocity ----
@@ -324,8 +299,7 @@ class Velocity(NamedTuple):
         A = self.P @ inverse(before.P) * np.exp(-dt / DECAY_S)
         M = np.linalg.solve(np.eye(3) - A, A @ self.P)
         values, vectors = np.linalg.eigh(dt * dt * (self.P + M + M.T))
-        out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        return out
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def initial_velocity() -> Velocity:

@@ -8,7 +8,7 @@ messages).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from locfuse.fusion.data import Array, LocfuseError, Mask, Stream, stretches, to
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import arrays, gap_limit, in_turn
 
-from .repairs import MAX_SPEED_MPS, held_note, held_readings, limits, spikes, times, without_restarts
+from .repairs import MAX_SPEED_MPS, held_note, held_readings, jump_notes, limits, spikes, without_restarts
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -77,7 +77,6 @@ MEASURED = ("state", "status", "feedback", "report", "measured", "actual", "odom
 MAX_HOLD_S = 1.0  # s, longest duration of a command: then drivers stop the robot
 MAX_TURN_RADPS = 1e6  # faster than any body, in any unit
 TWO_SOURCES = "its poses jump to and fro between two paths: two publishers. Record each on a topic of its own"
-SPEED_SETTING = "wheels.max_speed [m/s] limits a step"
 # misfit to the axes of the poses' frame, as share of that to the body's, for speeds in this frame
 MAX_FRAME_SHARE = 0.5
 MIN_BODY_MISFIT = 0.3  # least misfit to the body's axes, as share of the distance, for speeds in the poses' frame
@@ -229,7 +228,13 @@ def travelled(
     steps[backing, :2] *= -1.0
     words += [f"its {useless}: its speed is used along its heading"] if useless else []
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
-    words += _words(int(bad.sum()), still, t[1:][far].tolist(), int(backing.sum()))
+    words += still
+    words += jump_notes("its pose", int(bad.sum()), "jumped", [f"at {at:.1f} s" for at in t[1:][far].tolist()])
+    if n := int(backing.sum()):
+        words.append(
+            f"its pose moves forward in {n} steps while its velocity says reverse; they are taken as reverse "
+            "(wheels.reverse_by_twist=false keeps them)"
+        )
     used = ~bad
     used[rows[held]] = False
     return OdometryMotion(used, steps, int(bad.sum()), tuple(words), doubt)
@@ -273,25 +278,6 @@ def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
     if jumps > MAX_JUMPS_SHARE:
         return f"{jumps:.0%} of its steps are jumps at more than {MAX_JUMP_MPS:.0f} m/s"
     return ""
-
-
-def _words(spiked: int, still: Sequence[str], restarts: Sequence[float], turned: int) -> list[str]:
-    words = []
-    if spiked:
-        words.append(f"its pose jumped away and returned (messages not used: {spiked}); {SPEED_SETTING}")
-    words += still
-    if restarts:
-        when = ", ".join(f"{t:.1f}" for t in restarts[:3]) + (" ..." if len(restarts) > 3 else "")
-        words.append(
-            f"its pose jumped {times(len(restarts))} (at {when} s); the motion there is taken from around it; "
-            f"{SPEED_SETTING}"
-        )
-    if turned:
-        words.append(
-            f"its pose moves forward in {turned} steps while its velocity says reverse; they are taken as reverse "
-            "(wheels.reverse_by_twist=false keeps them)"
-        )
-    return words
 
 
 def along_the_way(t: Array, values: Array) -> tuple[Array, list[str]]:

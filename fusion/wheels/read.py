@@ -66,7 +66,14 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
             role="wheels",
         )
     if isinstance(stream, MergedStream) and is_tricycle(stream):
-        return _from_tricycle(stream, settings)
+        found = read_encoders(stream, settings)
+        sources.require_two(stream.topic, len(found.t), len(stream.parts[0].t_ns))
+        twist, track = twists_of(found, settings, stream), settings.track or VIRTUAL_TRACK
+        wheels = Wheels.from_twists(found.t - found.t[0], twist, track, settings.noise)
+        epoch_ns = found.zero_ns + round((float(found.t[0]) + settings.time_offset) * 1e9)
+        dropped = dict(stream.dropped)
+        count_dropped(dropped, spike=found.spikes)
+        return WheelReading(wheels, epoch_ns, dropped, found.notes)
     if stream.msgtype in MOTOR:
         if not isinstance(stream, MergedStream):
             words = f"{stream.topic} says how fast the motor turns, and no topic says how the car was steered"
@@ -80,18 +87,6 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
     wheels = Wheels.from_wheels(t - t[0], left, right, track, settings.noise)
     epoch_ns = counters.zero_ns + round((float(t[0]) + settings.time_offset) * 1e9)
     return WheelReading(wheels, epoch_ns, counters.dropped, (*counters.notes, *notes))
-
-
-def _from_tricycle(stream: MergedStream, settings: WheelSettings) -> WheelReading:
-    """Read the motion of a tricycle from the encoders of its steered front wheel."""
-    found = read_encoders(stream, settings)
-    sources.require_two(stream.topic, len(found.t), len(stream.parts[0].t_ns))
-    twist = twists_of(found, settings, stream)
-    wheels = Wheels.from_twists(found.t - found.t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
-    epoch_ns = found.zero_ns + round((float(found.t[0]) + settings.time_offset) * 1e9)
-    dropped = dict(stream.dropped)
-    count_dropped(dropped, spike=found.spikes)
-    return WheelReading(wheels, epoch_ns, dropped, found.notes)
 
 
 def _rolled(

@@ -14,6 +14,7 @@ WINDOW_STEPS = 11  # steps whose median speed is the present speed
 # a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
 JUMP_FACTOR, JUMP_SLACK_MPS, MIN_JUMP_M = 8.0, 0.5, 0.02
 MAX_HELD_FACTOR = 4.0  # largest ratio of the speeds before, during and after a time with a constant counter
+SPEED_SETTING = "wheels.max_speed [m/s] limits a step"
 CAUGHT_UP = "stood still and then caught up"  # words of the note on such a time
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
@@ -59,8 +60,14 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     t, steps = side.t[keep], np.diff(rolled)
     restarts = np.abs(steps) > limits(t, steps, max_speed)
     distance = totals(without_restarts(t, steps[:, None], restarts)[:, 0])
-    jumps = steps[restarts] / metres
-    notes = _words(side.name, count, int(bad.sum()), jumps.tolist())
+    notes = []
+    if count.modulus is not None:
+        notes.append(
+            f"{side.name} counter rolled over {times(count.turns)}, taken as modulo {count.modulus:.10g}; "
+            f"if that is wrong, set wheels.rollover (0: it never does)"
+        )
+    jumps = [f"by {jump:+.6g}" for jump in (steps[restarts] / metres).tolist()]
+    notes += jump_notes(f"{side.name} counter", int(bad.sum()), "started anew", jumps)
     return Repaired(keep, distance, int(bad.sum()), (*notes, *still))
 
 
@@ -93,24 +100,18 @@ def held_readings(t: Array, rolled: Array, max_speed: float | None) -> Mask:
     return out
 
 
-def _words(name: str, count: Unrolled, spiked: int, jumps: Sequence[float]) -> list[str]:
+def jump_notes(what: str, spiked: int, jumped: str, jumps: Sequence[str]) -> list[str]:
+    """Return notes on readings of `what`: `spiked` ones that jumped away and returned, and `jumps` that stayed.
+
+    `jumped` says what such a jump is; the text of each jump is its time or its size.
+    """
     words = []
-    if count.modulus is not None:
-        words.append(
-            f"{name} counter rolled over {times(count.turns)}, taken as modulo {count.modulus:.10g}; "
-            f"if that is wrong, set wheels.rollover (0: it never does)"
-        )
     if spiked:
-        words.append(
-            f"{name} counter jumped away and returned (readings not used: {spiked}); "
-            "wheels.max_speed [m/s] limits a step"
-        )
+        words.append(f"{what} jumped away and returned (readings not used: {spiked}); {SPEED_SETTING}")
     if jumps:
-        sizes = ", ".join(f"{j:+.6g}" for j in jumps[:3])
-        words.append(
-            f"{name} counter started anew {times(len(jumps))} (by {sizes}{' ...' if len(jumps) > 3 else ''}); "
-            "the motion there is taken from around it; wheels.max_speed [m/s] limits a step"
-        )
+        shown = ", ".join(jumps[:3]) + (" ..." if len(jumps) > 3 else "")
+        around = "the motion there is taken from around it"
+        words.append(f"{what} {jumped} {times(len(jumps))} ({shown}); {around}; {SPEED_SETTING}")
     return words
 
 
@@ -143,8 +144,10 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
     long step, and the values must span no more than it.
     """
     steps = np.diff(values)
-    if modulus is None:
-        modulus = _find_modulus(values, steps, likely)
+    if modulus is None and len(steps):
+        longest, span = float(np.abs(steps).max()), float(values.max() - values.min())
+        known = {*likely, 2.0 * math.pi, 360.0, *_powers(steps, longest)}
+        modulus = next((m for m in sorted(known) if _explains(m, steps, span, longest)), None)
     if not modulus:
         return Unrolled(values, None, 0)
     turns = np.rint(steps / modulus)
@@ -152,19 +155,6 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
     if not rollovers:
         return Unrolled(values, None, 0)
     return Unrolled(values - modulus * totals(turns), modulus, rollovers)
-
-
-def _find_modulus(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
-    """Return the smallest likely value at which the counter rolls over; None if there is none.
-
-    It must explain every long one of the `steps` (n-1,) between the `values` (n,) as a rollover.
-    """
-    if not len(steps):
-        return None
-    longest = float(np.abs(steps).max())
-    span = float(values.max() - values.min())
-    known = [*likely, 2.0 * math.pi, 360.0, *_powers(steps, longest)]
-    return next((m for m in sorted(set(known)) if _explains(m, steps, span, longest)), None)
 
 
 def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool:
@@ -220,18 +210,12 @@ def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
     least: Array = JUMP_SLACK_MPS * usual + MIN_JUMP_M
     suspects = np.flatnonzero(np.abs(steps) > least)
     out = least.copy()
-    out[suspects] += JUMP_FACTOR * _speeds(np.abs(steps) / usual, suspects) * usual[suspects]
+    if len(suspects):
+        speed, window = np.abs(steps) / usual, min(WINDOW_STEPS, len(steps))
+        begin = np.clip(suspects - WINDOW_STEPS // 2, 0, len(steps) - window)
+        present = np.median(speed[begin[:, None] + np.arange(window)], axis=1)
+        out[suspects] += JUMP_FACTOR * present * usual[suspects]
     return np.minimum(out, MAX_SPEED_MPS * usual)
-
-
-def _speeds(speed: Array, at: Ints) -> Array:
-    """Return the median of `speed` (n,) over the WINDOW_STEPS steps around each index `at` (k,)."""
-    if not len(at):
-        return np.zeros(0)
-    window = min(WINDOW_STEPS, len(speed))
-    begin = np.clip(at - WINDOW_STEPS // 2, 0, len(speed) - window)
-    median: Array = np.median(speed[begin[:, None] + np.arange(window)], axis=1)
-    return median
 
 
 def spikes(t: Array, values: Array, limit: Array) -> Mask:
@@ -282,5 +266,4 @@ def without_restarts(t: Array, steps: Array, jumps: Mask) -> Array:
 
 
 def _length(steps: Array) -> Array:
-    length: Array = np.hypot.reduce(steps, axis=-1)  # squares of absurd steps would overflow
-    return length
+    return np.asarray(np.hypot.reduce(steps, axis=-1))  # squares of absurd steps would overflow

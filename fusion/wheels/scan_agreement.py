@@ -146,7 +146,10 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def _poses(self) -> Array:
         """Return the laser's motion over each pair (p, 3) by scan matching: in short steps, then directly."""
-        chains = [self._rows_between(i, j) for i, j in zip(self.first.tolist(), self.later.tolist(), strict=True)]
+        chains = []
+        for i, j in zip(self.first.tolist(), self.later.tolist(), strict=True):  # scans STEP_S apart
+            wanted = np.searchsorted(self.t, np.arange(self.t[i], self.t[j] - 0.5 * STEP_S, STEP_S))
+            chains.append(np.unique(np.append(np.clip(wanted, i, j - 1), j)))
         rows, at = np.unique(np.concatenate(chains), return_inverse=True)
         clouds = Clouds.of_scans(_points(self.stream, self.laser, rows, LATER_POINTS * 2), np.zeros(2))
         targets, sources = Targets(clouds), sources_of(clouds, MATCHED_POINTS)
@@ -180,11 +183,6 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
     def _within(self, motion: WheelReading, lag: float | Array) -> tuple[Array, Array]:
         """Return begin and end time of each pair (..., p) on the clock of a motion, limited to its range."""
         return _times(self.stream, motion, self.t[self.first] + lag, self.t[self.later] + lag)
-
-    def _rows_between(self, i: int, j: int) -> Ints:
-        """Return the indices of scans from i to j, STEP_S apart."""
-        wanted = np.arange(self.t[i], self.t[j] - 0.5 * STEP_S, STEP_S)
-        return np.unique(np.append(np.clip(np.searchsorted(self.t, wanted), i, j - 1), j))
 
 
 def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) -> ScanPairs | None:

@@ -78,7 +78,9 @@ def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
     require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     zero_ns = int(found.t_ns[keep[0]])
     t = seconds(found.t_ns[keep], zero_ns)
-    values = _rolled_by(t, found.values[keep]) if found.speeds else found.values[keep]
+    values = found.values[keep]
+    if found.speeds:  # integrated to angles by the trapezoidal rule
+        values = totals(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None])
     likely = (*found.likely, *_revolution(settings))
     left, right = (Side(name, t, values[:, i], likely) for i, name in enumerate(("left", "right")))
     return Counters(left, right, zero_ns, dropped, found.notes)
@@ -122,11 +124,6 @@ def _of_array(stream: Stream, settings: WheelSettings) -> Array:
     return out
 
 
-def _rolled_by(t: Array, speeds: Array) -> Array:
-    """Integrate wheel speeds (n, 2) [rad/s] to angles (n, 2) [rad] by the trapezoidal rule."""
-    return totals(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(t)[:, None])
-
-
 class _Found(NamedTuple):
     t_ns: Ints  # (n,)
     values: Array  # (n, 2) left, right
@@ -146,8 +143,7 @@ def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
     last = np.append(t_ns[rows[1:]] > t_ns[rows[:-1]], True)
     same = (values[rows[1:]] == values[rows[:-1]]).all(axis=1) & ~last[:-1]
     count_dropped(dropped, repeat=same, same_stamp=~last[:-1] & ~same)
-    kept: Ints = rows[last]
-    return kept
+    return np.asarray(rows[last])
 
 
 def require_two(topic: str, found: int, n: int, dropped: Mapping[str, int] | None = None) -> None:

@@ -60,7 +60,14 @@ def wheel_words(
     found, G = geometry(x), derivative(x)
     sigma = np.sqrt(np.maximum(np.diagonal(G @ P @ G.T), 0.0))
     prior = settings.sigma_scale / math.sqrt(2.0)  # of the radius, the mean of both
-    words = [_estimate_words(settings, found, sigma)]
+    parts = []
+    for key, change, s in zip(("radius", "ratio", "track"), found.tolist(), sigma.tolist(), strict=True):
+        value = getattr(settings, key)
+        if value is None:
+            parts.append(f"{key} {100.0 * change:+.2f} % (1 sigma: {100.0 * s:.2f} %)")
+        else:
+            parts.append(f"{key} {value * (1.0 + change):.4g} (1 sigma: {value * s:.2g})")
+    words = [f"found {', '.join(parts)}"]
     if sigma[0] > MAX_PRIOR_SHARE * prior:
         quotient = G[2] / (1.0 + found[2]) - G[0] / (1.0 + found[0])  # derivative of ln(track / radius)
         seen = math.sqrt(float(quotient @ P @ quotient)) < MAX_PRIOR_SHARE * settings.sigma_track
@@ -97,15 +104,3 @@ def _scale_words(
         words + f"Which is wrong is not identifiable from them: if the radius is right, {keys[0]} should be "
         f"{1.0 / (1.0 + scale):.4g} times what it is{track_words}; if {keys[0]} is right, the figures above hold"
     ]
-
-
-def _estimate_words(settings: WheelSettings, found: Array, sigma: Array) -> str:
-    """Return a sentence with the estimated radius, ratio and track; in % if they are not configured."""
-    parts = []
-    for key, change, s in zip(("radius", "ratio", "track"), found.tolist(), sigma.tolist(), strict=True):
-        value = getattr(settings, key)
-        if value is None:
-            parts.append(f"{key} {100.0 * change:+.2f} % (1 sigma: {100.0 * s:.2f} %)")
-        else:
-            parts.append(f"{key} {value * (1.0 + change):.4g} (1 sigma: {value * s:.2g})")
-    return f"found {', '.join(parts)}"

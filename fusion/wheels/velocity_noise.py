@@ -51,7 +51,11 @@ def velocity_noise(wheels: Wheels) -> VelocityNoise:
     """
     dt = np.diff(wheels.t)
     period = float(np.median(dt))
-    grown = _grown(wheels)
+    if wheels.matched is not None:  # variances that each interval adds to distance [m^2] and turn [rad^2]
+        grown = np.stack((wheels.matched[:, 0, 0], wheels.matched[:, 2, 2]), axis=-1)
+    else:
+        noise = wheels.noise * np.abs(wheels.rolled).sum(axis=1)
+        grown = np.stack((0.25 * noise, noise / wheels.track**2), axis=-1)
     moves = np.abs(wheels.rolled).sum(axis=1) > 0.0
     used = moves if moves.any() else np.ones_like(moves)
     needed = grown[used].sum(axis=0) / dt[used].sum()
@@ -91,14 +95,6 @@ def random_walk(z: Array, variance: float, period: float) -> float:
 
     best = minimize_scalar(cost, bounds=LN_RATIOS, method="bounded", options={"xatol": LN_TOLERANCE})
     return variance * math.exp(float(best.x)) / period
-
-
-def _grown(wheels: Wheels) -> Array:
-    """Return the variances of distance [m^2] and turn [rad^2] added in each wheel interval, (n, 2)."""
-    if wheels.matched is not None:
-        return np.stack((wheels.matched[:, 0, 0], wheels.matched[:, 2, 2]), axis=-1)
-    noise = wheels.noise * np.abs(wheels.rolled).sum(axis=1)
-    return np.stack((0.25 * noise, noise / wheels.track**2), axis=-1)
 
 
 def _mean(values: Array) -> Array:

@@ -87,19 +87,16 @@ class Views(msgspec.Struct, frozen=True):
         Returns this count, and the number of all points of scan j in the view of scan i, (p,) each. `pose` (p, 3)
         is the pose of key j in the frame of key i.
         """
-        pieces = np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1)
-        counts = [self._counted(clouds, i[some], j[some], pose[some]) for some in pieces]
-        return np.concatenate([bad for bad, _ in counts]), np.concatenate([judged for _, judged in counts])
-
-    def _counted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
-        rows, of = clouds.rows(j)
-        at = se2.transform(pose[of], clouds.xy[rows]) - self.origin
-        bins, ranges = _polar(at)
-        seen = self.depth[i[of], bins]
-        judged = np.isfinite(seen)
-        with np.errstate(invalid="ignore"):
-            through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
-        return np.bincount(of, through, len(i)), np.bincount(of, judged, len(i))
+        bad, judged = [], []
+        for some in np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1):
+            rows, of = clouds.rows(j[some])
+            bins, ranges = _polar(se2.transform(pose[some][of], clouds.xy[rows]) - self.origin)
+            seen = self.depth[i[some][of], bins]
+            with np.errstate(invalid="ignore"):
+                through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
+            bad.append(np.bincount(of, through, len(some)))
+            judged.append(np.bincount(of, np.isfinite(seen), len(some)))
+        return np.concatenate(bad), np.concatenate(judged)
 
 
 def _polar(points: Array) -> tuple[Ints, Array]:
@@ -248,18 +245,10 @@ def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candida
     sigma = np.sqrt(np.maximum(P[:, 0, 0] + P[:, 1, 1], 0.0))
     likely = apart < MAX_APART_M + np.minimum(2.0 * sigma, MAX_APART_M)
     at = np.flatnonzero(likely)
-    at = at[_nearest_visits(b[at], (apart + sigma)[at])]
+    at = at[np.lexsort(((apart + sigma)[at], b[at]))]
+    nth = np.arange(len(at)) - np.searchsorted(b[at], b[at])  # of each later submap, the nearest ones are kept
+    at = np.sort(at[nth < MAX_VISITS])
     return Candidates(a[at], b[at], guess[at], P[at])
-
-
-def _nearest_visits(b: Ints, cost: Array) -> Ints:
-    """Choose among c candidates: for each later submap, keep the MAX_VISITS with the lowest `cost` (c,).
-
-    b (c,) is the later submap of each candidate. Returns the indices of the kept candidates.
-    """
-    order = np.lexsort((cost, b))
-    first = np.searchsorted(b[order], b[order])
-    return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])
 
 
 def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple[Candidates, Array]:

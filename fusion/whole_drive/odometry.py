@@ -293,23 +293,17 @@ def points_of(m: Measurements, chosen: Ints) -> Clouds:
 
 
 def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: Array) -> Matches:
-    """Match scans j (n,) with the key scans a (n,) and a + 1, starting from the poses `guess` (n, 3).
+    """Match scans j (n,) with the key scans a (n,) and a + 1 together, starting from the poses `guess` (n, 3).
 
     `a` must be sorted. Keys are processed in groups: one search tree of all keys would take hundreds of MB.
     """
     prior, parts = np.broadcast_to(PRIOR_INFORMATION, (len(a), 3, 3)), []
     for at in consecutive(a // KEYS_AT_ONCE):
-        first, last = int(a[at[0]]), int(a[at[-1]])
-        targets = Targets(both_ends(clouds, x, np.arange(first, last + 1)))
-        parts.append(match(targets, a[at] - first, sources, j[at], guess[at], prior[at], REACH_M))
+        keys = np.arange(a[at[0]], a[at[-1]] + 1)
+        poses = [np.vstack((np.zeros(3), step)) for step in se2.between(x[keys], x[keys + 1])]
+        targets = Targets(merged(clouds, [np.array([k, k + 1]) for k in keys.tolist()], poses))
+        parts.append(match(targets, a[at] - keys[0], sources, j[at], guess[at], prior[at], REACH_M))
     return Matches.joined(*parts)
-
-
-def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
-    """Return one point cloud per key: the points of the key scan and of the next one, in the key's frame."""
-    steps = se2.between(x[keys], x[keys + 1])
-    poses = [np.vstack((np.zeros(3), step)) for step in steps]
-    return merged(clouds, [np.array([k, k + 1]) for k in keys.tolist()], poses)
 
 
 def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:

@@ -14,9 +14,10 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Audit, Drive, Ints, RowVerdict, evenly
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.kernels.sight import SightLines
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.solve import SYSTEMATIC_SIGMAS, Summands
-from locfuse.fusion.sensor import Model, Reading
+from locfuse.fusion.sensor import Model
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .odometry import Odometry, add_lever_arm
@@ -83,7 +84,7 @@ class Others:
             belief.stand(pose)
             m = self._drive.measurements[seen.sensor]
             found = self._models[seen.sensor].innovations(m, seen.reading, belief)
-            for one in () if isinstance(found, Reading) else found[:1]:
+            for one in () if isinstance(found, SightLines) else found[:1]:
                 if one.verdict == RowVerdict.DISTURBED or not one.numbers:
                     continue
                 y, states, by_state, R = belief.equation([one])

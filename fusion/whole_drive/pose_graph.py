@@ -131,34 +131,27 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
         """Return the notes for the user: closed loops with times, undecided loops, whether the graph was used."""
-        return tuple(f"smoothing: {words}" for words in self._words(used))
-
-    def _words(self, used: bool) -> list[str]:
-        closed = len(self.closures)
+        closed, spans = len(self.closures), list[list[float]]()
+        for at in sorted(self.drive.t[self.keys][self.closures.j].tolist()):  # second visits, such as 12-30 s
+            if spans and at - spans[-1][1] < SPAN_GAP_S:
+                spans[-1][1] = at
+            else:
+                spans.append([at, at])
         if not closed:
             notes = ["no loop was closed: no place was recognised as seen before"]
         elif not used:
-            return [f"the filter's own map holds its {closed} loops together; no loop had to be closed"]
+            words = f"the filter's own map holds its {closed} loops together; no loop had to be closed"
+            return (f"smoothing: {words}",)
         else:
-            notes = [f"closed {closed} loops onto places seen before (at {self._when()})"]
+            when = ", ".join(f"{a:.0f}-{b:.0f} s" if b > a else f"{a:.0f} s" for a, b in spans)
+            notes = [f"closed {closed} loops onto places seen before (at {when})"]
         if used and self.lag:
             side = "behind" if self.lag < 0 else "ahead of"
             notes.append(f"the laser's stamps run {abs(self.lag):.2f} s {side} the wheels', which was allowed for")
         if self.loops.undecided:
             n, why = len(self.loops.undecided), "; ".join(sorted(set(self.loops.undecided.values())))
             notes.append(f"{n} possible loops stayed open ({why})")
-        return notes
-
-    def _when(self) -> str:
-        """Return the time intervals of the second visits, such as "12-30 s, 95 s"."""
-        t = self.drive.t[self.keys]
-        spans: list[list[float]] = []
-        for at in sorted(t[self.closures.j].tolist()):
-            if spans and at - spans[-1][1] < SPAN_GAP_S:
-                spans[-1][1] = at
-            else:
-                spans.append([at, at])
-        return ", ".join(f"{a:.0f}-{b:.0f} s" if b > a else f"{a:.0f} s" for a, b in spans)
+        return tuple(f"smoothing: {words}" for words in notes)
 
 
 def whole_drive(
@@ -259,8 +252,13 @@ def _halfway(u: Array) -> Array:
 def may_have_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
     """Return whether a drive may have loops to close: its laser builds a map, larger than one scan shows."""
     m = drive.measurements.get(LASER)
-    has_scans = m is not None and m.points is not None
-    return LASER in sensors and has_scans and robot.settings(LASER).map == "grow" and not is_in_one_view(drive)
+    if LASER not in sensors or m is None or m.points is None or robot.settings(LASER).map != "grow":
+        return False
+    t = np.linspace(drive.t[0], drive.t[-1], 10 * SAMPLE_SCANS)
+    extent = np.hypot(*np.ptp(drive.wheels.relative(np.full(len(t), t[0]), t)[:, :2], axis=0))
+    scans = m.points.read(evenly(len(m.t), SAMPLE_SCANS)) if len(m.t) else []
+    seen = [np.hypot(*(p - m.points.mount[:2]).T) for p in scans if len(p)]
+    return not seen or bool(extent > MAX_EXTENT_VIEWS * np.median([np.quantile(r, FAR_SHARE) for r in seen]))
 
 
 def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
@@ -274,18 +272,6 @@ def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
     off = se2.wrap_all((se2.between(x[:-1], x[1:]) - u)[:, 2])
     claimed = float(np.median(C[:, 2, 2]))
     return robust_sigma(off) ** 2 / claimed if claimed > 0.0 else 1.0
-
-
-def is_in_one_view(drive: Drive) -> bool:
-    """Return whether the drive's extent is small beside the laser's range: the filter needs no loop closure."""
-    m = drive.measurements[LASER]
-    if m.points is None or not len(m.t):
-        return False
-    t = np.linspace(drive.t[0], drive.t[-1], 10 * SAMPLE_SCANS)
-    extent = np.hypot(*np.ptp(drive.wheels.relative(np.full(len(t), t[0]), t)[:, :2], axis=0))
-    scans = m.points.read(evenly(len(m.t), SAMPLE_SCANS))
-    seen = [np.hypot(*(p - m.points.mount[:2]).T) for p in scans if len(p)]
-    return bool(seen) and bool(extent <= MAX_EXTENT_VIEWS * np.median([np.quantile(r, FAR_SHARE) for r in seen]))
 
 
 class GraphStart(msgspec.Struct, frozen=True):

@@ -84,7 +84,8 @@ class References(msgspec.Struct, frozen=True):
         """
         present = _present(drive)
         larger = {s: factor for s, factor in noise.items() if factor > 1.0}
-        noisier = _noisier(drive, larger)
+        scaled = {s: replace(m, scale=m.scale * larger.get(s, 1.0)) for s, m in drive.measurements.items()}
+        noisier = replace(drive, measurements=scaled) if larger else drive
         solved: dict[Subset, Reference] = {}
         for sensors in sets(drive):
             subset = frozenset(sensors)
@@ -135,12 +136,6 @@ class References(msgspec.Struct, frozen=True):
             if reference.can_judge(found.figures["position_rmse_m"]):
                 return found, reference
         return self.whole.judge(judged, e, align), self.whole
-
-
-def _noisier(drive: Drive, factors: Mapping[str, float]) -> Drive:
-    """Return a copy of the drive with the sigma of each sensor multiplied by its factor."""
-    scaled = {s: replace(m, scale=m.scale * factors.get(s, 1.0)) for s, m in drive.measurements.items()}
-    return replace(drive, measurements=scaled) if factors else drive
 
 
 def _present(drive: Drive) -> tuple[str, ...]:

@@ -172,9 +172,12 @@ class Backward:
         self._note(k)
         for event in reversed(events.list):
             if isinstance(event, Moved):
-                if k > 0:
-                    self._undo_motion(event, k)
+                if k > 0:  # back to update time k - 1; `between_instants` needs the values at its end
+                    self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
+                    if self._frame is not None:
+                        self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._to_G[3:, 3:].T
                     k -= 1
+                    self.to_arrived[k] = self._step(event.back)[:3, :3]
                     self._note(k)
             elif isinstance(event, Added):
                 self._x, self._S = self._x[: event.before], self._S[: event.before, : event.before]
@@ -189,13 +192,6 @@ class Backward:
                 self._restore(event.back)
             elif isinstance(event, Changed | VarianceAdded):
                 self._step(event.back)
-
-    def _undo_motion(self, event: Moved, k: int) -> None:
-        """Go back over the motion that ends at update time k; store the values that `between_instants` needs."""
-        self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
-        if self._frame is not None:
-            self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._to_G[3:, 3:].T
-        self.to_arrived[k - 1] = self._step(event.back)[:3, :3]
 
     @property
     def _of_frame(self) -> slice:
@@ -275,5 +271,4 @@ def between_instants(
 
 def _apply(M: Array, x: Array) -> Array:
     """Return M x for matrices M (n, 3, 3) and vectors x (n, 3)."""
-    product: Array = np.einsum("nij,nj->ni", M, x)
-    return product
+    return np.asarray(np.einsum("nij,nj->ni", M, x))

@@ -265,7 +265,8 @@ def test_encoders_that_count_without_a_sign_are_named() -> None:
     t, wheels = one.wheels.t, one.wheels
     turn = np.where((t > 5.0) & (t < 7.0), 0.02, 0.0)[1:, None] * [-0.5, 0.5] * wheels.track  # on the spot
     rolled = wheels.rolled * (turn == 0.0) + turn
-    signed = Wheels.from_wheels(t, *np.vstack((np.zeros(2), np.cumsum(rolled, axis=0))).T, wheels.track, NOISE)
+    left, right = np.vstack((np.zeros(2), np.cumsum(rolled, axis=0))).T
+    signed = Wheels.from_wheels(t, left, right, wheels.track, NOISE)
     truth = replace(present(one.truth), t=t, xy=signed.pose[:, :2], theta=se2.wrap_all(signed.pose[:, 2]))
     known = replace(one, wheels=signed, truth=truth, measurements={})
     assert not of_signs(known)

@@ -9,8 +9,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Ints, Measurements, matrices
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation, Steps, TrackColumns
-from locfuse.fusion.kernels.sight import AuditColumns
-from locfuse.fusion.sensor import Reading
+from locfuse.fusion.kernels.sight import AuditColumns, SightLines
 
 
 def step(u: Sequence[float] | Array, Q: Any, dt: float = 0.0, J: Array | None = None) -> Steps:
@@ -118,7 +117,7 @@ class Written(NamedTuple):
     sigma: Array
 
 
-def written(found: Reading, row: int = 0) -> Written:
+def written(found: SightLines, row: int = 0) -> Written:
     """What a reading of two numbers a row writes into an audit."""
     n = found.lines
     instant, rows, landmark = (np.full(n, -9, kind) for kind in (np.int32, np.int32, np.int64))
@@ -126,15 +125,16 @@ def written(found: Reading, row: int = 0) -> Written:
     y, sigma = np.zeros((n, 2)), np.zeros((n, 2))
     audit = AuditColumns(instant, rows, verdict, landmark)
     audit.judged(nis, threshold, y, sigma)
-    found.write(audit, 0, 5, row)
+    found.row = row
+    found.write(audit, 0, 5)
     assert (instant == 5).all()
     assert rows.tolist() == list(range(row, row + n))
     return Written(verdict.astype(np.intp), landmark.astype(np.intp), nis, threshold, y, sigma)
 
 
-def one_by_one(seen: Sequence[Innovation] | Reading) -> list[Innovation]:
+def one_by_one(seen: Sequence[Innovation] | SightLines) -> list[Innovation]:
     """What a sensor says of a reading, row by row; the rows of a scan that matches stand in the belief's table."""
-    if not isinstance(seen, Reading):
+    if not isinstance(seen, SightLines):
         return list(seen)
     rows, out, first = seen.rows_used(), [], seen.first
     table = written(seen, seen.row)

@@ -72,11 +72,10 @@ def fit(rays: Rays, r: float, psi: float, ratio: float, steps: int = 2) -> Fit:
     returns = SimpleNamespace(**{name: column.tolist() for name, column in rays._asdict().items()})
     for _ in range(steps):
         core.residuals(returns, SimpleNamespace(ratio=ratio), found)
-        core.normal_equations(found)
-        core.parabola(found)
-        core.take_step(found)
+        assert core.solve(found)
+        found.r, found.psi = found.r + found.step_r, found.psi + found.step_psi
     information = np.array([[found.sum_w, -found.sum_wq], [-found.sum_wq, found.sum_wqq]])
-    return Fit(found.r, found.psi, np.linalg.inv(information), core.misfit_of(found))
+    return Fit(found.r, found.psi, np.linalg.inv(information), found.rest)
 
 
 def seen(wall: Wall, side: float | None) -> Rays:
@@ -125,7 +124,7 @@ def random_fit(seed: int) -> tuple[Array, Array, Array, Any]:
     found = core.Fit(n)
     found.count = n
     found.row, found.error, found.foot, found.weight = list(range(n)), e.tolist(), q.tolist(), w.tolist()
-    core.normal_equations(found)
+    assert core.solve(found)
     core.parabola(found)
     return e, q, w, found
 
@@ -143,11 +142,11 @@ def test_a_step_and_what_it_leaves_are_those_of_least_squares(seed: int) -> None
     e, q, w, sums = random_fit(seed)
     one = np.ones_like(q)
     (r, psi), left = solved(e, w, one, -q)
-    assert (core.step_r(sums), core.step_psi(sums)) == pytest.approx((r, psi))
-    assert core.misfit_of(sums) == pytest.approx(left)
+    assert (sums.step_r, sums.step_psi) == pytest.approx((r, psi))
+    assert sums.rest == pytest.approx(left)
     x, bent = solved(e, w, one, -q, q * q)
     assert core.curvature(sums) == pytest.approx(x[2])
-    assert core.parabola_gain(sums) == pytest.approx(left - bent)
+    assert core.stiffness(sums) * core.curvature(sums) ** 2 == pytest.approx(left - bent)
     alone = solved(q * q, w, one, q)[1]
     assert core.stiffness(sums) == pytest.approx(alone)
 

@@ -19,7 +19,7 @@ from locfuse.formats.logs.transform_stream import named_as_tag, number_of
 from locfuse.formats.messages.schema import Scalar, Structure, resolve
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Ragged
-from locfuse.fusion.sensors.landmarks import NO_ID, CameraView, Sighted, sighted
+from locfuse.fusion.sensors.landmarks import NO_ID, Sighted, sighted
 
 Make = Callable[[str, list[tuple[int, Array]]], dict[str, Any]]
 ONE = {"camera": np.array([0.1, -0.05, math.radians(30.0)])}  # turned, so that a forgotten mount shows
@@ -195,7 +195,7 @@ def test_a_camera_that_looks_down_sees_further_than_the_floor() -> None:
     z, y = 2.0 * math.cos(down) + 1.0 * math.sin(down), -2.0 * math.sin(down) + 1.0 * math.cos(down)
     values = {"marker_ids": 7, "poses.position.x": -0.5, "poses.position.y": y, "poses.position.z": z}
     data: dict[str, Any] = {name: Ragged(np.array([value]), np.array([0, 1])) for name, value in values.items()}
-    found = sighted(ArrayStream("/tags", ARUCO, np.array([T0]), data), CameraView(None, None, down))
+    found = sighted(ArrayStream("/tags", ARUCO, np.array([T0]), data), (None, None), down)
     assert found.ranges is not None
     assert found.ranges[0] == pytest.approx(math.hypot(2.0, 0.5))
     assert found.bearings[0] == pytest.approx(math.atan2(0.5, 2.0))
@@ -306,7 +306,7 @@ def test_numbers_of_frames() -> None:
 
 # --- detections of vision_msgs, whose releases call one thing by several names, and of two detectors at once
 
-LOOKS = CameraView(FX, CX, 0.0)
+LOOKS = (FX, CX), 0.0
 NUMBERED = "int64 id\nfloat64 score\n"  # ROS 1
 NAMED = "string id\nfloat64 score\n"  # ROS 2, to Foxy
 NESTED = "vision_msgs/ObjectHypothesis hypothesis\n"  # since Galactic
@@ -363,7 +363,7 @@ def seen(tmp_path: Path, d: int, store: Any, detections: list[list[dict[str, Any
             message = build(kind, store, header=header(at, "camera"), detections=found)
             writer.add_message(channel, at, bytes(store.serialize_cdr(message, kind)), at)
         writer.finish()
-    return sighted(open_log([tmp_path / "x.mcap"]).stream("/tags"), LOOKS)
+    return sighted(open_log([tmp_path / "x.mcap"]).stream("/tags"), *LOOKS)
 
 
 RELEASES = pytest.mark.parametrize(

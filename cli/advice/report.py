@@ -96,8 +96,9 @@ def _joined(found: Sequence[Advice]) -> Advice:
             message = f"{earlier}, then {advice.finding.brief}" if moved else first.finding.brief
         else:
             earlier = first.finding.brief
-            replaced = keys(first.fixes) <= keys(advice.fixes)
-            message = advice.finding.brief if replaced else f"{earlier}; after this fix: {advice.finding.brief}"
+            message = f"{earlier}; after this fix: {advice.finding.brief}"
+            if keys(first.fixes) <= keys(advice.fixes):
+                message = advice.finding.brief if _differ(first.fixes, advice.fixes) else earlier
         before = {**(advice.before or {}), **(first.before or {})}
         after = {**(first.after or {}), **(advice.after or {})}
         fixes = together(first.fixes, advice.fixes)

@@ -31,9 +31,9 @@ from .laser_ranges import of_angles, of_offset, of_range_unit, of_scatter, unret
 from .points import of_points
 from .positions import of_positions
 from .raw_data import PUBLISHERS, STUCK, UNSIGNED, of_publishers, of_signs, of_stuck_wheel, of_wheel_unit
-from .start import START
+from .start import of_start
 from .steering import ZERO, of_steering
-from .truth import SIZE, UNIT, metre, of_axes, of_size, of_truth, of_unit, wheels_metre
+from .truth import SIZE, UNIT, metre, of_axes, of_few, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MIRROR,
     Turnings,
@@ -143,7 +143,7 @@ def _on_clocks(drive: Drive, robot: Robot, found: Sequence[Finding]) -> Drive:
 
 
 def _start(drive: Drive, robot: Robot) -> list[Finding]:
-    return [f for f in of_truth(drive, robot) if f.code == START]
+    return [] if drive.truth is None or of_few(drive) else of_start(drive.truth, drive, robot)
 
 
 def too_short(drive: Drive) -> str:

@@ -33,7 +33,7 @@ MIN_BOTH_M = 0.3  # of the truth, while both counters stand still
 MIN_STRAIGHT_M, MIN_TRUTH_SIGMAS = 0.08, 6.0  # of a straight line over a turn about one wheel, by the truth
 MIN_TURNED_SHARE = 0.5  # of that turn: a robot that did turn about one wheel turned by as much as wheels say
 UNSIGNED = "unsigned"  # code of the finding on encoders without a sign
-WINDOW_S = 1.0  # s over which turns are compared
+WINDOW_S, MAX_PERIOD_S = 1.0, 0.5  # s over which turns are compared; between two readings of the wheels
 MIN_SPOT_TURN_RAD, MIN_SPOT_RAD = math.radians(5.0), math.radians(45.0)  # turn on the spot: in a window, in all
 MIN_SPOT_SHARE = 0.5  # least ratio of a turn to that of both wheels in opposite directions
 MIN_SPEED_MPS = 0.02  # mean of the drive
@@ -67,7 +67,7 @@ def of_signs(drive: Drive) -> list[Finding]:
     Encoders with one channel count without a sign: on the spot, both wheels seem to roll ahead.
     """
     wheels, found = drive.wheels, dict[str, float]()
-    if wheels.rolled.min(initial=0.0) < 0.0:
+    if wheels.rolled.min(initial=0.0) < 0.0 or np.median(np.diff(wheels.t)) > MAX_PERIOD_S:
         return []
     for name, (t, angle, without_lines) in (headings_of(drive) | true_headings(drive)).items():
         start = t[(t >= wheels.t[0]) & (t + WINDOW_S <= min(t[-1], wheels.t[-1]))]

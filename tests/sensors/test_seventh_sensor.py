@@ -132,7 +132,7 @@ def test_a_recording_names_it_with_its_unit(compared: Path) -> None:
     assert "innovation/beacon/range/beacon" in drawn
     assert "nis/beacon/beacon" in drawn
     assert any(name.startswith("raw/beacon/range") for name in drawn)
-    assert any(name.endswith("landmark/beacon") for name in drawn)
+    assert any(name.endswith("/landmark") for name in drawn)
     names = [str(v) for e in recordings.read_blueprint(path).values() for v in e.static.values()]
     assert any("beacon range [m]" in name for name in names)
 

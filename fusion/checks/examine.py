@@ -87,7 +87,7 @@ def examine(
     if mixed := {f.code for f in found} & MIXED:  # with stuck counters, the start is still known
         return [*found, *(_start(drive, robot) if mixed == {STUCK} else [])]
     for name, m in drive.measurements.items():
-        found += [*_gaps(name, m.t), *_covered(name, m.t, drive)]
+        found += _of_times(name, m.t, drive)
         found += [Finding(name, "seen", note) for note in m.notes]
         found += of_uneven_stamps(name, m.t)
     if "lrf" in drive.measurements:
@@ -195,12 +195,11 @@ def scales(
 
 def _refused(drive: Drive) -> list[Finding]:
     """Return findings that count unused readings by reason; repaired readings have findings of their own."""
-    found = []
-    for stream, reasons in drive.dropped.items():
-        words = _reasons({why: n for why, n in reasons.items() if why not in REPAIRED})
-        if words:
-            found.append(Finding(stream, "refused", f"readings that are not used: {words}"))
-    return found
+    refused = {
+        stream: _reasons({why: n for why, n in reasons.items() if why not in REPAIRED})
+        for stream, reasons in drive.dropped.items()
+    }
+    return [Finding(s, "refused", f"readings that are not used: {words}") for s, words in refused.items() if words]
 
 
 def _reasons(counts: Mapping[str, int]) -> str:
@@ -208,25 +207,19 @@ def _reasons(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{n} {REASONS.get(why, why.replace('_', ' '))}" for why, n in counts.items())
 
 
-def _gaps(name: str, t: Array) -> list[Finding]:
-    """Return a finding with the gaps in a sensor's times (n,) [s], in which the filter only predicts."""
-    found = gaps(t)
-    if not found:
-        return []
-    longest = max(end - start for start, end in found)
-    where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in found[:3])
-    more = " ..." if len(found) > 3 else ""
-    return [Finding(name, "gap", f"{gaps_of(len(found), longest)} ({where}{more})")]
-
-
-def _covered(name: str, t: Array, drive: Drive) -> list[Finding]:
-    """Return a finding if a sensor's times (n,) [s] leave out a large part of the drive at one of its ends."""
-    begin, end = float(drive.wheels.t[0]), float(drive.wheels.t[-1])
-    if len(t) < MIN_READINGS or t[-1] - t[0] > MIN_COVERED_SHARE * (end - begin):
-        return []
-    when = f"{t[-1] - t[0]:.0f} s ({t[0]:.1f}-{t[-1]:.1f} s)"
-    words = f"its readings cover {when} of the {end - begin:.0f} s of the drive: the rest is without it"
-    return [Finding(name, "covers", words)]
+def _of_times(name: str, t: Array, drive: Drive) -> list[Finding]:
+    """Return findings on gaps in a sensor's times (n,) [s], and if they leave out a large part of the drive."""
+    found, missing, whole = [], gaps(t), float(drive.wheels.t[-1]) - float(drive.wheels.t[0])
+    if missing:
+        longest = max(end - start for start, end in missing)
+        where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in missing[:3])
+        more = " ..." if len(missing) > 3 else ""
+        found.append(Finding(name, "gap", f"{gaps_of(len(missing), longest)} ({where}{more})"))
+    if len(t) >= MIN_READINGS and t[-1] - t[0] <= MIN_COVERED_SHARE * whole:
+        when = f"{t[-1] - t[0]:.0f} s ({t[0]:.1f}-{t[-1]:.1f} s)"
+        words = f"its readings cover {when} of the {whole:.0f} s of the drive: the rest is without it"
+        found.append(Finding(name, "covers", words))
+    return found
 
 
 def gaps(t: Array) -> list[tuple[float, float]]:
@@ -303,18 +296,7 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
         found += of_publishers(name, stream(name), m.two_sources)
         found += of_range_unit(m, robot.settings("lrf")) if name == "lrf" else []
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
-    return [*found, *(_unless_at_once(f, stream(f.role)) for f in of_equal_stamps(drive, stream))]
-
-
-def _unless_at_once(found: Finding, stream: Stream) -> Finding:
-    """Return a finding on equal stamps, or a harmless one if recording times are equal too: these are no fix."""
-    if not getattr(stream, "recorded_at_once", False):
-        return found
-    words = (
-        f"{stream.topic}: messages with the header stamp of the one before have its recording time too: no time "
-        "of theirs is known. Let the driver stamp each message"
-    )
-    return Finding(found.role, "recorded at once", words)
+    return [*found, *of_equal_stamps(drive, stream)]
 
 
 def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:

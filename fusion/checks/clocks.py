@@ -379,8 +379,8 @@ def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:
     reference = _by_headings(drive, truth)
     if reference is None:
         return {}
-    found = {name: find_lag(*heading, reference) for name, heading in headings(drive.measurements).items()}
-    return {name: lag for name, lag in found.items() if lag is not None}
+    known = headings(drive.measurements).items()
+    return {name: lag for name, heading in known if (lag := find_lag(*heading, reference)) is not None}
 
 
 def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:

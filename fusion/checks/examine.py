@@ -116,16 +116,12 @@ def examine(
         found += [*of_calibration(streams["camera"], robot.settings("camera")), *of_handedness(drive, robot)]
     sizes = scales(drive, robot, by_sensor, turning, least)
     if least is None:  # callers that try fixes compare clocks themselves
-        sizes = _and_clocks(sizes, of_clocks(drive, robot))
+        clocks = of_clocks(drive, robot)
+        late = any(o.severe and o.role in {"lrf", "wheels"} for o in clocks)  # walls at other times seem to turn
+        sizes = [*(o for o in sizes if not (late and o.code == BUMP)), *clocks]
         sizes += unseen(drive) if sizes else []
     truth = [] if any(o.code == SIZE for o in sizes) else of_truth(_on_clocks(drive, robot, sizes), robot)
     return [*found, *sizes, *truth]
-
-
-def _and_clocks(found: list[Finding], clocks: list[Finding]) -> list[Finding]:
-    """Return both; without a bumped laser if its clock is wrong, since walls at other times seem to turn."""
-    late = any(o.severe and o.role in {"lrf", "wheels"} for o in clocks)
-    return [*(o for o in found if not (late and o.code == BUMP)), *clocks]
 
 
 def _on_clocks(drive: Drive, robot: Robot, found: Sequence[Finding]) -> Drive:
@@ -331,21 +327,21 @@ MAX_SPEED_MPS, MAX_RATE_RADPS, MIN_STAND_S = 0.005, 0.005, 5.0  # of standstill
 
 def unseen(drive: Drive) -> list[Finding]:
     """Return findings on quantities that this drive's motion does not determine."""
-    t, heading = drive.wheels.t, drive.wheels.heading(drive.wheels.t)
-    found = [_turning(heading), _straight(heading, drive.wheels.driven(t))]
-    if "gyro" in drive.measurements:
-        found.append(_standing(t, heading, drive.wheels.driven(t)))
-    return [Finding("wheels", "unseen", words) for words in found if words]
-
-
-def _turning(heading: Array) -> str:
-    """Return a note if headings (n,) [rad, unwrapped] hardly turn to one of the two sides, else ""."""
-    turns = np.diff(heading)
+    t, found = drive.wheels.t, []
+    heading, way = drive.wheels.heading(t), drive.wheels.driven(t)
+    period, turns = np.diff(t), np.diff(heading)
     left, right = float(turns[turns > 0.0].sum()), float(-turns[turns < 0.0].sum())
-    if min(left, right) >= MIN_TURN_RAD:
-        return ""
-    turned = f"the robot turns {math.degrees(left):.0f}° to the left and {math.degrees(right):.0f}° to the right"
-    return f"{turned}: a late clock, a mount and the track cannot be told apart. Turn on the spot, once each way"
+    if min(left, right) < MIN_TURN_RAD:
+        turned = f"turns {math.degrees(left):.0f}° to the left and {math.degrees(right):.0f}° to the right"
+        apart = "a late clock, a mount and the track cannot be told apart. Turn on the spot, once each way"
+        found.append(f"the robot {turned}: {apart}")
+    found.append(_straight(heading, way))
+    still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(turns) <= MAX_RATE_RADPS * period)
+    longest = max((float(t[last + 1] - t[first]) for first, last in stretches(still)), default=0.0)
+    if "gyro" in drive.measurements and longest < MIN_STAND_S:
+        words = f"it stands for {longest:.1f} s at most, which tells no offset of the gyro. Stand for 5 s first"
+        found.append(words)
+    return [Finding("wheels", "unseen", words) for words in found if words]
 
 
 def _straight(heading: Array, way: Array) -> str:
@@ -355,13 +351,3 @@ def _straight(heading: Array, way: Array) -> str:
     if (np.ptp(ahead, axis=0) <= MAX_BEND_RAD).any():
         return ""
     return "no metre of its way is straight, which tells no distance scale. Drive 3 m straight along a tape"
-
-
-def _standing(t: Array, heading: Array, way: Array) -> str:
-    """Return a note if the robot never stands still long enough to measure the gyro's bias, else ""."""
-    period = np.diff(t)
-    still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(np.diff(heading)) <= MAX_RATE_RADPS * period)
-    longest = max((float(t[last + 1] - t[first]) for first, last in stretches(still)), default=0.0)
-    if longest >= MIN_STAND_S:
-        return ""
-    return f"it stands for {longest:.1f} s at most, which tells no offset of the gyro. Stand for 5 s first"

@@ -45,9 +45,7 @@ def of_start(
     least = (MIN_START_ERROR_M, MIN_START_ERROR_RAD)
     if truth.theta is None or aside or by_points:
         least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
-    # the path is aligned about its middle: an error of the heading moves the start by half the path times it
-    by_heading = 0.5 * fitted.way * fitted.sigma
-    place_sigma = math.hypot(robot.start.sigma_xy, by_heading, fitted.spread, truth.sigma)
+    place_sigma = fitted.place_sigma(robot, truth)
     turn_sigma = math.hypot(math.radians(robot.start.sigma_theta_deg), fitted.sigma)
     if away < least[0] + START_SIGMAS * place_sigma and turn < least[1] + START_SIGMAS * turn_sigma:
         if truth.theta is not None:
@@ -87,6 +85,11 @@ class TruthStart(NamedTuple):
     sigma: float  # rad, of the heading: by slip, or by noise of the truth's headings
     spread: float  # m, standard error by the truth's positions
     t: float  # s: start of the truth if the robot moved before it, else the first wheel reading
+
+    def place_sigma(self, robot: Robot, truth: Truth) -> float:
+        """Return the sigma [m] of the start position, without the sigma of the robot's [start]."""
+        # the path is aligned about its middle: an error of the heading moves the start by half the path times it
+        return math.hypot(robot.start.sigma_xy, 0.5 * self.way * self.sigma, self.spread, truth.sigma)
 
 
 def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> TruthStart | None:

@@ -177,9 +177,10 @@ def on_the_whole_drive(
             continue
         role = advice.finding.role
         names = [n for n, c in trial.configurations.items() if role in SHARED_ROLES or role in c.sensors]
-        pairs = judged_pairs(_judged_by_all(advice, names), kept, fixes, trial.on_whole)
+        candidate = _judged_by_all(advice, names)
+        pairs = judged_pairs(candidate, kept, fixes, trial.on_whole)
         worse = not pairs
-        if worse or not (advice.proven or any(improves(*pair) for pair in pairs.values())):
+        if worse or not (candidate.proven or any(improves(*pair) for pair in pairs.values())):
             judged.append(replace(advice, fixes=(), pairs={}, tried=(fixes,), harmless=not worse))
             continue
         lost = _harm_to_path_or_map([advice], kept, together(kept, fixes), names, trial) if afterwards else ""

@@ -275,16 +275,6 @@ class Advice(msgspec.Struct, frozen=True):
         return () if self.candidate is None else self.candidate.judges
 
     @property
-    def measured(self) -> bool:
-        """Whether the fix's value was measured from the drive."""
-        return self.candidate is not None and self.candidate.measured
-
-    @property
-    def proven(self) -> bool:
-        """Whether several other logs agree on the fix's value."""
-        return self.candidate is not None and self.candidate.proven
-
-    @property
     def helps(self) -> bool:
         """Whether a fix was found that helps."""
         return bool(self.fixes)
@@ -452,7 +442,8 @@ def _weight(advice: Advice) -> float:
 
     The bonus is needed because another fix, such as more noise, may gain more by chance.
     """
-    return worth(advice) + (CHANCE_GAIN if advice.measured else 0.0)
+    measured = advice.candidate is not None and advice.candidate.measured
+    return worth(advice) + (CHANCE_GAIN if measured else 0.0)
 
 
 def _beside_another(

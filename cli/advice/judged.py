@@ -188,7 +188,7 @@ class NoiseFindings(Judged):
             if sensor != LASER:  # the laser's noise is checked by its raw ranges
                 settings = self.loaded.robot.settings(sensor)
                 most = self._most_by_truth(sensor)
-                options = tuple(fixes for fixes in options if useful(fixes, settings) and first_of(fixes) <= most)
+                options = tuple(fixes for fixes in options if useful(fixes, settings, most))
                 if seen and not options and math.isfinite(most):
                     continue  # the truth shows that its readings are as exact as configured
             if options:
@@ -398,17 +398,15 @@ def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
     return verdict.fix_values.get(f"{LASER}.sigma_range") if shown else None
 
 
-def first_of(fixes: Fixes) -> float:
-    """Return the first number of a fix; 0 without one."""
-    values = (fix.partition("=")[2] for fix in fixes if ".covariance=" not in fix)
-    return float(next(values, "0"))
+def useful(fixes: Fixes, settings: Any, most: float) -> bool:
+    """Return whether proposed sigmas are plausible, the first one at most `most`.
 
-
-def useful(fixes: Fixes, settings: Any) -> bool:
-    """Return whether a proposed sigma is plausible; a much larger one would disable the sensor."""
+    A much larger sigma than configured would disable the sensor.
+    """
     changed = (fix.partition("=") for fix in fixes if ".covariance=" not in fix)
-    pairs = ((float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed)
-    return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
+    pairs = [(float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed]
+    plausible = all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
+    return plausible and all(value <= most for value, _ in pairs[:1])
 
 
 def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:

@@ -476,5 +476,5 @@ def wheel_lag(t: Array, heading: Array, wheels: Wheels) -> Lag | None:
 
 def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict[str, Lag]:
     """Return the lag of each sensor's clock relative to the wheels', from the first readings of the drive."""
-    found = {name: wheel_lag(*heading, wheels) for name, heading in headings(measurements).items()}
-    return {name: lag for name, lag in found.items() if lag is not None}
+    known = headings(measurements).items()
+    return {name: lag for name, heading in known if (lag := wheel_lag(*heading, wheels)) is not None}

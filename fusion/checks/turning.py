@@ -101,8 +101,7 @@ def turnings(drive: Drive) -> dict[str, Turning]:
 
 
 def _fits(known: Mapping[str, Headings], wheels: Wheels) -> dict[str, Turning]:
-    found = {name: explain(h, wheels) for name, h in known.items()}
-    return {name: fit for name, fit in found.items() if fit is not None}
+    return {name: fit for name, h in known.items() if (fit := explain(h, wheels)) is not None}
 
 
 def explain(h: Headings, wheels: Wheels) -> Turning | None:

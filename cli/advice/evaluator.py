@@ -65,7 +65,11 @@ def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | 
         if loaded is None:
             return None
         trial.keep(fixes)
-        compared = first if first is not None and not fixes else _compared(loaded, trial)
+        compared = first
+        if compared is None or fixes:
+            trial.fusions += len(trial.configurations)
+            how = Asked(align=align, smooth=False, audits=False)
+            compared = compare_log(loaded, [*trial.configurations.values()], how, progress)
         trial.seed(fixes, compared)
         return Evidence(compared, trial, fixes)
 
@@ -145,9 +149,9 @@ def smoothed_worse(
     first = trial.smoothed(before, names)
     last = trial.smoothed(after, [*first]) if first else {}
     pairs = [(first[name], last[name]) for name in last]
-    if any(score.aligned for advice in found for score in (advice.before or {}).values()):
+    if any(score.aligned for advice in found for score, _ in advice.pairs.values()):
         pairs = [(b.of_shape(), a.of_shape()) for b, a in pairs]
-    settled = all(a.before and a.after and any(settles(a.before[n], a.after[n]) for n in a.before) for a in found)
+    settled = all(any(settles(*pair) for pair in advice.pairs.values()) for advice in found)
     lost = ((b.position, a.position) for b, a in pairs if worsens_smoothed(b, a, settled))
     return next(((b, a) for b, a in lost if b is not None and a is not None), None)
 
@@ -173,19 +177,19 @@ def on_the_whole_drive(
             continue
         role = advice.finding.role
         names = [n for n, c in trial.configurations.items() if role in SHARED_ROLES or role in c.sensors]
-        pairs = judged_pairs(_judged_by_all(advice, names), kept, fixes, trial.on_whole)
+        candidate = _judged_by_all(advice, names)
+        pairs = judged_pairs(candidate, kept, fixes, trial.on_whole)
         worse = not pairs
-        if worse or not (advice.proven or any(improves(*pair) for pair in pairs.values())):
-            judged.append(replace(advice, fixes=(), before=None, after=None, tried=(fixes,), harmless=not worse))
+        if worse or not (candidate.proven or any(improves(*pair) for pair in pairs.values())):
+            judged.append(replace(advice, fixes=(), pairs={}, tried=(fixes,), harmless=not worse))
             continue
         lost = _harm_to_path_or_map([advice], kept, together(kept, fixes), names, trial) if afterwards else ""
         if lost:
             what = f"{' and '.join(fixes)} helps while driving and {lost}"
             finding = replace(advice.finding, message=f"{advice.finding.brief}. {what}", source="", hint="")
-            judged.append(replace(advice, finding=finding, fixes=(), before=None, after=None, tried=()))
+            judged.append(replace(advice, finding=finding, fixes=(), pairs={}, tried=()))
             continue
-        before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
-        judged.append(replace(advice, fixes=fixes, before=before, after=after))
+        judged.append(replace(advice, fixes=fixes, pairs=pairs))
         kept = together(kept, fixes)
     first: dict[str, Advice] = {}  # at most one finding without a fix per sensor
     for advice in judged:
@@ -222,19 +226,14 @@ def looks_wrong(one: Compared) -> bool:
     return bool(holes(loaded.drive)) or Evidence(one, trial, ()).suspicious()
 
 
-def _compared(loaded: Loaded, trial: Trial) -> Compared:
-    configurations = list(trial.configurations.values())
-    trial.fusions += len(configurations)
-    asked = Asked(align=trial.align, smooth=False, audits=False)
-    return compare_log(loaded, configurations, asked, trial.progress)
-
-
 def without_repeated(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
     """Return the advice without fixes that set the configured value again.
 
     Example: a time offset changed because of a wrong distance scale is changed back after the scale is fixed.
     """
-    same = {key for key, value in by_key(kept).items() if _is_configured(key, value, robot)}
+    now = {key: number(robot, key) for key in keys(kept)}
+    new = by_key(kept).items()
+    same = {k for k, v in new if (old := now[k]) is not None and math.isclose(float(v), old, abs_tol=5e-5)}
     kept_fixes = [tuple(fix for fix in a.fixes if not keys((fix,)) & same) for a in found]
     return [replace(a, fixes=fixes) for a, fixes in zip(found, kept_fixes, strict=True) if fixes or not a.helps]
 
@@ -243,9 +242,3 @@ def number(robot: Robot, key: str) -> float | None:
     """Return the number configured at a key of robot.toml; None if the value is not a number."""
     now = flat(settings_tables(robot)).get(key)
     return None if isinstance(now, bool) or not isinstance(now, int | float) else float(now)
-
-
-def _is_configured(key: str, value: str, robot: Robot) -> bool:
-    """Return whether the setting has this value already, within rounding."""
-    now = number(robot, key)
-    return now is not None and math.isclose(float(value), now, abs_tol=5e-5)

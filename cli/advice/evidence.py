@@ -90,20 +90,20 @@ class Evidence(NoiseFindings):
         noise = any(f.verdict not in UNREMARKABLE for f in self.consistency.values())
         lost = any(e.lost for e in self.compared.estimates)
         drive, robot = self.loaded.drive, self.loaded.robot
-        return (
+        return bool(
             noise
-            or bool(self.overconfident)
+            or self.overconfident
             or lost
-            or bool(self.wrong)
+            or self.wrong
             or self._worse_than_odometry()
-            or bool(self._mounts_found)
-            or bool(self._other_mounts)
-            or bool(self._distances)
-            or bool(self._biases_again)
+            or self._mounts_found
+            or self._other_mounts
+            or self._distances
+            or self._biases_again
             or self._slips_unusually
             or self._ranges_scatter
-            or bool(self._spins)
-            or bool(scales(drive, robot, turnings(drive), least=SUSPICIOUS_SCALE))
+            or self._spins
+            or scales(drive, robot, turnings(drive), least=SUSPICIOUS_SCALE)
             or self._walls_bend
             or any(f.severe for f in self.doctor)
         )
@@ -247,8 +247,7 @@ class Evidence(NoiseFindings):
         """Return candidate fixes of mounts, scales and directions, from compared sensors or from filter states."""
         # distances that differ look like a wrong mount; a laser that was bumped has no single mount
         no_mount = self._open_scale or self._distances or self._bumped
-        probed = [] if no_mount else [*self._probed(), *self._scaled()]
-        probed = [*self._points(), *probed]
+        probed = [*self._points(), *(() if no_mount else self._probed())]
         named = {(f.role, f.code) for f in probed}
         mounts = [] if no_mount else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
@@ -357,13 +356,11 @@ class Evidence(NoiseFindings):
         runs = [e for e in self.compared.estimates if positions.GPS not in e.sensors and not e.lost]
         if (found := positions.of_antenna(self.loaded.drive, self.loaded.robot, runs)) is None:
             return []
-        finding, rival = found
-        return [
-            self._candidate(finding, (finding.fixes, rival) if rival else (finding.fixes,), not finding.severe)
-        ]
+        finding, ways = found[0], tuple(filter(None, (found[0].fixes, found[1])))
+        return [self._candidate(finding, ways, not finding.severe)]
 
     def _probed(self) -> Iterator[Finding]:
-        """Yield findings on mounts and track from runs that estimate them, one sensor at a time."""
+        """Yield findings on mounts and track from runs that estimate them, and on the size of the laser's path."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
             if sensor == LASER and drive.wheels.matched is not None:
@@ -377,6 +374,9 @@ class Evidence(NoiseFindings):
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
             if run is not None and not run.lost:
                 yield from probes.of_probe(robot, sensor, run, drive.truth is not None)
+        for e in self.runs_alone(LASER):
+            if self._looks_wrong(LASER):
+                yield from probes.of_scale(robot, e, drive)
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
@@ -392,38 +392,28 @@ class Evidence(NoiseFindings):
         far = {e.sensors[0] for e in self.runs_alone() if probes.beyond_prior(self.loaded.robot, e.sensors[0], e)}
         return far | {f.role for f in self._mounts_found if f.code == probes.MOUNT}
 
-    def _scaled(self) -> Iterator[Finding]:
-        """Yield the finding on the laser's range scale, by the path length of the run with the laser alone."""
-        for e in self.runs_alone(LASER):
-            if self._looks_wrong(LASER):
-                yield from probes.of_scale(self.loaded.robot, e, self.loaded.drive)
-
     def offsets(self) -> list[Candidate]:
         """Return candidate fixes of constant errors: compass and camera offsets, or a mirrored camera."""
-        found = [
-            self._candidate(f, (f.fixes,), True)
-            for e in self.compared.estimates
-            if e.name == self._all() and self.loaded.drive.truth is not None
-            for f in probes.of_offsets(self.loaded.robot, e)
-        ]
-        found += [
-            replace(self._candidate(Finding(s, "biased", v.words), (as_fixes(v.fix_values),), True), measured=True)
-            for s, v in self._biases_again.items()
-        ]
+        drive, robot = self.loaded.drive, self.loaded.robot
+        with_all = [e for e in self.compared.estimates if e.name == self._all() and drive.truth is not None]
+        constant = [f for e in with_all for f in probes.of_offsets(robot, e)]
+        found = [self._candidate(f, (f.fixes,), True) for f in constant]
+        for sensor, again in self._biases_again.items():
+            one = self._candidate(Finding(sensor, "biased", again.words), (as_fixes(again.fix_values),), True)
+            found.append(replace(one, measured=True))
         if self._using(positions.GPS):
-            found += [
-                self._candidate(f, (f.fixes,), True)
-                for f in positions.of_east(self.loaded.drive, self.loaded.robot)
-            ]
+            found += [self._candidate(f, (f.fixes,), True) for f in positions.of_east(drive, robot)]
         start = self._start_heading()
         found += start
         for sensor, verdict in self.consistency.items():
             either = sensor == "compass" and any(not c.alternatives for c in start)  # compass offset or start
             options = [] if either else list(self.constant(verdict))
             wrong = {"biased", "outliers", "contradicts", "understated"}
-            if sensor == "camera" and verdict.verdict in wrong and self._may_be_mirrored:
-                turned = not self.loaded.robot.settings("camera").clockwise
-                options.append((f"camera.clockwise={str(turned).lower()}",))
+            if sensor == "camera" and verdict.verdict in wrong:
+                share, _ = turning_along(drive, robot)
+                turned = not robot.settings("camera").clockwise
+                if share is None or share > 1.0 - MIRRORED_SHARE:  # turns do not show that it is not mirrored
+                    options.append((f"camera.clockwise={str(turned).lower()}",))
             if options:
                 finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(self._candidate(finding, tuple(options)))
@@ -441,12 +431,6 @@ class Evidence(NoiseFindings):
             *of_offset_by_truth(drive, robot),
         ]
         return [self._candidate(f, (f.fixes,)) for f in found if self.judges(f.role)]
-
-    @property
-    def _may_be_mirrored(self) -> bool:
-        """Whether the picture may be mirrored: turns do not show clearly that it is not."""
-        share, _ = turning_along(self.loaded.drive, self.loaded.robot)
-        return share is None or share > 1.0 - MIRRORED_SHARE
 
     def _start_heading(self) -> list[Candidate]:
         """Return a finding if configured start heading and configured compass offset disagree.

@@ -175,17 +175,20 @@ class NoiseFindings(Judged):
             if by_ranges:
                 seen.append(by_ranges)
                 words += f" by its lines, {by_ranges[0].partition('=')[2]} m by its ranges"
-            if self._ranges_show_more(sensor, verdict) or self._overconfident(sensor, verdict):
+            smaller = _smaller_range_noise(sensor, verdict)
+            scattered = smaller is not None and scatter_more(self._ranges_sigma, smaller)
+            if scattered or self._overconfident(sensor, verdict):
                 seen = []
             if seen and verdict.verdict == "overstated":
                 seen, words = self._with_wheel_noise(sensor, seen, words)
             code, words = (verdict.verdict, words) if seen else self._by_truth(sensor)
             found += self._shared_by_lines(sensor, verdict)
-            options = tuple(dict.fromkeys((*self._by_settings(sensor), *one) for one in (*seen, *more)))
+            by_settings = (f"{sensor}.covariance=sigma",) if self._claimed(sensor) else ()
+            options = tuple(dict.fromkeys((*by_settings, *one) for one in (*seen, *more)))
             if sensor != LASER:  # the laser's noise is checked by its raw ranges
                 settings = self.loaded.robot.settings(sensor)
                 most = self._most_by_truth(sensor)
-                options = tuple(fixes for fixes in options if useful(fixes, settings) and first_of(fixes) <= most)
+                options = tuple(fixes for fixes in options if useful(fixes, settings, most))
                 if seen and not options and math.isfinite(most):
                     continue  # the truth shows that its readings are as exact as configured
             if options:
@@ -219,10 +222,6 @@ class NoiseFindings(Judged):
         """Return the sigmas that a sensor's messages claim, by noise key; {} if its settings give them."""
         m = self.loaded.drive.measurements.get(sensor)
         return {} if m is None else REGISTRY[sensor].claimed(m)
-
-    def _by_settings(self, sensor: str) -> Fixes:
-        """Return the setting by which a sensor's noise keys count, if its messages claim covariances."""
-        return (f"{sensor}.covariance=sigma",) if self._claimed(sensor) else ()
 
     def _shared_by_lines(self, sensor: str, verdict: Consistency) -> list[Candidate]:
         """Return fixes with larger line noise floors, if laser lines scatter more than their beams explain.
@@ -275,14 +274,6 @@ class NoiseFindings(Judged):
         settings = self.loaded.robot.settings(LASER)
         share = shown / settings.sigma_range
         return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
-
-    def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
-        """Return whether raw ranges scatter more than the smaller range sigma that the lines suggest.
-
-        If so, this sigma is not proposed.
-        """
-        smaller = _smaller_range_noise(sensor, verdict)
-        return smaller is not None and scatter_more(self._ranges_sigma, smaller)
 
     @cached_property
     def _slip(self) -> WheelSlip | None:
@@ -344,14 +335,6 @@ class NoiseFindings(Judged):
             return None
         return own(run.audits[sensor], tried.drive.measurements[sensor])
 
-    @property
-    def _noise_factors(self) -> tuple[float, ...]:
-        """Factors on wheels.noise to try with truth: above 1 if the filter is overconfident, else below 1."""
-        check = self.covariance_checks.get(self._best(self.trial.configurations))
-        if check is None:
-            return ()
-        return tuple(factor for factor in WHEEL_NOISE_FACTORS if (factor > 1.0) == (check.anees > 1.0))
-
     def _by_anees(self, sensor: str) -> list[Fixes]:
         """Return the sensor's noise settings multiplied by the square root of its run's ANEES.
 
@@ -386,7 +369,9 @@ class NoiseFindings(Judged):
     def _wheel_noise(self) -> Candidate:
         noise = self.loaded.robot.wheels.noise
         words = f"wheels.noise = {noise:g} m does not fit this drive"
-        factors = self._noise_factors
+        check = self.covariance_checks.get(self._best(self.trial.configurations))
+        more_noise = check is not None and check.anees > 1.0  # an overconfident filter
+        factors = () if check is None else tuple(f for f in WHEEL_NOISE_FACTORS if (f > 1.0) == more_noise)
         measured = self._slips_unusually
         if measured and self._slip is not None:
             words = self._slip.words
@@ -413,17 +398,15 @@ def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
     return verdict.fix_values.get(f"{LASER}.sigma_range") if shown else None
 
 
-def first_of(fixes: Fixes) -> float:
-    """Return the first number of a fix; 0 without one."""
-    values = (fix.partition("=")[2] for fix in fixes if ".covariance=" not in fix)
-    return float(next(values, "0"))
+def useful(fixes: Fixes, settings: Any, most: float) -> bool:
+    """Return whether proposed sigmas are plausible, the first one at most `most`.
 
-
-def useful(fixes: Fixes, settings: Any) -> bool:
-    """Return whether a proposed sigma is plausible; a much larger one would disable the sensor."""
+    A much larger sigma than configured would disable the sensor.
+    """
     changed = (fix.partition("=") for fix in fixes if ".covariance=" not in fix)
-    pairs = ((float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed)
-    return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
+    pairs = [(float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed]
+    plausible = all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
+    return plausible and all(value <= most for value, _ in pairs[:1])
 
 
 def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:

@@ -99,11 +99,11 @@ def _joined(found: Sequence[Advice]) -> Advice:
             message = f"{earlier}; after this fix: {advice.finding.brief}"
             if keys(first.fixes) <= keys(advice.fixes):
                 message = advice.finding.brief if _differ(first.fixes, advice.fixes) else earlier
-        before = {**(advice.before or {}), **(first.before or {})}
-        after = {**(first.after or {}), **(advice.after or {})}
-        fixes = together(first.fixes, advice.fixes)
+        # the first figures before, and the last after
+        of_all = {**advice.pairs, **first.pairs}
+        pairs = {name: (pair[0], advice.pairs.get(name, pair)[1]) for name, pair in of_all.items()}
         finding = replace(first.finding, message=message, hint="", source="")
-        first = replace(first, finding=finding, fixes=fixes, before=before, after=after)
+        first = replace(first, finding=finding, fixes=together(first.fixes, advice.fixes), pairs=pairs)
     return first
 
 
@@ -123,8 +123,9 @@ def _values_differ(one: str, other: str) -> bool:
 
 def _finding(advice: Advice) -> dict[str, Any]:
     name, tried = advice.shown_by, None
-    if name is not None and advice.before is not None and advice.after is not None:
-        tried = {"configuration": name, "before": score(advice.before[name]), "after": score(advice.after[name])}
+    if name is not None:
+        before, after = map(score, advice.pairs[name])
+        tried = {"configuration": name, "before": before, "after": after}
     return {
         "role": advice.finding.role,
         "code": advice.finding.code,
@@ -162,7 +163,7 @@ def add_validity(
     known_faults += [a.finding for a in given if a.finding.code == MIRROR]
     spoilt = next(((f.code, f"truth: {f.sentence}") for f in known_faults), None)
     for name, values in report["configurations"].items():
-        reason = _lost(values) or spoilt or _elsewhere(start_error_m, values)
+        reason = _void_reason(values, spoilt, start_error_m)
         if reason is None:
             continue
         code, message = reason
@@ -179,14 +180,6 @@ def add_validity(
     elif doubts:
         report["credit"] = None  # its factors depend on the doubtful errors
         withdraw_verdicts(report, "Not judged while a warning is open.")
-
-
-def _withdraw_empty(report: dict[str, Any], given: Sequence[Advice]) -> None:
-    """Replace the verdict "no effect seen" on sensors without measurements by "no verdict"."""
-    for advice in given:
-        verdict = (report.get("verdicts") or {}).get(advice.finding.role, {})
-        if advice.finding.code == BLIND and verdict.get("verdict") == "no effect seen":
-            verdict.update(verdict="no verdict", words="It gives hardly any measurement.")
 
 
 def _doubts(report: dict[str, Any], given: Sequence[Advice]) -> list[dict[str, Any]]:
@@ -208,21 +201,18 @@ def _doubts(report: dict[str, Any], given: Sequence[Advice]) -> list[dict[str, A
     return doubts
 
 
-def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
+def _void_reason(
+    values: dict[str, Any], spoilt: tuple[str, str] | None, start_error_m: float | None
+) -> tuple[str, str] | None:
+    """Return code and message on why figures are void, `spoilt` by a wrong truth; None if they are valid."""
     share = values.get("lost_share") or 0.0
-    if share <= MAX_LOST_SHARE:
-        return None
-    name = values["configuration"]  # also of a smoothed result, which is lost where its filter is
-    return "lost", f"{name}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
-
-
-def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str] | None:
-    if error_m is None or error_m < MAX_START_ERROR_M or values.get("align") != "none":
-        return None
-    return "start", (
-        f"the truth starts {error_m:.2f} m from where the drive starts; set [start], or judge the shape "
-        "with --align origin"
-    )
+    if share > MAX_LOST_SHARE:
+        name = values["configuration"]  # also of a smoothed result, which is lost where its filter is
+        return "lost", f"{name}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
+    if spoilt or start_error_m is None or start_error_m < MAX_START_ERROR_M or values.get("align") != "none":
+        return spoilt
+    away = f"the truth starts {start_error_m:.2f} m from where the drive starts"
+    return "start", f"{away}; set [start], or judge the shape with --align origin"
 
 
 NAME_TRUTH = "--set truth.topic=/TOPIC, a topic that holds the true poses"
@@ -265,7 +255,8 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     if not sets[best]:
         none = f"No sensor improves on {best}: {length(errors[best])}.{_smoothed_instead(report, sets, least)}"
         return f"{none}{_with_fixes(report, sets, least)}"
-    smoothed = _smoothed(report, best, errors[best])
+    after = _smoothed_error(report, best)
+    smoothed = "" if after is None or after >= errors[best] else f", smoothed {length(after)}"
     if doubts := [v.get("code") for v in report.get("validity") or () if not v["void"]]:
         first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
         todo = "Set the fixes first." if report.get("fixes") else "Something is wrong that no setting explains."
@@ -275,12 +266,6 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     keep = "Keep" if seen else "The best on this drive is"
     first = f"{keep} {_names(sets[best])}: {length(errors[best])}{smoothed}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
-
-
-def _smoothed(report: Mapping[str, Any], best: str, error: float) -> str:
-    """Return ", smoothed 4 mm" if smoothing makes the error [m] smaller, else ""."""
-    after = _smoothed_error(report, best)
-    return "" if after is None or after >= error else f", smoothed {length(after)}"
 
 
 def _smoothed_error(report: Mapping[str, Any], name: str) -> float | None:
@@ -459,10 +444,17 @@ def complete(report: dict[str, Any], compared: Compared, advised: Advised | None
     broken = of_holes(drive, holes(drive)) if advised is None else ()
     given = (*map(Advice, broken), *data_advice(loaded)) if advised is None else advised.advice
     add_findings(report, advised)
-    _remove_mount_notes(report)
+    # notes on a mount for which a finding has a fix: the report proposes only one value
+    mounts = {f["role"] for f in report["findings"] or () if f["code"] == MOUNT and f["fixes"]}
+    superseded = tuple(f"{sensor}: {OTHER_MOUNT}" for sensor in mounts)
+    for values in report["configurations"].values():
+        values["notes"] = [note for note in values["notes"] if not note.startswith(superseded)]
     truth = None if loaded.motion_faults else unusable(drive)  # makes errors to the truth void
     add_validity(report, given, start_error(loaded.robot, drive), truth)
-    _withdraw_empty(report, given)
+    for blind in (a.finding.role for a in given if a.finding.code == BLIND):
+        verdict = (report.get("verdicts") or {}).get(blind, {})
+        if verdict.get("verdict") == "no effect seen":
+            verdict.update(verdict="no verdict", words="It gives hardly any measurement.")
     words = f"{headline(report, sets)}{covariance(report, sets)}"
     if why := unjudged(drive):
         words = f"{why[0].upper()}{why[1:]}."
@@ -474,11 +466,3 @@ def complete(report: dict[str, Any], compared: Compared, advised: Advised | None
 def data_advice(loaded: Loaded) -> tuple[Advice, ...]:
     """Return findings on unusable data; their fixes change how the log is read, and are not tried."""
     return tuple(Advice(f, f.fixes) for f in of_data(loaded.drive, loaded.robot, loaded.stream))
-
-
-def _remove_mount_notes(report: dict[str, Any]) -> None:
-    """Remove notes on a mount if a finding has a fix for it, so that the report proposes only one value."""
-    mounts = {f["role"] for f in report["findings"] or () if f["code"] == MOUNT and f["fixes"]}
-    for values in report["configurations"].values():
-        superseded = tuple(f"{s}: {OTHER_MOUNT}" for s in mounts)
-        values["notes"] = [note for note in values["notes"] if not note.startswith(superseded)]

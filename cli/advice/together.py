@@ -12,7 +12,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.visible import writable
 from locfuse.fusion.checks.examine import MIXED, holes
-from locfuse.fusion.checks.together import CommonTrial, LogEstimates, Look, asked, shown
+from locfuse.fusion.checks.together import LogEstimates, Look, asked, shown
 from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.judge.evaluate import Align, evaluate
@@ -71,7 +71,18 @@ def ask(logs: Mapping[str, Mapping[str, Any]], look: LooksOf) -> dict[str, Any]:
         "logs": list(logs),
         "values": [{**msgspec.to_builtins(c), "off": c.off, "words": c.words} for c in found.common],
         "fixes": [] if found.fix is None else list(found.fix.fixes),
-        "tried": [_tried(step) for step in (*filter(None, (found.fix,)), *found.refused)],
+        "tried": [
+            {
+                "fixes": list(step.fixes),
+                "helps": step.helps,
+                "configuration": step.configuration,
+                "logs": {
+                    log: {"before": score(one), "after": score(two)} for log, (one, two) in step.pairs.items()
+                },
+                "worse": list(step.losers),
+            }
+            for step in (*filter(None, (found.fix,)), *found.refused)
+        ],
     }
 
 
@@ -89,13 +100,3 @@ def fixes_files(robots: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 def in_this_process(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:
     """Return a function that fuses these logs in this process under given settings."""
     return lambda names, sets: {name: looks(logs[name], sets, align, progress) for name in names}
-
-
-def _tried(step: CommonTrial) -> dict[str, Any]:
-    return {
-        "fixes": list(step.fixes),
-        "helps": step.helps,
-        "configuration": step.configuration,
-        "logs": {log: {"before": score(one), "after": score(other)} for log, (one, other) in step.pairs.items()},
-        "worse": list(step.losers),
-    }

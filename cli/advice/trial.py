@@ -103,14 +103,22 @@ class Trial:
         return {name: self._marks[kind, fixes, name] for name in names}
 
     def _fused_marks(self, kind: str, fixes: Fixes, name: str, loaded: Loaded) -> Marks | None:
-        if loaded.drive.truth is None:
-            return self._predicted(loaded, self.configurations[name])
+        drive = loaded.drive
+        if drive.truth is None:  # the run is scored by its predictions of the sensors that it does not use
+            self.fusions += 1
+            c = self.configurations[name]
+            if any(s not in drive.measurements for s in c.sensors):
+                return None
+            flags = listeners(drive, c.sensors)
+            # no share of time lost: some of its own readings may be left out here, to be predicted
+            alone = fuser(loaded.robot.preset)(drive, loaded.robot, c.sensors, c.name, flags)
+            return Marks(prediction=mean_density(drive, alone, flags))
         moving = tuple(fix for fix in fixes if not keys((fix,)) <= SEEN_AFTERWARDS)
         e = self._runs.get((moving, name)) if kind == TRIED else None
         e = e or self.fused(loaded, name, smooth=kind == SMOOTHED)
         if e is None or e.smoothed != (kind == SMOOTHED):
             return None
-        return marks_of(e, evaluate(e, loaded.drive, cast("Align", self.align)), loaded.drive)
+        return marks_of(e, evaluate(e, drive, cast("Align", self.align)), drive)
 
     def know(self, kind: str, fixes: Fixes, name: str, marks: Marks) -> None:
         """Store the figures of a finished run, so that it is not fused again."""
@@ -164,17 +172,6 @@ class Trial:
             return self.configurations[name].fuse(loaded.drive, loaded.robot, smooth)[-1]
         except LocfuseError:
             return None
-
-    def _predicted(self, loaded: Loaded, c: Configuration) -> Marks | None:
-        """Run a configuration, and score its predictions of the sensors that it does not use."""
-        self.fusions += 1
-        drive = loaded.drive
-        if any(s not in drive.measurements for s in c.sensors):
-            return None
-        flags = listeners(drive, c.sensors)
-        e = fuser(loaded.robot.preset)(drive, loaded.robot, c.sensors, c.name, flags)
-        # no share of time lost: some of its own readings may be left out here, to be predicted
-        return Marks(prediction=mean_density(drive, e, flags))
 
 
 def marks_of(e: Estimates, judged: Evaluation, drive: Drive) -> Marks:

@@ -157,14 +157,17 @@ def of_equal_stamps(drive: Drive, stream: Callable[[str], Stream]) -> list[Findi
         part, *others = parts_of(stream(role))
         if others:
             continue
+        if getattr(part, "recorded_at_once", False):  # harmless
+            words = f"{part.topic}: messages with the header stamp of the one before have its recording time too: "
+            words += "no time of theirs is known. Let the driver stamp each message"
+            found.append(Finding(role, "recorded at once", words))
+            continue
         if getattr(part, "delay_s", None) is None:  # a file has no times of recording
             words = f"{part.topic}: {equal} of {n} rows have the time of the row before. Export all decimals"
             found.append(Finding(role, EQUAL, words, severe=True))
             continue
-        words = (
-            f"{part.topic}: {equal} of {n} messages have the header stamp of the one before: these stamps "
-            "cannot be used. Let the driver stamp each message; for this log use recording times"
-        )
+        words = f"{part.topic}: {equal} of {n} messages have the header stamp of the one before: these stamps "
+        words += "cannot be used. Let the driver stamp each message; for this log use recording times"
         found.append(Finding(role, EQUAL, words, ("order=recorded",), severe=True))
     return found
 
@@ -216,8 +219,11 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
     base = LASER if wheels.matched is not None else "wheels"  # if scans give the motion
     found = {(name, base): wheel_lag(*h, wheels) for name, h in turned.items() if name != base}
     by_run = next((e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost), None)
-    for one, other in combinations(turned, 2):
-        found[one, other] = _between_two(turned[one], turned[other], wheels)
+    for one, other in combinations(turned, 2):  # each sensor is the reference once; the smaller sigma counts
+        there = find_lag(*turned[one], HeadingReference.of(*turned[other], wheels))
+        back = find_lag(*turned[other], HeadingReference.of(*turned[one], wheels))
+        lags = [there, None if back is None else back._replace(offset=-back.offset)]
+        found[one, other] = min(filter(None, lags), key=lambda lag: lag.sigma, default=None)
     if by_run is not None:
         path = Truth("", by_run.t, by_run.pose[:, :2], by_run.pose[:, 2])
         of_run = {s: lag for s, lag in lags_by_truth(drive, path).items() if s != LASER}
@@ -255,17 +261,6 @@ def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
     """
     drawn = 0.0 if by_wheels is None else WHEEL_LAG_SHARE * by_wheels.offset
     return lag._replace(sigma=math.hypot(lag.sigma, drawn))
-
-
-def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: Wheels) -> Lag | None:
-    """Return the lag between two sensors, given as times (n,) [s] and headings (n,) [rad]; None without one.
-
-    Each sensor is the reference for the other once; the lag with the smaller sigma counts.
-    """
-    there = find_lag(*one, HeadingReference.of(*other, wheels))
-    back = find_lag(*other, HeadingReference.of(*one, wheels))
-    found = [there, None if back is None else back._replace(offset=-back.offset)]
-    return min((lag for lag in found if lag is not None), key=lambda lag: lag.sigma, default=None)
 
 
 def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LAG_S) -> list[tuple[Clock, ...]]:
@@ -325,14 +320,12 @@ def explained(
 def _lags_by_places(drive: Drive, robot: Robot) -> dict[Pair, Lag]:
     """Return the lag of each sensor of positions, such as landmarks, relative to the truth's clock."""
     truth, found = drive.truth, dict[Pair, Lag]()
-    for name, every in drive.measurements.items() if truth is not None else ():
+    if truth is None:
+        return found
+    for name, every in drive.measurements.items():
         m = every.take(np.arange(0, len(every.t), 1 + len(every.t) // MAX_PLACED))
         misfit = partial(REGISTRY[name].misfit, settings=robot.settings(name))
-        if (
-            truth is not None
-            and len(m.t) >= MIN_READINGS
-            and (lag := _lag_by_places(m, misfit, truth)) is not None
-        ):
+        if len(m.t) >= MIN_READINGS and (lag := _lag_by_places(m, misfit, truth)) is not None:
             found[name, "truth"] = lag
     return found
 
@@ -386,8 +379,8 @@ def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:
     reference = _by_headings(drive, truth)
     if reference is None:
         return {}
-    found = {name: find_lag(*heading, reference) for name, heading in headings(drive.measurements).items()}
-    return {name: lag for name, lag in found.items() if lag is not None}
+    known = headings(drive.measurements).items()
+    return {name: lag for name, heading in known if (lag := find_lag(*heading, reference)) is not None}
 
 
 def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
@@ -415,10 +408,8 @@ def truth_lag(drive: Drive) -> Lag | None:
     truth, wheels = drive.truth, drive.wheels
     if truth is None or len(truth.t) < 5:
         return None
-    turning = None
-    if truth.theta is not None:
-        turning = find_lag(truth.t, np.unwrap(truth.theta), by_wheels(wheels))
     theta = None if truth.theta is None else np.unwrap(truth.theta)
+    turning = None if theta is None else find_lag(truth.t, theta, by_wheels(wheels))
     return turning or way_lag(truth, drive) or far_lag(truth.t, truth.xy, theta, wheels)
 
 
@@ -442,18 +433,15 @@ def far_lag(t: Array, xy: Array | None, theta: Array | None, wheels: Wheels) -> 
     lags = (theirs[0] - own[0]) - FAR_STEP_S * shifts
     for a, b in pairs:
         overlaps = ((a[max(0, k) : len(b) + k], b[max(0, -k) : len(a) - k]) for k in shifts.tolist())
-        scores = np.array([_correlation(*overlap) for overlap in overlaps])
+        scores = np.array(
+            [np.corrcoef(*pair)[0, 1] if min(map(np.std, pair)) > MIN_FAR_CHANGE else 0.0 for pair in overlaps]
+        )
         best = int(np.argmax(scores))
         others = np.abs(lags - lags[best]) > 3.0 * WINDOW_S
         rival, near = (float(scores[some].max(initial=0.0)) for some in (others, np.abs(lags) <= MAX_LAG_S))
         if scores[best] >= MIN_CORRELATION and rival < MAX_RIVAL_CORRELATION and abs(lags[best]) > MAX_LAG_S:
             return Lag(float(lags[best]), float(scores[best]), near, spread=FAR_STEP_S)
     return None
-
-
-def _correlation(a: Array, b: Array) -> float:
-    """Return the correlation of two columns (n,), 0 if one of them hardly changes."""
-    return float(np.corrcoef(a, b)[0, 1]) if min(a.std(), b.std()) > MIN_FAR_CHANGE else 0.0
 
 
 def way_lag(truth: Truth, drive: Drive) -> Lag | None:
@@ -488,5 +476,5 @@ def wheel_lag(t: Array, heading: Array, wheels: Wheels) -> Lag | None:
 
 def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict[str, Lag]:
     """Return the lag of each sensor's clock relative to the wheels', from the first readings of the drive."""
-    found = {name: wheel_lag(*heading, wheels) for name, heading in headings(measurements).items()}
-    return {name: lag for name, lag in found.items() if lag is not None}
+    known = headings(measurements).items()
+    return {name: lag for name, heading in known if (lag := wheel_lag(*heading, wheels)) is not None}

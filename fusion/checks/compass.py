@@ -95,8 +95,11 @@ def tilted(
             found.append(Finding(name, "gravity", words))
             continue
         roll, pitch = angles(up)
-        if name == "compass" and by == "gravity" and _same_ahead(settings, roll, pitch):
-            continue  # the heading by orientation does not depend on roll about the x axis
+        if name == "compass" and by == "gravity":
+            # the heading by orientation does not depend on roll about the x axis
+            ahead = rotation_3d(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
+            if _apart(ahead, rotation_3d(roll, pitch, settings.yaw_deg)[0]) < MIN_TILT_RAD:
+                continue
         words = f"{by} says that it is mounted at roll {roll} deg, pitch {pitch} deg"
         fixes = (f"{name}.roll_deg={roll}", f"{name}.pitch_deg={pitch}")
         found.append(Finding(name, "tilt", words, fixes, True))
@@ -105,11 +108,6 @@ def tilted(
 
 def _apart(a: Array, b: Array) -> float:
     return math.acos(float(np.clip(a @ b, -1.0, 1.0)))
-
-
-def _same_ahead(settings: CompassSettings, roll: float, pitch: float) -> bool:
-    configured = rotation_3d(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
-    return _apart(configured, rotation_3d(roll, pitch, settings.yaw_deg)[0]) < MIN_TILT_RAD
 
 
 def by_gravity(acceleration: Array) -> Array | None:

@@ -87,7 +87,7 @@ def examine(
     if mixed := {f.code for f in found} & MIXED:  # with stuck counters, the start is still known
         return [*found, *(_start(drive, robot) if mixed == {STUCK} else [])]
     for name, m in drive.measurements.items():
-        found += [*_gaps(name, m.t), *_covered(name, m.t, drive)]
+        found += _of_times(name, m.t, drive)
         found += [Finding(name, "seen", note) for note in m.notes]
         found += of_uneven_stamps(name, m.t)
     if "lrf" in drive.measurements:
@@ -116,16 +116,12 @@ def examine(
         found += [*of_calibration(streams["camera"], robot.settings("camera")), *of_handedness(drive, robot)]
     sizes = scales(drive, robot, by_sensor, turning, least)
     if least is None:  # callers that try fixes compare clocks themselves
-        sizes = _and_clocks(sizes, of_clocks(drive, robot))
+        clocks = of_clocks(drive, robot)
+        late = any(o.severe and o.role in {"lrf", "wheels"} for o in clocks)  # walls at other times seem to turn
+        sizes = [*(o for o in sizes if not (late and o.code == BUMP)), *clocks]
         sizes += unseen(drive) if sizes else []
     truth = [] if any(o.code == SIZE for o in sizes) else of_truth(_on_clocks(drive, robot, sizes), robot)
     return [*found, *sizes, *truth]
-
-
-def _and_clocks(found: list[Finding], clocks: list[Finding]) -> list[Finding]:
-    """Return both; without a bumped laser if its clock is wrong, since walls at other times seem to turn."""
-    late = any(o.severe and o.role in {"lrf", "wheels"} for o in clocks)
-    return [*(o for o in found if not (late and o.code == BUMP)), *clocks]
 
 
 def _on_clocks(drive: Drive, robot: Robot, found: Sequence[Finding]) -> Drive:
@@ -195,12 +191,11 @@ def scales(
 
 def _refused(drive: Drive) -> list[Finding]:
     """Return findings that count unused readings by reason; repaired readings have findings of their own."""
-    found = []
-    for stream, reasons in drive.dropped.items():
-        words = _reasons({why: n for why, n in reasons.items() if why not in REPAIRED})
-        if words:
-            found.append(Finding(stream, "refused", f"readings that are not used: {words}"))
-    return found
+    refused = {
+        stream: _reasons({why: n for why, n in reasons.items() if why not in REPAIRED})
+        for stream, reasons in drive.dropped.items()
+    }
+    return [Finding(s, "refused", f"readings that are not used: {words}") for s, words in refused.items() if words]
 
 
 def _reasons(counts: Mapping[str, int]) -> str:
@@ -208,25 +203,19 @@ def _reasons(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{n} {REASONS.get(why, why.replace('_', ' '))}" for why, n in counts.items())
 
 
-def _gaps(name: str, t: Array) -> list[Finding]:
-    """Return a finding with the gaps in a sensor's times (n,) [s], in which the filter only predicts."""
-    found = gaps(t)
-    if not found:
-        return []
-    longest = max(end - start for start, end in found)
-    where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in found[:3])
-    more = " ..." if len(found) > 3 else ""
-    return [Finding(name, "gap", f"{gaps_of(len(found), longest)} ({where}{more})")]
-
-
-def _covered(name: str, t: Array, drive: Drive) -> list[Finding]:
-    """Return a finding if a sensor's times (n,) [s] leave out a large part of the drive at one of its ends."""
-    begin, end = float(drive.wheels.t[0]), float(drive.wheels.t[-1])
-    if len(t) < MIN_READINGS or t[-1] - t[0] > MIN_COVERED_SHARE * (end - begin):
-        return []
-    when = f"{t[-1] - t[0]:.0f} s ({t[0]:.1f}-{t[-1]:.1f} s)"
-    words = f"its readings cover {when} of the {end - begin:.0f} s of the drive: the rest is without it"
-    return [Finding(name, "covers", words)]
+def _of_times(name: str, t: Array, drive: Drive) -> list[Finding]:
+    """Return findings on gaps in a sensor's times (n,) [s], and if they leave out a large part of the drive."""
+    found, missing, whole = [], gaps(t), float(drive.wheels.t[-1]) - float(drive.wheels.t[0])
+    if missing:
+        longest = max(end - start for start, end in missing)
+        where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in missing[:3])
+        more = " ..." if len(missing) > 3 else ""
+        found.append(Finding(name, "gap", f"{gaps_of(len(missing), longest)} ({where}{more})"))
+    if len(t) >= MIN_READINGS and t[-1] - t[0] <= MIN_COVERED_SHARE * whole:
+        when = f"{t[-1] - t[0]:.0f} s ({t[0]:.1f}-{t[-1]:.1f} s)"
+        words = f"its readings cover {when} of the {whole:.0f} s of the drive: the rest is without it"
+        found.append(Finding(name, "covers", words))
+    return found
 
 
 def gaps(t: Array) -> list[tuple[float, float]]:
@@ -303,18 +292,7 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
         found += of_publishers(name, stream(name), m.two_sources)
         found += of_range_unit(m, robot.settings("lrf")) if name == "lrf" else []
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
-    return [*found, *(_unless_at_once(f, stream(f.role)) for f in of_equal_stamps(drive, stream))]
-
-
-def _unless_at_once(found: Finding, stream: Stream) -> Finding:
-    """Return a finding on equal stamps, or a harmless one if recording times are equal too: these are no fix."""
-    if not getattr(stream, "recorded_at_once", False):
-        return found
-    words = (
-        f"{stream.topic}: messages with the header stamp of the one before have its recording time too: no time "
-        "of theirs is known. Let the driver stamp each message"
-    )
-    return Finding(found.role, "recorded at once", words)
+    return [*found, *of_equal_stamps(drive, stream)]
 
 
 def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:
@@ -349,21 +327,21 @@ MAX_SPEED_MPS, MAX_RATE_RADPS, MIN_STAND_S = 0.005, 0.005, 5.0  # of standstill
 
 def unseen(drive: Drive) -> list[Finding]:
     """Return findings on quantities that this drive's motion does not determine."""
-    t, heading = drive.wheels.t, drive.wheels.heading(drive.wheels.t)
-    found = [_turning(heading), _straight(heading, drive.wheels.driven(t))]
-    if "gyro" in drive.measurements:
-        found.append(_standing(t, heading, drive.wheels.driven(t)))
-    return [Finding("wheels", "unseen", words) for words in found if words]
-
-
-def _turning(heading: Array) -> str:
-    """Return a note if headings (n,) [rad, unwrapped] hardly turn to one of the two sides, else ""."""
-    turns = np.diff(heading)
+    t, found = drive.wheels.t, []
+    heading, way = drive.wheels.heading(t), drive.wheels.driven(t)
+    period, turns = np.diff(t), np.diff(heading)
     left, right = float(turns[turns > 0.0].sum()), float(-turns[turns < 0.0].sum())
-    if min(left, right) >= MIN_TURN_RAD:
-        return ""
-    turned = f"the robot turns {math.degrees(left):.0f}° to the left and {math.degrees(right):.0f}° to the right"
-    return f"{turned}: a late clock, a mount and the track cannot be told apart. Turn on the spot, once each way"
+    if min(left, right) < MIN_TURN_RAD:
+        turned = f"turns {math.degrees(left):.0f}° to the left and {math.degrees(right):.0f}° to the right"
+        apart = "a late clock, a mount and the track cannot be told apart. Turn on the spot, once each way"
+        found.append(f"the robot {turned}: {apart}")
+    found.append(_straight(heading, way))
+    still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(turns) <= MAX_RATE_RADPS * period)
+    longest = max((float(t[last + 1] - t[first]) for first, last in stretches(still)), default=0.0)
+    if "gyro" in drive.measurements and longest < MIN_STAND_S:
+        words = f"it stands for {longest:.1f} s at most, which tells no offset of the gyro. Stand for 5 s first"
+        found.append(words)
+    return [Finding("wheels", "unseen", words) for words in found if words]
 
 
 def _straight(heading: Array, way: Array) -> str:
@@ -373,13 +351,3 @@ def _straight(heading: Array, way: Array) -> str:
     if (np.ptp(ahead, axis=0) <= MAX_BEND_RAD).any():
         return ""
     return "no metre of its way is straight, which tells no distance scale. Drive 3 m straight along a tape"
-
-
-def _standing(t: Array, heading: Array, way: Array) -> str:
-    """Return a note if the robot never stands still long enough to measure the gyro's bias, else ""."""
-    period = np.diff(t)
-    still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(np.diff(heading)) <= MAX_RATE_RADPS * period)
-    longest = max((float(t[last + 1] - t[first]) for first, last in stretches(still)), default=0.0)
-    if longest >= MIN_STAND_S:
-        return ""
-    return f"it stands for {longest:.1f} s at most, which tells no offset of the gyro. Stand for 5 s first"

@@ -46,10 +46,8 @@ def of_gyro(
     if name is None or "gyro" not in known or ("gyro" not in by_sensor and name != "truth"):
         return []
     both = name in by_sensor and "gyro" in by_sensor
-    offsets = [by_sensor[n].offset if both else 0.0 for n in (name, "gyro")]
-    (t, heading), (own_t, own) = (
-        (known[n].t + offset, known[n].angle) for n, offset in zip((name, "gyro"), offsets, strict=True)
-    )
+    t, own_t = (known[n].t + (by_sensor[n].offset if both else 0.0) for n in (name, "gyro"))
+    heading, own = known[name].angle, known["gyro"].angle
     start = own_t[(own_t >= t[0]) & (own_t + WINDOW_S <= min(t[-1], own_t[-1]))]
     if len(start) < MIN_WINDOWS:
         return []

@@ -139,14 +139,13 @@ def find_lag(t: Array, heading: Array, reference: HeadingReference) -> Lag | Non
         return None  # with readings further apart than the window, correlation does not show the lag
     spread = 0.0
     if best is None:
-        spread = float(
-            jackknife(lambda some: _best(turns.where(some), reference.heading), len(turns.angle), PART_COUNT)
-        )
+        best = _Fit(found, math.inf)
+        parts = jackknife(lambda some: _best(turns.where(some), reference.heading), len(turns.angle), PART_COUNT)
+        spread = float(parts)
     if math.isinf(spread):
         return None
-    offset = found if best is None else best.lag
-    at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
-    return Lag(offset, at, zero, math.inf if best is None else best.sigma, spread=spread)
+    at, zero = turns.scores(reference.heading, np.array([best.lag, 0.0])).tolist()
+    return Lag(best.lag, at, zero, best.sigma, spread=spread)
 
 
 def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -> _Turns:
@@ -174,7 +173,10 @@ def _best(turns: _Turns, heading: Heading) -> float | None:
     best = int(np.argmax(score))
     if abs(middle) > MAX_LAG_S - COARSE_STEP_S / 2 or score[best] <= MIN_CORRELATION or best in (0, len(lags) - 1):
         return None
-    return float(lags[best]) + FINE_STEP_S * _vertex(*score[best - 1 : best + 2].tolist())
+    left, middle, right = score[best - 1 : best + 2].tolist()
+    curvature = left - 2.0 * middle + right  # of a parabola through the best three
+    vertex = 0.5 * (left - right) / curvature if curvature < 0 else 0.0
+    return float(lags[best]) + FINE_STEP_S * vertex
 
 
 def _least_squares(start: float, turns: _Turns, reference: HeadingReference) -> _Fit | None:
@@ -260,12 +262,6 @@ def _changing(turns: _Turns, reference: HeadingReference, lag: float) -> Mask:
 def _rate(reference: HeadingReference, t: Array) -> Array:
     """Return the turning rate [rad/s] of the wheels at times t (n,) [s]."""
     return (reference.wheels(t + RATE_SPAN_S / 2) - reference.wheels(t - RATE_SPAN_S / 2)) / RATE_SPAN_S
-
-
-def _vertex(left: float, middle: float, right: float) -> float:
-    """Return the offset of a parabola's vertex from its middle sample, in samples."""
-    curvature = left - 2.0 * middle + right
-    return 0.5 * (left - right) / curvature if curvature < 0 else 0.0
 
 
 def worth_saying(lag: Lag) -> bool:

@@ -102,16 +102,13 @@ def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
     Ranges are compared directly, not with lines: if the noise is set too low, lines are split and fit well.
     """
     if settings.sigma_range > MAX_NOISE_M:
-        fix = f"lrf.sigma_range={LrfSettings().sigma_range:g}"
-        return [
-            Finding("lrf", "noise", f"sigma_range is {settings.sigma_range:g} m: no laser is so noisy", (fix,))
-        ]
+        words = f"sigma_range is {settings.sigma_range:g} m: no laser is so noisy"
+        return [Finding("lrf", "noise", words, (f"lrf.sigma_range={LrfSettings().sigma_range:g}",))]
     sigma = ranges_sigma(stream, settings)
     if sigma is None or not scatter_more(sigma, settings.sigma_range):
         return []
-    words = (
-        f"neighbouring ranges scatter by {sigma:.3f} m (1 sigma), and sigma_range is {settings.sigma_range:g} m"
-    )
+    now = f"sigma_range is {settings.sigma_range:g} m"
+    words = f"neighbouring ranges scatter by {sigma:.3f} m (1 sigma), and {now}"
     return [Finding("lrf", "noise", words, (f"lrf.sigma_range={sigma:.2g}",))]
 
 

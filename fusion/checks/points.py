@@ -89,12 +89,13 @@ def _of_map(drive: Drive, robot: Robot, name: str) -> list[Finding]:
     seen = _places_seen(drive, truth, settings)
     if seen is None:
         return []
-    if abs(seen.yaw) > MIN_YAW_RAD + SIGMAS * seen.yaw_sigma:
-        turned = getattr(settings, "yaw_deg", 0.0) + math.degrees(seen.yaw)
-        sigma = f"1 sigma {math.degrees(seen.yaw_sigma):.1f}°"
+    places, yaw, yaw_sigma = seen
+    if abs(yaw) > MIN_YAW_RAD + SIGMAS * yaw_sigma:
+        turned = getattr(settings, "yaw_deg", 0.0) + math.degrees(yaw)
+        sigma = f"1 sigma {math.degrees(yaw_sigma):.1f}°"
         words = f"by the truth its detector is turned by {turned:.1f}° ({sigma})"
         return [Finding(name, "yaw", words, (f"landmarks.yaw_deg={turned:.1f}",), True)]
-    return _compared(name, settings, seen.places)
+    return _compared(name, settings, places)
 
 
 def _at_truth(drive: Drive, truth: Truth, settings: PointsSettings) -> tuple[Array, Array, Mask]:
@@ -155,17 +156,12 @@ def _places_by_ranges(drive: Drive, truth: Truth, settings: RangesSettings) -> d
     return found
 
 
-class Seen(NamedTuple):
-    """Places of landmarks by the truth, and the constant errors of the detector."""
-
-    places: dict[int, Place]
-    yaw: float  # rad by which the detector is turned from its configured direction
-    yaw_sigma: float
-
-
-def _places_seen(drive: Drive, truth: Truth, settings: PointsSettings) -> Seen | None:
+def _places_seen(
+    drive: Drive, truth: Truth, settings: PointsSettings
+) -> tuple[dict[int, Place], float, float] | None:
     """Fit each landmark's place, one offset of all ranges and one yaw error to the detections; None for few.
 
+    Returns the places, the yaw error of the detector [rad] and its sigma.
     A detection at the distance r in the direction u, from the detector at e, is of a landmark at
     e + (r - offset) u + yaw r n, with n normal to u: the equation is linear. No map is needed.
     """
@@ -194,7 +190,7 @@ def _places_seen(drive: Drive, truth: Truth, settings: PointsSettings) -> Seen |
     x, errors = fitted(np.arange(len(rows))), jackknife(fitted, len(rows), PARTS)
     sigmas, k = np.broadcast_to(errors, x.shape), len(known)
     places = {one: Place(x[[i, k + i]], float(np.hypot(sigmas[i], sigmas[k + i]))) for i, one in enumerate(known)}
-    return Seen(places, float(x[-1]), float(sigmas[-1]))
+    return places, float(x[-1]), float(sigmas[-1])
 
 
 def _compared(name: str, settings: PointsSettings, seen: Mapping[int, Place]) -> list[Finding]:

@@ -239,33 +239,25 @@ def of_antenna(drive: Drive, robot: Robot, runs: Iterable[Estimates]) -> tuple[F
     used.
     """
     settings, exact = robot.settings(GPS), by_truth(drive, GPS)
-    if exact is not None and math.isfinite(exact.sigma):
-        away = math.hypot(exact.x - settings.x, exact.y - settings.y)
-        if away < max(MIN_ANTENNA_M, ANTENNA_SIGMAS * exact.sigma):
-            return None
-        words = (
-            f"by the truth its antenna sits at ({exact.x:z.2f}, {exact.y:z.2f}) m on the base (1 sigma "
-            f"{exact.sigma:.2g}), not at ({settings.x:g}, {settings.y:g})"
-        )
-        return Finding(GPS, ANTENNA, words, _at(exact.x, exact.y), away > SEVERE_ANTENNA_M), ()
-    fits = [a for e in runs if (a := _antenna(drive, settings, e)) is not None]
-    if not fits:
+    known = exact is not None and math.isfinite(exact.sigma)
+    fits = [] if known else [a for e in runs if (a := _antenna(drive, settings, e)) is not None]
+    beside = min(fits, key=lambda fit: fit.rest, default=None)
+    found = exact if known else beside
+    if found is None:
         return None
-    found = min(fits, key=lambda fit: fit.rest)
     away = math.hypot(found.x - settings.x, found.y - settings.y)
     if away < max(MIN_ANTENNA_M, ANTENNA_SIGMAS * found.sigma):
         return None
-    lag = f"{abs(found.early):.2f} s {'early' if found.early > 0.0 else 'late'}"
     words = (
-        f"its antenna seems to sit at ({found.x:.2f}, {found.y:.2f}) m on the base (1 sigma {found.sigma:.2g}), "
-        f"not at ({settings.x:g}, {settings.y:g}), or its fixes are {lag}"
+        f"{'by the truth its antenna sits' if known else 'its antenna seems to sit'} at ({found.x:z.2f}, "
+        f"{found.y:z.2f}) m on the base (1 sigma {found.sigma:.2g}), not at ({settings.x:g}, {settings.y:g})"
     )
-    rival = f"gps.time_offset={settings.time_offset + found.early:z.3f}"
-    return Finding(GPS, ANTENNA, words, _at(found.x, found.y), away > SEVERE_ANTENNA_M), (rival,)
-
-
-def _at(x: float, y: float) -> tuple[str, ...]:
-    return f"gps.x={x:z.3f}", f"gps.y={y:z.3f}"
+    rival: tuple[str, ...] = ()
+    if beside is not None:
+        words += f", or its fixes are {abs(beside.early):.2f} s {'early' if beside.early > 0.0 else 'late'}"
+        rival = (f"gps.time_offset={settings.time_offset + beside.early:z.3f}",)
+    fixes = f"gps.x={found.x:z.3f}", f"gps.y={found.y:z.3f}"
+    return Finding(GPS, ANTENNA, words, fixes, away > SEVERE_ANTENNA_M), rival
 
 
 def _antenna(drive: Drive, settings: Any, run: Estimates) -> Antenna | None:

@@ -60,22 +60,19 @@ def preview(stream: Stream, settings: CameraSettings, count: int = 4) -> list[Pr
 
 def _pictures(row: int, delivered: Picture, find: Detector) -> PreviewPictures:
     detection, picture = find.find(delivered), find.coloured(delivered)
-    grey = red_grey(picture, find.red) * _inside(picture, detection.optics)
-    bearings = [math.degrees(float(bearing(np.asarray(c.theta), detection.optics))) for c in detection.candidates]
+    optics = detection.optics
+    y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    r = np.hypot(x - optics.x_c, y - optics.y_c)
+    grey = np.where((r >= optics.inner) & (r <= optics.outer), red_grey(picture, find.red), np.uint8(0))
+    bearings = [math.degrees(float(bearing(np.asarray(c.theta), optics))) for c in detection.candidates]
     return PreviewPictures(
         row=row,
         raw=picture,
         mask=np.where(grey > 0, np.uint8(255), np.uint8(0)),
-        panorama=unwrap(picture, detection.optics, printed=find.chain == "printed"),
+        panorama=unwrap(picture, optics, printed=find.chain == "printed"),
         detection=_drawn(picture, detection, bearings),
         bearings_deg=tuple(bearings),
     )
-
-
-def _inside(picture: Picture, optics: Optics) -> Picture:
-    y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
-    r = np.hypot(x - optics.x_c, y - optics.y_c)
-    return np.where((r >= optics.inner) & (r <= optics.outer), np.uint8(1), np.uint8(0))
 
 
 def _drawn(picture: Picture, detection: Detection, bearings: list[float]) -> Picture:

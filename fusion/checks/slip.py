@@ -82,8 +82,12 @@ def slip(drive: Drive) -> WheelSlip | None:
     """
     if drive.wheels.matched is not None or drive.wheels.noise <= 0.0:
         return None
-    seen = [_by(name, *heading, drive.wheels) for name, heading in headings(drive.measurements).items()]
-    found = [one for one in seen if one is not None]
+    found = []
+    for name, (t, heading) in headings(drive.measurements).items():
+        short, long = (_turns(t, heading, window, drive.wheels) for window in (SHORT_S, LONG_S))
+        growth = _growth(short, long, MIN_EXPECTED_RAD)
+        if growth is not None and np.ptp(heading) > 0.0:  # it is 0 for scans without lines
+            found.append(growth._replace(by=name))
     less = [s for s in found if s.factor < 1.0 / MAX_FACTOR]
     if len(less) > 1 and len(less) == len(found):
         names = " and ".join(s.by for s in less)
@@ -103,14 +107,6 @@ def beside_path(found: WheelSlip, drive: Drive, t: Array, pose: Array) -> WheelS
     if growth is None or growth.factor <= found.factor:
         return found
     return found._replace(factor=growth.factor, sigma=growth.sigma, ahead=(growth.seen, growth.expected))
-
-
-def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> WheelSlip | None:
-    if np.ptp(heading) == 0.0:
-        return None  # scans without lines
-    short, long = (_turns(t, heading, window, wheels) for window in (SHORT_S, LONG_S))
-    growth = _growth(short, long, MIN_EXPECTED_RAD)
-    return growth and growth._replace(by=name)
 
 
 def _growth(short: _Spread | None, long: _Spread | None, least: float) -> WheelSlip | None:

@@ -40,16 +40,14 @@ def of_start(
     both = np.stack((np.array(robot.start.pose), fitted.pose))
     wheels = drive.wheels
     configured, (x, y, theta) = se2.compose(both, wheels.relative(wheels.t[0], at)).tolist()
-    heading_sigma = fitted.sigma
     away, turn = math.hypot(x - configured[0], y - configured[1]), abs(se2.wrap(theta - configured[2]))
     severe = away > SEVERE_START_ERROR_M or turn > SEVERE_START_ERROR_RAD
     least = (MIN_START_ERROR_M, MIN_START_ERROR_RAD)
     if truth.theta is None or aside or by_points:
         least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
-    place = least[0] + START_SIGMAS * fitted.place_sigma(robot, truth)
-    if away < place and turn < least[1] + START_SIGMAS * math.hypot(
-        math.radians(robot.start.sigma_theta_deg), heading_sigma
-    ):
+    place_sigma = fitted.place_sigma(robot, truth)
+    turn_sigma = math.hypot(math.radians(robot.start.sigma_theta_deg), fitted.sigma)
+    if away < least[0] + START_SIGMAS * place_sigma and turn < least[1] + START_SIGMAS * turn_sigma:
         if truth.theta is not None:
             return []
         # if the configured heading is right, the first positions show the place, which the path's shape hides

@@ -12,7 +12,7 @@ from locfuse.fusion.change import robust
 from locfuse.fusion.data import Drive, LocfuseError, Stream, Truth, changes
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.streams import MergedStream
-from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle, nominal, of_truth
+from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle, nominal, of_truth
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
@@ -33,7 +33,13 @@ def of_steering(drive: Drive, robot: Robot, stream: Stream) -> list[Finding]:
     if truth is None or truth.theta is None or not isinstance(stream, MergedStream) or not is_tricycle(stream):
         return []
     misfit = _misfit(drive, truth)
-    found = _fitted(drive, truth, settings, stream) if misfit > MIN_MISFIT_M else None
+    found = None
+    if misfit > MIN_MISFIT_M:
+        shift = (int(stream.parts[0].t_ns[0]) - drive.epoch_ns) * 1e-9 + settings.time_offset
+        unknown = WheelSettings(ticks_per_revolution=settings.ticks_per_revolution, rollover=settings.rollover)
+        with suppress(LocfuseError):
+            start = nominal(stream, unknown, of_truth(truth), shift)
+            found = calibrate_tricycle(read_encoders(stream, start), start, of_truth(truth), shift)
     if found is None or found.breaks or misfit < MIN_MISFIT_SHARE * found.rms:
         return _of_zero(drive.wheels, truth, settings.wheelbase or 1.0)
     values = {key: figure.value for key, figure in found.wheels.items()}
@@ -81,14 +87,3 @@ def _misfit(drive: Drive, truth: Truth) -> float:
     turn, _ = se2.laid_on(own, seen)
     rest = seen - se2.rotated(np.full(len(own), turn), own)
     return math.sqrt(float(rest.var(axis=0).sum()))
-
-
-def _fitted(
-    drive: Drive, truth: Truth, settings: WheelSettings, stream: MergedStream
-) -> TricycleCalibration | None:
-    shift = (int(stream.parts[0].t_ns[0]) - drive.epoch_ns) * 1e-9 + settings.time_offset
-    unknown = WheelSettings(ticks_per_revolution=settings.ticks_per_revolution, rollover=settings.rollover)
-    with suppress(LocfuseError):
-        start = nominal(stream, unknown, of_truth(truth), shift)
-        return calibrate_tricycle(read_encoders(stream, start), start, of_truth(truth), shift)
-    return None

@@ -234,6 +234,7 @@ CHANCE_GAIN = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # largest gain of two confi
 
 Fixes = tuple[str, ...]  # "table.key=value"
 Scores = Mapping[str, Marks]  # by configuration
+Pairs = Mapping[str, tuple[Marks, Marks]]  # by configuration: before and after a fix
 Try = Callable[[Fixes, Sequence[str]], Scores]  # settings, configurations -> their scores
 
 
@@ -263,8 +264,7 @@ class Advice(msgspec.Struct, frozen=True):
 
     finding: Finding
     fixes: Fixes = ()
-    before: Mapping[str, Marks] | None = None
-    after: Mapping[str, Marks] | None = None
+    pairs: Pairs = {}
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
     harmless: bool = False  # whether some alternative made nothing worse
     candidate: Candidate | None = None  # the candidate of the finding
@@ -275,16 +275,6 @@ class Advice(msgspec.Struct, frozen=True):
         return () if self.candidate is None else self.candidate.judges
 
     @property
-    def measured(self) -> bool:
-        """Whether the fix's value was measured from the drive."""
-        return self.candidate is not None and self.candidate.measured
-
-    @property
-    def proven(self) -> bool:
-        """Whether several other logs agree on the fix's value."""
-        return self.candidate is not None and self.candidate.proven
-
-    @property
     def helps(self) -> bool:
         """Whether a fix was found that helps."""
         return bool(self.fixes)
@@ -292,10 +282,7 @@ class Advice(msgspec.Struct, frozen=True):
     @property
     def shown_by(self) -> str | None:
         """Name of the configuration that gains most by the fix."""
-        if not self.before or not self.after:
-            return None
-        before, after = self.before, self.after
-        return max((name for name in before if name in after), key=lambda name: gain(before[name], after[name]))
+        return max(self.pairs, key=lambda name: gain(*self.pairs[name]), default=None)
 
 
 def together(*sets: Fixes) -> Fixes:
@@ -413,15 +400,10 @@ def _with_rest(advice: Advice) -> Advice:
     return replace(advice, finding=replace(advice.finding, message=words, source="", hint=""))
 
 
-def _with_fix(advice: Advice, fixes: Fixes, pairs: Mapping[str, tuple[Marks, Marks]]) -> Advice:
-    before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
-    return replace(advice, fixes=fixes, before=before, after=after)
-
-
 def _without_fix(advice: Advice) -> Advice:
     words = f"{advice.finding.message}; set so, it is measured further off: something else is wrong"
     finding = replace(advice.finding, message=words, severe=True)
-    return replace(advice, finding=finding, fixes=(), before=None, after=None)
+    return replace(advice, finding=finding, fixes=(), pairs={})
 
 
 def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tuple[str, str]]) -> list[Advice]:
@@ -460,7 +442,8 @@ def _weight(advice: Advice) -> float:
 
     The bonus is needed because another fix, such as more noise, may gain more by chance.
     """
-    return worth(advice) + (CHANCE_GAIN if advice.measured else 0.0)
+    measured = advice.candidate is not None and advice.candidate.measured
+    return worth(advice) + (CHANCE_GAIN if measured else 0.0)
 
 
 def _beside_another(
@@ -483,17 +466,15 @@ def _beside_another(
             others = [a for a in _first_that_helps(case, beside, trial, now) if a.helps]
             both = together(beside, *(other.fixes for other in others))
             pairs = scored(kept, both, advice.judges, trial)
-            if others and pairs and not _any_worsened(pairs, case.kept(advice.finding.role)):
-                return [_with_fix(advice, fixes, pairs), *others]
+            if not others or not pairs:
+                continue
+            strict = case.kept(advice.finding.role)  # for other configurations only a loss beyond chance counts
+            if not any((worsens if name in strict else worsens_alone)(*pair) for name, pair in pairs.items()):
+                return [replace(advice, fixes=fixes, pairs=pairs), *others]
     return []
 
 
-def _any_worsened(pairs: Mapping[str, tuple[Marks, Marks]], kept: Collection[str]) -> bool:
-    """Return whether a configuration gets worse; for those not in `kept`, only a loss beyond chance counts."""
-    return any((worsens if name in kept else worsens_alone)(*pair) for name, pair in pairs.items())
-
-
-def scored(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Try) -> dict[str, tuple[Marks, Marks]]:
+def scored(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Try) -> Pairs:
     """Return the figures of configurations before and after `fixes`; {} if some are missing."""
     before, after = trial(kept, judges), trial(fixes, judges)
     return {name: (before[name], after[name]) for name in before} if before and after else {}
@@ -501,9 +482,7 @@ def scored(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Try) -> dict
 
 def worth(advice: Advice) -> float:
     """Return the sum of the gains of all configurations that judged a fix."""
-    if advice.before is None or advice.after is None:
-        return 0.0
-    return sum(gain(advice.before[name], advice.after[name]) for name in advice.before)
+    return sum(gain(*pair) for pair in advice.pairs.values())
 
 
 def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
@@ -512,14 +491,10 @@ def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
     If two sensors disagree and there is no truth, a change of either sensor improves the prediction of the other
     one. So only configurations that judged all rivals count, if there are any.
     """
-    if (
-        advice.before is None
-        or advice.after is None
-        or any(s.position is not None for s in advice.before.values())
-    ):
+    if any(before.position is not None for before, _ in advice.pairs.values()):
         return worth(advice)
-    shared = [name for name in advice.before if all(name in (a.before or {}) for a in rivals)]
-    return sum(gain(advice.before[name], advice.after[name]) for name in shared) or worth(advice)
+    shared = [pair for name, pair in advice.pairs.items() if all(name in a.pairs for a in rivals)]
+    return sum(gain(*pair) for pair in shared) or worth(advice)
 
 
 def best_of(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
@@ -557,14 +532,12 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
             guards = scored(kept, together(kept, fixes), candidate.guards, trial)
             if any(leaves(*pair) for pair in guards.values()):
                 continue
-            advice = _with_fix(unfixed, fixes, pairs)
+            advice = replace(unfixed, fixes=fixes, pairs=pairs)
             options += [advice] if (shown and not shape) or worth(advice) > 0.0 else []
     return max(options, key=worth, default=replace(unfixed, harmless=harmless))
 
 
-def judged_pairs(
-    candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool = False
-) -> dict[str, tuple[Marks, Marks]]:
+def judged_pairs(candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool = False) -> Pairs:
     """Return each judge's figures before and after a fix; {} if one of them gets worse."""
     pairs: dict[str, tuple[Marks, Marks]] = {}
     chance_alone = turned = False

@@ -67,7 +67,11 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     noisy = _noise_like_jumps(truth, drive)
     if noisy:
         return noisy
-    jumps = _jumps(drive) or _steps(truth, drive)
+    found, jumps = jumps_of(drive), _steps(truth, drive)
+    few_stay = found is not None and not found.spikes and 0 < found.staying <= MAX_STEPS
+    if found is not None and not (few_stay and jumps):  # of few jumps that stay, `_steps` gives the times
+        speed = max(1.0, math.ceil(3.0 * _fastest(drive)))
+        jumps = [Finding("truth", JUMP, found.words, (f"truth.max_speed={speed:g}",), True)]
     swings = swing(truth, drive)
     yaw = of_yaw(swings, robot)
     if yaw and swings is not None and truth.theta is not None:
@@ -82,7 +86,11 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     aside = abs(swings.aside) if swings is not None and creep else 0.0
     start = [] if jumps else of_start(truth, drive, robot, aside)
     noise = [] if jumps else _noise(truth, drive)
-    return [*yaw, *jumps, *_gaps(truth), *noise, *point, *start, *creep]
+    dt = np.diff(truth.t)
+    long = dt > gap_limit(truth.t)
+    words = f"{gaps_of(int(long.sum()), float(dt.max()))}: no errors are computed there"
+    gaps = [Finding("truth", "gap", words)] if long.any() else []
+    return [*yaw, *jumps, *gaps, *noise, *point, *start, *creep]
 
 
 def with_headings(truth: Truth, wheels: Wheels) -> Truth:
@@ -105,11 +113,13 @@ def _inside(truth: Truth, wheels: Wheels) -> Mask:
     return within
 
 
-def _steps(truth: Truth | None, drive: Drive) -> list[Finding]:
+def _steps(truth: Truth, drive: Drive) -> list[Finding]:
     """Return a finding if the truth steps off the wheels' path between two stamps and does not come back."""
-    if truth is None or drive.wheels.matched is not None:
+    if drive.wheels.matched is not None:
         return []  # scan matching loses its way too
-    truth = with_headings(_without_repeats(truth), drive.wheels)
+    new = np.append(True, np.diff(truth.xy, axis=0).any(axis=1))  # a held pose seems to step when it is renewed
+    theta = None if truth.theta is None else truth.theta[new]
+    truth = with_headings(replace(truth, t=truth.t[new], xy=truth.xy[new], theta=theta), drive.wheels)
     path = axle_path(truth, drive.wheels)
     if path is None or truth.theta is None:
         return []
@@ -132,22 +142,6 @@ def _steps(truth: Truth | None, drive: Drive) -> list[Finding]:
     where = ", ".join(f"{away:.2f} m at {t:.1f} s" for t, away in found)
     words = f"it steps aside by {where}, while the robot rolls on: errors after that are the truth's"
     return [Finding("truth", STEP, words, (), True)]
-
-
-def _without_repeats(truth: Truth) -> Truth:
-    """Return the truth without poses that equal the pose before: a held pose seems to step when it is renewed."""
-    new = np.append(True, np.diff(truth.xy, axis=0).any(axis=1))
-    theta = None if truth.theta is None else truth.theta[new]
-    return replace(truth, t=truth.t[new], xy=truth.xy[new], theta=theta)
-
-
-def _gaps(truth: Truth) -> list[Finding]:
-    dt = np.diff(truth.t)
-    long = dt > gap_limit(truth.t)
-    if not long.any():
-        return []
-    words = f"{gaps_of(int(long.sum()), float(dt.max()))}: no errors are computed there"
-    return [Finding("truth", "gap", words)]
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
@@ -239,15 +233,6 @@ def _noise_like_jumps(truth: Truth, drive: Drive) -> list[Finding]:
     return [replace(f, severe=True) for f in noise] if rest is None or not rest.unusable else []
 
 
-def _jumps(drive: Drive) -> list[Finding]:
-    """Return a finding on jumps of the truth; [] for few that do not return: `_steps` gives their times."""
-    found = jumps_of(drive)
-    if found is None or (not found.spikes and 0 < found.staying <= MAX_STEPS and _steps(drive.truth, drive)):
-        return []
-    speed = max(1.0, math.ceil(3.0 * _fastest(drive)))
-    return [Finding("truth", JUMP, found.words, (f"truth.max_speed={speed:g}",), True)]
-
-
 def _fastest(drive: Drive) -> float:
     """Return the 99th percentile of the wheels' speed [m/s]."""
     return float(np.percentile(np.hypot(*drive.wheels.twist[:, :2].T) / np.diff(drive.wheels.t), 99.0))
@@ -288,11 +273,8 @@ def of_axes(drive: Drive) -> list[Finding]:
     level = np.ptp(xy, axis=0)
     if wide > MIN_EXTENT_M and level.max() < MAX_STILL_M:
         words = f"its positions stay within {level.max():.2f} m, while the wheels drive {wide:.1f} m far"
-        return [
-            Finding(
-                "truth", AXES, f"{words}: it does not track this robot, or the wheels turn in the air", (), True
-            )
-        ]
+        words += ": it does not track this robot, or the wheels turn in the air"
+        return [Finding("truth", AXES, words, (), True)]
     last = np.minimum(np.searchsorted(t, t + WINDOW_S), len(t) - 1)
     seen, rolled = float(((xy[last] - xy) ** 2).sum()), float(((path[last] - path) ** 2).sum())
     share = MAX_LEVEL_SHARE * narrow

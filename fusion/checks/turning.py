@@ -101,8 +101,7 @@ def turnings(drive: Drive) -> dict[str, Turning]:
 
 
 def _fits(known: Mapping[str, Headings], wheels: Wheels) -> dict[str, Turning]:
-    found = {name: explain(h, wheels) for name, h in known.items()}
-    return {name: fit for name, fit in found.items() if fit is not None}
+    return {name: fit for name, h in known.items() if (fit := explain(h, wheels)) is not None}
 
 
 def explain(h: Headings, wheels: Wheels) -> Turning | None:
@@ -258,16 +257,11 @@ def _against_truths_turns(drive: Drive, by_sensor: Mapping[str, Turning]) -> lis
         start, turned = (c[(start >= truth.t[0]) & (start + WINDOW_S <= truth.t[-1])] for c in (start, turned))
         if name in by_sensor or len(start) < MIN_WINDOWS:
             continue
-        by_truth = changes(start, WINDOW_S, truth.t, np.unwrap(truth.theta))
-        if _turning_correlation(by_truth, turned) < -MIN_AGAINST_CORRELATION:
+        both = np.stack((changes(start, WINDOW_S, truth.t, np.unwrap(truth.theta)), turned))
+        turns = np.sqrt((both**2).mean(axis=1)).min() > MIN_AGAINST_TURN_RAD
+        if turns and np.corrcoef(both)[0, 1] < -MIN_AGAINST_CORRELATION:
             found.append(name)
     return found
-
-
-def _turning_correlation(a: Array, b: Array) -> float:
-    """Return the correlation of turns (n,) [rad]; 0 if one of them hardly turns."""
-    turns = min(float(np.sqrt((one**2).mean())) for one in (a, b)) > MIN_AGAINST_TURN_RAD
-    return float(np.corrcoef(a, b)[0, 1]) if turns else 0.0
 
 
 def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream], whom: str = "wheels") -> Finding:

@@ -122,19 +122,17 @@ class Bench:
 
     def now(self) -> list[TuneLog]:
         """Return copies of the logs whose robot settings, motions and measurements have the present noise."""
-        return [self._now(t) for t in self.trials]
-
-    def _now(self, trial: TuneLog) -> TuneLog:
-        d, figures = trial.drive, self.figures
-        scaled = {
-            s: rescaled(m, math.exp(figures.factors.get(s, 0.0) - self._measured_at[s]))
-            for s, m in d.measurements.items()
-            if s in figures.sensors
-        }
+        figures, found = self.figures, []
         more = figures.factor(WHEELS)
-        to_truth = None if d.truth_motions is None else _with_more_noise(d.truth_motions, more)
-        drive = replace(d, motions=_with_more_noise(d.motions, more), truth_motions=to_truth, measurements=scaled)
-        return trial._replace(drive=drive, robot=figures.robot(trial.robot))
+        factors = {s: math.exp(figures.factors.get(s, 0.0) - self._measured_at[s]) for s in figures.sensors}
+        for trial in self.trials:
+            d = trial.drive
+            scaled = {s: rescaled(m, factors[s]) for s, m in d.measurements.items() if s in factors}
+            to_truth = None if d.truth_motions is None else _with_more_noise(d.truth_motions, more)
+            motions = _with_more_noise(d.motions, more)
+            drive = replace(d, motions=motions, truth_motions=to_truth, measurements=scaled)
+            found.append(trial._replace(drive=drive, robot=figures.robot(trial.robot)))
+        return found
 
     def bring_near(self, progress: Progress) -> None:
         """Scale each sigma by the sensor's own innovations until most measurements are accepted."""
@@ -234,13 +232,11 @@ def brings_covariance(sensor: str, trials: Sequence[TuneLog]) -> bool:
 
 def check_same_noise(trials: Sequence[TuneLog], sensors: Sequence[str]) -> None:
     """Raise LocfuseError if two logs are configured with different noise: the search needs one start."""
-    first = trials[0]
-    for t in trials[1:]:
-        pairs = [("wheels.noise", first.robot.wheels.noise, t.robot.wheels.noise)]
-        for s in sensors:
-            a, b = first.robot.settings(s), t.robot.settings(s)
-            pairs += [(f"{s}.{k}", getattr(a, k), getattr(b, k)) for k in REGISTRY[s].noise_keys]
-        for key, a, b in pairs:
+    first, *others = trials
+    configured = Figures(first.robot, tuple(sensors)).values()
+    for t in others:
+        for key, b in Figures(t.robot, tuple(sensors)).values().items():
+            a = configured[key]
             if a != b:
                 fix = f"{key}={a:g}"
                 raise LocfuseError(

@@ -74,7 +74,8 @@ def test_two_percent_are_no_loss_and_without_a_smoothed_path_nothing_is_judged()
 
 def test_a_fix_of_the_shape_is_judged_by_the_shape_of_the_smoothed_path() -> None:
     """Where nobody observes the start, the direction of the map is chance."""
-    by_shape = Advice(EARLY.finding, (CLOCK,), before={"lrf": Marks(0.1, aligned=True)})
+    same = Marks(0.1, aligned=True)
+    by_shape = Advice(EARLY.finding, (CLOCK,), {"lrf": (same, same)})
     scores = {(): Marks(0.1, shape=0.05), (CLOCK,): Marks(0.2, shape=0.04)}
     one = SimpleNamespace(smoothed=lambda fixes, names: dict.fromkeys(names, scores[fixes]))
     assert smoothed_worse([by_shape], (), (CLOCK,), ["lrf"], one) is None  # type: ignore[arg-type]

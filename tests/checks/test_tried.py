@@ -82,8 +82,7 @@ def test_fixes_that_combine_are_tried_together_the_most_valuable_first() -> None
     trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys(OFFSET): 0.08, keys(LAG, OFFSET): 0.01})
     found = found_in([BIASED, LATE], trial)
     assert helpful(found) == [(LAG,), (OFFSET,)]
-    assert found[1].before is not None
-    assert found[1].before["all"].position == 0.05  # on top of the first
+    assert found[1].pairs["all"][0].position == 0.05  # on top of the first
 
 
 def test_a_finding_that_no_fix_helps_against_is_kept_without_one_and_an_offer_is_not() -> None:
@@ -290,9 +289,10 @@ def test_a_fix_that_moves_a_free_map_is_judged_by_shape(shape: float, measured: 
     (found,) = found_in([candidate], trial)
     assert found.helps == helps
     assert not any(a.helps for a in found_in([replace(candidate, by_shape=False)], trial))
-    if helps and found.before is not None and found.after is not None:
-        assert found.after["lrf"] == Marks(shape, shape=shape, aligned=True)
-        assert found.before["lrf"].position == 0.005
+    if helps:
+        before, after = found.pairs["lrf"]
+        assert after == Marks(shape, shape=shape, aligned=True)
+        assert before.position == 0.005
 
 
 def test_where_the_position_itself_gains_the_shape_is_not_asked() -> None:
@@ -301,7 +301,9 @@ def test_where_the_position_itself_gains_the_shape_is_not_asked() -> None:
 
     (found,) = found_in([replace(LATE, by_shape=True)], trial)
     assert found.helps
-    assert found.before == {name: Marks(0.02, shape=0.004) for name in LATE.judges}
+    assert {name: before for name, (before, _) in found.pairs.items()} == dict.fromkeys(
+        LATE.judges, Marks(0.02, shape=0.004)
+    )
 
 
 @pytest.mark.parametrize(("third", "taken"), [("-0.18", True), ("-0.24", False)])

@@ -82,7 +82,7 @@ class ClockOffset(MessageFault, frozen=True, kw_only=True, tag="clock_offset"):
     jitter: NotNegative = 0.0  # s, 1 sigma of each stamp; stamps keep their order
 
     def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
-        """Return the times with the stamp of the wrong clock."""
+        """Return the times of a message, with the stamp that the faulty clock gives."""
         ahead = self.seconds + 1e-6 * self.drift_ppm * (dates.taken - self.start)
         return dates._replace(stamp=dates.stamp + ahead + self.jitter * rng.standard_normal())
 

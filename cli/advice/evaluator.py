@@ -142,7 +142,7 @@ def _harm_to_path_or_map(
 def smoothed_worse(
     found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
 ) -> tuple[float, float] | None:
-    """Return the errors [m] (before, after) of the first smoothed path that fixes make worse; None if none does.
+    """Return the errors [m] (before, after) of the first smoothed path that fixes make worse; None without one.
 
     If a fix in `found` was judged after alignment, smoothed paths are judged after alignment too.
     """

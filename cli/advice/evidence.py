@@ -126,9 +126,9 @@ class Evidence(NoiseFindings):
         )
 
     def _on_even_clocks(self, find: Callable[[], list[Candidate]]) -> list[Candidate]:
-        """Return the candidates of `find` without those of a sensor if the stamps of another sensor scatter.
+        """Return the candidates of `find`; if any stamps scatter, without those of sensors whose stamps are even.
 
-        Scattering stamps of one sensor can look like the noise of another.
+        Scattering stamps of one sensor can look like noise of another sensor.
         """
         uneven = {f.role for f in self.doctor if f.code == UNEVEN}
         return [c for c in find() if not uneven or c.finding.role in uneven or c.finding.role not in REGISTRY]

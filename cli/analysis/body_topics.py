@@ -85,7 +85,11 @@ class Body(NamedTuple):
 
 
 def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
-    """Return the body's motion, or None. `scans`: by scan matching too; `stand_in`: by estimates and commands."""
+    """Choose the topic that gives the motion of the robot's body; None if there is none.
+
+    `scans`: judge motions by laser scans, and match the scans if no motion is usable. `stand_in`: without laser
+    scans and measured motion, use a substitute such as estimated poses or commands.
+    """
     laser = of_sensor(log, robot, "lrf", (SCANS,)) if scans else None
     if laser is None:
         body = _best_agreeing(log, robot, choice, [*_measured(log, robot, choice, speeds=True)])

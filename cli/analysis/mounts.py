@@ -112,7 +112,11 @@ def on_moving_parts(
 
 
 def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fx and cx [px] for sensors with these settings, by the CameraInfo in their frame or the only one."""
+    """Return fx and cx [px] of each sensor that has these settings, from the CameraInfo topic of its frame.
+
+    If no CameraInfo topic has this frame, the log's only CameraInfo topic is used. A sensor with
+    several topics gets {"optics": {topic: [fx, cx]}}. Sensors with a configured fx are omitted.
+    """
     infos = filled(log, CAMERA_INFO)
     found: dict[str, Any] = {}
     for sensor, parts in streams.items():

@@ -98,7 +98,10 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
 def _placed(
     log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
 ) -> tuple[StaticTransforms, dict[str, Any], Robot]:
-    """Return the log's transforms, the mounts that they give, and the robot with these and `tables` above."""
+    """Return the log's static transforms, the sensor mounts by these transforms, and the robot with these mounts.
+
+    Settings in `tables` override the mounts.
+    """
     streams: dict[str, list[Stream]] = {}
     for name in REGISTRY:
         for topic in choice.of(name):

@@ -88,7 +88,7 @@ GUESSED_CODES = {"choice", "unusable", "truth?"}  # codes of findings with the f
 
 
 class Draft(NamedTuple):
-    """A draft of robot.toml, with the settings that are missing."""
+    """Draft of robot.toml, and the keys that still need a value."""
 
     overview: Overview  # with all active fixes
     sections: list[TomlSection]

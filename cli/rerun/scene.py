@@ -223,7 +223,11 @@ def scene_of(report_file: Path) -> RerunScene:
 
 
 def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
-    """Return the scene of a results' folder; `by_run`: trajectory and smoothed .tum or .csv, else a .tum each."""
+    """Return the scene of a folder of results.
+
+    `by_run`: the folder has the files trajectory and smoothed, as .csv or .tum. Else it has one .tum file for each
+    configuration, with the configuration's name.
+    """
     rows = report["configurations"]
     file_of = {n: ("smoothed" if row["smoothed"] else "trajectory") if by_run else n for n, row in rows.items()}
     tracks = {name: _trajectory(folder, file, by_run) for name, file in file_of.items()}

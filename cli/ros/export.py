@@ -46,7 +46,10 @@ def fresh(found: FoundRobot, targets: Sequence[str]) -> Made:
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
-    """Return the targets to write into a file; with `any_of` only those in the file, if it has any."""
+    """Return the targets whose parameters are written into a parameter file.
+
+    With `any_of`, targets that the file lacks are left out, unless it lacks all of them.
+    """
     if any_of:
         targets = [target for target in targets if sections_of(file, target)] or targets
     for target in targets:

@@ -156,7 +156,10 @@ class _Work:
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
-        """Run a command with the settings so far, again after fixes that its error names; None if it fails."""
+        """Run a command with the settings found so far; return its result, or None if it fails.
+
+        If the error message names fixes, they are added to the settings, and the command runs again.
+        """
         for _ in range(MAX_FIRST + 1):
             try:
                 found = find(self.sets)

@@ -220,7 +220,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return self.compared(Asked(configuration_words(sensors), **choices))
 
     def compared(self, asked: Asked) -> Comparison:
-        """Return the comparison with these options, as `compare` does."""
+        """Run and evaluate the configurations of `asked`, as `compare` does; return all runs and the report."""
         check_runs(asked.jitter)
         asked = replace(asked, reference=self._uses_reference(asked))
         wanted = for_comparison(asked.sensors, self.drive, asked.all_subsets)

@@ -85,7 +85,10 @@ def drive(scenario: Scenario, seed: int, out: Path) -> Outcome:
 
 
 def localise(word: str) -> Localise:
-    """Return a function that builds the robot's estimator: "truth", "odometry", "all", or sensor names."""
+    """Return a function that builds the robot's estimator from the tables of robot.toml.
+
+    `word` is the choice of the estimator: "truth", "odometry", "all", or sensor names joined by "+" or ",".
+    """
     from locfuse.sample_logs.simulate import on_truth
 
     def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:

@@ -371,7 +371,7 @@ def _evenly_filled(times: Ints, keep: Mask) -> Ints:
 
 
 def _gap_in_file(times: Ints, keep: Mask, wrong: Ints) -> bool:
-    """Return whether most of the times with indices `wrong` are really wrong, and not of messages written late.
+    """Return whether most messages with indices `wrong` have wrong times; if not, they were written late.
 
     For a wrong time, the gap in the kept times is larger at the message's place in the file than at its time.
     """

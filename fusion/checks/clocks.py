@@ -103,13 +103,16 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
 
 
 def rival_of(explanations: Sequence[Sequence[Clock]]) -> Clock | None:
-    """Return the clock of a second explanation with one wrong clock, as good as the first; None if none is."""
+    """Return the wrong clock of another explanation, if it and the first have one wrong clock each; else None.
+
+    Explanations are equally good; each is a list of wrong clocks.
+    """
     first, *others = explanations or ((),)
     return next((e[0] for e in others if len(first) == len(e) == 1 and e[0].name != first[0].name), None)
 
 
 def rival_words(rival: Clock | None, robot: Robot) -> str:
-    """Return a clause on the clock that may be wrong instead, "" without one."""
+    """Return a clause with the time offset of the other clock that may be wrong, `rival`; "" for None."""
     if rival is None:
         return ""
     return f"; no third clock shows which of the two is wrong: {offset_of(rival, robot, 2)} is equivalent"

@@ -267,9 +267,10 @@ def of_holes(drive: Drive, found: Sequence[tuple[float, float]]) -> list[Finding
 
 
 def longest_part(drive: Drive, found: Sequence[tuple[float, float]]) -> tuple[float | None, float | None]:
-    """Return begin and end [s] of the longest part without one of the holes `found` [s]; None: no bound.
+    """Return begin and end [s] of the longest part of the drive between the holes `found`, (begin, end) [s] each.
 
-    Another part than the first one must be twice as long, since only the first part has a known start pose.
+    Begin is None if the part starts with the drive; end is None if it ends with the drive. Another part is chosen
+    only if it is more than twice as long as the first part, since only the first part has a known start pose.
     """
     ends = [float(drive.t[0]), *(t for hole in found for t in hole), float(drive.t[-1])]
     spans = [(b - a) * (1.0 if i else 2.0) for i, (a, b) in enumerate(zip(ends[::2], ends[1::2], strict=True))]

@@ -82,9 +82,9 @@ class WallMotion(NamedTuple):
 
 
 def laser_motion(drive: Drive, robot: Robot, offset: float) -> WallMotion | None:
-    """Return laser scale, laser yaw error and turn ratio from walls seen in two scans; None with too few of them.
+    """Return distance scale and yaw error of the laser, and turn ratio of the wheels, by walls seen in two scans.
 
-    `offset` [s] is added to the laser's times: the wheels' clock.
+    Return None for too few walls. `offset` [s] is added to the laser's times to convert them to the wheels' clock.
     """
     m = drive.measurements.get("lrf")
     if m is None or len(m.t) <= MIN_SCANS:

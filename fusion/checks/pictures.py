@@ -112,7 +112,7 @@ def of_handedness(drive: Drive, robot: Robot) -> list[Finding]:
 
 
 def turning_along(drive: Drive, robot: Robot) -> tuple[float | None, float]:
-    """Return the share of the robot's turns in which the landmark's bearing turns along, and their sum [rad].
+    """Return the share of turns with a bearing change of equal sign, and the sum of all turns [rad].
 
     The share is None without a landmark, or if the robot hardly turned.
     """

@@ -194,7 +194,7 @@ def _places_seen(
 
 
 def _compared(name: str, settings: PointsSettings, seen: Mapping[int, Place]) -> list[Finding]:
-    """Return the finding on what is wrong with the map, or on one anchor with an offset of its own."""
+    """Return a finding on wrong places in the map, or on anchors whose range offset differs from the others'."""
     ids = [*seen]
     a = np.array([settings.places[i] for i in ids]).reshape(-1, 2)
     b = np.array([seen[i].xy for i in ids]).reshape(-1, 2)

@@ -155,7 +155,10 @@ def _of_body(fit: FrameFit, robot: Robot) -> list[Finding]:
 
 
 def _of_speeds(drive: Drive) -> list[Finding]:
-    """Return a finding on a twist whose distances or turns are not those of the truth, else of the wheels."""
+    """Return a finding if forward speeds or turning rates of a twist are wrong by a factor.
+
+    They are compared with the truth if it has headings, else with the wheels.
+    """
     m, truth = drive.measurements.get("twist"), drive.truth
     if m is None or len(m.t) < MIN_WINDOWS:
         return []
@@ -223,7 +226,7 @@ def of_east(drive: Drive, robot: Robot) -> list[Finding]:
 
 
 class Antenna(NamedTuple):
-    """Antenna position on the base by the headings of one run, and the clock error that would explain the same."""
+    """Antenna position on the base by the headings of one run; also the clock error with the same effect."""
 
     rest: float  # m, median residual of the steps
     x: float  # m

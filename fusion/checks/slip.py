@@ -145,7 +145,10 @@ def _turns(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread |
 
 
 def _distances(wheels: Wheels, begin: Array, t: Array, pose: Array, window: float) -> _Spread | None:
-    """Return the spread of distance differences between a path and the wheels over windows [s]; or None."""
+    """Return the spread of the differences between distances of a path and of the wheels, over equal windows.
+
+    The windows begin at the times `begin` [s] and last `window` [s]. Return None if they are too few.
+    """
     begin = begin[(begin >= max(t[0], wheels.t[0])) & (begin + window <= min(t[-1], wheels.t[-1]))]
     if len(begin) < 2 or np.ptp(begin) < MIN_WINDOWS * window:
         return None

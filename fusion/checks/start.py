@@ -87,7 +87,7 @@ class TruthStart(NamedTuple):
     t: float  # s: start of the truth if the robot moved before it, else the first wheel reading
 
     def place_sigma(self, robot: Robot, truth: Truth) -> float:
-        """Return the sigma [m] of the start position, without the sigma of the robot's [start]."""
+        """Return the sigma [m] of the difference between the start positions in robot.toml and by the truth."""
         # the path is aligned about its middle: an error of the heading moves the start by half the path times it
         return math.hypot(robot.start.sigma_xy, 0.5 * self.way * self.sigma, self.spread, truth.sigma)
 

@@ -135,9 +135,10 @@ def swing_by_positions(truth: Truth, drive: Drive) -> Swing | None:
 
 
 def _tells_point(turned: Plane, rolled: Plane) -> bool:
-    """Return whether the changes of exp(i theta) and the steps of a path tell a point beside the axle from scale.
+    """Return whether a path shows the difference between a tracked point beside the axle and a scale error.
 
-    On a circle, such a point moves like a path of another scale.
+    On a circle, both have the same effect. `turned` has the changes of exp(i theta), `rolled` the steps of the
+    path.
     """
     square, length = (float(np.vdot(one, one).real) for one in (turned, rolled))
     if 2.0 * square < 1.0:

@@ -146,7 +146,7 @@ def worsens_far(before: Marks, after: Marks) -> bool:
 
 
 def was_chance(before: Marks, after: Marks) -> bool:
-    """Return whether the smaller error before a fix was chance: only the ANEES before the fix was inconsistent."""
+    """Return whether a smaller error before a fix was chance: the fix makes an inconsistent ANEES consistent."""
     if before.position is None or not after.anees:
         return False
     return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0

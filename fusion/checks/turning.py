@@ -376,7 +376,10 @@ def source_words(name: str) -> str:
 
 
 def _of_truth(drive: Drive) -> dict[str, Headings]:
-    """Return at most MAX_HEADINGS headings of the truth, or without them directions of travel; {} if unknown."""
+    """Return {"truth": headings} with at most MAX_HEADINGS headings; {} if there are none.
+
+    For a truth without headings, the directions of travel are returned.
+    """
     truth, wheels = drive.truth, drive.wheels
     if truth is None:
         return {}

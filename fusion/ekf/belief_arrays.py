@@ -460,7 +460,7 @@ class JointBelief(ekf.State):
         self._mark_kept()
 
     def know_frame(self, frame: Array, P: Array) -> None:
-        """Set the map frame to (3,) with covariance P (3, 3), by evidence that is independent of the state.
+        """Set the map frame pose to `frame` (3,), covariance P (3, 3), by evidence independent of the state.
 
         All other states are corrected by their covariance with the frame (Jeffrey's rule for Gaussians): a state
         changes by K (frame - G), and its covariance by K (P - P_G) K', with K = P_rG P_G^-1.

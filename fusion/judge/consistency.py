@@ -297,7 +297,7 @@ class RunInnovations(NamedTuple):
 
     @classmethod
     def of(cls, drive: Drive, estimates: Estimates) -> RunInnovations:
-        """Return a run with figures of its innovations, and without its audits."""
+        """Compute the innovation figures of each sensor of a run; the audits are not kept."""
         found = {s: own(estimates.audits[s], drive.measurements[s]) for s in estimates.sensors}
         return cls(drive, replace(estimates, audits={}), found)
 

@@ -118,7 +118,10 @@ def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float
 
 
 def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
-    """Return medians, robust deviations and normalised means (d,), and autocorrelation of `compared` rows."""
+    """Return median, robust deviation and normalised mean of each innovation component, (d,), and autocorrelation.
+
+    Only the rows with the indices `compared` are used.
+    """
     y = audit.y.take(compared, axis=0)  # ten times faster than audit.y[compared]
     middle = _medians(y)
     deviation = np.array([robust_sigma(c - centre) for c, centre in zip(y.T, middle, strict=True)])

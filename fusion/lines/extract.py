@@ -46,9 +46,10 @@ def motion_of(mount: Array) -> BeamMotion:
 
 
 def shares(beams: int) -> Array:
-    """Return how much the wheel slip within each piece of a scan moves each beam, 0 to 1, (pieces, beams).
+    """Return the fraction (pieces, beams) of the wheel slip in each piece of a scan that displaces each beam.
 
-    It is 0 for the beam at the middle of the scan, since the other beams are deskewed to this beam.
+    The fraction is from 0 to 1. It is 0 for the middle beam of the scan, since the other beams are deskewed to
+    this beam.
     """
     at = np.linspace(-0.5, 0.5, beams)
     low, high = PIECE_EDGES[:-1, None], PIECE_EDGES[1:, None]

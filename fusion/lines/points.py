@@ -136,11 +136,11 @@ class Longest:
 
 
 def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:
-    """Read the scans of a log without the range that means "no return"; return result, laser and notes.
+    """Read the scans of a log, without ranges that mean "no return"; return the output of `read`, laser and notes.
 
-    `read` reads the scans and adds all their ranges to its `Longest`. If the longest range means "no return", they
-    are read again with a `range_max` below this range, which the returned laser has. If the user configured
-    `range_max`, all ranges up to it are used. Beams that see the robot itself are left out too.
+    `read` reads the scans and adds all their ranges to its `Longest`. If the longest range means "no return", the
+    scans are read again with a `range_max` below this range, and the returned laser has this `range_max`. If the
+    user configured `range_max`, all ranges up to it are used. Beams that see the robot itself are left out too.
     """
     longest = Longest()
     found = read(laser, longest)

@@ -173,9 +173,9 @@ class Slide:
         self._scans = 0
 
     def add(self, step: Array, next_line: int) -> tuple[Array, int] | None:
-        """Add the slip (3,) since the last scan; return None until the slip is certain.
+        """Add the slip (3,) since the last scan; once the slip is certain, return its effect, else None.
 
-        Then return the position error (2,) [m], and the id of the first map line added since the slip began.
+        The effect is the position error (2,) [m], and the id of the first map line added since the slip began.
         `next_line` is the id of the next map line. A change of direction ends the slip. Once certain, the slip is
         corrected with every further scan.
         """

@@ -386,10 +386,10 @@ class AtlasTracker(LineTracker):
         return found
 
     def _return_to(self, old: FrozenMap, belief: JointBelief) -> None:
-        """Continue in a frozen submap: its lines become states; the graph gives its relative pose.
+        """Continue in the frozen submap `old`: its lines become states, and its anchor becomes the local frame.
 
-        The pose in the map, G o q, does not change: R is the pose of the present anchor relative to the old one,
-        so G becomes G o R^-1 and q becomes R o q.
+        The graph gives R, the pose of the present anchor relative to the old one. The pose in the map, G o q, does
+        not change: G becomes G o R^-1 and q becomes R o q.
         """
         R, P = self._anchors.relative(old.anchor, self._at)
         q, frame = np.array(belief.pose()), belief.frame_pose()

@@ -347,7 +347,7 @@ def _refuse_other_units(
 
 
 def _unit(times: float) -> str | None:
-    """Return the unit of values that are `times` as large as they can be in metres; None for metres."""
+    """Return the likely unit, such as "mm", of ranges `times` as large as is possible in metres; None: metres."""
     return next((unit for least, unit in UNITS.items() if times > least), None)
 
 

@@ -157,9 +157,9 @@ class TwistModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _variance(self, m: Measurements, of: int, value: float, last: int, i: int) -> float:
-        """Return the variance of the distance (of = 0) [m^2] or turn (of = 1) [rad^2] from reading `last` to i.
+        """Return the variance of the distance [m^2] or the turn [rad^2] between the readings `last` and i.
 
-        `value` is the measured distance [m] or turn [rad].
+        `of` is 0 for the distance, 1 for the turn. `value` is the measured distance [m] or turn [rad].
         """
         variance = m.plain[VARIANCES[of]]
         return float(variance[i] - variance[last] + self.scale * value * value + m.floor.item(of, of))

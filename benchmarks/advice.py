@@ -8,7 +8,9 @@ for faults, with and without truth in the log. All its fixes are set, and the er
 and with those of the right settings. Errors are computed by the simulator's own truth, which no fault changes. A
 fault counts if it increases an error to more than 1.2 times the error with the right settings + 1 mm. The columns:
 
-- right key: a fix sets one of the fault's keys; if no key can fix the fault, a finding names the sensor.
+- right key: a fix sets one of the fault's keys; if no key can fix the fault, a finding names the sensor. Of two
+  faults, one that is not named is no miss if the fixes leave no error that counts: alone it costs nothing, as a
+  mount that the filter estimates.
 - others: a fix for another sensor is printed.
 - plaster: a fix that only hides the fault. It increases a noise or leaves out a sensor although a key would fix
   the fault, or sets a noise so large that the sensor has no effect.
@@ -138,8 +140,13 @@ def named(case: Case, row: Row) -> Row:
     useless = [
         fix for fix in plaster if fix.partition(".sigma_deg=")[2] and float(fix.partition("=")[2]) >= USELESS_DEG
     ]
+    missed = [
+        f for f in case.faults if not (keys & set(f.keys) if f.keys else not f.roles or roles & set(f.roles))
+    ]
+    right, after = ({n: e for n, (e, _) in row[key].items()} for key in ("right", "after"))
+    costs = len(missed) == len(case.faults) or gap(right, after, after)["errors_m"] is not None
     return {
-        "named": all(keys & set(f.keys) if f.keys else not f.roles or roles & set(f.roles) for f in case.faults),
+        "named": not (missed and costs),
         "others": sorted({role for role, fixes, _ in row["findings"] if fixes} - case.roles),
         "plaster": [p for p in plaster if p in useless or (case.has_key and p.partition("=")[0] not in own)],
     }

@@ -117,6 +117,8 @@ def after(metres: float, degrees: float, before: float = 0.02) -> dict[str, Any]
         ("laser 50 ms late", [LASER], {}, {"named": True}),
         ("laser 50 ms late", [("wheels", "wheels.time_offset=-0.05")], {}, {"named": False, "others": ["wheels"]}),
         (PAIR, [LASER], {}, {"named": False}),
+        (PAIR, [LASER], after(0.0057, 0.2), {"named": True}),  # the other fault costs nothing
+        (PAIR, [], after(0.0057, 0.2), {"named": False}),
         (PAIR, [LASER, COMPASS], {}, {"named": True, "others": []}),
         ("laser bumped by 4 degrees", [("lrf", "")], {}, {"named": True}),  # no key helps
         ("laser bumped by 4 degrees", [("compass", "")], {}, {"named": False}),

@@ -27,7 +27,7 @@ from locfuse.fusion.sensors.lrf import Lrf, laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, looks_like_truth
-from locfuse.fusion.wheels.motion import distances_explained, turns_explained
+from locfuse.fusion.wheels.motion import Wheels, distances_explained, turns_explained
 from locfuse.fusion.wheels.motion_by_scans import MatchedScans, match_scans
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -40,6 +40,7 @@ MAX_SPEEDS = 2  # topics of commanded or measured speeds that are scored beside 
 MOUNT_KEYS = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
 # shares of scan points that agree
 SURE_SHARE = 0.9  # a motion with a larger share is accepted without scan matching
+UNITS = {"cm": 0.01, "mm": 0.001}  # of distances, m
 WORSE_SHARE = 0.10  # largest loss of a motion against scan matching
 BELOW_STILL_SHARE = 0.05  # largest loss of a motion against standing still
 BETTER_SHARE = 0.015  # least gain of scan matching over wheels of known size for a note ...
@@ -145,9 +146,21 @@ class MotionEvidence:
             return True
         if stands or share < max(self._matched - WORSE_SHARE, self._pairs.still - BELOW_STILL_SHARE):
             does = "does not move: by it" if stands else "is not how the robot moved: by it"
-            self._rejected[topics] = f"{' and '.join(topics)} {does} {share:.0%}"
+            unit = "" if stands else self._unit(motion, share)
+            self._rejected[topics] = f"{' and '.join(topics)}{unit} {does} {share:.0%}"
             return False
         return True
+
+    def _unit(self, motion: WheelReading, share: float) -> str:
+        """Return the unit of a motion's distances in words if the scans agree with it as cm or mm; else ""."""
+        wheels = motion.wheels
+        for unit, metres in UNITS.items():
+            twist = wheels.twist * [metres, metres, 1.0]
+            smaller = motion._replace(wheels=Wheels.from_twists(wheels.t, twist, wheels.track, wheels.noise))
+            agrees = max(self._matched - WORSE_SHARE, share + TELLING_SHARE)
+            if self._pairs is not None and self._pairs.of(smaller) > agrees:
+                return f", in {unit} as it seems (--set wheels.scale={metres:g}),"
+        return ""
 
     @cached_property
     def _matched(self) -> float:

@@ -131,6 +131,13 @@ def test_an_odometry_that_is_another_motion_gives_way_to_the_scans_with_its_numb
     )
 
 
+def test_an_odometry_in_cm_is_named_and_its_scale_brings_it_back(tmp_path: Path) -> None:
+    said = odometry(T, TRUTH * (100.0, 100.0, 1.0)), scans_of(T, TRUTH)
+    (note,) = chosen(tmp_path, *said).notes
+    assert "/odom, in cm as it seems (--set wheels.scale=0.01), is not how the robot moved" in note.words
+    assert chosen(tmp_path, *said, wheels={"scale": 0.01}).of("wheels") == ("/odom",)
+
+
 def test_of_two_odometries_that_look_alike_the_one_that_agrees_with_the_laser_is_taken(tmp_path: Path) -> None:
     wrong = odometry(T, TRUTH * (-1.0, 2.5, 1.0), "/odom2")
     choice = chosen(tmp_path, odometry(T, TRUTH, "/odom1"), wrong, scans_of(T, TRUTH))

@@ -287,8 +287,9 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
     if drive.wheels.matched is None:
         wheels = stream("wheels")
         found += of_publishers("wheels", wheels)
-        stuck = of_stuck_wheel(drive) or of_signs(drive) if wheels.msgtype not in BODY_READS else []
-        found += stuck or of_wheel_unit(drive, robot, wheels.msgtype)
+        counted = wheels.msgtype not in BODY_READS
+        stuck = of_stuck_wheel(drive) if counted else []
+        found += stuck or of_wheel_unit(drive, robot, wheels.msgtype) or (of_signs(drive) if counted else [])
     for name, m in drive.measurements.items():
         found += of_publishers(name, stream(name), m.two_sources)
         found += of_range_unit(m, robot.settings("lrf")) if name == "lrf" else []

@@ -35,7 +35,7 @@ MIN_TURNED_SHARE = 0.5  # of that turn: a robot that did turn about one wheel tu
 UNSIGNED = "unsigned"  # code of the finding on encoders without a sign
 WINDOW_S, MAX_PERIOD_S = 1.0, 0.5  # s over which turns are compared; between two readings of the wheels
 MIN_SPOT_TURN_RAD, MIN_SPOT_RAD = math.radians(5.0), math.radians(45.0)  # turn on the spot: in a window, in all
-MIN_SPOT_SHARE = 0.5  # least ratio of a turn to that of both wheels in opposite directions
+MIN_SPOT_SHARE, MAX_SPOT_SHARE = 0.5, 2.0  # ratio of a turn to that of both wheels in opposite directions
 MIN_SPEED_MPS = 0.02  # mean of the drive
 MAX_LN_TURNS = 0.25  # of (sensor's turns / wheels' turns), in the right unit
 
@@ -75,7 +75,8 @@ def of_signs(drive: Drive) -> list[Finding]:
         if without_lines is not None:
             turned[changes(start, WINDOW_S, t, without_lines) > 0.0] = 0.0
         left, right = changes(start, WINDOW_S, wheels.t, totals(wheels.rolled)).T / wheels.track
-        spot = (turned > MIN_SPOT_TURN_RAD) & (turned > MIN_SPOT_SHARE * (left + right))
+        share = turned / np.maximum(left + right, 1e-9)  # 1 on the spot; far more if the wheels roll too little
+        spot = (turned > MIN_SPOT_TURN_RAD) & (share > MIN_SPOT_SHARE) & (share < MAX_SPOT_SHARE)
         spot &= np.abs(right - left) < MIN_TURNED_SHARE * turned
         if spot.any():
             found[name] = float(turned[spot].sum() * np.median(np.diff(start))) / WINDOW_S

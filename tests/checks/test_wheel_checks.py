@@ -271,6 +271,9 @@ def test_encoders_that_count_without_a_sign_are_named() -> None:
     known = replace(one, wheels=signed, truth=truth, measurements={})
     assert not of_signs(known)
     (found,) = of_signs(replace(known, wheels=signed.rerolled(np.abs(rolled), wheels.track)))
+    assert not of_signs(
+        replace(known, wheels=signed.rerolled(np.abs(rolled) / 57.3, wheels.track))
+    )  # another unit
     assert (found.code, found.severe) == ("unsigned", True)
 
 

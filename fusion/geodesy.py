@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .data import Array, LocfuseError
+from .data import Array, LocfuseError, plausible
 
 SEMI_MAJOR_AXIS_M = 6_378_137.0  # of WGS 84
 FLATTENING = 1.0 / 298.257223563
@@ -26,17 +26,25 @@ def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -
     return np.stack((east, north), axis=-1)
 
 
-def check_near(where: Array, origin: tuple[float, float], role: str) -> None:
-    """Raise LocfuseError if the fixes (n, 2) [deg] of a role are far from the configured origin of its map."""
-    first = np.median(where, axis=0)
-    read = {"": first, "exchanged": first[::-1], "in radians": np.degrees(first)}
+def on_map(where: Array, origin: tuple[float, float] | None, role: str) -> Array:
+    """Return metres (n, 2) east and north of the map's origin for fixes (n, 2) [deg]; None: of the first fix.
+
+    Raises LocfuseError if the fixes of a role are far from the configured origin of its map.
+    """
+    finite = where[plausible(where).all(axis=1)]
+    if origin is None or not len(finite):
+        first = finite[0].tolist() if len(finite) else (0.0, 0.0)
+        return east_north(where[:, 0], where[:, 1], (first[0], first[1]))
+    usual = np.median(finite, axis=0)
+    read = {"": usual, "exchanged": usual[::-1], "in radians": np.degrees(usual)}
     apart = {how: float(np.hypot(*east_north(place[0], place[1], origin))) for how, place in read.items()}
-    if apart[""] < MAX_MAP_M:
-        return
-    how = min(apart, key=lambda one: apart[one])
-    likely = f": latitude and longitude look {how}" if apart[how] < MAX_MAP_M else ""
-    words = f"its fixes ({first[0]:.4f}, {first[1]:.4f}) lie {1e-3 * apart['']:.0f} km from {role}.origin{likely}."
-    raise LocfuseError(words, role=role, hint="Correct the fixes or the origin.")
+    if apart[""] >= MAX_MAP_M:
+        how = min(apart, key=lambda one: apart[one])
+        likely = f": latitude and longitude look {how}" if apart[how] < MAX_MAP_M else ""
+        far = f"{1e-3 * apart['']:.0f} km from {role}.origin{likely}."
+        words = f"its fixes ({usual[0]:.4f}, {usual[1]:.4f}) lie {far}"
+        raise LocfuseError(words, role=role, hint="Correct the fixes or the origin.")
+    return east_north(where[:, 0], where[:, 1], origin)
 
 
 def _earth_centred(phi: Array, lam: Array) -> Array:

@@ -14,7 +14,7 @@ from locfuse.fusion.wheels.repairs import limits, spikes
 
 from . import se2
 from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible
-from .geodesy import check_near, east_north
+from .geodesy import on_map
 from .robot import TruthSettings
 from .streams import blank, count_dropped, seconds
 
@@ -111,12 +111,7 @@ def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) ->
     values = np.stack([np.asarray(column, np.float64) for column in columns.values()], axis=-1)
     if stream.msgtype != FIX:
         return values
-    finite = values[plausible(values).all(axis=1)]
-    if settings.origin is not None and len(finite):
-        check_near(finite, settings.origin, "truth")
-    origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
-    xy = east_north(values[:, 0], values[:, 1], (origin[0], origin[1]))
-    return se2.rotated(np.array(math.radians(settings.east_deg)), xy)
+    return se2.rotated(np.array(math.radians(settings.east_deg)), on_map(values, settings.origin, "truth"))
 
 
 def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: dict[str, int]) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream, plausible
-from locfuse.fusion.geodesy import check_near, east_north
+from locfuse.fusion.geodesy import on_map
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import (
@@ -100,15 +100,12 @@ class Gps(Sensor):
             words = f"{stream.topic} has no fix in {len(good)} messages ({reasons or 'none'})"
             raise LocfuseError(words, role="gps")
         where = where[good]
-        if settings.origin is not None:
-            check_near(where, settings.origin, "gps")
-        origin = settings.origin or (float(where[0, 0]), float(where[0, 1]))
         n = len(where)
         t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         return Measurements(
             t=t[good],
             first=np.arange(n + 1),
-            z=east_north(where[:, 0], where[:, 1], origin),
+            z=on_map(where, settings.origin, "gps"),
             R_unit=_covariance(columns, settings)[good] / settings.sigma**2,
             scale=settings.sigma,
             floor=np.zeros((2, 2)),

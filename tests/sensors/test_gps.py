@@ -13,7 +13,7 @@ from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.checks.positions import of_antenna
 from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, LocfuseError, Measurements
 from locfuse.fusion.fuse import Filter, fuse
-from locfuse.fusion.geodesy import check_near, east_north
+from locfuse.fusion.geodesy import east_north, on_map
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gps import Gps, GpsSettings
@@ -242,6 +242,6 @@ def test_an_antenna_off_the_base_is_found_and_a_right_one_is_not(
     ],
 )
 def test_fixes_far_from_the_origin_of_the_map_are_refused(place: tuple[float, float], words: str) -> None:
-    check_near(np.array([ORIGIN]) + 0.5, ORIGIN, "gps")
+    on_map(np.array([ORIGIN]) + 0.5, ORIGIN, "gps")
     with pytest.raises(LocfuseError, match=words):
-        check_near(np.array([place]), ORIGIN, "gps")
+        on_map(np.array([place]), ORIGIN, "gps")

@@ -22,7 +22,16 @@ from locfuse.fusion.wheels.sources import SPEEDS_ALONE
 
 from .finding import Finding
 from .truth import UNIT, wheels_metre
-from .turning import Headings, and_truth, headings_of, source_words, true_headings, turnings
+from .turning import (
+    MIN_RMS_TURN_RAD,
+    MIN_WINDOWS,
+    Headings,
+    and_truth,
+    headings_of,
+    source_words,
+    true_headings,
+    turnings,
+)
 
 PUBLISHERS = "publishers"  # code of the finding on a topic to which two publishers write
 MIN_CHANGES = 10  # from one publisher to the other
@@ -71,6 +80,8 @@ def of_signs(drive: Drive) -> list[Finding]:
         return []
     for name, (t, angle, without_lines) in (headings_of(drive) | true_headings(drive)).items():
         start = t[(t >= wheels.t[0]) & (t + WINDOW_S <= min(t[-1], wheels.t[-1]))]
+        if len(start) < MIN_WINDOWS:
+            continue
         turned = np.abs(changes(start, WINDOW_S, t, angle))
         if without_lines is not None:
             turned[changes(start, WINDOW_S, t, without_lines) > 0.0] = 0.0
@@ -234,6 +245,9 @@ def of_wheel_unit(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
 def _of_rate_unit(drive: Drive, robot: Robot) -> list[Finding]:
     """Return a finding if the turns of an odometry look like degrees: other sensors turn less far."""
     wheels, degrees = drive.wheels, math.degrees(1.0)
+    rate = float(np.sqrt(np.square(wheels.twist[:, 2] / np.diff(wheels.t)).mean()))
+    if rate * WINDOW_S < 0.5 * degrees * MIN_RMS_TURN_RAD:
+        return []  # a sensor that turned so little would not be compared
     smaller = Wheels.from_twists(wheels.t, wheels.twist / [1.0, 1.0, degrees], wheels.track, wheels.noise)
     fits = and_truth(replace(drive, wheels=smaller), turnings(replace(drive, wheels=smaller)))
     by = [n for n, t in fits.items() if abs(math.log(max((t.a - t.b) * wheels.track / 2.0, 1e-9))) < MAX_LN_TURNS]

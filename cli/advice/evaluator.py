@@ -43,7 +43,7 @@ from .report import Advised, data_advice
 from .trial import SMOOTHED, WHOLE, Trial, marks_of
 
 MAX_AGREEMENT_LOSS = 0.1  # largest accepted loss of agreement at revisited places; equally good paths differ less
-MAX_WHOLE = 2  # severe findings whose fix had no effect on the beginning: so many are tried on the whole drive
+MAX_WHOLE = 2  # severe findings whose fix did not help on the beginning: so many are tried on the whole drive
 
 
 def standard(loaded: Loaded) -> list[Configuration]:
@@ -163,7 +163,7 @@ def on_the_whole_drive(
 
     All configurations that use a finding's sensor judge its fix. The fix is dropped if one of them gets worse, or
     none gets better; with `afterwards` also if the smoothed path or the map gets worse. Severe findings whose fix
-    had no effect on the beginning are tried again, since slow errors appear later.
+    did not help on the beginning are tried again, since slow errors appear later.
     """
     judged: list[Advice] = []
     kept: Fixes = ()

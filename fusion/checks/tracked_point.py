@@ -101,7 +101,7 @@ def swing_by_positions(truth: Truth, drive: Drive) -> Swing | None:
     FRAME_S. It is found for each l and s, which are found by Gauss-Newton steps.
     """
     wheels = drive.wheels
-    inside = truth.spans(truth.t) & (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+    inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
     t, seen = truth.t[inside], truth.xy[inside] @ (1.0, 1.0j)
     last = np.searchsorted(t, t + WINDOW_S)
     first = np.flatnonzero(last < len(t))

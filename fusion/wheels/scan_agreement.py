@@ -123,7 +123,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
     def _far_lag(self, motion: WheelReading) -> float:
         """Return the lag [s] at which the motion turns as by scan matching, if that is a far one; else 0."""
         lags = np.arange(-MAX_FAR_LAG_S, MAX_FAR_LAG_S, FAR_STEP_S)
-        ends = (self._within(motion, lags[:, None])[i] for i in (0, 1))
+        ends = self._within(motion, lags[:, None])
         begin, end = (motion.wheels.heading(t.ravel()).reshape(len(lags), -1) for t in ends)
         turned, own = end - begin, self._poses[:, 2] - self._poses[:, 2].mean()
         turned -= turned.mean(axis=1, keepdims=True)

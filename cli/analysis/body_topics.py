@@ -88,7 +88,8 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
     """Choose the topic that gives the motion of the robot's body; None if there is none.
 
     `scans`: judge motions by laser scans, and match the scans if no motion is usable. `stand_in`: without laser
-    scans and measured motion, use a substitute such as estimated poses or commands.
+    scans and measured motion, use a substitute such as estimated poses or commands. Raises LocfuseError if several
+    fit.
     """
     laser = of_sensor(log, robot, "lrf", (SCANS,)) if scans else None
     if laser is None:

@@ -53,7 +53,10 @@ class Configuration(msgspec.Struct, frozen=True):
         return has_scipy() and why_not_smoothed(robot, self.sensors) is None
 
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
-        """Run the filter, with `smooth` the smoother (UsageError without optimal gain): (filtered, [smoothed])."""
+        """Run the filter, and with `smooth` the smoother. Returns (filtered,) or (filtered, smoothed).
+
+        Raises UsageError if the filter to be smoothed does not use the optimal gain.
+        """
         found: tuple[Estimates, ...]
         if smooth:
             found = filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
@@ -65,7 +68,10 @@ class Configuration(msgspec.Struct, frozen=True):
 
 
 def parse(sensors: Sensors, drive: Drive) -> Configuration:
-    """Return the configuration of one --sensors: "all", "odometry", "compass,lrf", or a list of sensors."""
+    """Return the configuration of one --sensors: "all", "odometry", "compass,lrf", or a list of sensors.
+
+    Raises UsageError for an unknown word, LocfuseError for a sensor that this log lacks.
+    """
     words = sensors if isinstance(sensors, str) else ",".join(sensors)
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     names = list(dict.fromkeys(w.strip() for w in words.replace("+", ",").split(",") if w.strip()))

@@ -127,7 +127,10 @@ def result_file(word: str) -> Path | None:
 
 
 def results_of(words: Sequence[str]) -> list[Path] | None:
-    """Return the reports if several paths are all finished results, else None. UsageError: logs among them."""
+    """Return the reports if every path is a finished result, else None.
+
+    None for a single path: one result cannot be compared. Raises UsageError for a mix of logs and results.
+    """
     found = [result_file(word) for word in words]
     reports = [file for file in found if file is not None]
     if len(words) < 2 or not reports:

@@ -109,7 +109,10 @@ def load(
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
 ) -> Loaded:
-    """Open a log, choose its topics, and measure `only` these sensors (None: all), without the roles `aside`."""
+    """Open a log, choose its topics, and measure `only` these sensors (None: all), without the roles `aside`.
+
+    Raises LocfuseError if a step fails.
+    """
     places = find_log(log)
     progress("opening")
     # the settings first: a file that changes during the run then gets another key next time
@@ -246,7 +249,10 @@ def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) ->
 
 
 def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
-    """Return the log under other settings; measures again what changed. Topics, order, preset: UsageError."""
+    """Return the log under other settings; only sensors whose settings changed are measured again.
+
+    Raises UsageError for settings that need a new `load`: topics, order, preset.
+    """
     sets = robot_tables.set_tables(words)
     reading = [key for key in flat(sets) if key in {"order", "preset"} or key.endswith((".topic", ".topics"))]
     if reading:

@@ -26,7 +26,11 @@ ORIGIN = tuple(f"info.origin.{part}" for part in ("position.x", "position.y", "o
 
 
 def give(loaded: Loaded, file: Path) -> Loaded:
-    """Return the log with a map file for localisation: lines as JSON, or the .yaml of an occupancy grid."""
+    """Return the log with a map file for localisation: lines as JSON, or the .yaml of an occupancy grid.
+
+    Raises LocfuseError for a bad file and a map of another building, UsageError for the paper's filter, whose map
+    is the first scan.
+    """
     if loaded.robot.preset == "paper":
         raise UsageError("--map: the paper's filter knows its first scan's walls only; leave --preset paper out")
     if file.suffix in map_image.PICTURES:
@@ -37,7 +41,10 @@ def give(loaded: Loaded, file: Path) -> Loaded:
 
 
 def give_topic(loaded: Loaded) -> Loaded:
-    """Return the log with the map of the topic `[lrf] map_topic`; unchanged without that setting."""
+    """Return the log with the map of the topic `[lrf] map_topic`; unchanged without that setting.
+
+    Raises LocfuseError if the topic is missing, or has no map, or the map of another building.
+    """
     topic = loaded.robot.settings("lrf").map_topic
     if topic is None or loaded.robot.preset == "paper":
         return loaded

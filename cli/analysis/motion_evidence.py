@@ -39,8 +39,8 @@ from .topics import Choice, Note, filled, of_sensor, of_type
 MAX_SPEEDS = 2  # topics of commanded or measured speeds that are scored beside scan matching
 MOUNT_KEYS = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
 # shares of scan points that agree
-SURE_SHARE = 0.9  # a motion with a larger share is accepted without scan matching
 UNITS = {"cm": 0.01, "mm": 0.001}  # of distances, m
+SURE_SHARE = 0.9  # a motion with a larger share is accepted without scan matching
 WORSE_SHARE = 0.10  # largest loss of a motion against scan matching
 BELOW_STILL_SHARE = 0.05  # largest loss of a motion against standing still
 BETTER_SHARE = 0.015  # least gain of scan matching over wheels of known size for a note ...
@@ -71,7 +71,10 @@ _matched_scans: WeakKeyDictionary[Log, dict[tuple[object, ...], MatchedScans]] =
 
 
 def path_of(log: Log, topic: str, order: str, laser: Laser) -> MatchedScans:
-    """Return the motion by scan matching; scans are matched once per mount and range scale of the laser."""
+    """Return the motion by scan matching; scans are matched once per mount and range scale of the laser.
+
+    Raises LocfuseError if they cannot be matched.
+    """
     known, how = _matched_scans.setdefault(log, {}), (topic, order, *laser.mount.tolist(), *laser[1:-1])
     if how not in known:
         known[how] = match_scans(log.stream(topic, order), laser)
@@ -153,12 +156,12 @@ class MotionEvidence:
 
     def _unit(self, motion: WheelReading, share: float) -> str:
         """Return the unit of a motion's distances in words if the scans agree with it as cm or mm; else ""."""
-        wheels = motion.wheels
+        assert self._pairs is not None
+        wheels, least = motion.wheels, max(self._matched - WORSE_SHARE, share + TELLING_SHARE)
         for unit, metres in UNITS.items():
             twist = wheels.twist * [metres, metres, 1.0]
             smaller = motion._replace(wheels=Wheels.from_twists(wheels.t, twist, wheels.track, wheels.noise))
-            agrees = max(self._matched - WORSE_SHARE, share + TELLING_SHARE)
-            if self._pairs is not None and self._pairs.of(smaller) > agrees:
+            if self._pairs.of(smaller) > least:
                 return f", in {unit} as it seems (--set wheels.scale={metres:g}),"
         return ""
 

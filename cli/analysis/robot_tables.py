@@ -99,7 +99,10 @@ def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, 
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return the user's settings as {"--robot": tables, "--set": tables}; `more`: additional words of --set."""
+    """Return the user's settings as {"--robot": tables, "--set": tables}; `more`: additional words of --set.
+
+    --set overrides --robot. Raises LocfuseError for invalid settings.
+    """
     files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robots]
     sets = set_tables((*how.sets, *more))
     sets |= {key: word for key, word in (("order", how.order), ("preset", how.preset)) if word}

@@ -98,7 +98,10 @@ class Asked(msgspec.Struct, frozen=True):
     audits: bool = True  # innovation and gate decision of every measurement are kept
 
     def of_each(self) -> Asked:
-        """Return the options for each of many logs, smoothed only if asked. UsageError: needs one drive."""
+        """Return the options for each of many logs: without advice and references, smoothed only if asked.
+
+        Raises UsageError for options that need a single drive.
+        """
         for name, source in self.estimates.items():
             raise _misuse(f"--estimate {name}={source}: it is of one drive: compare one log at a time")
         if self.jitter:
@@ -214,7 +217,10 @@ def by_default(known: Sequence[str]) -> list[str]:
 def chosen(
     kinds: str | Iterable[str] | None, known: Sequence[str], what: str = "--write: unknown output"
 ) -> set[str]:
-    """Return kinds of output from "json,tum", "all" or a list; None: default ones. Unknown: UsageError."""
+    """Return kinds of output from "json,tum", "all" or a list; the default ones for None.
+
+    Raises UsageError for an unknown one.
+    """
     if kinds is None:
         return set(by_default(known))
     names = {name.strip() for name in (kinds.split(",") if isinstance(kinds, str) else kinds) if name.strip()}
@@ -240,7 +246,10 @@ def swept(words: Sequence[str]) -> dict[str, list[str]]:
 
 
 def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return the words of --set for each combination of swept values, by its name, which can name a folder."""
+    """Return the words of --set for every combination of swept values, by the combination's name.
+
+    Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
+    """
     for word in (word for words in sets.values() for word in words):
         if UNFIT_FOR_FOLDER.search(word):
             raise _misuse(f"--sweep {word!r}: a value with blanks or slashes cannot name a folder")

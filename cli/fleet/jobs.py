@@ -141,7 +141,10 @@ def read_report(folder: Path) -> dict[str, Any] | None:
 
 
 def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> dict[str, Job]:
-    """Return a job for each log in `words`: the job `every` with the log, its name, its folder, or its refusal."""
+    """Return a job for each log in `words`: the job `every` with the log, its name, its folder, or its refusal.
+
+    Raises UsageError for invalid settings, an invalid pattern or an invalid sweep.
+    """
     robot_of = _robot_by(robot_from, every.how.robots)
     fixed = tuple(file for file in every.how.robots if ROBOT_PLACEHOLDER not in str(file))
     given_layers(replace(every.how, robots=fixed))

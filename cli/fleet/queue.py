@@ -154,7 +154,10 @@ MAX_RETRIES = 2  # of a job whose worker failed
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """Connect to a Dask scheduler, such as "tcp://127.0.0.1:8786", and yield its executor."""
+    """Connect to a Dask scheduler, such as "tcp://127.0.0.1:8786", and yield its executor.
+
+    Raises LocfuseError if none answers, it has no workers, or a worker has another version of locfuse.
+    """
     try:
         import distributed
     except ImportError:

@@ -104,7 +104,10 @@ def show_and_wait(path: Path) -> None:
 
 
 def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
-    """Serve a recording to browsers on this machine until interrupted; `say` prints the URL."""
+    """Serve a recording to browsers on this machine until interrupted; `say` prints the URL.
+
+    Raises LocfuseError if the server ends by itself.
+    """
     port, data = free_port(wanted), free_port(PORT)
     server = start_rerun(["--port", str(data), "--serve-web", "--web-viewer-port", str(port), str(path)])
     try:

@@ -29,7 +29,10 @@ SEPARATION, *RADII = MULTIPLIERS = (
 
 
 def settings(found: FoundRobot, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the controller's parameters; `there`: parameters that the file has now, {} for a new file."""
+    """Return the controller's parameters; `there`: parameters that the file has now, {} for a new file.
+
+    Raises LocfuseError unless the log shows two driven wheels.
+    """
     wheels = found.loaded.drive.wheels
     if wheels.matched is not None or found.robot.wheels.wheelbase is not None:
         words = "this log shows no two driven wheels (scan matching, or a steered wheel)"

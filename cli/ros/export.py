@@ -48,7 +48,8 @@ def fresh(found: FoundRobot, targets: Sequence[str]) -> Made:
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
     """Return the targets whose parameters are written into a parameter file.
 
-    With `any_of`, targets that the file lacks are left out, unless it lacks all of them.
+    With `any_of`, targets that the file lacks are left out, unless it lacks all of them. Raises LocfuseError for a
+    target without section, with several sections, or with a section of another node.
     """
     if any_of:
         targets = [target for target in targets if sections_of(file, target)] or targets

@@ -230,7 +230,10 @@ def calibrated(logs: Sequence[Parts], how: LogOptions, progress: Progress) -> Ca
 
 
 def calibrate_logs(loaded: Sequence[Loaded], progress: Progress) -> Calibration:
-    """Estimate wheel settings, laser mount and compass iron from the logs of one robot, if they are observable."""
+    """Estimate wheel settings, laser mount and compass iron from the logs of one robot, if they are observable.
+
+    Raises LocfuseError if nothing can be estimated, a log has a severe fault, or the wheel settings differ.
+    """
     settings = _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):
         return _tricycle(loaded, settings, progress)

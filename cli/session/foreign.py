@@ -41,7 +41,10 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
 
 
 def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collection[str]) -> list[Estimates]:
-    """Read topics or files (name -> source) as estimates; refuse names in `taken`, and fewer than two poses."""
+    """Read the topics or files in `sources` (name -> source) as estimates.
+
+    Raises UsageError for a name in `taken`, and LocfuseError for a source with fewer than two poses in the drive.
+    """
     log, drive, estimates = loaded.log, loaded.drive, list[Estimates]()
     for name, source in sources.items():
         if name in taken:

@@ -64,7 +64,7 @@ def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -
 def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Array]:
     """Return times (n,) [s] and the repaired angles of both wheels (n,) [rad]."""
     turn = 2.0 * np.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
-    how = ASSUMED_RADIUS_M * turn, settings.rollover, settings.max_speed
+    how = ASSUMED_RADIUS_M * turn, settings.rollover, None
     left, right = (repaired(side, *how) for side in (both.left, both.right))
     t = both.left.t[left.keep]
     at_left = np.interp(t, both.right.t[right.keep], right.rolled / ASSUMED_RADIUS_M)

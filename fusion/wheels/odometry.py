@@ -18,7 +18,16 @@ from locfuse.fusion.data import Array, LocfuseError, Mask, Stream, stretches, to
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import arrays, gap_limit, in_turn
 
-from .repairs import MAX_SPEED_MPS, held_note, held_readings, jump_notes, limits, spikes, without_restarts
+from .repairs import (
+    MAX_SPEED_MPS,
+    check_limit,
+    held_note,
+    held_readings,
+    jump_notes,
+    limits,
+    spikes,
+    without_restarts,
+)
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -218,7 +227,9 @@ def travelled(
     still = held_note("its pose", t[rows], held)
     t, values = t[rows[~held]], values[rows[~held]]
     twist = _steps(values)
-    far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
+    distance = np.hypot(twist[:, 0], twist[:, 1])
+    far = distance > _limits(t, values, max_speed)
+    check_limit(far, distance / np.diff(t), max_speed)
     doubt = TWO_SOURCES if two else unlike_a_robot(t, twist, far)
     steps = without_restarts(t, twist, far)
     # over a gap the speeds at its ends do not give the distance
@@ -356,9 +367,13 @@ def _limits(t: Array, values: Array, max_speed: float | None) -> Array:
 
 
 def possible(speeds: Array, max_speed: float | None) -> Mask:
-    """Mark pairs (n, 2) of speed [m/s] and turning rate [rad/s] that are possible for a body."""
-    most = MAX_SPEED_MPS if max_speed is None else max_speed
-    return (np.abs(speeds[:, 0]) <= most) & (np.abs(speeds[:, 1]) <= MAX_TURN_RADPS)
+    """Mark pairs (n, 2) of speed [m/s] and turning rate [rad/s] that are possible for a body.
+
+    Raises LocfuseError as `check_limit`.
+    """
+    fast = np.abs(speeds[:, 0]) > (MAX_SPEED_MPS if max_speed is None else max_speed)
+    check_limit(fast, speeds[:, 0], max_speed)
+    return ~fast & (np.abs(speeds[:, 1]) <= MAX_TURN_RADPS)
 
 
 def _integrated(t: Array, speeds: Array) -> Array:

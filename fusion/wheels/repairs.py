@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, Mask, stretches, totals
+from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, stretches, totals
 
 WINDOW_STEPS = 11  # steps whose median speed is the present speed
 # a jump is longer than JUMP_FACTOR times the present speed, plus JUMP_SLACK_MPS, times dt, plus MIN_JUMP_M
@@ -16,6 +16,7 @@ JUMP_FACTOR, JUMP_SLACK_MPS, MIN_JUMP_M = 8.0, 0.5, 0.02
 MAX_HELD_FACTOR = 4.0  # largest ratio of the speeds before, during and after a time with a constant counter
 SPEED_SETTING = "wheels.max_speed [m/s] limits a step"
 CAUGHT_UP = "stood still and then caught up"  # words of the note on such a time
+MAX_FAST_SHARE = 0.1  # of all steps: more of them are not faults; the limit is wrong
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
 COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # known widths of counters
@@ -59,6 +60,7 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     keep, rolled = keep[~held], rolled[~held]
     t, steps = side.t[keep], np.diff(rolled)
     restarts = np.abs(steps) > limits(t, steps, max_speed)
+    check_limit(restarts, steps / np.diff(t), max_speed)
     distance = totals(without_restarts(t, steps[:, None], restarts)[:, 0])
     notes = []
     if count.modulus is not None:
@@ -216,6 +218,15 @@ def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
         present = np.median(speed[begin[:, None] + np.arange(window)], axis=1)
         out[suspects] += JUMP_FACTOR * present * usual[suspects]
     return np.minimum(out, MAX_SPEED_MPS * usual)
+
+
+def check_limit(fast: Mask, speeds: Array, max_speed: float | None) -> None:
+    """Raise LocfuseError if many `speeds` (n,) [m/s] of a wheel or of a body are `fast` (n,): above max_speed."""
+    if max_speed is not None and fast.sum() > MAX_FAST_SHARE * len(fast):
+        usual = float(np.quantile(np.abs(speeds), 1.0 - MAX_FAST_SHARE))
+        words = f"{fast.mean():.0%} of the readings are faster than wheels.max_speed={max_speed:g} m/s."
+        hint = f"Set a higher value, or none: 90% of them are below {usual:.2g} m/s"
+        raise LocfuseError(words, role="wheels", hint=hint)
 
 
 def spikes(t: Array, values: Array, limit: Array) -> Mask:

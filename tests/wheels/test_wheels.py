@@ -166,6 +166,21 @@ def test_an_encoder_that_starts_anew_loses_one_step_and_says_so(truth: tuple[Arr
     assert reading.dropped == {}
 
 
+@pytest.mark.parametrize("factor", [0.1, 0.5, 1.2])
+def test_a_highest_speed_below_usual_ones_is_refused_with_the_speed(
+    truth: tuple[Array, Array], factor: float
+) -> None:
+    t, angle = truth[0][::10], truth[1][::10]  # steps beside which the slack of 2 cm is short
+    fastest = RADIUS * float(np.abs(np.diff(angle, axis=0)).max() / (t[1] - t[0]))
+    if factor > 1.0:
+        np.testing.assert_array_equal(final(read(t, angle, max_speed=factor * fastest)), final(read(t, angle)))
+    else:
+        with pytest.raises(
+            LocfuseError, match=rf"faster than wheels.max_speed={factor * fastest:g} m/s.*90% .* m/s"
+        ):
+            read(t, angle, max_speed=factor * fastest)
+
+
 def test_nan_and_repeats_and_two_values_with_one_stamp_are_counted(truth: tuple[Array, Array]) -> None:
     t, angle = (a.copy() for a in truth)
     angle[100, 0] = np.nan

@@ -52,7 +52,7 @@ def standard(loaded: Loaded) -> list[Configuration]:
 
 
 def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | None = None) -> Advised:
-    """Return all findings on a log with their tried fixes; runs of a finished comparison are used again."""
+    """Return all findings on a log with their tried fixes; runs of a finished run or comparison are used again."""
     loaded, broken = unbroken(loaded)  # fixes are tried on the longest part without a hole
     of_holes, unusable = [Advice(hole) for hole in broken], data_advice(loaded)
     if not may_judge(loaded) or any(a.finding.code in MIXED for a in unusable):
@@ -88,7 +88,7 @@ def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | 
 def advise_on_run(one: Compared, progress: Progress, align: str) -> Advised:
     """Return the advice after a run of one configuration; fixes are tried only if this run looks wrong."""
     if looks_wrong(one):
-        return advise(one.loaded, progress, align)
+        return advise(one.loaded, progress, align, one)
     return Advised(data_advice(unbroken(one.loaded)[0]))
 
 

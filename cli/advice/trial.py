@@ -47,6 +47,7 @@ class Trial:
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _marks: dict[tuple[str, Fixes, str], Marks] = field(default_factory=dict)  # by TRIED, WHOLE or SMOOTHED
     _runs: dict[tuple[Fixes, str], Estimates] = field(default_factory=dict)  # under the kept fixes
+    _last_whole: dict[str, tuple[Fixes, Estimates]] = field(default_factory=dict)  # on the whole drive, by name
 
     def __post_init__(self) -> None:
         """Limit trials on a long drive to its first MAX_INSTANTS update times."""
@@ -115,9 +116,13 @@ class Trial:
             return Marks(prediction=mean_density(drive, alone, flags))
         moving = tuple(fix for fix in fixes if not keys((fix,)) <= SEEN_AFTERWARDS)
         e = self._runs.get((moving, name)) if kind == TRIED else None
+        if kind == WHOLE and name in self._last_whole and self._last_whole[name][0] == moving:
+            e = self._last_whole[name][1]
         e = e or self.fused(loaded, name, smooth=kind == SMOOTHED)
         if e is None or e.smoothed != (kind == SMOOTHED):
             return None
+        if kind == WHOLE:
+            self._last_whole[name] = moving, replace(e, audits={})
         return marks_of(e, evaluate(e, drive, cast("Align", self.align)), drive)
 
     def know(self, kind: str, fixes: Fixes, name: str, marks: Marks) -> None:

@@ -97,3 +97,9 @@ def extremes(values: Array, limit: int) -> Ints:
     start = (np.arange(buckets) * width)[:, None]
     picks = np.concatenate(((start + low).ravel(), (start + high).ravel(), [0, n - 1]))
     return np.unique(picks[picks < n])
+
+
+def broken(x: Array, y: Array, period: float) -> tuple[Array, Array]:
+    """Return a curve (n,) with NaN where y, such as an angle, jumps by more than half of its period."""
+    at = np.flatnonzero(np.abs(np.diff(y)) > 0.5 * period) + 1
+    return np.insert(x, at, np.nan), np.insert(y, at, np.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -12,6 +13,7 @@ from locfuse.fusion.data import Array, Evaluation
 from .panels import TIME, Band, Curve, Mark, Panel, Scene, Section, Spots, Strokes, metres
 
 BAND_SIGMAS = 3.0
+TURN_DEG = 360.0
 COMPONENTS = ("x", "y", "heading")
 MIN_ENLARGED_RATIO = 5.0  # ratio of the largest to the smallest rms, above which an enlarged panel is added
 MAX_SIMILAR_RATIO = 2.5  # ratio to the smallest rms of curves that fit into the enlarged panel
@@ -47,7 +49,8 @@ def _overlay(judged: list[Evaluation], name: str, span: tuple[float, float], in_
     """Return the panel of one deviation over time; `in_unit` is (factor to the unit, unit)."""
     title, key, column = OVERLAYS[name]
     scale, unit = in_unit
-    marks = tuple(Curve(j.name, j.t, scale * column(j)) for j in judged)
+    period = TURN_DEG if unit == "°" else math.inf
+    marks = tuple(Curve(j.name, j.t, scale * column(j), period=period) for j in judged)
     summary = f"{title} over time; " + _figures_words(judged, key, "°" if key.endswith("_deg") else "m")
     return Panel(name, title, f"{title.lower()}, {unit}", TIME, marks, summary, x_range=span)
 
@@ -115,14 +118,15 @@ def _bands(judged: Evaluation) -> list[Panel]:
     panels = []
     for i, deviation in enumerate(_components(judged)):
         what, (scale, unit) = COMPONENTS[i], units[i]
-        reach, curve = scale * (BAND_SIGMAS * judged.sigma[:, i]), scale * deviation
+        reach = scale * (BAND_SIGMAS * judged.sigma[:, i])
+        curve = Curve(judged.name, judged.t, scale * deviation, period=TURN_DEG if unit == "°" else math.inf)
         panels.append(
             Panel(
                 name=f"band_{judged.name}_{what}",
                 title=f"{judged.name}: deviation in {what} with 3 sigma",
                 y_label=f"{what}, {unit}",
                 x_label=TIME,
-                marks=(Band(judged.name, judged.t, -reach, reach), Curve(judged.name, judged.t, curve)),
+                marks=(Band(judged.name, judged.t, -reach, reach), curve),
                 summary=f"Deviation of {judged.name} in {what} over time, in the band of its 3 sigma.",
                 x_range=(0.0, float(judged.t[-1])),
             )

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.formats.geometry import extremes
+from locfuse.formats.geometry import broken, extremes
 from locfuse.fusion.data import Colour
 
 from . import palette
@@ -137,7 +137,7 @@ def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapp
         grows = bool((np.diff(mark.x) >= 0).all())
         kept = extremes(mark.y, MAX_CURVE_POINTS) if grows else np.arange(len(mark.x))
         width = WIDE_PT if mark.wide else None
-        axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, lw=width, label=label)
+        axes.plot(*broken(mark.x[kept], mark.y[kept], mark.period), color=ink, ls=dash, lw=width, label=label)
     elif isinstance(mark, Spots):
         axes.plot(
             mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **LOOK["spots"][palette.SHAPES[mark.of]]

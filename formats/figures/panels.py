@@ -81,6 +81,7 @@ class Curve(msgspec.Struct, frozen=True):
     x: Array  # (n,)
     y: Array  # (n,)
     wide: bool = False  # a thick line whose colour shows a value
+    period: float = math.inf  # of y, of an angle: the line is broken where y passes the ends of its range
 
 
 class Band(msgspec.Struct, frozen=True):

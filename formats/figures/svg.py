@@ -13,7 +13,7 @@ from html import escape
 import msgspec
 import numpy as np
 
-from locfuse.formats.geometry import extremes
+from locfuse.formats.geometry import broken, extremes
 from locfuse.fusion.data import REFUSED, Array, stretches
 
 from .palette import EVENTS, SHAPES
@@ -28,10 +28,10 @@ CROSS_PX = 2.5  # half the side of a cross
 MAX_COORDINATE_PX = 1e4  # coordinates are clipped to this
 
 
-def curve_path(x: Array, y: Array, pixels: int) -> str:
-    """Return the SVG path of a curve (n,) [px] with growing x, broken at NaN."""
+def curve_path(x: Array, y: Array, pixels: int, period: float = math.inf) -> str:
+    """Return the SVG path of a curve (n,) [px] with growing x, broken at NaN and where y jumps by a `period`."""
     kept = extremes(y, 2 * pixels)
-    return _pieces(np.stack((x[kept], y[kept]), axis=-1))
+    return _pieces(np.stack(broken(x[kept], y[kept], period), axis=-1))
 
 
 def trajectory_path(x: Array, y: Array) -> str:
@@ -270,7 +270,10 @@ def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
         return f"spot {shape}", spots_path(px, py, crossed=shape == "cross")
     grows = len(px) < 2 or bool((np.diff(px) >= 0).all())
     kind = "curve wide" if mark.wide else "curve"
-    return kind, curve_path(px, py, pixels) if grows else trajectory_path(px, py)
+    if not grows:
+        return kind, trajectory_path(px, py)
+    period = abs(float(y.px(mark.period) - y.px(0.0))) if math.isfinite(mark.period) else math.inf
+    return kind, curve_path(px, py, pixels, period)
 
 
 def slugs_of(names: Sequence[str]) -> dict[str, str]:

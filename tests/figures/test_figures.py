@@ -17,6 +17,7 @@ from locfuse.formats.figures.for_paper import paper_figures
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Spots, Strokes, linear_ticks, log_ticks
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.figures.where import spots, step, track, where
+from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Array
 from locfuse.fusion.sensors.registry import colours
 
@@ -407,3 +408,10 @@ def test_the_colours_of_a_scale_are_told_apart_and_grow_evenly_in_lightness(them
     assert (steps > 0.03).all()
     against = [contrast(getattr(c, theme), page(theme)) for c in palette.LEVELS]
     assert all(a < b for a, b in pairwise(against))
+
+
+@pytest.mark.parametrize("turns", [0.3, 1.2])
+def test_a_heading_is_not_drawn_across_the_panel_where_it_passes_half_a_turn(turns: float) -> None:
+    t = np.linspace(0.0, 500.0, 20_000)
+    heading = np.degrees(se2.wrap_all(2.0 * np.pi * turns * t / t[-1]))
+    assert len(points(svg.curve_path(t, heading, 500, 360.0))) == 1 + round(turns)

@@ -39,7 +39,15 @@ from locfuse.fusion.wheels.read import WHEEL_READS, WheelReading, read_wheels
 from . import robot_tables
 from .choose import choose
 from .motion_evidence import STANDS, find_motion_faults, path_of
-from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
+from .mounts import (
+    level_compass,
+    mount_tables,
+    on_moving_parts,
+    optics_tables,
+    refuse_far,
+    shared_turns,
+    transforms_of,
+)
 from .robot_tables import flat, make_robot
 from .settings import LogOptions, Progress, silent
 from .topics import Choice, Note
@@ -177,6 +185,7 @@ def measured(
     transforms = transforms_of(log, frames)
     placed = EXACT_LASER if by_scans else {}
     mounts = robot_toml.merge(placed, mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
+    refuse_far(mounts, tables)
     settings = robot_toml.merge(mounts, shared_turns(tables, sensed), tables)
     robot = robot_tables.with_point_maps(make_robot(settings))
     moving = on_moving_parts(transforms, sensed, tables)

@@ -33,7 +33,7 @@ from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
 
-from .mounts import mount_tables, transforms_of
+from .mounts import mount_tables, refuse_far, transforms_of
 from .topics import Choice, Note, filled, of_sensor, of_type
 
 MAX_SPEEDS = 2  # topics of commanded or measured speeds that are scored beside scan matching
@@ -186,8 +186,10 @@ class MotionEvidence:
         """Return the laser with its mount as configured, else by /tf_static."""
         stream, settings = self._log.stream(self._topic), self._robot.settings("lrf")
         placed: Mapping[str, Any] = {}
-        with suppress(LocfuseError):  # frames in a loop are reported where they are used
-            placed = mount_tables(transforms_of(self._log, [stream.frame_id]), {"lrf": [stream]}).get("lrf", {})
+        with suppress(LocfuseError):  # frames in a loop and far mounts are reported where they are used
+            mounts = mount_tables(transforms_of(self._log, [stream.frame_id]), {"lrf": [stream]})
+            refuse_far(mounts, {})
+            placed = mounts.get("lrf", {})
         unset = {key: placed[key] for key in MOUNT_KEYS if key in placed and not getattr(settings, key)}
         laser = laser_of(replace(settings, **unset))
         blocks = stream.blocks(*Lrf.reads[stream.msgtype], rows=SCANS_PER_BLOCK)

@@ -14,6 +14,7 @@ from locfuse.formats.logs.log import Log
 from locfuse.formats.messages.schema import CAMERA_MATRIX
 from locfuse.formats.robot.transforms import FrameMount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.mount import MAX_MOUNT_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.level import FIELD, IMU, LevelledField, tilt_of
@@ -84,6 +85,18 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
         elif parts[0].topic in mounts:
             tables[sensor] = {k: v for k, v in placed[parts[0].topic].items() if k in keys}
     return tables
+
+
+def refuse_far(mounts: Mapping[str, Any], tables: Mapping[str, Any]) -> None:
+    """Raise LocfuseError for a mount by transforms too far from the base, unless `tables` set its place."""
+    for sensor, mount in mounts.items():
+        place = {k: mount[k] for k in ("x", "y") if k in mount and k not in tables.get(sensor, {})}
+        if any(abs(metres) > MAX_MOUNT_M for metres in place.values()):
+            words = " and ".join(f"{key} = {metres:g} m" for key, metres in place.items())
+            fixes = tuple(f"{sensor}.{key}={metres / 1000.0:g}" for key, metres in place.items())
+            hint = f"Set it: {' '.join(f'--set {fix}' for fix in fixes)}"
+            words = f"its frame is at {words} of the base by the log's transforms: in mm, as it seems."
+            raise LocfuseError(words, role=sensor, fixes=fixes, hint=hint)
 
 
 def _view(mount: FrameMount) -> dict[str, Any]:

@@ -63,6 +63,7 @@ SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious wit
 
 # codes of findings with a measured value: by truth, magnetic field, stamps or straight walls
 MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, YAW, "iron", ROOM, CREEP, RIMS)
+TRUTH_NOISE = ("truth", "noise")  # role and code
 MAX_SCAN_PERIOD_S = 0.4  # with a longer one the laser's path follows the wheels between scans
 KEYLESS = {
     OPEN_SCALE,
@@ -288,6 +289,9 @@ class Evidence(NoiseFindings):
         one = self._candidate(
             finding, tuple(ways), not (finding.severe or measured or finding.code in {RATIO, HELD})
         )
+        if one.key == TRUTH_NOISE and self.overconfident:
+            # it changes no pose, and the truth alone shows it: what then is underconfident was so before
+            return replace(one, measured=True, proven=True, minor=one.judges, offer=False)
         return replace(one, measured=measured, by_shape=one.key in SIGN_FAULTS)
 
     def slips(self) -> list[Candidate]:

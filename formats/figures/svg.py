@@ -272,7 +272,7 @@ def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
     kind = "curve wide" if mark.wide else "curve"
     if not grows:
         return kind, trajectory_path(px, py)
-    period = abs(float(y.px(mark.period) - y.px(0.0))) if math.isfinite(mark.period) else math.inf
+    period = math.inf if math.isinf(mark.period) else float(np.ptp(y.px(np.array([0.0, mark.period]))))
     return kind, curve_path(px, py, pixels, period)
 
 

@@ -54,7 +54,7 @@ MIN_STEPS, READINGS_AROUND = 100, 5  # steps for an estimate of the noise; readi
 WINDOW_STEPS = 41  # steps of a path over which its direction is computed; one wrong step hardly turns it
 CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # sigmas at which steps are clipped; standard errors of significant noise
 MIN_NOISE_FACTOR = 2.0  # noise above this multiple of the configured noise is reported
-MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # smaller noise is not reported
+MIN_NOISE_M, MIN_NOISE_RAD = 3e-4, math.radians(0.05)  # smaller noise is not reported
 MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of laser distances and wheel distances
 
 
@@ -147,12 +147,15 @@ def _steps(truth: Truth, drive: Drive) -> list[Finding]:
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
     """Return a finding if the truth is noisier than truth.sigma: ANEES counts that as an error of the estimate."""
     rest, moving = truth_sigma(truth, drive.wheels), _scatter(truth, drive.wheels)
-    place, turn = max(rest.xy, moving.xy), max(rest.theta, moving.theta)
-    parts: list[tuple[str, str]] = []
-    if place >= max(MIN_NOISE_M, MIN_NOISE_FACTOR * truth.sigma):
-        parts.append((f"{1e3 * place:.1f} mm", f"truth.sigma={place:.2g}"))
-    if truth.theta is not None and turn >= max(MIN_NOISE_RAD, MIN_NOISE_FACTOR * truth.sigma_theta):
-        parts.append((f"{math.degrees(turn):.2f}°", f"truth.sigma_theta_deg={math.degrees(turn):.2g}"))
+    place = max(rest.xy, moving.xy)
+    turn = max(rest.theta, moving.theta) if truth.theta is not None else 0.0
+    if place < MIN_NOISE_M and turn < MIN_NOISE_RAD:
+        return []
+    parts: list[tuple[str, str]] = []  # both: ANEES needs both sigmas, or none
+    if place > MIN_NOISE_FACTOR * truth.sigma:
+        parts.append((f"{1e3 * place:.2g} mm", f"truth.sigma={place:.2g}"))
+    if turn > MIN_NOISE_FACTOR * truth.sigma_theta:
+        parts.append((f"{math.degrees(turn):.2g}°", f"truth.sigma_theta_deg={math.degrees(turn):.2g}"))
     if not parts:
         return []
     words = " and ".join(part for part, _ in parts)

@@ -54,6 +54,7 @@ SPEED_SIGMA_S = 0.03  # s, 1 sigma of a lag by speeds or positions
 MODEL_SIGMA_S = 0.002  # s, 1 sigma by model errors, added to the sigma of every lag
 # chi-square added to explanations with these clocks, so that other clocks are preferred
 PREFERENCE_COST = {"truth": 0.1, "wheels": 0.2}
+EARLY_COST = 0.5  # the same for one early clock: stamps are taken after the measurement, so most are late
 NEAR_CHI2 = 4.0  # explanations whose chi-square differs by less are equally good
 CLOCK = "lag"  # code of the finding on a wrong clock
 LASER = "lrf"
@@ -115,7 +116,7 @@ def rival_words(rival: Clock | None, robot: Robot) -> str:
     """Return a clause with the time offset of the other clock that may be wrong, `rival`; "" for None."""
     if rival is None:
         return ""
-    return f"; no third clock shows which of the two is wrong: {offset_of(rival, robot, 2)} is equivalent"
+    return f" (equivalent: {offset_of(rival, robot, 2)}); no third clock shows which of the two is wrong"
 
 
 def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
@@ -269,9 +270,10 @@ def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
 def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LAG_S) -> list[tuple[Clock, ...]]:
     """Return the smallest set of wrong clocks that explains the lags, then equally good sets; [] for none.
 
-    Each wrong clock adds `sigmas`^2 to chi-square. With three clocks, the one that the two others contradict is
-    wrong; with two clocks, either may be wrong. Lags relative to the wheels share the error by slip, so several of
-    them are as uncertain as one. Offsets below `least` [s] are left out.
+    Each wrong clock adds `sigmas`^2 to chi-square; of two equally good clocks, the late one is first. With three
+    clocks, the one that the two others contradict is wrong; with two clocks, either may be wrong. Lags relative to
+    the wheels share the error by slip, so several of them are as uncertain as one. Offsets below `least` [s] are
+    left out.
     """
     names = sorted({name for pair in pairs for name in pair})
     number = {name: sum(name in pair for pair in pairs) for name in names}
@@ -282,6 +284,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
         for off in combinations(names, count):
             chi, clocks = explained(pairs, sizes, off)
             cost = chi + sigmas**2 * count + sum(PREFERENCE_COST.get(name, 0.0) for name in off)
+            cost += EARLY_COST if len(clocks) == 1 and clocks[0].offset > 0.0 else 0.0
             found.append((cost, clocks))
     found.sort(key=lambda one: one[0])
     best = [clocks for cost, clocks in found if cost < found[0][0] + NEAR_CHI2]

@@ -230,6 +230,7 @@ ESTIMATED = ("wheels.estimate=true",)  # in place of a measured scale: tried onl
 # findings on noise, which another fault may cause
 NOISE_CODES = ("understated", "overstated", "correlated", "floor", "noise")
 CLEAR_GAIN = 1.0  # gain of a fix beyond which later classes are not tried
+EQUAL_GAIN = 1e-6  # gains that differ by less are equal: the fix of the earlier class is better
 CHANCE_GAIN = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # largest gain of two configurations by chance
 
 Fixes = tuple[str, ...]  # "table.key=value"
@@ -424,7 +425,7 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
         helpful = [a for _, a in results if a.helps]
         if helpful:
             first = max(helpful, key=lambda a: _rank(a, helpful))
-            best = first if best is None or _weight(first) > _weight(best) else best
+            best = first if best is None or _weight(first) > _weight(best) + EQUAL_GAIN else best
             observed = any(not c.offer for c, a in results if a is first)
             if observed or worth(best) > CLEAR_GAIN:
                 break

@@ -33,6 +33,7 @@ MAX_LIMIT_RATIO = 10.0  # of a range and range_max: walls in mm are 1000 times a
 MAX_WALL_M = 100.0  # m: median distance of walls that no robot with a 2D laser has; 10 cm in mm
 FIRST_SCANS = 3000  # first scans, of which SAMPLE_SCANS are taken evenly
 HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
+BENT_MPS = 0.1  # m of offset per s of a sweep, 1 sigma: walls look bent if the robot turns more often to one side
 CHECKED_BEAMS = 16  # on either side of the middle one
 MAX_OFF_WALL_M = 0.1  # m: largest distance of the beams in between from a straight wall
 MIN_STRETCH_TRIPLES, STRETCH_COUNT = 200, 8  # in each stretch; stretches for the jackknife
@@ -149,7 +150,8 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
         if abs(more) < MIN_OFFSET_M:
             break
     sigma = jackknife(lambda some: _added(np.concatenate([parts[i] for i in some])), len(parts), STRETCH_COUNT)
-    return add, float(sigma)
+    sweep = [np.abs(scans["time_increment"]) * scans["ranges"].shape[1] for scans in sampled]
+    return add, math.hypot(float(sigma), BENT_MPS * float(np.median(np.concatenate(sweep))))
 
 
 def _bends(ranges: Array, angles: Array) -> Iterator[Array]:

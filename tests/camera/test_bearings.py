@@ -98,6 +98,13 @@ def test_a_pixel_is_red_by_its_excess_over_green_and_blue_and_by_its_share() -> 
     np.testing.assert_array_equal(panorama.red_grey(shot, red), expected)
 
 
+def test_lines_come_in_one_shape_from_opencv_4_and_5() -> None:
+    lines = np.arange(8, dtype=np.int32)
+    for found in (lines.reshape(2, 1, 4), lines.reshape(2, 4)):
+        assert panorama._lines(found).tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
+    assert panorama._lines(None).shape == (0, 4)
+
+
 def test_the_noise_filter_removes_single_pixels_and_keeps_a_pole() -> None:
     pole = Pole(35.0)
     shot = picture(LENS, pole)
